@@ -1,0 +1,311 @@
+r"""The factor contract: a batch of n measurements of one kind, and the one place of every sign and every whitener.
+
+A subclass gives the prediction h(X) and its Jacobians H_k; this module turns them into
+
+    e = z [-] h(X0),   A_k = W J H_k,   b = W e,   W'W = Sigma^-1,   e(h Exp(xi)) = e - J xi + ...
+
+so that the step is argmin |A dx - b| for every factor, convention and noise. See the page on least squares.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.conventions import check_convention, innovation
+from factors.keys import Keys
+from factors.noise import Isotropic, Noise, whiten
+from models import Manifold, R
+from models.algebra import Array, product
+from models.errors import EvaluationError, GraphError, NoiseModelError
+
+__all__ = ["Factor", "Model"]
+
+Jacobians = tuple[Array | None, ...] | None
+
+
+class Factor(ABC):
+    """A batch of n measurements of one kind: its variables, the measured values, their noise.
+
+    A subclass states `slots` (the space of each variable it touches; None accepts any) and `relative`, and implements
+    `space` and `predict`. Everything else follows.
+
+    Parameters
+    ----------
+    keys : one `Keys` per slot; a slot of one variable serves all n measurements.
+    z : (n, size) stack of measurements, or one.
+    noise : error of z in the tangent space at the prediction, one model for all or one matrix per measurement.
+    convention : how z [-] h is formed on a group, `factors.conventions`.
+
+    Raises
+    ------
+    GraphError
+        Keys and measurements that do not fit together.
+
+    Attributes
+    ----------
+    relative : True when the residual does not change if all variables are moved by the same group element. Only a part
+        of a graph all of whose factors say so has a gauge that may be held.
+    """
+
+    slots: ClassVar[tuple[Manifold | None, ...]] = ()
+    relative: ClassVar[bool] = False
+
+    def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
+        name = type(self).__name__
+        for k in keys:
+            if not isinstance(k, Keys):
+                raise GraphError(f"{name}: expected variables such as x[0] or x[i], got {k!r:.80}", factor=name)
+        if not isinstance(noise, Noise):
+            raise GraphError(f"{name}: expected a noise model such as Isotropic(0.1), got {noise!r:.80}", keys, name)
+        n = max((len(k) for k in keys), default=0)
+        if any(len(k) not in (1, n) for k in keys):
+            raise GraphError(f"{name}: its variables number {[len(k) for k in keys]}; expected 1 or {n}", keys, name)
+        self.keys = tuple(k if len(k) == n else k[np.zeros(n, dtype=int)] for k in keys)
+        for a, b in zip(self.keys, self.keys[1:], strict=False):
+            if a.kind == b.kind and (same := a.numbers == b.numbers).any():
+                twice = a[[int(np.argmax(same))]]
+                raise GraphError(f"{name}: measurement {int(np.argmax(same))} joins {twice} to itself", [twice], name)
+        self.z = z
+        self.noise = noise
+        self.convention = check_convention(convention)
+        self._model: Model | None = None
+
+    def __len__(self) -> int:
+        return len(self.keys[0]) if self.keys else 0
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map(repr, self.keys))})"
+
+    def describe(self, index: int) -> str:
+        """One measurement of the batch by type and variables, for messages: ``Between(x3, x4)``."""
+        return f"{type(self).__name__}({', '.join(repr(k[[index]]) for k in self.keys)})"
+
+    @abstractmethod
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        """The space the measurement lives in, given those of the variables."""
+
+    @abstractmethod
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        """Prediction h (n, size) and Jacobians H_k (n, dim, dim_k), one per slot, of h(X [+] d) = h [+] H d.
+
+        An H_k of None is the identity; None for the whole tuple asks for central differences.
+        """
+
+    def rows(self, space: Manifold) -> npt.NDArray[np.intp] | slice:
+        """Which components of the innovation are measured; all, unless a subclass says otherwise."""
+        return slice(None)
+
+    def bind(self, *manifolds: Manifold) -> Model:
+        """The factor with the spaces of its variables: z checked, the whitener computed once.
+
+        Raises
+        ------
+        GraphError, NoiseModelError
+            A slot that does not accept its space; a measurement or noise of the wrong shape.
+        """
+        if self._model is None or self._model.manifolds != manifolds:
+            name = type(self).__name__
+            for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
+                if wanted is not None and wanted is not manifold:
+                    raise GraphError(f"{name}: {keys[[0]]} is in {manifold}, this factor needs {wanted}", [keys], name)
+            space = self.space(manifolds)
+            try:
+                z = space.stack(self.z)
+                if len(z) not in (1, len(self)):
+                    raise GraphError(f"{len(z)} measurements for {len(self)} sets of variables")
+                rows = self.rows(space)
+                names = tuple(np.array(space.components)[rows])
+                W = self.noise.sqrt_information(len(self), names)
+            except NoiseModelError as error:
+                raise NoiseModelError(f"{self.describe(error.index)}: {error}", *error.args[1:]) from error
+            except GraphError as error:
+                raise GraphError(f"{self!r}: {error}", self.keys, name) from error
+            z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
+            if W.shape[-1] <= 3:  # components first, as `product` wants small matrices
+                W = np.moveaxis(np.ascontiguousarray(np.moveaxis(W, 0, -1)), -1, 0)
+            self._model = Model(self, manifolds, space, z, W, rows, len(names))
+        return self._model
+
+    @staticmethod
+    def from_function(
+        residual: Callable[..., Array],
+        keys: Keys | Sequence[Keys],
+        dim: int,
+        noise: Noise | None = None,
+        jacobians: Callable[..., Sequence[Array]] | None = None,
+    ) -> Factor:
+        """A factor from a function of yours: minimizes |residual|^2 under the noise.
+
+        Parameters
+        ----------
+        residual : called as ``residual(X_1, X_2, ...)`` with one stack (n, size_k) per slot; returns (n, dim).
+        keys : the variables, one `Keys` per argument.
+        dim : numbers per residual.
+        noise : noise of the residual; unit variance when omitted.
+        jacobians : called with the same stacks; returns one (n, dim, dim_k) array per slot, the derivative of the
+            residual with respect to a tangent step of that variable. Central differences when omitted.
+
+        Returns
+        -------
+        Factor
+
+        Raises
+        ------
+        EvaluationError
+            At evaluation: wrong shape, a number that is not finite, an exception in your code (chained).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from factors import Factor, Isotropic
+        >>> from models import R
+        >>> from nls import FactorGraph, Values, kinds
+        >>> (p,) = kinds("p")
+        >>> graph = FactorGraph()
+        >>> rosenbrock = lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+        >>> _ = graph.add(Factor.from_function(rosenbrock, p[0], dim=2))
+        >>> graph.optimize(Values({p: (R(2), [-1.2, 1.0])})).values[p[0]].round(6)
+        array([1., 1.])
+        """
+        return _FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A factor bound to the spaces of its variables; what assembly and filters call. Arrays in, arrays out."""
+
+    factor: Factor
+    manifolds: tuple[Manifold, ...]
+    space: Manifold
+    z: Array
+    W: Array
+    rows: npt.NDArray[np.intp] | slice
+    dim: int
+
+    def error(self, *X: Array) -> Array:
+        """Whitened innovation b (n, m) alone, for the cost of a trial point."""
+        h, _ = self._predict(X, jacobians=False)
+        return self._whitened_innovation(h)[0]
+
+    def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
+        """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
+        h, H = self._predict(X, jacobians=True)
+        b, J = self._whitened_innovation(h)
+        n = len(b)
+        if J is not None:
+            WJ = whiten(self.W, J[:, self.rows])
+        elif self.rows == slice(None) and self.W.ndim == 3:
+            WJ = self.W
+        else:
+            WJ = whiten(self.W, np.eye(self.space.dim)[None, self.rows])
+        A = []
+        for slot, H_k in enumerate(H):
+            A_k = WJ if H_k is None else product(WJ, H_k)
+            self._check(A_k, slot)
+            A.append(np.broadcast_to(A_k, (n, *A_k.shape[1:])))
+        return tuple(A), b
+
+    def _whitened_innovation(self, h: Array) -> tuple[Array, Array | None]:
+        e, J = innovation(self.space, h, self.z, self.factor.convention)
+        b = whiten(self.W, e[:, self.rows])
+        self._check(b, None)
+        return b, J
+
+    def _predict(self, X: tuple[Array, ...], jacobians: bool) -> tuple[Array, tuple[Array | None, ...]]:
+        h, H = self.factor.predict(self.manifolds, *X)
+        if h.shape != self.z.shape:
+            raise EvaluationError(
+                f"{self.factor!r}: the prediction has shape {h.shape}, expected {self.z.shape}",
+                type(self.factor).__name__,
+                self.factor.keys,
+            )
+        if not jacobians:
+            return h, ()
+        if H is None:
+            H = self._differences(X, h)
+        for slot, (H_k, manifold) in enumerate(zip(H, self.manifolds, strict=True)):
+            if H_k is not None and H_k.shape[-2:] != (self.space.dim, manifold.dim):
+                raise EvaluationError(
+                    f"{self.factor!r}: Jacobian of slot {slot} has shape {H_k.shape}, expected "
+                    f"{(len(h), self.space.dim, manifold.dim)}",
+                    type(self.factor).__name__,
+                    self.factor.keys,
+                )
+        return h, H
+
+    def _differences(self, X: tuple[Array, ...], h: Array) -> tuple[Array, ...]:
+        """Central differences of h through retract, the whole batch at once."""
+
+        def moved(slot: int, delta: Array) -> Array:
+            Y = list(X)
+            Y[slot] = self.manifolds[slot].retract(X[slot], delta)
+            return self.space.local(h, self.factor.predict(self.manifolds, *Y)[0])
+
+        H = []
+        for slot, manifold in enumerate(self.manifolds):
+            H_k = np.empty((len(h), self.space.dim, manifold.dim))
+            for d in range(manifold.dim):
+                delta = np.zeros((len(h), manifold.dim))
+                delta[:, d] = STEP * (np.maximum(1.0, np.abs(X[slot][:, d])) if manifold.dim == manifold.size else 1.0)
+                H_k[:, :, d] = (moved(slot, delta) - moved(slot, -delta)) / (2 * delta[:, d : d + 1])
+            H.append(H_k)
+        return tuple(H)
+
+    def _check(self, array: Array, slot: int | None) -> None:
+        """Refuse numbers that are not finite, naming the measurement."""
+        if np.isfinite(np.add.reduce(array, axis=None)) or np.isfinite(array).all():
+            return
+        index = int(np.argmax(~np.isfinite(array).reshape(len(array), -1).all(axis=1)))
+        what = "residual" if slot is None else f"Jacobian with respect to {self.factor.keys[slot][[index]]}"
+        raise EvaluationError(
+            f"{self.factor.describe(index)}: its {what} is not finite: {array[index].tolist()}; "
+            "check the values of its variables and the function",
+            type(self.factor).__name__,
+            [k[[index]] for k in self.factor.keys],
+            where=what,
+        )
+
+
+STEP = 6e-6  # cube root of the rounding unit: where truncation and rounding of a central difference balance
+
+
+class _FunctionFactor(Factor):
+    """A residual given as a function: h(X) = residual(X), z = 0."""
+
+    def __init__(
+        self,
+        residual: Callable[..., Array],
+        keys: Sequence[Keys],
+        dim: int,
+        noise: Noise | None,
+        jacobians: Callable[..., Sequence[Array]] | None,
+    ) -> None:
+        super().__init__(keys, np.zeros(dim), noise or Isotropic())
+        self.dim, self.residual, self.jacobians = dim, residual, jacobians
+        self.slots = (None,) * len(keys)  # type: ignore[misc]
+
+    def __repr__(self) -> str:
+        return f"{getattr(self.residual, '__name__', 'residual')}({', '.join(map(repr, self.keys))})"
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return R(self.dim)
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        h = np.asarray(self._call(self.residual, *X), dtype=float)
+        if self.jacobians is None:
+            return h, None
+        return h, tuple(np.asarray(H_k, dtype=float) for H_k in self._call(self.jacobians, *X))
+
+    def _call(self, function: Callable[..., Sequence[Array] | Array], *X: Array) -> Sequence[Array] | Array:
+        try:
+            return function(*(np.ascontiguousarray(stack) for stack in X))
+        except Exception as error:  # the user's code may raise anything; it comes through, named and chained
+            raise EvaluationError(
+                f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys
+            ) from error

@@ -1,0 +1,67 @@
+"""The measured difference of two variables: odometry, loop closures, scan matches."""
+
+from __future__ import annotations
+
+import numpy.typing as npt
+
+from factors.base import Factor, Jacobians
+from factors.keys import Keys
+from factors.noise import Noise
+from models import LieGroup, Manifold
+from models.algebra import Array
+from models.errors import GraphError
+
+__all__ = ["Between"]
+
+
+class Between(Factor):
+    r"""Variable j as seen from variable i, both in the same group.
+
+    .. math:: h(x_i, x_j) = x_i^{-1} x_j, \quad H_i = -\mathrm{Ad}_{h^{-1}}, \quad H_j = I
+
+    Parameters
+    ----------
+    i, j : the variables, R(n), SO2, SE2, SO3 or SE3.
+    z : (n, size) measured differences in the stored form of the group; SE2 (x, y, theta), SE3 (x y z qx qy qz qw).
+    noise : of (x, y, yaw) or (x, y, z, roll, pitch, yaw), in the frame of variable j as predicted (for the convention
+        ``g2o``: of the measurement).
+    convention : ``log`` (default), ``g2o``, ``graphslam`` or ``gtsam``, see `factors.conventions`.
+
+    Raises
+    ------
+    GraphError
+        Variables of two spaces.
+
+    Notes
+    -----
+    Only differences are measured: with no other factor the whole group of motions is free (gauge). G. Grisetti et al.,
+    "A tutorial on graph-based SLAM", 2010.
+
+    Examples
+    --------
+    >>> from factors import Between, Diagonal
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph()
+    >>> _ = graph.add(Between(x[0], x[1], [1.0, 0.0, 0.5], Diagonal([0.1, 0.1, 0.01])))
+    >>> graph.optimize(Values({x: (SE2, [[0, 0, 0], [0, 0, 0]])})).values[x[1]].round(6)
+    array([1. , 0. , 0.5])
+    """
+
+    slots = (None, None)
+    relative = True
+
+    def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
+        super().__init__([i, j], z, noise, convention)
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        if manifolds[0] is not manifolds[1]:
+            raise GraphError(f"{self!r} joins {manifolds[0]} and {manifolds[1]}; both must be in the same group")
+        return manifolds[0]
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        group = manifolds[0]
+        assert isinstance(group, LieGroup)
+        h = group.between(*X)
+        return h, (-group.adjoint(group.inverse(h)), None)

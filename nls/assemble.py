@@ -1,0 +1,133 @@
+"""From factors and values to A and b: the pattern once per graph, the numbers once per iteration.
+
+`Pattern` numbers the variables and columns and knows, for every factor batch, which rows and variables are its own.
+`Pattern.linearize` gathers the linearization point, makes one call per batch, and returns a `LinearSystem`. There is no
+loop over measurements or variables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import Keys
+from models.algebra import Array
+from nls.system import LinearSystem
+from nls.values import Values, take
+
+if TYPE_CHECKING:
+    from factors.base import Factor, Model
+
+__all__ = ["Batch", "Pattern"]
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One factor in the pattern: its model, its rows, and per slot the kind, the rows of the stack and the variables."""
+
+    model: Model
+    rows: slice
+    kinds: tuple[str, ...]
+    index: tuple[Index, ...]
+    variables: tuple[Index, ...]
+
+    def __len__(self) -> int:
+        return len(self.model.z)
+
+
+class Pattern:
+    """Numbering of variables, rows and columns of a graph at given values.
+
+    Parameters
+    ----------
+    factors : the factor batches, in the order of the rows.
+    values : the variables, in the order of the columns.
+    held : boolean array (V,): variables that do not move and have no columns; None for none.
+
+    Attributes
+    ----------
+    dims : (V,) tangent dimension of every variable.
+    starts : (V,) first free column of every variable; -1 where it is held.
+    m, n : rows and free columns.
+    """
+
+    def __init__(self, factors: Sequence[Factor], values: Values, held: npt.NDArray[np.bool_] | None = None) -> None:
+        self.offsets, self.batches = offsets(values), []
+        self.numbers = {name: stack.numbers for name, stack in values.stacks.items()}
+        self.manifolds = {name: stack.manifold for name, stack in values.stacks.items()}
+        sizes = [len(stack) for stack in values.stacks.values()]
+        self.dims = np.repeat([s.manifold.dim for s in values.stacks.values()], sizes).astype(np.intp)
+        self.held = np.zeros(len(self.dims), dtype=bool) if held is None else held
+        free = np.where(self.held, 0, self.dims)
+        ends = np.cumsum(free)
+        self.starts = np.where(self.held, -1, ends - free)
+        self.n = int(ends[-1]) if len(ends) else 0
+        self._free_columns = None if not self.held.any() else np.flatnonzero(np.repeat(~self.held, self.dims))
+        self.m = 0
+        for factor in factors:
+            stacks = [values.stack(k.kind) for k in factor.keys]
+            model = factor.bind(*(stack.manifold for stack in stacks))
+            index = tuple(stack.index(k) for stack, k in zip(stacks, factor.keys, strict=True))
+            variables = tuple(i + self.offsets[s.kind] for i, s in zip(index, stacks, strict=True))
+            rows = slice(self.m, self.m + len(factor) * model.dim)
+            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
+            self.m = rows.stop
+
+    def linearize(self, values: Values) -> LinearSystem:
+        """Every whitened A_i and b_i at the values; one call per batch."""
+        b = np.empty(self.m)
+        blocks = []
+        for batch in self.batches:
+            A, b_batch = batch.model.linearize(*self._gather(batch, values))
+            b[batch.rows] = b_batch.reshape(-1)
+            blocks.append(A)
+        return LinearSystem(self, blocks, b)
+
+    def chi2(self, values: Values) -> float:
+        """|b|^2 without any Jacobian."""
+        total = 0.0
+        for batch in self.batches:
+            b = batch.model.error(*self._gather(batch, values)).reshape(-1)
+            total += float(b @ b)
+        return total
+
+    def _gather(self, batch: Batch, values: Values) -> list[Array]:
+        return [take(values.stacks[k].X, i) for k, i in zip(batch.kinds, batch.index, strict=True)]
+
+    def expand(self, dx: Array) -> Array:
+        """Step of all variables, zeros where held, from a step of the free ones."""
+        if self._free_columns is None:
+            return dx
+        full = np.zeros(int(self.dims.sum()))
+        full[self._free_columns] = dx
+        return full
+
+    def key(self, variable: int) -> Keys:
+        """Name of a variable from its place in the numbering."""
+        kind = [name for name, start in self.offsets.items() if start <= variable][-1]
+        return Keys(kind, int(self.numbers[kind][variable - self.offsets[kind]]))
+
+    def component_names(self, variable: int) -> tuple[str, ...]:
+        """Names of the tangent components of a variable."""
+        return self.manifolds[self.key(variable).kind].components
+
+    def column_owner(self) -> tuple[Index, Index]:
+        """For every free column its variable and its component, two (n,) arrays."""
+        free = np.flatnonzero(~self.held)
+        variable = np.repeat(free, self.dims[free])
+        return variable, np.arange(self.n) - self.starts[variable]
+
+
+def offsets(values: Values) -> dict[str, int]:
+    """First variable of each kind in the numbering."""
+    out, total = {}, 0
+    for name, stack in values.stacks.items():
+        out[name] = total
+        total += len(stack)
+    return out

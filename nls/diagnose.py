@@ -1,0 +1,132 @@
+"""What is free and why: variables no factor touches, components nothing anchors, and the null directions by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array
+from models.errors import UnderconstrainedError
+
+if TYPE_CHECKING:
+    from factors.keys import Keys
+    from nls.assemble import Pattern
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["null_space", "underconstrained"]
+
+MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
+NULL = 1e-9  # |A v| below this for a unit v (columns of A scaled to length 1) is a free direction
+SHARE = 0.05  # a variable is named when it carries at least this part of the largest one's share of a direction
+
+
+def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> UnderconstrainedError:
+    """The error for a singular system: which variables can move without any measurement noticing, how, and the cures.
+
+    Parameters
+    ----------
+    pattern, system : the numbering and the linearization that was singular.
+    values : the best values so far, for the error to carry.
+    """
+    untouched = np.flatnonzero((system.column_norms == 0.0))
+    if len(untouched):
+        owner, component = pattern.column_owner()
+        named = _by_variable(pattern, owner[untouched], component[untouched])
+        return UnderconstrainedError(
+            f"{len(untouched)} unknowns have no measurement at all: {_listed(named)}. Remove these variables, add the "
+            "factors that are missing, or fix them.",
+            [key for key, _ in named],
+            len(untouched),
+            [text for _, text in named],
+            values,
+        )
+    N = null_space(system)
+    if not N.shape[1]:
+        return UnderconstrainedError(
+            "A'A is singular to rounding although no free direction could be separated: the measurements' weights or "
+            "scales differ by more than 13 digits. Check sigmas and units; linear solver 'qr' keeps twice the digits.",
+            values=values,
+        )
+    keys: dict[Keys, None] = {}
+    texts = []
+    owner, component = pattern.column_owner()
+    share = N**2 * system.column_norms[:, None] ** 0
+    for direction in share.T:
+        carriers = direction >= SHARE * direction.max()
+        named = _by_variable(pattern, owner[carriers], component[carriers])
+        keys.update(dict.fromkeys(key for key, _ in named))
+        texts.append(_listed(named))
+    count = "at least " if N.shape[1] == MAX_DIRECTIONS else ""
+    shown = "; ".join(dict.fromkeys(texts))
+    return UnderconstrainedError(
+        f"the measurements leave {count}{N.shape[1]} direction(s) free, carried by {shown}. {_cure(pattern, N)}",
+        list(keys),
+        N.shape[1],
+        texts,
+        values,
+    )
+
+
+def null_space(system: LinearSystem) -> Array:
+    """Orthonormal free directions (n, k) of a linear system, k at most 12, columns of A scaled to length 1.
+
+    A is tall and sparse: a few rounds of inverse iteration on A'A + 1e-12 I, with the factorization kept, separate what
+    no measurement sees. Small systems take the singular value decomposition.
+    """
+    norms = system.column_norms
+    scale = np.where(norms > 0, norms, 1.0)
+    n = len(norms)
+    A = system.A @ sp.diags_array(1 / scale)
+    if n <= 300:
+        _, s, Vt = np.linalg.svd(A.toarray() if A.shape[0] >= n else np.vstack([A.toarray(), np.zeros((n - A.shape[0], n))]))
+        return _unscaled(Vt[s <= NULL].T[:, :MAX_DIRECTIONS], scale)
+    from scipy.sparse.linalg import splu
+
+    H = sp.csc_matrix(A.T @ A + 1e-12 * sp.eye_array(n))
+    factorization = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
+    for _ in range(4):
+        V = np.linalg.qr(factorization.solve(V))[0]
+    _, s, Wt = np.linalg.svd(A @ V, full_matrices=False)
+    return _unscaled((V @ Wt.T)[:, s <= 1e-6], scale)
+
+
+def _unscaled(N: Array, scale: Array) -> Array:
+    """Directions in the units of the unknowns, each of length 1."""
+    N = N / scale[:, None]
+    return np.asarray(N / np.linalg.norm(N, axis=0))
+
+
+def _by_variable(pattern: Pattern, owner: Array, component: Array) -> list[tuple[Keys, str]]:
+    """Each variable once, with the names of its components: ``(x3, "x3: x, yaw")``."""
+    parts: dict[int, list[str]] = {}
+    for v, c in zip(owner, component, strict=True):
+        parts.setdefault(int(v), []).append(pattern.component_names(int(v))[int(c)])
+    return [(pattern.key(v), f"{pattern.key(v)}: {', '.join(names)}") for v, names in parts.items()]
+
+
+def _listed(named: list[tuple[Keys, str]]) -> str:
+    texts = [text for _, text in named]
+    return "; ".join(texts[:6]) + (f"; and {len(texts) - 6} more variables" if len(texts) > 6 else "")
+
+
+def _cure(pattern: Pattern, N: Array) -> str:
+    """The usual cures: an anchor when whole components move, another view when single variables do."""
+    from nls.gauge import component_labels
+
+    owner, _ = pattern.column_owner()
+    moving = np.unique(owner[(N**2 >= SHARE * (N**2).max(axis=0)).any(axis=1)])
+    label = component_labels(pattern)
+    whole = all((np.isin(np.flatnonzero(label == k), moving) | pattern.held[label == k]).all() for k in np.unique(label[moving]))
+    if whole:
+        return (
+            "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "
+            "components by a measurement."
+        )
+    return (
+        "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs two views "
+        "that differ."
+    )

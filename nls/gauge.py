@@ -1,0 +1,159 @@
+"""The gauge: what relative measurements leave free, and what is done about it, by name.
+
+    first   in every component made of relative measurements only, with nothing fixed: hold one variable, the lowest
+            numbered of the kind with the most degrees of freedom (its pose, where there are poses)
+    prior   give that variable a prior of unit information at its start value instead
+    free    hold nothing and take the shortest step, the one of the pseudo-inverse
+    none    do nothing; a graph with a free gauge is then refused as under-constrained
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from factors.keys import Keys
+from factors.noise import Isotropic
+from factors.prior import Prior
+from models.algebra import Array
+from models.errors import OptionError
+from nls.assemble import Pattern, offsets
+from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
+from nls.system import LinearSystem
+
+if TYPE_CHECKING:
+    from factors.base import Factor
+    from nls.values import Values
+
+__all__ = ["GAUGES", "FreeGauge", "Gauge", "choose_gauge", "component_labels", "fixed_variables"]
+
+GAUGES = ("first", "prior", "free", "none")
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """What was decided: variables held, priors added, and the sentence for the report."""
+
+    held: npt.NDArray[np.bool_]
+    priors: list[Factor] = field(default_factory=list)
+    said: str = ""
+    free: bool = False
+
+
+def component_labels(pattern: Pattern) -> npt.NDArray[np.int32]:
+    """Connected component (V,) of every variable, joined by factors."""
+    V = len(pattern.dims)
+    i = [batch.variables[0] for batch in pattern.batches for _ in batch.variables[1:]]
+    j = [v for batch in pattern.batches for v in batch.variables[1:]]
+    empty = [np.zeros(0, dtype=np.intp)]
+    rows, cols = np.concatenate(i + empty), np.concatenate(j + empty)
+    graph = sp.coo_array((np.ones(len(rows), dtype=np.int8), (rows, cols)), shape=(V, V))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
+
+
+def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: npt.NDArray[np.bool_]) -> Gauge:
+    """Decide what holds each component that nothing else holds.
+
+    Parameters
+    ----------
+    name : one of `GAUGES`.
+    factors, values : the graph and its start.
+    fixed : (V,) variables the user fixed.
+
+    Raises
+    ------
+    OptionError
+        No such gauge.
+    """
+    if name not in GAUGES:
+        raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
+    if name == "none":
+        return Gauge(fixed, said="nothing is held")
+    pattern = Pattern(factors, values)
+    label = component_labels(pattern)
+    anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+    anchored[label[fixed]] = True
+    touched = np.zeros(len(label), dtype=bool)
+    for batch in pattern.batches:
+        for variables in batch.variables:
+            touched[variables] = True
+        if not batch.model.factor.relative:
+            anchored[label[batch.variables[0]]] = True
+    chosen = _first_of_components(label, pattern, touched, anchored)
+    if not len(chosen):
+        return Gauge(fixed, said="fixed by the graph itself")
+    keys = [pattern.key(int(v)) for v in chosen]
+    named = ", ".join(map(repr, keys[:5])) + (f" and {len(keys) - 5} more" if len(keys) > 5 else "")
+    if name == "prior":
+        priors: list[Factor] = [Prior(key, values[key], Isotropic(1.0)) for key in keys]
+        return Gauge(fixed, priors, f"a prior of unit information on {named}")
+    held = fixed.copy()
+    held[chosen] = True
+    if name == "free":
+        return Gauge(held, said=f"free, shortest step; computed with {named} held", free=True)
+    return Gauge(held, said=f"{named} held")
+
+
+def _first_of_components(
+    label: npt.NDArray[np.int32], pattern: Pattern, touched: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.intp]:
+    """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
+    candidates = np.flatnonzero(touched & ~anchored[label])
+    numbers = np.concatenate([*pattern.numbers.values(), np.zeros(0, dtype=np.int64)])[candidates]
+    kind = np.repeat(np.arange(len(pattern.numbers)), [len(n) for n in pattern.numbers.values()])[candidates]
+    order = np.lexsort((numbers, kind, -pattern.dims[candidates], label[candidates]))
+    _, first = np.unique(label[candidates][order], return_index=True)
+    return candidates[order][first]
+
+
+class FreeGauge(LinearSolver):
+    """A linear solver whose step is the shortest of all minimizers, found with one variable per component held.
+
+    With A = [A_f A_h], the columns of N = [-pinv(A_f) A_h; I] change no measurement: they are the gauge. The step of the
+    solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means.
+
+    Parameters
+    ----------
+    solver : the linear solver for the free columns.
+    held : the pattern with the gauge held; the pattern given to `analyze` has all its columns.
+    """
+
+    def __init__(self, solver: LinearSolver, held: Pattern) -> None:
+        self.solver, self.held = solver, held
+        self.name = solver.name  # type: ignore[misc]
+
+    def analyze(self, pattern: Pattern) -> Any:
+        self.gauge = np.flatnonzero(np.repeat(self.held.held & ~pattern.held, np.where(pattern.held, 0, pattern.dims)))
+        self.rest = np.setdiff1d(np.arange(pattern.n), self.gauge)
+        return self.solver.analyze(self.held)
+
+    def solve(self, state: Any, system: LinearSystem) -> LinearSolution:
+        A = system.A
+
+        def step(b: Array) -> LinearSolution:
+            return self.solver.solve(state, LinearSystem(self.held, system.blocks, b))
+
+        first = step(system.b)
+        x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(self.gauge)))
+        x[self.rest] = first.dx
+        for k, column in enumerate(self.gauge):
+            N[self.rest, k] = step(-A[:, [column]].toarray()[:, 0]).dx
+            N[column, k] = 1.0
+        if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+            raise SingularSystemError("the held variable is not a free direction of the measurements")
+        Q, _ = np.linalg.qr(N)
+        return LinearSolution(x - Q @ (Q.T @ x), first.seconds)
+
+
+def fixed_variables(fixed: Sequence[Keys], values: Values) -> npt.NDArray[np.bool_]:
+    """(V,) which variables are in a list of keys."""
+    start, out = offsets(values), np.zeros(len(values), dtype=bool)
+    for keys in fixed:
+        out[start[keys.kind] + values.stack(keys.kind).index(keys)] = True
+    return out

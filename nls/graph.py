@@ -1,0 +1,167 @@
+"""The factor graph: factors and what is held fixed. It owns no values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.base import Factor
+from factors.keys import Keys
+from models.errors import GraphError
+from nls.assemble import Pattern
+from nls.gauge import FreeGauge, choose_gauge, fixed_variables
+from nls.linear import default_solver
+from nls.optimizers import GaussNewton, Result
+from nls.optimizers.problem import Problem
+
+if TYPE_CHECKING:
+    from nls.linear import LinearSolver
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["FactorGraph"]
+
+
+class FactorGraph:
+    """Factors over variables; `optimize` finds the values of lowest chi2.
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic, Prior
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph()
+    >>> _ = graph.add(Prior(x[0], [0.0], Isotropic(0.1)))
+    >>> _ = graph.add(Between(x[[0, 1]], x[[1, 2]], [[1.0], [1.1]], Isotropic(0.2)))
+    >>> result = graph.optimize(Values({x: (R(1), [[0.0], [0.0], [0.0]])}))
+    >>> result.converged, result.values[x].ravel().round(6).tolist()
+    (True, [0.0, 1.0, 2.1])
+    """
+
+    def __init__(self, factors: Sequence[Factor] = ()) -> None:
+        self.factors: list[Factor] = []
+        self.fixed: list[Keys] = []
+        for factor in factors:
+            self.add(factor)
+
+    def __len__(self) -> int:
+        """Measurements, over all factors."""
+        return sum(len(factor) for factor in self.factors)
+
+    def add(self, factor: Factor) -> Factor:
+        """Add a factor (a batch of measurements) and return it, the handle for `remove`."""
+        if not isinstance(factor, Factor):
+            raise GraphError(f"FactorGraph.add: expected a factor such as Between(...), got {factor!r:.80}")
+        self.factors.append(factor)
+        return factor
+
+    def remove(self, factor: Factor) -> None:
+        """Remove a factor that was added.
+
+        Raises
+        ------
+        GraphError
+            It is not in the graph.
+        """
+        place = [k for k, f in enumerate(self.factors) if f is factor]
+        if not place:
+            raise GraphError(f"FactorGraph.remove: {factor!r} is not in this graph", factor.keys)
+        del self.factors[place[0]]
+
+    def fix(self, keys: Keys) -> None:
+        """Hold variables at their values: they get no columns in A."""
+        if not isinstance(keys, Keys):
+            raise GraphError(f"FactorGraph.fix: expected variables such as x[0], got {keys!r:.80}")
+        self.fixed.append(keys)
+
+    def release(self, keys: Keys) -> None:
+        """Undo `fix` for these variables."""
+        self.fixed = [
+            Keys(k.kind, k.numbers[~np.isin(k.numbers, keys.numbers)]) if k.kind == keys.kind else k for k in self.fixed
+        ]
+
+    def chi2(self, values: Values) -> float:
+        """|b|^2 at the values, without one-half."""
+        return Pattern(self.factors, values).chi2(values)
+
+    def linearize(self, values: Values) -> LinearSystem:
+        """A and b at the values, with labels; no gauge is held, only what was fixed."""
+        return Pattern(self.factors, values, fixed_variables(self.fixed, values)).linearize(values)
+
+    def optimize(
+        self,
+        values: Values,
+        optimizer: GaussNewton | None = None,
+        linear_solver: LinearSolver | None = None,
+        gauge: str = "first",
+    ) -> Result:
+        """The values of lowest chi2, from a start.
+
+        Parameters
+        ----------
+        values : start; not changed. Every variable a factor touches must be there.
+        optimizer : `GaussNewton()` with its `Stop` when omitted.
+        linear_solver : `nls.linear`; the best one installed when omitted (the result names it).
+        gauge : ``first``, ``prior``, ``free`` or ``none``, see `nls.gauge`.
+
+        Returns
+        -------
+        Result
+
+        Raises
+        ------
+        GraphError
+            Nothing to optimize; a factor's variable without a value.
+        UnderconstrainedError
+            The measurements leave something free: named, with cures.
+        EvaluationError
+            The start cannot be evaluated.
+        """
+        started = perf_counter()
+        if not self.factors or not len(self):
+            raise GraphError("the graph has no factors: nothing to optimize")
+        method = optimizer or GaussNewton()
+        solver = linear_solver or default_solver()
+        fixed = fixed_variables(self.fixed, values)
+        decided = choose_gauge(gauge, self.factors, values, fixed)
+        factors = [*self.factors, *decided.priors]
+        pattern = Pattern(factors, values, decided.held)
+        if decided.free:
+            solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, fixed)
+        problem = Problem(pattern, solver)
+        problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
+        best, status, reason, history = method.run(problem, values)
+        chi2 = min(h.chi2 for h in history)
+        return Result(
+            values=best,
+            status=status,
+            reason=reason,
+            history=history,
+            chi2_initial=history[0].chi2,
+            chi2_final=chi2,
+            dof=pattern.m - pattern.n,
+            linear_solver=solver.name,
+            gauge=decided.said,
+            timings=problem.timings,
+            method=method.name,
+        )
+
+    def summary(self) -> str:
+        """A table: per factor type the measurements, and the variables they touch."""
+        counts: dict[str, int] = {}
+        touched: dict[str, set[int]] = {}
+        for factor in self.factors:
+            counts[type(factor).__name__] = counts.get(type(factor).__name__, 0) + len(factor)
+            for keys in factor.keys:
+                touched.setdefault(keys.kind, set()).update(keys.numbers.tolist())
+        lines = [f"{name:24s} {count:8d}" for name, count in counts.items()]
+        lines += [f"variables {kind:14s} {len(numbers):8d}" for kind, numbers in touched.items()]
+        lines += [f"fixed                    {sum(map(len, self.fixed)):8d}"]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"FactorGraph({len(self.factors)} factors, {len(self)} measurements)"

@@ -1,0 +1,77 @@
+"""What a linear solver is: analyze the pattern once, solve every linearization, say when it cannot."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import MissingSolverError
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+    from nls.system import LinearSystem
+
+__all__ = ["SINGULAR", "LinearSolution", "LinearSolver", "SingularSystemError"]
+
+SINGULAR = 1e-13
+"""A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
+digits of the column were cancelled by the columns before it, and the direction counts as free."""
+
+
+class SingularSystemError(np.linalg.LinAlgError):
+    """The system has no unique solution; optimizers turn this into `UnderconstrainedError` with names."""
+
+
+@dataclass(frozen=True)
+class LinearSolution:
+    """dx = argmin |A dx - b|, and the seconds spent on assembling, factorizing and solving."""
+
+    dx: Array
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class LinearSolver(ABC):
+    """Base of the linear solvers. Solvers hold settings only; `analyze` returns the state.
+
+    Attributes
+    ----------
+    name : the name on the command line and in results.
+    """
+
+    name: ClassVar[str]
+
+    @classmethod
+    def missing(cls) -> str | None:
+        """What has to be installed before this solver runs; None when it can."""
+        return None
+
+    def require(self) -> None:
+        """Refuse when a package is missing.
+
+        Raises
+        ------
+        MissingSolverError
+        """
+        if (what := self.missing()) is not None:
+            raise MissingSolverError(f"linear solver {self.name!r}: {what}")
+
+    @abstractmethod
+    def analyze(self, pattern: Pattern) -> Any:
+        """What depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
+
+    @abstractmethod
+    def solve(self, state: Any, system: LinearSystem) -> LinearSolution:
+        """The Gauss-Newton step.
+
+        Raises
+        ------
+        SingularSystemError
+            A is rank deficient.
+        """
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"

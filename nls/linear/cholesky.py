@@ -1,0 +1,136 @@
+"""Sparse Cholesky by CHOLMOD. The one file that imports scikit-sparse.
+
+Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
+
+- AMD orders the graph of *variables*, one node per pose, and the matrix is handed over already in that order: the fill
+  of scalar AMD at half the time.
+- Blocks of SE(3) are factorized supernodal, those of SE(2) simplicial (CHOLMOD's own choice is 3 times slower on 10,000
+  plane poses).
+- SuiteSparse 5 opens OpenMP regions of a fixed four threads in its supernodal code, which two cores spend waiting for
+  each other: 80 ms instead of 24 for sphere2500. They are kept from opening during a factorization, and OpenBLAS is
+  kept on one thread, which also makes results independent of the machine's load.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array
+from nls.linear.base import SingularSystemError
+from nls.linear.normal import Factorization, NormalEquations
+
+if TYPE_CHECKING:
+    from nls.hessian import Hessian, Index
+
+__all__ = ["Cholesky", "CholmodFactorization", "threads"]
+
+SUPERNODAL_FROM = 4.5  # mean block size: SE(2) graphs are below, SE(3) graphs above
+INSTALL = "CHOLMOD is missing; install it with: apt-get install libsuitesparse-dev libopenblas0, pip install leadline[cholmod]"
+
+
+@cache
+def cholmod() -> Any | None:
+    """The CHOLMOD binding, or None where it is not installed."""
+    try:
+        import sksparse.cholmod as module
+    except ImportError:
+        return None
+    return module if hasattr(module, "analyze") and hasattr(module.Factor, "cholesky_inplace") else None
+
+
+class CholmodFactorization(Factorization):
+    """P H P' = L L' or L D L' of a `Hessian` by CHOLMOD."""
+
+    @staticmethod
+    def order(u: Index, v: Index, V: int) -> Index:
+        """Approximate minimum degree of the graph of variables."""
+        module = cholmod()
+        assert module is not None
+        i = np.concatenate([u, v, np.arange(V)]).astype(np.int32)
+        j = np.concatenate([v, u, np.arange(V)]).astype(np.int32)
+        graph = sp.csc_matrix((np.ones(len(i)), (i, j)), shape=(V, V))
+        return np.asarray(module.analyze(graph, mode="simplicial", ordering_method="amd").P(), dtype=np.intp)
+
+    def __init__(self, hessian: Hessian) -> None:
+        module = cholmod()
+        assert module is not None
+        self._module, self._hessian = module, hessian
+        blocks = max(1, hessian.blocks)
+        self.mode = "supernodal" if hessian.n / blocks > SUPERNODAL_FROM else "simplicial"
+        self._H = sp.csc_matrix(
+            (np.ones(len(hessian.indices)), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
+        )
+        self._H.has_sorted_indices = True
+        self._chol = module.analyze(self._H, mode=self.mode, ordering_method="natural")
+
+    def factorize(self, S: Array) -> Array:
+        self._H.data = self._hessian.data(S)
+        try:
+            with threads(), warnings.catch_warnings():
+                warnings.simplefilter("ignore", self._module.CholmodWarning)  # its word for a small pivot: checked below
+                self._chol.cholesky_inplace(self._H)
+        except self._module.CholmodNotPositiveDefiniteError as error:
+            raise SingularSystemError(str(error)) from error
+        return np.asarray(self._chol.D())
+
+    def solve(self, g: Array) -> Array:
+        return np.asarray(self._chol.solve_A(g))
+
+
+class Cholesky(NormalEquations):
+    """A'A = L L' by CHOLMOD: the fastest for sparse systems, and the default where it is installed."""
+
+    name = "cholesky"
+    factorization = CholmodFactorization
+
+    @classmethod
+    def missing(cls) -> str | None:
+        return None if cholmod() is not None else INSTALL
+
+
+@cache
+def _openmp() -> ctypes.CDLL | None:
+    """The OpenMP runtime CHOLMOD is linked with, if it is GNU's and in this process."""
+    try:
+        with open("/proc/self/maps") as maps:
+            paths = {line.split()[-1] for line in maps if "libgomp" in line}
+    except OSError:
+        return None
+    return ctypes.CDLL(sorted(paths)[0]) if paths else None
+
+
+@cache
+def _blas() -> Any:
+    """Controller of the BLAS libraries in this process; made once, after CHOLMOD's was loaded."""
+    from threadpoolctl import ThreadpoolController
+
+    cholmod()
+    return ThreadpoolController().select(user_api="blas")
+
+
+@contextmanager
+def threads() -> Iterator[None]:
+    """One BLAS thread and no OpenMP regions while a factorization runs; both are restored."""
+    openmp = _openmp()
+    levels = openmp.omp_get_max_active_levels() if openmp else 0
+    if openmp:
+        openmp.omp_set_max_active_levels(0)
+    try:
+        with _blas().limit(limits=1):
+            yield
+    finally:
+        if openmp:
+            openmp.omp_set_max_active_levels(levels)
+
+
+def openmp_capped() -> bool:
+    """Whether CHOLMOD's OpenMP regions can be kept from opening."""
+    return cholmod() is not None and _openmp() is not None

@@ -1,0 +1,117 @@
+"""Dense solvers by LAPACK: to teach and to compare. They refuse a system larger than the memory allowed."""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+
+from models.algebra import Array
+from models.errors import ResourceLimitError
+from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+    from nls.system import LinearSystem
+
+__all__ = ["DenseCholesky", "DenseQR", "Pinv"]
+
+
+class _Dense(LinearSolver):
+    """A dense solver.
+
+    Parameters
+    ----------
+    memory_limit : bytes a solve may take; more is refused beforehand.
+    """
+
+    copies: float  # dense (m, n) arrays alive at once, at the peak
+
+    def __init__(self, memory_limit: float = 4e9) -> None:
+        self.memory_limit = memory_limit
+
+    def needed(self, m: int, n: int) -> float:
+        """Bytes a solve of an (m, n) system takes."""
+        return 8.0 * self.copies * m * n
+
+    def analyze(self, pattern: Pattern) -> None:
+        needed = self.needed(pattern.m, pattern.n)
+        if needed > self.memory_limit:
+            raise ResourceLimitError(
+                f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, the "
+                f"limit is {self.memory_limit / 1e9:.1f} GB; use a sparse solver",
+                needed,
+                self.memory_limit,
+                "dense system",
+            )
+
+    def solve(self, state: None, system: LinearSystem) -> LinearSolution:
+        t0 = perf_counter()
+        A = system.A.toarray()
+        t1 = perf_counter()
+        dx = self._solve(A, system.b) if A.size else np.zeros(A.shape[1])
+        return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
+
+    def _solve(self, A: Array, b: Array) -> Array:
+        raise NotImplementedError
+
+
+def _scaled(A: Array) -> tuple[Array, Array]:
+    """A with columns of length 1, and their lengths, so that rank does not depend on units."""
+    lengths = np.linalg.norm(A, axis=0)
+    if (lengths == 0).any() or A.shape[0] < A.shape[1]:
+        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
+    return A / lengths, lengths
+
+
+class DenseQR(_Dense):
+    """A = Q R by Householder reflections; R dx = Q'b. Works on A itself, whose condition is the root of A'A's."""
+
+    name = "dense-qr"
+    copies = 3.0
+
+    def _solve(self, A: Array, b: Array) -> Array:
+        scaled, lengths = _scaled(A)
+        Q, R = np.linalg.qr(scaled)
+        if (np.abs(np.diag(R)) <= SINGULAR).any():
+            raise SingularSystemError("a diagonal entry of R vanishes")
+        return np.asarray(scipy.linalg.solve_triangular(R, Q.T @ b) / lengths)
+
+
+class DenseCholesky(_Dense):
+    """A'A = L L' as a dense matrix; two triangular solves."""
+
+    name = "dense-cholesky"
+    copies = 3.0
+
+    def _solve(self, A: Array, b: Array) -> Array:
+        scaled, lengths = _scaled(A)
+        try:
+            L = np.linalg.cholesky(scaled.T @ scaled)
+        except np.linalg.LinAlgError as error:
+            raise SingularSystemError(str(error)) from error
+        if (np.diag(L) ** 2 <= SINGULAR).any():
+            raise SingularSystemError("a pivot of A'A vanishes")
+        return np.asarray(scipy.linalg.cho_solve((L, True), scaled.T @ b) / lengths)
+
+
+class Pinv(_Dense):
+    """dx = pinv(A) b by the singular value decomposition: of all minimizers, the shortest. Never singular.
+
+    Parameters
+    ----------
+    rtol : singular values below this, relative to the largest, count as zero.
+    memory_limit : bytes a solve may take; more is refused beforehand.
+    """
+
+    name = "pinv"
+    copies = 5.0
+
+    def __init__(self, rtol: float = 1e-12, memory_limit: float = 4e9) -> None:
+        super().__init__(memory_limit)
+        self.rtol = rtol
+
+    def _solve(self, A: Array, b: Array) -> Array:
+        return np.asarray(np.linalg.pinv(A, rcond=self.rtol) @ b)

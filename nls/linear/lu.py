@@ -1,0 +1,49 @@
+"""Sparse LU of A'A by SciPy's SuperLU: needs nothing but SciPy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array
+from nls.linear.base import SingularSystemError
+from nls.linear.normal import Factorization, NormalEquations
+
+if TYPE_CHECKING:
+    from nls.hessian import Hessian, Index
+
+__all__ = ["LU", "SuperLUFactorization"]
+
+
+class SuperLUFactorization(Factorization):
+    """H = L U with symmetric pivoting, ordered by SuperLU itself (minimum degree of H + H')."""
+
+    @staticmethod
+    def order(u: Index, v: Index, V: int) -> Index:
+        return np.arange(V)
+
+    def __init__(self, hessian: Hessian) -> None:
+        self._hessian = hessian
+
+    def factorize(self, S: Array) -> Array:
+        from scipy.sparse.linalg import splu
+
+        lower = self._hessian.matrix(S)
+        H = sp.csc_matrix(lower + sp.tril(lower, -1).T)
+        try:
+            self._lu = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
+            raise SingularSystemError(str(error)) from error
+        return np.asarray(self._lu.U.diagonal()[self._lu.perm_c])
+
+    def solve(self, g: Array) -> Array:
+        return np.asarray(self._lu.solve(g))
+
+
+class LU(NormalEquations):
+    """A'A = L U by SciPy's SuperLU: the default where SuiteSparse is not installed."""
+
+    name = "lu"
+    factorization = SuperLUFactorization

@@ -1,0 +1,87 @@
+"""Solving the normal equations A'A dx = A'b by a sparse factorization of H = A'A."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from models.algebra import Array
+from nls.hessian import Hessian
+from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+    from nls.hessian import Index
+    from nls.system import LinearSystem
+
+__all__ = ["Factorization", "NormalEquations", "NormalState"]
+
+
+class Factorization(ABC):
+    """A sparse factorization of a positive definite matrix whose structure is fixed."""
+
+    @staticmethod
+    @abstractmethod
+    def order(u: Index, v: Index, V: int) -> Index:
+        """Elimination order of V variables with the given pairs."""
+
+    @abstractmethod
+    def __init__(self, hessian: Hessian) -> None: ...
+
+    @abstractmethod
+    def factorize(self, S: Array) -> Array:
+        """Factorize from the flat blocks; returns the squared pivots (n,), or raises SingularSystemError."""
+
+    @abstractmethod
+    def solve(self, g: Array) -> Array:
+        """Solution of H x = g for g (n,) or (n, k), in the elimination order."""
+
+
+@dataclass
+class NormalState:
+    """Structure and factorization of one graph."""
+
+    hessian: Hessian
+    factorization: Factorization
+
+    def solve(self, g: Array) -> Array:
+        """H^-1 g with rows in the order of the columns of A."""
+        x = np.empty_like(g)
+        x[self.hessian.permutation] = self.factorization.solve(g[self.hessian.permutation])
+        return x
+
+    def factorize(self, S: Array) -> None:
+        """Factorize H from its flat blocks and refuse a rank-deficient one."""
+        diagonal = np.take(S, self.hessian.source[self.hessian.indptr[:-1]])
+        if not np.isfinite(diagonal.sum()):
+            raise SingularSystemError("A'A is not finite")
+        pivots = self.factorization.factorize(S)
+        if not (pivots > SINGULAR * diagonal).all():
+            raise SingularSystemError("a pivot of A'A vanishes")
+
+
+class NormalEquations(LinearSolver):
+    """A solver by factorization of A'A; subclasses name the factorization."""
+
+    factorization: ClassVar[type[Factorization]]
+
+    def analyze(self, pattern: Pattern) -> NormalState:
+        self.require()
+        hessian = Hessian.of(pattern, self.factorization.order)
+        return NormalState(hessian, self.factorization(hessian))
+
+    def solve(self, state: NormalState, system: LinearSystem) -> LinearSolution:
+        t0 = perf_counter()
+        S = state.hessian.collect(system)
+        gradient = system.gradient
+        t1 = perf_counter()
+        state.factorize(S)
+        t2 = perf_counter()
+        dx = state.solve(gradient)
+        if not np.isfinite(dx.sum()):
+            raise SingularSystemError("the solution of the normal equations is not finite")
+        return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})

@@ -1,0 +1,60 @@
+"""What an optimizer works on: a pattern, a linear solver, and the clock that says where the time went."""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Any
+
+from models.algebra import Array
+from nls.assemble import Pattern
+from nls.linear.base import LinearSolver
+from nls.system import LinearSystem
+from nls.values import Values
+
+__all__ = ["Problem"]
+
+
+class Problem:
+    """A graph made ready: linearize, solve, retract, each timed."""
+
+    def __init__(self, pattern: Pattern, solver: LinearSolver) -> None:
+        self.pattern, self.solver = pattern, solver
+        self.timings: dict[str, float] = {}
+        self._lap: dict[str, float] = {}
+        start = perf_counter()
+        self.state: Any = solver.analyze(pattern)
+        self._add("analyze", perf_counter() - start)
+        self._lap.clear()
+
+    def linearize(self, values: Values) -> LinearSystem:
+        start = perf_counter()
+        system = self.pattern.linearize(values)
+        self._add("linearize", perf_counter() - start)
+        return system
+
+    def chi2(self, values: Values) -> float:
+        start = perf_counter()
+        chi2 = self.pattern.chi2(values)
+        self._add("linearize", perf_counter() - start)
+        return chi2
+
+    def solve(self, system: LinearSystem) -> Array:
+        solution = self.solver.solve(self.state, system)
+        for part, seconds in solution.seconds.items():
+            self._add(part, seconds)
+        return solution.dx
+
+    def retract(self, values: Values, dx: Array) -> Values:
+        start = perf_counter()
+        moved = values.retract(self.pattern.expand(dx))
+        self._add("retract", perf_counter() - start)
+        return moved
+
+    def lap(self) -> dict[str, float]:
+        """Seconds by part since the last call."""
+        lap, self._lap = self._lap, {}
+        return lap
+
+    def _add(self, part: str, seconds: float) -> None:
+        self.timings[part] = self.timings.get(part, 0.0) + seconds
+        self._lap[part] = self._lap.get(part, 0.0) + seconds

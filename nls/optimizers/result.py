@@ -1,0 +1,86 @@
+"""What an optimization returns: values, why it stopped, and a record of every iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from nls.optimizers.stop import Status
+
+if TYPE_CHECKING:
+    from nls.values import Values
+
+__all__ = ["Iteration", "Result"]
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One iteration: the state after its step, and the seconds its parts took.
+
+    Attributes
+    ----------
+    number : 0 is the start.
+    chi2 : after the step.
+    update : max |dx| of the step; nan for the start.
+    gradient : largest cosine between b and a column of A, after the step; nan where it was not needed.
+    damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
+    seconds : by part: linearize, assemble, factorize, solve, retract.
+    """
+
+    number: int
+    chi2: float
+    update: float = float("nan")
+    gradient: float = float("nan")
+    damping: float = 0.0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Result:
+    """The outcome of an optimization; ``print(result)`` shows the table.
+
+    Attributes
+    ----------
+    values : the estimate of lowest chi2 of all evaluated; never worse than the start.
+    status, reason : why it stopped, and the sentence with the numbers.
+    converged : True only for `Status.CONVERGED`.
+    chi2_initial, chi2_final : |b|^2, without one-half, at the start and at `values`.
+    dof : rows of A minus free columns: the expected chi2 at the optimum for Gaussian noise.
+    history : one `Iteration` per step, the start first.
+    linear_solver : the one that ran.
+    gauge : what was done about the gauge, in words.
+    timings : seconds by part, summed over the iterations.
+    """
+
+    values: Values
+    status: Status
+    reason: str
+    history: list[Iteration]
+    chi2_initial: float
+    chi2_final: float
+    dof: int
+    linear_solver: str
+    gauge: str
+    timings: dict[str, float]
+    method: str = "gauss-newton"
+
+    @property
+    def converged(self) -> bool:
+        return self.status is Status.CONVERGED
+
+    @property
+    def iterations(self) -> int:
+        """Steps taken."""
+        return len(self.history) - 1
+
+    def __str__(self) -> str:
+        lines = ["iteration          chi2    max|dx|   seconds"]
+        for it in self.history:
+            update = "" if it.number == 0 else f"{it.update:.3e}"
+            lines.append(f"{it.number:9d}  {it.chi2:12.6g}  {update:>9}  {sum(it.seconds.values()):8.4f}")
+        lines.append(f"{self.status.name}: {self.reason}")
+        lines.append(
+            f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom; {self.method}, "
+            f"{self.linear_solver}; gauge: {self.gauge}"
+        )
+        return "\n".join(lines)
