@@ -17,6 +17,8 @@ from models.errors import (
     UnderconstrainedError,
 )
 from nls.graph import FactorGraph
+from nls.initialize import initialize
+from nls.io import LoadReport, load, save
 from nls.linear import LU, QR, Cholesky, DenseCholesky, DenseQR, LinearSolver, Pinv, backends
 from nls.optimizers import GaussNewton, Iteration, Result, Status, Stop
 from nls.system import LinearSystem
@@ -44,6 +46,7 @@ __all__ = [
     "LeadlineError",
     "LinearSolver",
     "LinearSystem",
+    "LoadReport",
     "MissingSolverError",
     "NoiseModelError",
     "OptionError",
@@ -56,5 +59,8 @@ __all__ = [
     "UnderconstrainedError",
     "Values",
     "backends",
+    "initialize",
     "kinds",
+    "load",
+    "save",
 ]

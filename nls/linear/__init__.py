@@ -6,6 +6,7 @@ from nls.linear.base import LinearSolution, LinearSolver
 from nls.linear.cholesky import Cholesky, openmp_capped
 from nls.linear.dense import DenseCholesky, DenseQR, Pinv
 from nls.linear.lu import LU
+from nls.linear.normal import Factorization, NormalEquations
 from nls.linear.qr import QR
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "LinearSolver",
     "Pinv",
     "backends",
+    "best_factorization",
     "default_solver",
 ]
 
@@ -30,6 +32,13 @@ SOLVERS: dict[str, type[LinearSolver]] = {
 def default_solver() -> LinearSolver:
     """The best linear solver installed: CHOLMOD, or SuperLU without SuiteSparse."""
     return Cholesky() if Cholesky.missing() is None else LU()
+
+
+def best_factorization() -> type[Factorization]:
+    """The factorization of positive definite matrices behind the default solver."""
+    solver = default_solver()
+    assert isinstance(solver, NormalEquations)
+    return solver.factorization
 
 
 def backends() -> dict[str, str]:

@@ -1,0 +1,66 @@
+"""Starts composed along edges: the odometry chain, and the spanning tree of fewest steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from nls.graph import FactorGraph
+from nls.initialize.edges import pose_edges
+from nls.values import Values
+
+__all__ = ["chain", "spanning_tree"]
+
+
+def chain(graph: FactorGraph, values: Values) -> Values:
+    """Poses composed from one number to the next: the dead-reckoned trajectory.
+
+    Where two neighbors in number have no common edge, the edge that jumps over the fewest numbers is taken (a minimum
+    spanning tree over the difference of places). The first pose of every component keeps its value.
+
+    Parameters
+    ----------
+    graph : its `Between` factors over groups are used, whatever their noise.
+    values : every variable; only the first poses matter.
+
+    Returns
+    -------
+    Values
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> from nls.initialize import chain
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [[1, 0, 1.5], [1, 0, 0]], Isotropic(1))])
+    >>> chain(graph, Values({x: (SE2, SE2.identity(3))}))[x].round(3).tolist()
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 1.5], [1.071, 0.997, 1.5]]
+    """
+    for edges in pose_edges(graph, values):
+        place = np.empty(edges.n, dtype=np.intp)
+        place[edges.order] = np.arange(edges.n)
+        pairs = edges.first_pairs()
+        jump = np.abs(place[edges.i[pairs]] - place[edges.j[pairs]]).astype(float)
+        steps = pairs[jump == 1]
+        if len(steps) < edges.n - 1:
+            lookup = sp.csr_array((jump, (edges.i[pairs], edges.j[pairs])), shape=(edges.n, edges.n))
+            tree = sp.coo_array(minimum_spanning_tree(lookup))
+            kept = np.isin(edges.i[pairs] * edges.n + edges.j[pairs], tree.row.astype(np.intp) * edges.n + tree.col)
+            steps = pairs[kept]
+        values = edges.replaced(values, edges.along(*edges.tree(steps, edges.roots()), edges.stack(values)))
+    return values
+
+
+def spanning_tree(graph: FactorGraph, values: Values) -> Values:
+    """Poses composed along the tree of fewest edges from the first pose of every component.
+
+    Parameters and result as for `chain`. Loop closures shorten the way, so errors of odometry add up over fewer steps;
+    a wrong closure bends everything behind it.
+    """
+    for edges in pose_edges(graph, values):
+        parent, edge = edges.tree(edges.first_pairs(), edges.roots())
+        values = edges.replaced(values, edges.along(parent, edge, edges.stack(values)))
+    return values

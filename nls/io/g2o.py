@@ -1,0 +1,251 @@
+"""Pose graphs in g2o files: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX; blank lines and # comments.
+
+    VERTEX_SE2 id x y theta                     EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33
+    VERTEX_SE3:QUAT id x y z qx qy qz qw        EDGE_SE3:QUAT i j x y z qx qy qz qw and 21 entries
+    FIX id [id ...]
+
+The information is the upper triangle row by row, of (x, y, theta) or of (x, y, z, qx, qy, qz): in space the rotation
+part belongs to the *vector part of the quaternion*, half a rotation vector. For the conventions ``g2o``, ``graphslam``
+and ``gtsam`` it is taken verbatim, for ``log`` converted (rotation block / 4, mixed blocks / 2: exact in binary).
+Poses are the variables ``x`` with the ids of the file. Nothing is repaired: what cannot be right is an error with its
+line. Comments are never *written*: widely used readers lose a file's edges over one.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.between import Between
+from factors.conventions import check_convention
+from factors.keys import Keys
+from factors.noise import Information
+from models import SE2, SE3, LieGroup
+from models.algebra import Array
+from models.errors import GraphError, GraphWarning, NoiseModelError
+from nls.graph import FactorGraph
+from nls.initialize.chain import chain
+from nls.io.report import LoadReport
+from nls.io.text import Text
+from nls.values import Values
+
+__all__ = ["read_g2o", "write_g2o"]
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The tags of one dimension."""
+
+    group: LieGroup
+    vertex: bytes
+    edge: bytes
+    vertex_columns: str
+    edge_columns: str
+
+
+PLANE = Dialect(SE2, b"VERTEX_SE2", b"EDGE_SE2", "id x y theta", "i j dx dy dtheta I11 I12 I13 I22 I23 I33")
+SPACE = Dialect(SE3, b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT", "id x y z qx qy qz qw", "i j x y z qx qy qz qw and 21 entries")
+HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
+
+
+def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
+    """Graph, start values and report of the bytes of a g2o file.
+
+    Raises
+    ------
+    GraphFileError
+        With the line, for anything that cannot be right.
+    """
+    check_convention(convention)
+    text = Text(data, path)
+    tags = dict(text.tags)
+    none = np.zeros(0, dtype=np.intp)
+    comments = np.concatenate([none, *(tags.pop(tag) for tag in list(tags) if tag.startswith(b"#"))])
+    found = [d for d in (PLANE, SPACE) if d.vertex in tags or d.edge in tags]
+    known = {tag for d in (PLANE, SPACE) for tag in (d.vertex, d.edge)} | {b"FIX"}
+    if not found:
+        raise text_error(text, tags, known)
+    if len(found) == 2:
+        line = max(min(int(tags[t][0]) for t in (d.vertex, d.edge) if t in tags) for d in found)
+        raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
+    dialect = found[0]
+    edges, vertices = tags.get(dialect.edge, none), tags.get(dialect.vertex, none)
+
+    report = LoadReport(path, "g2o", f"{dialect.group.point_dim}-D", convention)
+    report.tags = {tag.decode("utf-8", "replace"): len(lines) for tag, lines in tags.items()}
+    ignored = {tag: lines for tag, lines in tags.items() if tag not in known}
+    if ignored:
+        named = ", ".join(f"{t.decode('utf-8', 'replace')[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in ignored.items())
+        report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
+        report.ignored = [text.line(int(n)) for n in np.sort(np.concatenate(list(ignored.values())))]
+        warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=3)
+    if len(comments):
+        report.notes.append(f"{len(comments)} comment lines")
+
+    ids, poses = _vertices(text, dialect, vertices)
+    graph = FactorGraph()
+    between = _edges(text, dialect, edges, convention)
+    if between is not None:
+        graph.add(between)
+        values = _start(text, dialect, between, edges, ids, poses, report)
+    else:
+        values = Values({"x": (dialect.group, poses, ids)})
+    for line in tags.get(b"FIX", none):
+        numbers = text.whole(np.full(int(text.first[line + 1] - text.first[line]) - 1, line), 1 + np.arange(int(text.first[line + 1] - text.first[line]) - 1))
+        keys = Keys("x", numbers)
+        if keys not in values:
+            missing = keys[~np.isin(numbers, values.stack("x").numbers)]
+            raise text.error(f"FIX names {missing[[0]]}, which is not in the file", int(line))
+        graph.fix(keys)
+    return graph, values, report
+
+
+def text_error(text: Text, tags: dict[bytes, npt.NDArray[np.intp]], known: set[bytes]) -> Exception:
+    """The error for a file without any pose."""
+    expected = ", ".join(sorted(tag.decode() for tag in known))
+    if not tags:
+        return text.error(f"is empty; expected lines such as {expected}", 0)
+    tag, lines = next(iter(tags.items()))
+    return text.error(f"{tag.decode('utf-8', 'replace')[:30]!r} is no tag of a pose graph; expected {expected}", int(lines[0]))
+
+
+def _vertices(text: Text, dialect: Dialect, lines: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.int64], Array]:
+    """Ids (n,) and poses (n, size) of the vertex lines."""
+    group = dialect.group
+    poses = text.table(lines, 1 + group.size, dialect.vertex_columns)[:, 1:]
+    ids = text.whole(lines, 1)
+    if len(ids):
+        if (found := group.invalid(poses)) is not None:
+            raise text.error(found[1], int(lines[found[0]]))
+        order = np.argsort(ids, kind="stable")
+        again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
+        if len(again):
+            k = int(order[again[0] + 1])
+            first = int(lines[order[again[0]]])
+            raise text.error(f"vertex {ids[k]} was given before, on line {first + 1}", int(lines[k]))
+    return ids, poses
+
+
+def _edges(text: Text, dialect: Dialect, lines: npt.NDArray[np.intp], convention: str) -> Between | None:
+    """One batch of all edge lines."""
+    if not len(lines):
+        return None
+    group, d = dialect.group, dialect.group.dim
+    upper = np.triu_indices(d)
+    table = text.table(lines, 2 + group.size + len(upper[0]), dialect.edge_columns)
+    i, j = text.whole(lines, 1), text.whole(lines, 2)
+    z = table[:, 2 : 2 + group.size]
+    if (found := group.invalid(z)) is not None:
+        raise text.error(found[1], int(lines[found[0]]))
+    if (same := i == j).any():
+        k = int(np.argmax(same))
+        raise text.error(f"the edge joins vertex {i[k]} to itself", int(lines[k]))
+    Omega = np.empty((len(lines), d, d))
+    Omega[:, upper[0], upper[1]] = Omega[:, upper[1], upper[0]] = table[:, 2 + group.size :]
+    if convention == "log" and group is SE3:
+        Omega /= HALF[:, None] * HALF
+    between = Between(Keys("x", i), Keys("x", j), z, Information(Omega), convention)
+    try:
+        between.bind(group, group)
+    except NoiseModelError as error:
+        raise text.error(str(error).split(": ", 1)[1], int(lines[error.index])) from error
+    return between
+
+
+def _start(
+    text: Text,
+    dialect: Dialect,
+    between: Between,
+    lines: npt.NDArray[np.intp],
+    ids: npt.NDArray[np.int64],
+    poses: Array,
+    report: LoadReport,
+) -> Values:
+    """The file's vertices; where it has none at all, the poses chained along the edges."""
+    numbers = np.concatenate([k.numbers for k in between.keys])
+    if len(ids):
+        missing = ~np.isin(numbers, ids)
+        if missing.any():
+            k = int(np.argmax(missing))
+            raise text.error(
+                f"the edge needs vertex {numbers[k]}, which is not in the file (other vertices are)",
+                int(lines[k % len(lines)]),
+            )
+        return Values({"x": (dialect.group, poses, ids)})
+    unique = np.unique(numbers)
+    report.vertices_given = False
+    report.notes.append(f"no vertices in the file: {len(unique)} poses chained along the edges")
+    values = Values({"x": (dialect.group, dialect.group.identity(len(unique)), unique)})
+    return chain(FactorGraph([between]), values)
+
+
+def write_g2o(path: str | Path, graph: FactorGraph, values: Values, ignored: list[str] | None = None) -> None:
+    """Write a pose graph; reading it again gives the same graph, bit for bit.
+
+    Raises
+    ------
+    GraphError
+        A factor or kind of variable this format has no line for.
+    """
+    if list(values.stacks) != ["x"]:
+        raise GraphError(f"{path}: g2o files hold poses of kind x, these values have {list(values.stacks)}")
+    stack = values.stack("x")
+    dialect = next((d for d in (PLANE, SPACE) if d.group is stack.manifold), None)
+    if dialect is None:
+        raise GraphError(f"{path}: g2o files hold SE2 or SE3 poses, these are in {stack.manifold}")
+    fixed = set(np.concatenate([np.zeros(0, dtype=np.int64), *(k.numbers for k in graph.fixed)]).tolist())
+    out = []
+    for number, line in zip(stack.numbers.tolist(), _rows(dialect.vertex, [stack.numbers], stack.X), strict=True):
+        out.append(line)
+        if number in fixed:
+            out.append(f"FIX {number}")
+    for factor in graph.factors:
+        out += _edge_lines(str(path), factor, dialect)
+    out += ignored or []
+    _replace(Path(path), "\n".join(out) + "\n")
+
+
+def _edge_lines(path: str, factor: Factor, dialect: Dialect) -> list[str]:
+    if not isinstance(factor, Between):
+        raise GraphError(f"{path}: {factor!r} cannot be written to a g2o file", factor.keys, type(factor).__name__)
+    model, d = factor.bind(dialect.group, dialect.group), dialect.group.dim
+    if isinstance(factor.noise, Information):
+        Omega = factor.noise.matrix
+    else:
+        W = model.W if model.W.ndim == 3 else model.W[..., None] * np.eye(d)
+        Omega = W.mT @ W
+    if factor.convention == "log" and dialect.group is SE3:
+        Omega = Omega * (HALF[:, None] * HALF)
+    Omega = np.broadcast_to(Omega, (len(factor), d, d))
+    upper = np.triu_indices(d)
+    return _rows(dialect.edge, [k.numbers for k in factor.keys], np.hstack([model.z, Omega[:, upper[0], upper[1]]]))
+
+
+def _rows(tag: bytes, ids: list[npt.NDArray[np.int64]], numbers: Array) -> list[str]:
+    """Text lines; the shortest digits that read back as the same number."""
+    head = tag.decode()
+    names = zip(*(i.tolist() for i in ids), strict=True)
+    return [
+        f"{head} {' '.join(map(str, name))} {' '.join(repr(v).removesuffix('.0') for v in row)}"
+        for name, row in zip(names, numbers.tolist(), strict=True)
+    ]
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise

@@ -1,0 +1,37 @@
+"""What a reader found in a file: the report that comes with every graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+__all__ = ["LoadReport"]
+
+
+@dataclass
+class LoadReport:
+    """Counts, choices and remarks of one read file; ``print(report)`` shows them.
+
+    Attributes
+    ----------
+    path, format, dimension : what was read.
+    convention : the residual of pose measurements, see `factors.conventions`.
+    tags : lines per tag.
+    vertices_given : False when the file has no vertices and the start was chained from the edges.
+    ignored : lines that were not used, verbatim; `nls.save` writes them back.
+    notes : remarks in words.
+    """
+
+    path: str
+    format: str
+    dimension: str
+    convention: str
+    tags: dict[str, int] = field(default_factory=dict)
+    vertices_given: bool = True
+    ignored: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        lines = [f"{self.path}: {self.format}, {self.dimension}, convention {self.convention}"]
+        lines += [f"  {tag:18s} {count:8d}" for tag, count in self.tags.items()]
+        lines += [f"  {note}" for note in self.notes]
+        return "\n".join(lines)
