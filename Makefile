@@ -1,0 +1,41 @@
+# What each target runs; change it here.
+PYTHON ?= python3
+DEMO = .venv/bin/python -m sim sphere --out demo && \
+       .venv/bin/nls solve demo/graph.g2o --plot demo/solved.png -o demo/solved.g2o
+BENCHMARK = .venv/bin/python benchmarks/pinv.py
+EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
+
+.PHONY: help demo test lint docs benchmark evidence
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
+
+demo: .venv/installed ## simulate a graph, solve it, draw it: see the folder demo
+	$(DEMO)
+
+test: lint ## lint, then all tests and the examples in the docstrings
+	.venv/bin/pytest -n auto
+
+lint: .venv/installed ## formatting, ruff, mypy
+	.venv/bin/ruff format --check
+	.venv/bin/ruff check
+	.venv/bin/mypy
+
+docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal: docs/_build/html/index.html
+	.venv/bin/sphinx-build -nW --keep-going -b html docs docs/_build/html
+
+benchmark: .venv/installed ## the table of solvers, dense against sparse
+	$(BENCHMARK)
+
+evidence: .venv/installed ## every script of benchmarks/evidence, in order
+	@set -e; for script in $(EVIDENCE); do echo "== $$script"; .venv/bin/python $$script; done
+	@$(if $(EVIDENCE),:,echo "benchmarks/evidence has no scripts yet: nothing to run")
+
+# .venv is made when it is needed and brought up to date when the requirements change.
+.venv/installed: pyproject.toml tools/install.sh
+	tools/install.sh $(PYTHON)
+	@touch $@
+
+.venv/docs-installed: .venv/installed
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@

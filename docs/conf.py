@@ -1,0 +1,63 @@
+"""Configuration of the site; `make docs` builds it with every warning fatal."""
+
+from importlib.metadata import version as installed_version
+
+from docutils.parsers.rst.states import Inliner
+
+project = "leadline"
+author = "the leadline developers"
+copyright = "2026, the leadline developers"
+release = version = installed_version("leadline")
+
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    # MathJax and its fonts as an ordinary pip dependency, copied into the build: equations need no network and no npm.
+    "sphinx-mathjax-offline",
+]
+exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]
+
+# --- pages and notebooks ---
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
+
+# --- reference ---
+autodoc_member_order = "groupwise"
+autodoc_typehints = "none"  # shapes and units in the docstrings say more than NDArray[float64]
+numpydoc_show_class_members = False  # autodoc lists them already
+# |b|^2 in a docstring is a norm: take the bar as it stands, not as the start of one of docutils' substitutions
+Inliner.dispatch["|"] = lambda self, match, lineno: (
+    match.string[: match.end("start")],
+    [],
+    match.string[match.end("start") :],
+    [],
+)
+
+# --- looks ---
+html_theme = "sphinx_book_theme"
+html_title = "leadline"
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {"show_toc_level": 2, "use_download_button": False, "use_fullscreen_button": False}
+mathjax3_config = {
+    "tex": {
+        "macros": {
+            "Exp": r"\operatorname{Exp}",
+            "Log": r"\operatorname{Log}",
+            "Ad": r"\operatorname{Ad}",
+            "diag": r"\operatorname{diag}",
+            "wrap": r"\operatorname{wrap}",
+            "argmin": r"\operatorname*{arg\,min}",
+            "argmax": r"\operatorname*{arg\,max}",
+            "T": r"^{\mathsf T}",
+            "norm": [r"\left\lVert #1 \right\rVert", 1],
+            "skew": [r"\left[ #1 \right]_\times", 1],
+        }
+    }
+}
