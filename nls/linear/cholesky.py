@@ -84,6 +84,9 @@ class CholmodFactorization(Factorization):
     def solve(self, g: Array) -> Array:
         return np.asarray(self._chol.solve_A(g))
 
+    def upper(self) -> tuple[sp.csc_array, Index]:
+        return sp.csc_array(self._chol.L().T), np.arange(self._hessian.n)
+
 
 class Cholesky(NormalEquations):
     """A'A = L L' by CHOLMOD: the fastest for sparse systems, and the default where it is installed."""

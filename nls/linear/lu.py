@@ -41,6 +41,10 @@ class SuperLUFactorization(Factorization):
     def solve(self, g: Array) -> Array:
         return np.asarray(self._lu.solve(g))
 
+    def upper(self) -> tuple[sp.csc_array, Index]:
+        U = self._lu.U  # symmetric pivoting: U = D L', R = D^-1/2 U
+        return sp.csc_array(sp.diags_array(1 / np.sqrt(U.diagonal())) @ U), np.argsort(self._lu.perm_c)
+
 
 class LU(NormalEquations):
     """A'A = L U by SciPy's SuperLU: the default where SuiteSparse is not installed."""

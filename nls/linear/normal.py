@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from models.algebra import Array
 from nls.hessian import Hessian
@@ -38,7 +39,11 @@ class Factorization(ABC):
 
     @abstractmethod
     def solve(self, g: Array) -> Array:
-        """Solution of H x = g for g (n,) or (n, k), in the elimination order."""
+        """Solution of H x = g for g (n,) or (n, k), in the order of the `Hessian`."""
+
+    @abstractmethod
+    def upper(self) -> tuple[sp.csc_array, Index]:
+        """Sparse upper triangular R and its order p, with H[p][:, p] = R'R, H in the order of the `Hessian`."""
 
 
 @dataclass
@@ -53,6 +58,11 @@ class NormalState:
         x = np.empty_like(g)
         x[self.hessian.permutation] = self.factorization.solve(g[self.hessian.permutation])
         return x
+
+    def upper(self) -> tuple[sp.csc_array, Index]:
+        """R and p with H[p][:, p] = R'R, H = A'A with the columns in the order of A."""
+        R, p = self.factorization.upper()
+        return R, self.hessian.permutation[p]
 
     def factorize(self, S: Array) -> None:
         """Factorize H from its flat blocks and refuse a rank-deficient one."""

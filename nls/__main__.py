@@ -1,0 +1,7 @@
+"""``python -m nls``."""
+
+import sys
+
+from nls.cli import main
+
+sys.exit(main())

@@ -1,0 +1,65 @@
+"""What a graph is made of and what a solve would cost, without solving it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nls.assemble import Pattern
+from nls.gauge import choose_gauge, component_labels, fixed_variables
+from nls.graph import FactorGraph
+from nls.linear import default_solver
+from nls.linear.fill import fill_in
+from nls.values import Values
+
+__all__ = ["inspect"]
+
+
+def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
+    """Counts, connectivity, gauge, information, chi2 of the given values, size of A and of its factorization.
+
+    Parameters
+    ----------
+    graph, values : as read; not changed.
+
+    Returns
+    -------
+    dict of plain numbers and texts, in reading order.
+    """
+    pattern = Pattern(graph.factors, values)
+    labels = component_labels(pattern)
+    touched = np.zeros(len(labels), dtype=bool)
+    semi_definite = 0
+    lengths = [np.zeros(0)]
+    for batch in pattern.batches:
+        for variables in batch.variables:
+            touched[variables] = True
+        W = batch.model.W
+        rows = np.abs(W) if W.ndim == 2 else np.linalg.norm(W, axis=2)
+        semi_definite += int((rows == 0).any(axis=1).sum()) * (len(batch) if len(W) == 1 else 1)
+        lengths.append(rows[rows > 0])
+    weights = np.concatenate(lengths)
+    gauge = choose_gauge("first", graph.factors, values, fixed_variables(graph.fixed, values))
+    fill = fill_in(pattern, gauge.held)
+    sizes = np.sort(np.bincount(labels[touched]))[::-1]
+    sizes = sizes[sizes > 0]
+    found: dict[str, Any] = {
+        "variables": len(values),
+        "measurements": len(graph),
+        "components": len(sizes),
+        "isolated variables": int((~touched).sum()),
+        "gauge": gauge.said,
+        "rows of A": pattern.m,
+        "columns of A": int(pattern.dims[~gauge.held].sum()),
+        "numbers in A": sum(len(b) * b.model.dim * sum(m.dim for m in b.model.manifolds) for b in pattern.batches),
+        "numbers in R": fill.nnz,
+        "factorization": f"{fill.flops / 1e6:.0f} Mflop, {fill.nnz * 8 / 1e6:.1f} MB, {default_solver().name}",
+        "sigma, smallest": float(1 / weights.max()) if len(weights) else None,
+        "sigma, largest": float(1 / weights.min()) if len(weights) else None,
+        "semi-definite": f"{semi_definite} measurements without information in some direction",
+        "chi2": pattern.chi2(values),
+    }
+    if len(sizes) > 1:
+        found["component sizes"] = sizes[:10].tolist()
+    return found

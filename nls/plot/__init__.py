@@ -1,0 +1,7 @@
+"""Pictures: trajectories before and after, sparsity with labels, convergence. matplotlib is imported here alone, lazily."""
+
+from nls.plot.convergence import convergence
+from nls.plot.sparsity import spy
+from nls.plot.trajectory import before_after, trajectory
+
+__all__ = ["before_after", "convergence", "spy", "trajectory"]

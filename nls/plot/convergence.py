@@ -1,0 +1,56 @@
+"""chi2 and the update norm over the iterations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from nls.optimizers import Result
+
+__all__ = ["convergence"]
+
+CHI2, UPDATE = "#0b4f6c", "#e07a2f"
+
+
+def convergence(result: Result, axes: Axes | None = None) -> Figure:
+    """chi2 (left axis) and max |dx| (right axis), both logarithmic, per iteration.
+
+    Parameters
+    ----------
+    result : of an optimization.
+    axes : where; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    if axes is None:
+        axes = Figure(figsize=(5, 4), layout="constrained").add_subplot()
+    number = [it.number for it in result.history]
+    chi2 = np.array([it.chi2 for it in result.history])
+    positive = bool((chi2 > 0).all())
+    (first,) = (axes.semilogy if positive else axes.plot)(number, chi2, "o-", color=CHI2, label="chi2")
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("chi2", color=CHI2)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    lines = [first]
+    if len(number) > 1:
+        other = axes.twinx()
+        (second,) = other.semilogy(
+            number[1:], [it.update for it in result.history[1:]], "s--", color=UPDATE, label="max |dx|"
+        )
+        other.set_ylabel("max |dx|", color=UPDATE)
+        lines.append(second)
+    axes.legend(handles=lines, loc="upper right")
+    axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
+    figure = axes.get_figure()
+    assert figure is not None
+    return figure  # type: ignore[return-value]

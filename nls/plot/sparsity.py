@@ -1,0 +1,98 @@
+"""Where the numbers are: A, H = A'A and R with H = R'R, with the names of factors and variables."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from nls.hessian import Hessian
+from nls.linear import best_factorization
+from nls.linear.normal import NormalState
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from nls.system import LinearSystem
+
+__all__ = ["spy"]
+
+LABELS = 40  # with more variables than this the axes count columns instead of naming them
+INK, FILL = "#0b4f6c", "#e07a2f"
+
+
+def spy(system: LinearSystem) -> Figure:
+    """A, H and R of a linear system side by side; fill-in of R is orange.
+
+    Parameters
+    ----------
+    system : a `LinearSystem` of full rank, ``graph.linearize(values)``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    SingularSystemError
+        There is no R: something is free. Fix a variable or add a prior.
+    """
+    from matplotlib.figure import Figure
+
+    factorization = best_factorization()
+    hessian = Hessian.of(system.pattern, factorization.order)
+    state = NormalState(hessian, factorization(hessian))
+    state.factorize(hessian.collect(system))
+    R, permutation = state.upper()
+    H = system.H
+    ordered = sp.csc_array(H[permutation][:, permutation])
+
+    figure = Figure(figsize=(13, 4.8), layout="constrained")
+    axes = figure.subplots(1, 3)
+    _dots(axes[0], sp.coo_array(system.A), INK)
+    axes[0].set_title(f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers")
+    _dots(axes[1], sp.coo_array(H), INK)
+    axes[1].set_title(f"H = A'A: {H.nnz} numbers")
+    _dots(axes[2], sp.coo_array(R), FILL)
+    _dots(axes[2], sp.coo_array(sp.triu(ordered)), INK)
+    fill = R.nnz - sp.triu(ordered).nnz
+    axes[2].set_title(f"R, reordered: {R.nnz} numbers, {max(fill, 0)} of them fill-in")
+
+    names, first = _variables(system)
+    _name(axes[0].set_xticks, axes[0].set_xticklabels, names, first)
+    _name(axes[1].set_xticks, axes[1].set_xticklabels, names, first)
+    _name(axes[1].set_yticks, axes[1].set_yticklabels, names, first)
+    rows = system.rows
+    factors = [row.rsplit(":", 1)[0] for row in rows]
+    begin = [k for k in range(len(factors)) if k == 0 or factors[k] != factors[k - 1]]
+    _name(axes[0].set_yticks, axes[0].set_yticklabels, [factors[k] for k in begin], begin)
+    variable, _ = system.pattern.column_owner()
+    owner = variable[permutation]
+    begin = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
+    _name(axes[2].set_xticks, axes[2].set_xticklabels, [repr(system.pattern.key(int(owner[k]))) for k in begin], begin)
+    return figure
+
+
+def _variables(system: LinearSystem) -> tuple[list[str], list[int]]:
+    variable, component = system.pattern.column_owner()
+    first = np.flatnonzero(component == 0)
+    return [repr(system.pattern.key(int(v))) for v in variable[first]], first.tolist()
+
+
+def _name(set_ticks: object, set_labels: object, names: list[str], first: list[int]) -> None:
+    if len(names) <= LABELS:
+        set_ticks(first)  # type: ignore[operator]
+        vertical = 90 if "xtick" in getattr(set_labels, "__name__", "") else 0
+        set_labels(names, fontsize=7, rotation=vertical)  # type: ignore[operator]
+
+
+def _dots(axes: Axes, M: sp.coo_array, color: str) -> None:
+    size = float(np.clip(200 / max(M.shape), 0.3, 7))
+    axes.plot(M.col, M.row, "s", color=color, markersize=size, markeredgewidth=0)
+    axes.set_xlim(-0.5, M.shape[1] - 0.5)
+    axes.set_ylim(M.shape[0] - 0.5, -0.5)
+    if M.shape[0] == M.shape[1]:
+        axes.set_aspect("equal")
+    axes.xaxis.tick_top()

@@ -1,0 +1,136 @@
+"""Trajectories and their edges, in the plane or in space."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from models.algebra import Array
+    from nls.graph import FactorGraph
+    from nls.optimizers import Result
+    from nls.values import Values
+
+__all__ = ["before_after", "trajectory"]
+
+PATH, CLOSURE, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
+MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
+
+
+def before_after(graph: FactorGraph, start: Values, result: Result, title: str = "") -> Figure:
+    """The start, the optimum and the convergence, side by side.
+
+    Parameters
+    ----------
+    graph : its edges are drawn.
+    start, result : before and after.
+    title : of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    from nls.plot.convergence import convergence
+
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    space = {"projection": "3d"} if _points(result.values).shape[1] == 3 else {}
+    left = figure.add_subplot(1, 3, 1, **space)
+    middle = figure.add_subplot(1, 3, 2, **space)
+    right = figure.add_subplot(1, 3, 3)
+    trajectory(graph, start, left)
+    left.set_title(f"before: chi2 = {result.chi2_initial:.4g}")
+    trajectory(graph, result.values, middle)
+    middle.set_title(f"after: chi2 = {result.chi2_final:.4g}")
+    convergence(result, right)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def trajectory(graph: FactorGraph, values: Values, axes: Axes | None = None) -> Figure:
+    """Positions in the order of their numbers, and the measurements between positions that are not neighbors.
+
+    Parameters
+    ----------
+    graph, values : what to draw; kinds without positions are left out.
+    axes : where; a new figure when omitted. Space needs axes with ``projection="3d"``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    dim = _points(values).shape[1]
+    if axes is None:
+        axes = Figure(figsize=(6, 6), layout="constrained").add_subplot(**({"projection": "3d"} if dim == 3 else {}))
+    segments, total = _closures(graph, values)
+    if len(segments):
+        _lines(axes, segments, color=CLOSURE, linewidth=0.6, alpha=0.45, label="loop closures")
+    for stack in values.stacks.values():
+        X = stack.manifold.position(stack.X)
+        if X.shape[1] != dim:
+            continue
+        X = np.asarray(X)[np.argsort(stack.numbers)]
+        if stack.manifold.dim > dim:
+            axes.plot(*X.T, color=PATH, linewidth=1.0, label="trajectory")
+            axes.plot(*X[:1].T, "o", color=PATH, markersize=5)
+        else:
+            axes.plot(*X.T, "*", color=POINT, markersize=5, label=stack.kind)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    if dim == 3:
+        axes.set_zlabel("z [m]")  # type: ignore[attr-defined]
+        axes.set_box_aspect(np.maximum(np.ptp(_points(values), axis=0), 1e-9))  # type: ignore[arg-type]
+        axes.tick_params(labelsize=7)
+    else:
+        axes.set_aspect("equal", adjustable="datalim")
+    if len(segments):
+        shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
+        axes.legend(loc="upper right", fontsize=8, title=shown.strip(", ") or None)
+    figure = axes.get_figure()
+    assert figure is not None
+    return figure  # type: ignore[return-value]
+
+
+def _points(values: Values) -> Array:
+    """All positions of the largest kind of positions, (n, 2 or 3)."""
+    found = [np.asarray(s.manifold.position(s.X)) for s in values.stacks.values() if s.manifold.position(s.X).shape[1]]
+    return max(found, key=lambda X: (X.shape[1], len(X)), default=np.zeros((0, 2)))
+
+
+def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
+    """Segments (k, 2, dim) of measurements between variables that are not neighbors in number, and how many there are."""
+    out = []
+    for factor in graph.factors:
+        if len(factor.keys) != 2:
+            continue
+        i, j = factor.keys
+        ends = [values.stack(k.kind) for k in (i, j)]
+        apart = (i.kind != j.kind) | (np.abs(i.numbers - j.numbers) != 1)
+        points = [
+            np.asarray(s.manifold.position(s.X))[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)
+        ]
+        if points[0].shape[1] == points[1].shape[1] > 0:
+            out.append(np.stack(points, axis=1))
+    if not out:
+        return np.zeros((0, 2, 2)), 0
+    segments = np.concatenate(out)
+    return segments[:: max(1, -(-len(segments) // MOST))], len(segments)
+
+
+def _lines(axes: Axes, segments: Array, **style: Any) -> None:
+    if segments.shape[2] == 3:
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+        axes.add_collection3d(Line3DCollection(segments, **style))  # type: ignore[attr-defined]
+    else:
+        from matplotlib.collections import LineCollection
+
+        axes.add_collection(LineCollection(segments, **style))  # type: ignore[arg-type]
