@@ -123,7 +123,8 @@ class Factor(ABC):
                 names = tuple(np.array(space.components)[rows])
                 W = self.noise.sqrt_information(len(self), names)
             except NoiseModelError as error:
-                raise NoiseModelError(f"{self.describe(error.index)}: {error}", *error.args[1:]) from error
+                message = f"{self.describe(error.index)}: {error}"
+                raise NoiseModelError(message, error.matrix, error.index, error.value, self.keys) from error
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
@@ -200,7 +201,7 @@ class Model:
         n = len(b)
         if J is not None:
             WJ = whiten(self.W, J[:, self.rows])
-        elif self.rows == slice(None) and self.W.ndim == 3:
+        elif isinstance(self.rows, slice) and self.W.ndim == 3:
             WJ = self.W
         else:
             WJ = whiten(self.W, np.eye(self.space.dim)[None, self.rows])
@@ -229,11 +230,17 @@ class Model:
             return h, ()
         if H is None:
             H = self._differences(X, h)
+        if len(H) != len(self.manifolds):
+            raise EvaluationError(
+                f"{self.factor!r}: {len(H)} Jacobians, expected {len(self.manifolds)}: one per slot",
+                type(self.factor).__name__,
+                self.factor.keys,
+            )
         for slot, (H_k, manifold) in enumerate(zip(H, self.manifolds, strict=True)):
-            if H_k is not None and H_k.shape[-2:] != (self.space.dim, manifold.dim):
+            shape = (self.space.dim, manifold.dim)
+            if H_k is not None and H_k.shape not in ((len(h), *shape), (1, *shape), shape):
                 raise EvaluationError(
-                    f"{self.factor!r}: Jacobian of slot {slot} has shape {H_k.shape}, expected "
-                    f"{(len(h), self.space.dim, manifold.dim)}",
+                    f"{self.factor!r}: Jacobian of slot {slot} has shape {H_k.shape}, expected {(len(h), *shape)}",
                     type(self.factor).__name__,
                     self.factor.keys,
                 )
@@ -297,14 +304,13 @@ class _FunctionFactor(Factor):
         return R(self.dim)
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        h = np.asarray(self._call(self.residual, *X), dtype=float)
-        if self.jacobians is None:
-            return h, None
-        return h, tuple(np.asarray(H_k, dtype=float) for H_k in self._call(self.jacobians, *X))
+        (h,) = self._call(lambda *X: [self.residual(*X)], *X)
+        return h, None if self.jacobians is None else self._call(self.jacobians, *X)
 
-    def _call(self, function: Callable[..., Sequence[Array] | Array], *X: Array) -> Sequence[Array] | Array:
+    def _call(self, function: Callable[..., Sequence[Array]], *X: Array) -> tuple[Array, ...]:
         try:
-            return function(*(np.ascontiguousarray(stack) for stack in X))
+            found = function(*(np.ascontiguousarray(stack) for stack in X))
+            return tuple(np.asarray(array, dtype=float) for array in found)
         except Exception as error:  # the user's code may raise anything; it comes through, named and chained
             raise EvaluationError(
                 f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys

@@ -64,4 +64,4 @@ class Between(Factor):
         group = manifolds[0]
         assert isinstance(group, LieGroup)
         h = group.between(*X)
-        return h, (-group.adjoint(group.inverse(h)), None)
+        return h, (-group.adjoint_inverse(h), None)

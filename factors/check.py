@@ -49,7 +49,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     True
     """
     model, X = values.gather(factor)
-    A, b = model.linearize(*X)
+    A, _ = model.linearize(*X)
     worst = 0.0
     for slot, A_k in enumerate(A):
         numeric = numerical(model, X, slot)

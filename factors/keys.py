@@ -76,7 +76,9 @@ class Kind:
     def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:
         if isinstance(numbers, slice):
             if numbers.stop is None:
-                raise GraphError(f"{self.name}[{numbers.start}:]: a slice of variables needs its end, {self.name}[0:10]")
+                raise GraphError(
+                    f"{self.name}[{numbers.start}:]: a slice of variables needs its end, {self.name}[0:10]"
+                )
             return Keys(self.name, np.arange(numbers.start or 0, numbers.stop, numbers.step or 1))
         return Keys(self.name, numbers)
 

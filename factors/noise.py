@@ -19,7 +19,9 @@ from models.errors import NoiseModelError
 
 __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "whiten"]
 
-SEMI_DEFINITE = 1e-10  # eigenvalues above -1e-10 of the largest are rounding (files carry 6 to 10 digits) and count as 0
+SEMI_DEFINITE = (
+    1e-10  # eigenvalues above -1e-10 of the largest are rounding (files carry 6 to 10 digits) and count as 0
+)
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
 
 
@@ -79,6 +81,8 @@ class Diagonal(Noise):
             raise NoiseModelError("Diagonal: give the sigmas in order, or each by its component's name, not both")
         self.sigmas = None if sigmas is None else np.atleast_2d(_numbers(sigmas, "sigmas", 2))
         self.named = {ALIASES.get(k, k): np.atleast_1d(_numbers(v, f"sigma of {k}", 1)) for k, v in named.items()}
+        if len(self.named) != len(named):
+            raise NoiseModelError(f"Diagonal: {list(named)} name one component twice")
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         if self.sigmas is not None:
@@ -144,7 +148,7 @@ class Covariance(_Matrix):
                 k,
                 smallest,
             )
-        return np.linalg.inv(L)
+        return np.asarray(np.linalg.inv(L))
 
 
 class Information(_Matrix):
@@ -196,7 +200,8 @@ def _numbers(value: npt.ArrayLike, what: str, ndim: int) -> Array:
     if array.ndim > ndim:
         raise NoiseModelError(f"{what} has shape {array.shape}, expected at most {ndim} axes", what)
     if not np.isfinite(array).all():
-        k = int(np.argmax(~np.isfinite(array.reshape(len(array) if array.ndim else 1, -1)).all(axis=1)))
+        each = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
+        k = int(np.argmax(~np.isfinite(each.reshape(len(each), -1)).all(axis=1)))
         raise NoiseModelError(f"{what} of measurement {k} has a number that is not finite", what, k)
     return array
 
@@ -235,12 +240,11 @@ def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """
     m = M.shape[-1]
     C = np.ascontiguousarray(np.moveaxis(M, 0, -1))
-    scale = np.abs(np.einsum("iin->in", C)).max(axis=0)
     bad = np.zeros(len(M), dtype=bool)
     L: list[list[Array]] = [[np.zeros(()) for _ in range(m)] for _ in range(m)]
     for j in range(m):
         pivot = C[j, j] - sum((L[j][k] ** 2 for k in range(j)), np.zeros(()))
-        poor = ~(pivot > SEMI_DEFINITE * scale)
+        poor = ~(pivot > SEMI_DEFINITE * np.abs(C[j, j]))  # of its own diagonal: units may differ by any factor
         bad |= poor
         L[j][j] = np.sqrt(np.where(poor, 1.0, pivot))
         for i in range(j + 1, m):

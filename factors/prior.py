@@ -72,7 +72,7 @@ class Prior(Factor):
         if self.components is None:
             return slice(None)
         unknown = [c for c in self.components if c not in space.components]
-        if unknown or not self.components:
+        if unknown or not self.components or len(set(self.components)) < len(self.components):
             raise GraphError(f"components {self.components} of {space}, which has {space.components}")
         return np.array([space.components.index(c) for c in self.components])
 

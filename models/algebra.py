@@ -63,7 +63,7 @@ def product(A: Array, B: Array) -> Array:
     pays per matrix); from there on `numpy.matmul` (6x6: 0.4 ms for 5,000, against 1.5 ms the other way).
     """
     if max(A.shape[-2:] + B.shape[-1:]) > 3:
-        return np.matmul(A, B)
+        return np.asarray(np.matmul(A, B))
     if A.ndim != B.ndim:  # batches broadcast from the right, so the shorter one gets its missing axes in front
         ndim = max(A.ndim, B.ndim)
         A, B = A.reshape((1,) * (ndim - A.ndim) + A.shape), B.reshape((1,) * (ndim - B.ndim) + B.shape)

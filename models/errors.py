@@ -66,11 +66,19 @@ class NoiseModelError(GraphError):
     matrix : the kind of matrix ("information", "covariance", ...).
     index : the measurement of the batch it belongs to.
     value : the offending eigenvalue or entry.
+    keys : the variables of the factor, once it is bound.
     """
 
-    def __init__(self, message: str, matrix: str = "", index: int = 0, value: float = float("nan")) -> None:
+    def __init__(
+        self,
+        message: str,
+        matrix: str = "",
+        index: int = 0,
+        value: float = float("nan"),
+        keys: Sequence[Any] = (),
+    ) -> None:
         self.matrix, self.index, self.value = matrix, index, value
-        super().__init__(message)
+        super().__init__(message, keys)
 
 
 class EvaluationError(LeadlineError, ArithmeticError):

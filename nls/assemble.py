@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 
 from factors.keys import Keys
 from models.algebra import Array
@@ -29,13 +30,15 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Batch:
-    """One factor in the pattern: its model, its rows, and per slot the kind, the rows of the stack and the variables."""
+    """One factor in the pattern: its model and its rows; per slot the kind, the rows of its stack, the variables, and
+    the 0/1 matrix (stack x measurements) that sums what the measurements say about each variable."""
 
     model: Model
     rows: slice
     kinds: tuple[str, ...]
     index: tuple[Index, ...]
     variables: tuple[Index, ...]
+    incidence: tuple[sp.csr_array, ...]
 
     def __len__(self) -> int:
         return len(self.model.z)
@@ -75,8 +78,9 @@ class Pattern:
             model = factor.bind(*(stack.manifold for stack in stacks))
             index = tuple(stack.index(k) for stack, k in zip(stacks, factor.keys, strict=True))
             variables = tuple(i + self.offsets[s.kind] for i, s in zip(index, stacks, strict=True))
+            incidence = tuple(_incidence(i, len(s)) for i, s in zip(index, stacks, strict=True))
             rows = slice(self.m, self.m + len(factor) * model.dim)
-            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
+            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables, incidence))
             self.m = rows.stop
 
     def linearize(self, values: Values) -> LinearSystem:
@@ -93,8 +97,7 @@ class Pattern:
         """|b|^2 without any Jacobian."""
         total = 0.0
         for batch in self.batches:
-            b = batch.model.error(*self._gather(batch, values)).reshape(-1)
-            total += float(b @ b)
+            total += float(np.square(batch.model.error(*self._gather(batch, values))).sum())
         return total
 
     def _gather(self, batch: Batch, values: Values) -> list[Array]:
@@ -107,6 +110,10 @@ class Pattern:
         full = np.zeros(int(self.dims.sum()))
         full[self._free_columns] = dx
         return full
+
+    def restrict(self, full: Array) -> Array:
+        """Entries of the free columns, from entries of the columns of all variables."""
+        return full if self._free_columns is None else full[self._free_columns]
 
     def key(self, variable: int) -> Keys:
         """Name of a variable from its place in the numbering."""
@@ -122,6 +129,14 @@ class Pattern:
         free = np.flatnonzero(~self.held)
         variable = np.repeat(free, self.dims[free])
         return variable, np.arange(self.n) - self.starts[variable]
+
+
+def _incidence(index: Index, size: int) -> sp.csr_array:
+    """0/1 matrix (size, n) with a 1 where measurement k touches row index[k]."""
+    n = len(index)
+    order = np.argsort(index, kind="stable").astype(np.int32)
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(index, minlength=size))]).astype(np.int32)
+    return sp.csr_array((np.ones(n), order, indptr), shape=(size, n))
 
 
 def offsets(values: Values) -> dict[str, int]:

@@ -101,7 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:  # a fault of ours: a user still gets one line, and the way to the traceback
         status, message = 2, f"internal error, please report it (--debug shows where): {error!r}"  # type: ignore[assignment]
     if debug:
-        raise  # noqa: PLE0704
+        raise
     if not isinstance(message, BrokenPipeError):
         print(f"nls: {' '.join(str(message).split())}", file=sys.stderr)
     return status
@@ -130,7 +130,7 @@ def run_solve(options: argparse.Namespace) -> int:
     if options.plot:
         from nls.plot import before_after
 
-        before_after(graph, start, result, title=Path(options.file).name).savefig(options.plot, dpi=150)
+        before_after(graph, values, result, title=Path(options.file).name).savefig(options.plot, dpi=150)
     timings["total"] = perf_counter() - started
 
     report: dict[str, Any] = {
@@ -175,7 +175,10 @@ def run_info(options: argparse.Namespace) -> int:
     _refuse_missing_folder(options.json)
     graph, values, read = nls.load(options.file)
     found = inspect(graph, values)
-    _write_json({"input": options.file, "dimension": read.dimension, "tags": read.tags, "notes": read.notes} | found, options.json)
+    _write_json(
+        {"input": options.file, "dimension": read.dimension, "tags": read.tags, "notes": read.notes} | found,
+        options.json,
+    )
     if options.json != "-":
         print(read)
         print("\n".join(f"  {name:22s} {value}" for name, value in found.items()))
@@ -187,7 +190,8 @@ def _table(report: dict[str, Any], verbose: Result | None) -> str:
     start = ", ".join(f"{name} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     lines += [
-        f"input       {report['input']}: {report['variables']} variables, {report['factors']} measurements, {report['dimension']}",
+        f"input       {report['input']}: {report['variables']} variables, {report['factors']} measurements, "
+        f"{report['dimension']}",
         f"start       {report['init']} (chi2: {start})",
         f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in {report['iterations']} iterations, "
         f"{report['dof']} degrees of freedom, convention {report['convention']}",

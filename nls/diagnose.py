@@ -12,7 +12,7 @@ from models.errors import UnderconstrainedError
 
 if TYPE_CHECKING:
     from factors.keys import Keys
-    from nls.assemble import Pattern
+    from nls.assemble import Index, Pattern
     from nls.system import LinearSystem
     from nls.values import Values
 
@@ -31,7 +31,7 @@ def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> 
     pattern, system : the numbering and the linearization that was singular.
     values : the best values so far, for the error to carry.
     """
-    untouched = np.flatnonzero((system.column_norms == 0.0))
+    untouched = np.flatnonzero(system.column_norms == 0.0)
     if len(untouched):
         owner, component = pattern.column_owner()
         named = _by_variable(pattern, owner[untouched], component[untouched])
@@ -53,8 +53,7 @@ def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> 
     keys: dict[Keys, None] = {}
     texts = []
     owner, component = pattern.column_owner()
-    share = N**2 * system.column_norms[:, None] ** 0
-    for direction in share.T:
+    for direction in (N**2).T:
         carriers = direction >= SHARE * direction.max()
         named = _by_variable(pattern, owner[carriers], component[carriers])
         keys.update(dict.fromkeys(key for key, _ in named))
@@ -81,7 +80,9 @@ def null_space(system: LinearSystem) -> Array:
     n = len(norms)
     A = system.A @ sp.diags_array(1 / scale)
     if n <= 300:
-        _, s, Vt = np.linalg.svd(A.toarray() if A.shape[0] >= n else np.vstack([A.toarray(), np.zeros((n - A.shape[0], n))]))
+        _, s, Vt = np.linalg.svd(
+            A.toarray() if A.shape[0] >= n else np.vstack([A.toarray(), np.zeros((n - A.shape[0], n))])
+        )
         return _unscaled(Vt[s <= NULL].T[:, :MAX_DIRECTIONS], scale)
     from scipy.sparse.linalg import splu
 
@@ -100,7 +101,7 @@ def _unscaled(N: Array, scale: Array) -> Array:
     return np.asarray(N / np.linalg.norm(N, axis=0))
 
 
-def _by_variable(pattern: Pattern, owner: Array, component: Array) -> list[tuple[Keys, str]]:
+def _by_variable(pattern: Pattern, owner: Index, component: Index) -> list[tuple[Keys, str]]:
     """Each variable once, with the names of its components: ``(x3, "x3: x, yaw")``."""
     parts: dict[int, list[str]] = {}
     for v, c in zip(owner, component, strict=True):
@@ -120,13 +121,15 @@ def _cure(pattern: Pattern, N: Array) -> str:
     owner, _ = pattern.column_owner()
     moving = np.unique(owner[(N**2 >= SHARE * (N**2).max(axis=0)).any(axis=1)])
     label = component_labels(pattern)
-    whole = all((np.isin(np.flatnonzero(label == k), moving) | pattern.held[label == k]).all() for k in np.unique(label[moving]))
+    whole = all(
+        (np.isin(np.flatnonzero(label == k), moving) | pattern.held[label == k]).all() for k in np.unique(label[moving])
+    )
     if whole:
         return (
             "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "
             "components by a measurement."
         )
     return (
-        "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs two views "
-        "that differ."
+        "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs two "
+        "views that differ."
     )

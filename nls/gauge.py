@@ -1,14 +1,18 @@
 """The gauge: what relative measurements leave free, and what is done about it, by name.
 
-    first   in every component made of relative measurements only, with nothing fixed: hold one variable, the lowest
-            numbered of the kind with the most degrees of freedom (its pose, where there are poses)
-    prior   give that variable a prior of unit information at its start value instead
-    free    hold nothing and take the shortest step, the one of the pseudo-inverse
-    none    do nothing; a graph with a free gauge is then refused as under-constrained
+first   in every component made of relative measurements only, with nothing fixed: hold one variable, the lowest
+        numbered of the kind with the most degrees of freedom (its pose, where there are poses)
+prior   give that variable a prior of unit information at its start value instead
+free    hold nothing and take the shortest step, the one of the pseudo-inverse
+none    do nothing; a graph with a free gauge is then refused as under-constrained
+
+Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``: nothing says
+anything about them, so nothing can be wrong.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -22,7 +26,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Array
-from models.errors import OptionError
+from models.errors import GraphWarning, OptionError
 from nls.assemble import Pattern, offsets
 from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
 from nls.system import LinearSystem
@@ -85,11 +89,14 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
             touched[variables] = True
         if not batch.model.factor.relative:
             anchored[label[batch.variables[0]]] = True
+    if not (touched | fixed).all():
+        isolated = np.flatnonzero(~touched & ~fixed)
+        warnings.warn(f"{_named(pattern, isolated)}: no measurement touches them; held", GraphWarning, stacklevel=3)
+        fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, touched, anchored)
     if not len(chosen):
         return Gauge(fixed, said="fixed by the graph itself")
-    keys = [pattern.key(int(v)) for v in chosen]
-    named = ", ".join(map(repr, keys[:5])) + (f" and {len(keys) - 5} more" if len(keys) > 5 else "")
+    keys, named = [pattern.key(int(v)) for v in chosen], _named(pattern, chosen)
     if name == "prior":
         priors: list[Factor] = [Prior(key, values[key], Isotropic(1.0)) for key in keys]
         return Gauge(fixed, priors, f"a prior of unit information on {named}")
@@ -98,6 +105,12 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
     if name == "free":
         return Gauge(held, said=f"free, shortest step; computed with {named} held", free=True)
     return Gauge(held, said=f"{named} held")
+
+
+def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
+    """The first five of some variables, and how many more."""
+    names = ", ".join(repr(pattern.key(int(v))) for v in variables[:5])
+    return names + (f" and {len(variables) - 5} more" if len(variables) > 5 else "")
 
 
 def _first_of_components(
@@ -115,8 +128,8 @@ def _first_of_components(
 class FreeGauge(LinearSolver):
     """A linear solver whose step is the shortest of all minimizers, found with one variable per component held.
 
-    With A = [A_f A_h], the columns of N = [-pinv(A_f) A_h; I] change no measurement: they are the gauge. The step of the
-    solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means.
+    With A = [A_f A_h], the columns of N = [-pinv(A_f) A_h; I] change no measurement: they are the gauge. The step of
+    the solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means.
 
     Parameters
     ----------

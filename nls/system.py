@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from models.algebra import Array, apply
 from nls.hessian import Hessian
 
 if TYPE_CHECKING:
-    from nls.assemble import Pattern
+    from nls.assemble import Index, Pattern
 
 __all__ = ["LinearSystem"]
 
@@ -36,7 +36,7 @@ class LinearSystem:
 
     def __init__(self, pattern: Pattern, blocks: Sequence[tuple[Array, ...]], b: Array) -> None:
         self.pattern, self.blocks, self.b = pattern, blocks, b
-        self.chi2 = float(b @ b)
+        self.chi2 = float(np.square(b).sum())  # not b @ b: BLAS would start threads for it, and round differently
 
     def __iter__(self) -> Iterator[sp.csr_array | Array]:
         return iter((self.A, self.b))
@@ -55,17 +55,13 @@ class LinearSystem:
         return sp.csr_array((values, indices, indptr), shape=(self.pattern.m, self.pattern.n))
 
     @cached_property
-    def _structure(self) -> tuple[Array, Array, Array | None]:
+    def _structure(self) -> tuple[Index, Index, Index | None]:
         pattern = self.pattern
-        indices, lengths, keep = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], []
+        indices, lengths = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
             columns = np.concatenate(
-                [
-                    np.where(pattern.starts[v] < 0, -1 - np.arange(A_k.shape[2])[:, None], pattern.starts[v] + np.arange(A_k.shape[2])[:, None]).T
-                    for v, A_k in zip(batch.variables, A, strict=True)
-                ],
-                axis=1,
-            )  # (k, D), negative where held
+                [self._columns(v, A_k.shape[2]) for v, A_k in zip(batch.variables, A, strict=True)], axis=1
+            )  # (k, D), -1 where held
             full = np.repeat(columns[:, None], batch.model.dim, axis=1)
             indices.append(full.reshape(-1))
             lengths.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
@@ -74,15 +70,20 @@ class LinearSystem:
         indptr = np.concatenate([[0], np.cumsum(counts)])
         return (indices_all if keep is None else indices_all[keep]), indptr, keep
 
+    def _columns(self, variables: Index, d: int) -> Index:
+        """Columns (k, d) of the components of variables, -1 where they are held."""
+        start = self.pattern.starts[variables][:, None]
+        return np.where(start < 0, -1, start + np.arange(d))
+
     @cached_property
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
-        return self._by_column([apply(A_k.mT, b) for A_k, b in self._slots()])
+        return self._by_column(lambda A_k, b: apply(A_k.mT, b))
 
     @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,)."""
-        return np.sqrt(self._by_column([np.einsum("kmd,kmd->kd", A_k, A_k) for A_k, _ in self._slots()]))
+        return np.sqrt(self._by_column(lambda A_k, b: np.square(A_k).sum(axis=1)))
 
     @property
     def scaled_gradient(self) -> float:
@@ -115,22 +116,12 @@ class LinearSystem:
         names = {v: (repr(self.pattern.key(v)), self.pattern.component_names(v)) for v in dict.fromkeys(variable)}
         return [f"{names[v][0]}: {names[v][1][c]}" for v, c in zip(variable, component, strict=True)]
 
-    def _slots(self) -> Iterator[tuple[Array, Array]]:
-        for batch, A in zip(self.pattern.batches, self.blocks, strict=True):
+    def _by_column(self, part: Callable[[Array, Array], Array]) -> Array:
+        """Sum of part(A_k, b) (k, d) over all slots of all batches, in the free columns."""
+        pattern = self.pattern
+        sums = {kind: np.zeros((len(n), pattern.manifolds[kind].dim)) for kind, n in pattern.numbers.items()}
+        for batch, A in zip(pattern.batches, self.blocks, strict=True):
             b = self.b[batch.rows].reshape(len(batch), -1)
-            for A_k in A:
-                yield A_k, b
-
-    def _by_column(self, parts: list[Array]) -> Array:
-        """Sum (k, d) arrays, one per slot of every batch, into the free columns."""
-        pattern, out = self.pattern, np.zeros(self.pattern.n)
-        slots = [v for batch in pattern.batches for v in batch.variables]
-        for variables, part in zip(slots, parts, strict=True):
-            start = pattern.starts[variables]
-            if (free := start >= 0).all():
-                free = slice(None)
-            for d in range(part.shape[1]):
-                out += np.bincount(start[free] + d, part[free, d], minlength=pattern.n)
-        return out
-
-
+            for kind, incidence, A_k in zip(batch.kinds, batch.incidence, A, strict=True):
+                sums[kind] += incidence @ np.ascontiguousarray(part(A_k, b))
+        return pattern.restrict(np.concatenate([np.zeros(0), *(x.reshape(-1) for x in sums.values())]))

@@ -45,19 +45,27 @@ class Stack:
         return other
 
     def index(self, keys: Keys) -> npt.NDArray[np.intp]:
-        """Rows of the stack that hold these variables, (n,)."""
+        """Rows of the stack that hold these variables, (n,).
+
+        Raises
+        ------
+        GraphError
+            A variable that has no value here.
+        """
+        if not len(self):
+            raise GraphError(f"{keys[[0]]} has no value: Values hold no variable of kind {self.kind}", [keys])
         if self._order is None:  # consecutive numbers: the row is a subtraction
-            index = (keys.numbers - self.numbers[0]).astype(np.intp)
+            index: npt.NDArray[np.intp] = (keys.numbers - self.numbers[0]).astype(np.intp)
             found = (keys.numbers >= self.numbers[0]) & (keys.numbers <= self.numbers[-1])
         else:
             place = np.minimum(np.searchsorted(self._sorted, keys.numbers), len(self) - 1)
             index = self._order[place]
-            found = self._sorted[place] == keys.numbers if len(self) else np.zeros(len(keys), dtype=bool)
+            found = self._sorted[place] == keys.numbers
         if not found.all():
             missing = keys[~found]
             raise GraphError(
-                f"{missing[[0]]} has no value ({int((~found).sum())} such of kind {self.kind}); Values hold "
-                f"{self.kind}{self._sorted[0] if len(self) else ''} to {self.kind}{self._sorted[-1] if len(self) else ''}",
+                f"{missing[[0]]} has no value ({len(missing)} such of kind {self.kind}); Values hold {len(self)} "
+                f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}",
                 [missing],
             )
         return index

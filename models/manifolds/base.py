@@ -98,11 +98,11 @@ class LieGroup(Manifold):
     flat: ClassVar[bool] = False
 
     @abstractmethod
-    def exp(self, delta: npt.ArrayLike) -> Array:
+    def exp(self, delta: npt.ArrayLike, /) -> Array:
         """Group element Exp(delta), (..., dim) to (..., size)."""
 
     @abstractmethod
-    def log(self, X: npt.ArrayLike) -> Array:
+    def log(self, X: npt.ArrayLike, /) -> Array:
         """Tangent vector Log(X), (..., size) to (..., dim); Exp(Log(X)) = X."""
 
     @abstractmethod
@@ -114,30 +114,34 @@ class LieGroup(Manifold):
         """X^-1."""
 
     @abstractmethod
-    def adjoint(self, X: npt.ArrayLike) -> Array:
+    def adjoint(self, X: npt.ArrayLike, /) -> Array:
         """Ad_X (..., dim, dim): X Exp(delta) = Exp(Ad_X delta) X."""
 
+    def adjoint_inverse(self, X: npt.ArrayLike) -> Array:
+        """Ad of X^-1."""
+        return self.adjoint(self.inverse(X))
+
     @abstractmethod
-    def jl(self, delta: npt.ArrayLike) -> Array:
+    def jl(self, delta: npt.ArrayLike, /) -> Array:
         """Left Jacobian of Exp (..., dim, dim): Exp(delta + d) = Exp(jl(delta) d) Exp(delta) + O(d^2)."""
 
     @abstractmethod
-    def jl_inv(self, delta: npt.ArrayLike) -> Array:
+    def jl_inv(self, delta: npt.ArrayLike, /) -> Array:
         """Inverse of the left Jacobian: Log(Exp(d) Exp(delta)) = delta + jl_inv(delta) d + O(d^2)."""
 
     @abstractmethod
-    def vector(self, X: npt.ArrayLike) -> Array:
+    def vector(self, X: npt.ArrayLike, /) -> Array:
         """The chart of pose-graph files (..., dim): translation, and wrapped angle or quaternion vector part.
 
         In three dimensions the rotation part is *half* a rotation vector to first order, of the quaternion with w >= 0.
         """
 
     @abstractmethod
-    def vector_jl(self, X: npt.ArrayLike) -> Array:
+    def vector_jl(self, X: npt.ArrayLike, /) -> Array:
         """d vector(Exp(d) X) / dd at 0, (..., dim, dim)."""
 
     @abstractmethod
-    def vector_jr(self, X: npt.ArrayLike) -> Array:
+    def vector_jr(self, X: npt.ArrayLike, /) -> Array:
         """d vector(X Exp(d)) / dd at 0, (..., dim, dim)."""
 
     def jr(self, delta: npt.ArrayLike) -> Array:

@@ -112,6 +112,6 @@ def _refuse_gimbal_lock(cos_pitch: Array) -> None:
     bad = np.atleast_1d(cos_pitch < GIMBAL_LOCK)
     if bad.any():
         raise SingularGeometryError(
-            f"Euler angles: element {int(np.argmax(bad))} of the batch is at gimbal lock (pitch = +-90 deg), where roll "
-            "and yaw are not two numbers; keep the state on SE3 and use its rotation vector"
+            f"Euler angles: element {int(np.argmax(bad))} of the batch is at gimbal lock (pitch = +-90 deg), where "
+            "roll and yaw are not two numbers; keep the state on SE3 and use its rotation vector"
         )

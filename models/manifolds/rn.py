@@ -34,7 +34,7 @@ class Vectors(LieGroup):
     vector = log
 
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
-        return np.asarray(X, dtype=float) + np.asarray(Y, dtype=float)
+        return np.asarray(np.asarray(X, dtype=float) + np.asarray(Y, dtype=float))
 
     def inverse(self, X: npt.ArrayLike) -> Array:
         return -np.asarray(X, dtype=float)
@@ -51,7 +51,6 @@ class Vectors(LieGroup):
         return X if self.dim in (2, 3) else X[..., :0]
 
 
-@cache
 def R(n: int) -> LieGroup:
     """The space of vectors of n numbers; ``R(n) is R(n)``.
 
@@ -63,4 +62,9 @@ def R(n: int) -> LieGroup:
     """
     if not isinstance(n, int | np.integer) or n < 1:
         raise OptionError("R(n)", n, "a whole number of at least 1")
-    return Vectors(int(n))
+    return _vectors(int(n))
+
+
+@cache
+def _vectors(n: int) -> LieGroup:
+    return Vectors(n)

@@ -5,7 +5,7 @@ With w the rotation vector, P = [rho]x, K = [w]x and the Stumpff functions c_k(|
     Exp(rho, w) = (V rho, Exp(w)),      V = J_l(w) of SO(3)
     J_l = [[V, Q], [0, V]],             J_l^-1 = [[V^-1, -V^-1 Q V^-1], [0, V^-1]]
     Q = P/2 + c3 (KP + PK + KPK) + c4 (KKP + PKK - 3 KPK) + (c4 - 3 c5)/2 (KPKK + KKPK)
-    Ad = [[R, [t]x R], [0, R]]
+    Ad = [[R, [t]x R], [0, R]],         Ad^-1 = [[R', -R' [t]x], [0, R']]
 
 Source: T. Barfoot, State Estimation for Robotics, 2017, equations (7.86) and (7.95); the coefficients are rewritten
 in Stumpff functions, where nothing cancels near 0.
@@ -86,6 +86,11 @@ class PosesOfSpace(LieGroup):
         t, q = split(X)
         R = rotation3(q)
         return block_triangular(R, product(skew(t), R), R)
+
+    def adjoint_inverse(self, X: npt.ArrayLike) -> Array:
+        t, q = split(X)
+        R_inv = rotation3(SO3.inverse(q))
+        return block_triangular(R_inv, -product(R_inv, skew(t)), R_inv)
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)

@@ -73,7 +73,7 @@ def quaternion_from_matrix(R: npt.ArrayLike) -> Array:
     )
     k = np.argmax(pack(diagonal), axis=-1)
     q = np.take_along_axis(outer, k[..., None, None], axis=-2)[..., 0, :]
-    return q * (np.where(q[..., 3:] < 0, -1.0, 1.0) / np.linalg.norm(q, axis=-1, keepdims=True))
+    return np.asarray(q * (np.where(q[..., 3:] < 0, -1.0, 1.0) / np.linalg.norm(q, axis=-1, keepdims=True)))
 
 
 def quaternion_vector(q: npt.ArrayLike) -> Array:

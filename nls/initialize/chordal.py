@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from models import SE2, SE3
-from models.algebra import Array, apply, product
+from models.algebra import Array, apply, product, wrap
 from models.errors import UnderconstrainedError
 from models.manifolds.so2 import rotation2
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
@@ -60,8 +60,8 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     >>> from nls.initialize import chordal
     >>> (x,) = kinds("x")
     >>> square = Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 0]], [1.0, 0.0, np.pi / 2], Isotropic(1))
-    >>> chordal(FactorGraph([square]), Values({x: (SE2, SE2.identity(4))}))[x[2]].round(6).tolist()
-    [1.0, 1.0, -3.141593]
+    >>> chordal(FactorGraph([square]), Values({x: (SE2, SE2.identity(4))}))[x[1:4]].round(6).tolist()
+    [[1.0, 0.0, 1.570796], [1.0, 1.0, -3.141593], [-0.0, 1.0, -1.570796]]
     """
     for edges in pose_edges(graph, values):
         if edges.group in (SE2, SE3):
@@ -95,7 +95,7 @@ def _relax(edges: PoseEdges, X: Array) -> Array:
     free = system.free
     out[free, :d] = position[free]
     out[free, d:] = (
-        np.arctan2(rotations[free, 1, 0], rotations[free, 0, 0])[:, None]
+        wrap(np.arctan2(rotations[free, 1, 0], rotations[free, 0, 0]))[:, None]
         if plane
         else quaternion_from_matrix(rotations[free])
     )
@@ -113,7 +113,7 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
 
 
 class _Laplacian:
-    """Minimizers of sum w |y_j - T y_i - c|^2 over blocks y, with T orthogonal and the first pose of each component held."""
+    """Minimizers of sum w |y_j - T y_i - c|^2 over blocks y, T orthogonal, the first pose of each component held."""
 
     def __init__(self, edges: PoseEdges) -> None:
         touched = np.zeros(edges.n, dtype=bool)

@@ -51,7 +51,9 @@ class Dialect:
 
 
 PLANE = Dialect(SE2, b"VERTEX_SE2", b"EDGE_SE2", "id x y theta", "i j dx dy dtheta I11 I12 I13 I22 I23 I33")
-SPACE = Dialect(SE3, b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT", "id x y z qx qy qz qw", "i j x y z qx qy qz qw and 21 entries")
+SPACE = Dialect(
+    SE3, b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT", "id x y z qx qy qz qw", "i j x y z qx qy qz qw and 21 entries"
+)
 HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
 
 
@@ -82,7 +84,9 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     report.tags = {tag.decode("utf-8", "replace"): len(lines) for tag, lines in tags.items()}
     ignored = {tag: lines for tag, lines in tags.items() if tag not in known}
     if ignored:
-        named = ", ".join(f"{t.decode('utf-8', 'replace')[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in ignored.items())
+        named = ", ".join(
+            f"{t.decode('utf-8', 'replace')[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in ignored.items()
+        )
         report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
         report.ignored = [text.line(int(n)) for n in np.sort(np.concatenate(list(ignored.values())))]
         warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=3)
@@ -98,7 +102,8 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     else:
         values = Values({"x": (dialect.group, poses, ids)})
     for line in tags.get(b"FIX", none):
-        numbers = text.whole(np.full(int(text.first[line + 1] - text.first[line]) - 1, line), 1 + np.arange(int(text.first[line + 1] - text.first[line]) - 1))
+        count = int(text.first[line + 1] - text.first[line]) - 1
+        numbers = text.whole(np.full(count, line), 1 + np.arange(count))
         keys = Keys("x", numbers)
         if keys not in values:
             missing = keys[~np.isin(numbers, values.stack("x").numbers)]
@@ -113,7 +118,9 @@ def text_error(text: Text, tags: dict[bytes, npt.NDArray[np.intp]], known: set[b
     if not tags:
         return text.error(f"is empty; expected lines such as {expected}", 0)
     tag, lines = next(iter(tags.items()))
-    return text.error(f"{tag.decode('utf-8', 'replace')[:30]!r} is no tag of a pose graph; expected {expected}", int(lines[0]))
+    return text.error(
+        f"{tag.decode('utf-8', 'replace')[:30]!r} is no tag of a pose graph; expected {expected}", int(lines[0])
+    )
 
 
 def _vertices(text: Text, dialect: Dialect, lines: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.int64], Array]:

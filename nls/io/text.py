@@ -135,8 +135,8 @@ class Text:
         tokens = (self.first[lines] + 1)[:, None] + np.arange(columns)
         return self.numbers(tokens.reshape(-1), lines, columns).reshape(len(lines), columns)
 
-    def whole(self, lines: Index, column: int) -> npt.NDArray[np.int64]:
-        """Whole numbers of one column (1 is the first after the tag) of these lines: ids, exact up to 2^63 - 1.
+    def whole(self, lines: Index, column: int | Index) -> npt.NDArray[np.int64]:
+        """Whole numbers of one column per line (1 is the first after the tag): ids, exact up to 2^63 - 1.
 
         Raises
         ------
@@ -144,24 +144,28 @@ class Text:
             A word that is no whole number, or too large.
         """
         tokens = self.first[lines] + column
-        value, plain = self._by_columns(tokens, whole=True)
+        number, plain, pointed = self._by_columns(tokens)
+        plain &= ~pointed
+        value = np.where(plain, number, 0.0).astype(np.int64)
         for k in np.flatnonzero(~plain):
             word = self.token(int(tokens[k]))
-            number = int(word) if WHOLE.fullmatch(word) else None
-            if number is None or not -(2**63) <= number < 2**63:
+            exact = int(word) if WHOLE.fullmatch(word) and len(word) < 30 else 2**63
+            if not -(2**63) <= exact < 2**63:
                 raise self.error(
                     f"id {word[:40].decode('utf-8', 'replace')!r} is not a whole number below 2^63", int(lines[k])
                 )
-            value[k] = number
+            value[k] = exact
         return value
 
     def numbers(self, tokens: Index, lines: Index, columns: int) -> Array:
         """Correctly rounded numbers of tokens; token k is on ``lines[k // columns]``."""
-        mantissa, plain = self._by_columns(tokens, whole=False)
-        value = mantissa
+        value, plain, _ = self._by_columns(tokens)
         rest = np.flatnonzero(~plain)
         if len(rest):
-            words = [self._buffer[s:e].tobytes() for s, e in zip(self.starts[tokens[rest]], self.ends[tokens[rest]], strict=True)]
+            words = [
+                self._buffer[s:e].tobytes()
+                for s, e in zip(self.starts[tokens[rest]], self.ends[tokens[rest]], strict=True)
+            ]
             good = [NUMBER.fullmatch(word) is not None for word in words]
             if not all(good):
                 k = good.index(False)
@@ -171,15 +175,17 @@ class Text:
             value[rest] = np.fromiter(map(float, words), dtype=float, count=len(words))
             if not np.isfinite(value[rest]).all():
                 k = int(np.argmax(~np.isfinite(value[rest])))
-                raise self.error(f"{words[k][:40].decode()!r} is beyond the largest number", int(lines[rest[k] // columns]))
+                raise self.error(
+                    f"{words[k][:40].decode()!r} is beyond the largest number", int(lines[rest[k] // columns])
+                )
         return value
 
-    def _by_columns(self, tokens: Index, whole: bool) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Numbers of the plain form, and which tokens have it."""
+    def _by_columns(self, tokens: Index) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Numbers of the plain form, which tokens have it, and which have a point."""
         starts = self.starts[tokens]
         lengths = self.ends[tokens] - starts
-        value = np.zeros(len(tokens), dtype=np.int64 if whole else np.float64)
-        plain = np.zeros(len(tokens), dtype=bool)
+        value = np.zeros(len(tokens))
+        plain, pointed = np.zeros(len(tokens), dtype=bool), np.zeros(len(tokens), dtype=bool)
         order = np.argsort(np.minimum(lengths, LONGEST + 1).astype(np.uint8), kind="stable")
         bounds = np.searchsorted(lengths[order], np.arange(1, LONGEST + 2))
         for length in range(1, LONGEST + 1):
@@ -194,7 +200,7 @@ class Text:
             point = digits == 254
             points = point.sum(axis=0, dtype=np.uint8)
             digits[point] = 0
-            fine = (digits <= 9).all(axis=0) & (points <= (0 if whole else 1)) & (length - negative - points >= 1)
+            fine = (digits <= 9).all(axis=0) & (points <= 1) & (length - negative - points >= 1)
             total = digits[0].astype(float)
             for row in digits[1:]:
                 total *= 10.0
@@ -206,5 +212,5 @@ class Text:
                 whole_part = np.floor(total / (10.0 * scale))
                 total = np.where(points > 0, (total - 9.0 * scale * whole_part) / scale, total)
             value[group] = np.where(negative, -total, total)
-            plain[group] = fine
-        return value, plain
+            plain[group], pointed[group] = fine, points > 0
+        return value, plain, pointed

@@ -15,11 +15,14 @@ if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["SINGULAR", "LinearSolution", "LinearSolver", "SingularSystemError"]
+__all__ = ["INSTALL_SUITESPARSE", "SINGULAR", "LinearSolution", "LinearSolver", "SingularSystemError"]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
 digits of the column were cancelled by the columns before it, and the direction counts as free."""
+
+
+INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"
 
 
 class SingularSystemError(np.linalg.LinAlgError):

@@ -6,17 +6,12 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
   of scalar AMD at half the time.
 - Blocks of SE(3) are factorized supernodal, those of SE(2) simplicial (CHOLMOD's own choice is 3 times slower on 10,000
   plane poses).
-- SuiteSparse 5 opens OpenMP regions of a fixed four threads in its supernodal code, which two cores spend waiting for
-  each other: 80 ms instead of 24 for sphere2500. They are kept from opening during a factorization, and OpenBLAS is
-  kept on one thread, which also makes results independent of the machine's load.
+- One thread: see `nls.linear.threads`.
 """
 
 from __future__ import annotations
 
-import ctypes
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -24,16 +19,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
-from nls.linear.base import SingularSystemError
+from nls.linear.base import INSTALL_SUITESPARSE, SingularSystemError
 from nls.linear.normal import Factorization, NormalEquations
+from nls.linear.threads import openmp, single_thread
 
 if TYPE_CHECKING:
     from nls.hessian import Hessian, Index
 
-__all__ = ["Cholesky", "CholmodFactorization", "threads"]
+__all__ = ["Cholesky", "CholmodFactorization", "openmp_capped"]
 
 SUPERNODAL_FROM = 4.5  # mean block size: SE(2) graphs are below, SE(3) graphs above
-INSTALL = "CHOLMOD is missing; install it with: apt-get install libsuitesparse-dev libopenblas0, pip install leadline[cholmod]"
 
 
 @cache
@@ -74,15 +69,18 @@ class CholmodFactorization(Factorization):
     def factorize(self, S: Array) -> Array:
         self._H.data = self._hessian.data(S)
         try:
-            with threads(), warnings.catch_warnings():
-                warnings.simplefilter("ignore", self._module.CholmodWarning)  # its word for a small pivot: checked below
+            with single_thread(), warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore", self._module.CholmodWarning
+                )  # its word for a small pivot: checked below
                 self._chol.cholesky_inplace(self._H)
         except self._module.CholmodNotPositiveDefiniteError as error:
             raise SingularSystemError(str(error)) from error
         return np.asarray(self._chol.D())
 
     def solve(self, g: Array) -> Array:
-        return np.asarray(self._chol.solve_A(g))
+        with single_thread():
+            return np.asarray(self._chol.solve_A(g))
 
     def upper(self) -> tuple[sp.csc_array, Index]:
         return sp.csc_array(self._chol.L().T), np.arange(self._hessian.n)
@@ -96,44 +94,9 @@ class Cholesky(NormalEquations):
 
     @classmethod
     def missing(cls) -> str | None:
-        return None if cholmod() is not None else INSTALL
-
-
-@cache
-def _openmp() -> ctypes.CDLL | None:
-    """The OpenMP runtime CHOLMOD is linked with, if it is GNU's and in this process."""
-    try:
-        with open("/proc/self/maps") as maps:
-            paths = {line.split()[-1] for line in maps if "libgomp" in line}
-    except OSError:
-        return None
-    return ctypes.CDLL(sorted(paths)[0]) if paths else None
-
-
-@cache
-def _blas() -> Any:
-    """Controller of the BLAS libraries in this process; made once, after CHOLMOD's was loaded."""
-    from threadpoolctl import ThreadpoolController
-
-    cholmod()
-    return ThreadpoolController().select(user_api="blas")
-
-
-@contextmanager
-def threads() -> Iterator[None]:
-    """One BLAS thread and no OpenMP regions while a factorization runs; both are restored."""
-    openmp = _openmp()
-    levels = openmp.omp_get_max_active_levels() if openmp else 0
-    if openmp:
-        openmp.omp_set_max_active_levels(0)
-    try:
-        with _blas().limit(limits=1):
-            yield
-    finally:
-        if openmp:
-            openmp.omp_set_max_active_levels(levels)
+        return None if cholmod() is not None else INSTALL_SUITESPARSE
 
 
 def openmp_capped() -> bool:
     """Whether CHOLMOD's OpenMP regions can be kept from opening."""
-    return cholmod() is not None and _openmp() is not None
+    return cholmod() is not None and openmp() is not None

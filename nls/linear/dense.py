@@ -40,8 +40,8 @@ class _Dense(LinearSolver):
         needed = self.needed(pattern.m, pattern.n)
         if needed > self.memory_limit:
             raise ResourceLimitError(
-                f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, the "
-                f"limit is {self.memory_limit / 1e9:.1f} GB; use a sparse solver",
+                f"linear solver {self.name!r}: a dense {pattern.m} x {pattern.n} system needs {needed / 1e9:.1f} GB, "
+                f"the limit is {self.memory_limit / 1e9:.1f} GB; use a sparse solver",
                 needed,
                 self.memory_limit,
                 "dense system",

@@ -64,14 +64,15 @@ class NormalState:
         R, p = self.factorization.upper()
         return R, self.hessian.permutation[p]
 
-    def factorize(self, S: Array) -> None:
-        """Factorize H from its flat blocks and refuse a rank-deficient one."""
+    def factorize(self, S: Array) -> Array:
+        """Factorize H from its flat blocks, refuse a rank-deficient one; returns the diagonal of H, in its order."""
         diagonal = np.take(S, self.hessian.source[self.hessian.indptr[:-1]])
         if not np.isfinite(diagonal.sum()):
             raise SingularSystemError("A'A is not finite")
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
             raise SingularSystemError("a pivot of A'A vanishes")
+        return diagonal
 
 
 class NormalEquations(LinearSolver):
@@ -89,7 +90,9 @@ class NormalEquations(LinearSolver):
         S = state.hessian.collect(system)
         gradient = system.gradient
         t1 = perf_counter()
-        state.factorize(S)
+        squared_norms = np.empty_like(gradient)
+        squared_norms[state.hessian.permutation] = state.factorize(S)
+        system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
         t2 = perf_counter()
         dx = state.solve(gradient)
         if not np.isfinite(dx.sum()):

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
-from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
-from nls.linear.cholesky import threads
+from nls.linear.base import INSTALL_SUITESPARSE, SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
 __all__ = ["QR"]
-
-INSTALL = "SPQR is missing; install it with: apt-get install libsuitesparse-dev libopenblas0, pip install leadline[cholmod]"
 
 
 @cache
@@ -38,7 +36,7 @@ class QR(LinearSolver):
 
     @classmethod
     def missing(cls) -> str | None:
-        return None if spqr() is not None else INSTALL
+        return None if spqr() is not None else INSTALL_SUITESPARSE
 
     def analyze(self, pattern: Pattern) -> None:
         self.require()
@@ -56,7 +54,7 @@ class QR(LinearSolver):
             raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
         scaled = sp.coo_matrix(A @ sp.diags_array(1 / lengths))
         t1 = perf_counter()
-        with threads():
+        with single_thread():
             Z, R, E, _ = module.rz(scaled, b, tolerance=SINGULAR)
         t2 = perf_counter()
         R = sp.csr_array(R)[:n]

@@ -66,13 +66,13 @@ class GaussNewton:
         try:
             while True:
                 old = history[-1]
-                if system.scaled_gradient <= stop.gradient_tol or system.chi2 == 0.0:
-                    return best, *_settled(f"scaled gradient {system.scaled_gradient:.1e}", old, lowest), history
                 if old.number >= stop.max_iterations:
                     return best, Status.MAX_ITERATIONS, f"after {old.number} iterations", history
                 if perf_counter() - began > stop.max_seconds:
                     return best, Status.MAX_TIME, f"after {perf_counter() - began:.1f} s", history
                 dx = problem.solve(system)
+                if system.scaled_gradient <= stop.gradient_tol or system.chi2 == 0.0:
+                    return best, *_settled(f"scaled gradient {system.scaled_gradient:.1e}", old, lowest), history
                 update = float(np.abs(dx).max(initial=0.0))
                 if not update < BOUND:
                     return best, Status.DIVERGED, f"the update of iteration {old.number + 1} is {update:.3g}", history
@@ -92,10 +92,12 @@ class GaussNewton:
                     return best, Status.DIVERGED, f"chi2 is {chi2:.3g} after {history[0].chi2:.3g}", history
                 if 0 <= old.chi2 - chi2 <= stop.chi2_rtol * old.chi2:
                     fall = (old.chi2 - chi2) / old.chi2
-                    return best, *_settled(f"chi2 fell by {fall:.1e} of itself <= {stop.chi2_rtol:g}", new, lowest), history
-                if since_best >= PATIENCE and any(
-                    abs(chi2 - h.chi2) <= 1e-6 * chi2 for h in history[-PATIENCE:-1]
-                ):
+                    return (
+                        best,
+                        *_settled(f"chi2 fell by {fall:.1e} of itself <= {stop.chi2_rtol:g}", new, lowest),
+                        history,
+                    )
+                if since_best >= PATIENCE and any(abs(chi2 - h.chi2) <= 1e-6 * chi2 for h in history[-PATIENCE:-1]):
                     return best, Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {lowest:.6g}", history
         except SingularSystemError as error:
             raise underconstrained(problem.pattern, system, best) from error

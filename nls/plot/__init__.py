@@ -1,4 +1,4 @@
-"""Pictures: trajectories before and after, sparsity with labels, convergence. matplotlib is imported here alone, lazily."""
+"""Pictures: trajectories, sparsity, convergence. matplotlib is imported in this folder only, and lazily."""
 
 from nls.plot.convergence import convergence
 from nls.plot.sparsity import spy

@@ -21,13 +21,14 @@ PATH, CLOSURE, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
-def before_after(graph: FactorGraph, start: Values, result: Result, title: str = "") -> Figure:
-    """The start, the optimum and the convergence, side by side.
+def before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
+    """What was there before, the optimum and the convergence, side by side.
 
     Parameters
     ----------
     graph : its edges are drawn.
-    start, result : before and after.
+    before : the values as they came, from a file or dead reckoning (the optimizer may have had a better start).
+    result : after.
     title : of the figure.
 
     Returns
@@ -38,13 +39,14 @@ def before_after(graph: FactorGraph, start: Values, result: Result, title: str =
 
     from nls.plot.convergence import convergence
 
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    figure = Figure(figsize=(14, 4.6), layout="constrained")
+    figure.set_layout_engine("constrained", wspace=0.06)
     space = {"projection": "3d"} if _points(result.values).shape[1] == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
     middle = figure.add_subplot(1, 3, 2, **space)
     right = figure.add_subplot(1, 3, 3)
-    trajectory(graph, start, left)
-    left.set_title(f"before: chi2 = {result.chi2_initial:.4g}")
+    trajectory(graph, before, left)
+    left.set_title(f"before: chi2 = {graph.chi2(before):.4g}")
     trajectory(graph, result.values, middle)
     middle.set_title(f"after: chi2 = {result.chi2_final:.4g}")
     convergence(result, right)
@@ -87,13 +89,13 @@ def trajectory(graph: FactorGraph, values: Values, axes: Axes | None = None) -> 
     axes.set_ylabel("y [m]")
     if dim == 3:
         axes.set_zlabel("z [m]")  # type: ignore[attr-defined]
-        axes.set_box_aspect(np.maximum(np.ptp(_points(values), axis=0), 1e-9))  # type: ignore[arg-type]
+        axes.set_box_aspect(np.maximum(np.ptp(_points(values), axis=0), 1e-9), zoom=0.85)  # type: ignore[call-arg]
         axes.tick_params(labelsize=7)
     else:
         axes.set_aspect("equal", adjustable="datalim")
     if len(segments):
         shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
-        axes.legend(loc="upper right", fontsize=8, title=shown.strip(", ") or None)
+        axes.legend(loc="upper left", fontsize=8, title=shown.strip(", ") or None)
     figure = axes.get_figure()
     assert figure is not None
     return figure  # type: ignore[return-value]
@@ -106,7 +108,7 @@ def _points(values: Values) -> Array:
 
 
 def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
-    """Segments (k, 2, dim) of measurements between variables that are not neighbors in number, and how many there are."""
+    """Segments (k, 2, dim) of measurements between variables that are not neighbors in number, and their count."""
     out = []
     for factor in graph.factors:
         if len(factor.keys) != 2:
@@ -114,9 +116,7 @@ def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
         i, j = factor.keys
         ends = [values.stack(k.kind) for k in (i, j)]
         apart = (i.kind != j.kind) | (np.abs(i.numbers - j.numbers) != 1)
-        points = [
-            np.asarray(s.manifold.position(s.X))[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)
-        ]
+        points = [np.asarray(s.manifold.position(s.X))[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)]
         if points[0].shape[1] == points[1].shape[1] > 0:
             out.append(np.stack(points, axis=1))
     if not out:
@@ -127,7 +127,7 @@ def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
 
 def _lines(axes: Axes, segments: Array, **style: Any) -> None:
     if segments.shape[2] == 3:
-        from mpl_toolkits.mplot3d.art3d import Line3DCollection
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
 
         axes.add_collection3d(Line3DCollection(segments, **style))  # type: ignore[attr-defined]
     else:

@@ -1,0 +1,190 @@
+"""Command line of the simulator: a world by name, its graph and its truth as files, and one table."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import sys
+import textwrap
+import typing
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from models.errors import LeadlineError, OptionError
+from sim.world import World, position_error
+from sim.worlds.grid3d import grid3d
+from sim.worlds.manhattan import manhattan
+from sim.worlds.ring import ring
+from sim.worlds.sphere import sphere
+from sim.worlds.torus import torus
+
+__all__ = ["WORLDS", "main"]
+
+WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
+FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
+EXAMPLES = """examples:
+  nls-sim sphere --out demo                       graph and truth in the folder demo, and a table
+  nls-sim manhattan --poses 1000 --seed 7         the table only
+  nls-sim sphere --rings 20 --per-ring 30 --sigma-r 0.05
+  nls-sim torus --help                            sizes and noise of this world, with their defaults
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """One line for a mistake instead of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"nls-sim: {message}; see {self.prog} --help", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code: 0, or 2 for a mistake in the options or the folder.
+
+    Examples
+    --------
+    >>> main(["ring", "--laps", "2", "--per-lap", "20", "--seed", "3"])
+    world           ring, seed 3
+    poses           40 in SE2
+    ...
+    0
+    """
+    known, unknown = parser().parse_known_args(argv)
+    given = vars(known)
+    if unknown:
+        return complain(f"{unknown[0]} is no option of {known.NAME}; see nls-sim {known.NAME} --help")
+    name, seed, out = given.pop("NAME"), given.pop("seed"), given.pop("out")
+    try:
+        if out == "":
+            raise OptionError("out", out, "a folder")
+        world = WORLDS[name](np.random.default_rng(seed), **given)
+        table = rows(world)
+        if out is not None:
+            table.append(("written", write(world, Path(out), aligned(table), command(name, seed, given))))
+    except OptionError as error:
+        return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
+    except OSError as error:
+        return complain(f"{error.filename or out}: {error.strerror or error}; give another folder to --out")
+    except LeadlineError as error:
+        return complain(str(error))
+    print(aligned(table))
+    return 0
+
+
+def aligned(table: list[tuple[str, str]]) -> str:
+    """The table as lines of text."""
+    return "\n".join(f"{label:14s}  {text}" for label, text in table)
+
+
+def rows(world: World) -> list[tuple[str, str]]:
+    """The table, one (label, text) a line."""
+    odometry, closures = world.graph.factors
+    return [
+        ("world", f"{world.name}, seed {world.seed}"),
+        ("poses", f"{world.poses} in {world.truth.stack('x').manifold}"),
+        ("edges", f"{len(world.graph)}: {len(odometry)} odometry, {len(closures)} loop closures"),
+        ("chi2 at start", f"{world.graph.chi2(world.start):.6g}"),
+        ("chi2 at truth", f"{world.graph.chi2(world.truth):.6g}, expected {world.rows} (rows of A)"),
+        ("dof", f"{world.dof}: the expected chi2 at the optimum"),
+        ("start error", f"{position_error(world.start, world.truth):.4g} m (RMSE of positions, first pose aligned)"),
+    ]
+
+
+def write(world: World, folder: Path, table: str, call: str) -> str:
+    """Write graph.g2o, truth.g2o and README.txt into the folder, which is made; returns what was written."""
+    from nls import save  # only here: a table needs no file formats
+
+    folder.mkdir(parents=True, exist_ok=True)
+    save(folder / "graph.g2o", world.graph, world.start)
+    save(folder / "truth.g2o", world.graph, world.truth)
+    (folder / "README.txt").write_text(
+        f"{textwrap.fill(world.description, 100)}\n\n{table}\n\n"
+        "graph.g2o: the measurements, and the chained odometry as the start.\n"
+        "truth.g2o: the same measurements, and the true poses.\n"
+        f"Made by: {call}\n",
+        encoding="utf-8",
+    )
+    return ", ".join(str(folder / file) for file in ("graph.g2o", "truth.g2o", "README.txt"))
+
+
+def command(name: str, seed: int, given: dict[str, Any]) -> str:
+    """The command that makes the same world again, with every option spelled out."""
+    options = " ".join(f"{flag(option)} {value}" for option, value in given.items() if value is not None)
+    return f"nls-sim {name} --seed {seed} {options}"
+
+
+def parser() -> Parser:
+    """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
+    top = Parser(
+        prog="nls-sim",
+        description="Simulate a SLAM problem whose answer is known: a pose graph with seeded noise.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    worlds = top.add_subparsers(dest="NAME", metavar="NAME", required=True, title="worlds", parser_class=Parser)
+    for name, make in WORLDS.items():
+        doc = inspect.getdoc(make) or ""
+        said = re.split(r"\nParameters\n-+\n", doc)[0]
+        sub = worlds.add_parser(
+            name,
+            help=said.splitlines()[0].replace("%", "%%"),
+            description=said.replace("`", ""),
+            epilog=f"example:\n  nls-sim {name} --seed 1 --out {name}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
+        sub.add_argument("--out", metavar="DIR", help="write graph.g2o, truth.g2o and README.txt into this folder")
+        helps = dict(re.findall(r"^(\w+) : (.+)$", doc, re.MULTILINE))
+        hints = typing.get_type_hints(make)
+        for option, parameter in inspect.signature(make).parameters.items():
+            if parameter.default is parameter.empty:
+                continue  # the generator
+            whole = hints[option] is not float
+            default = "" if parameter.default is None else f" (default {parameter.default})"
+            sub.add_argument(
+                flag(option),
+                dest=option,
+                type=whole_number if whole else number,
+                default=parameter.default,
+                metavar="N" if whole else "X",
+                help=(helps[option].rstrip(".") + default).replace("`", "").replace("%", "%%"),
+            )
+    return top
+
+
+def flag(option: str) -> str:
+    """The option of the command line that sets a parameter."""
+    return FLAGS.get(option, "--" + option.replace("_", "-")) if option.isidentifier() else option
+
+
+def whole_number(text: str) -> int:
+    """An int, or the sentence argparse prints."""
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def seed_number(text: str) -> int:
+    """A whole number of at least 0."""
+    if (value := whole_number(text)) < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is below 0; a seed is a whole number of at least 0")
+    return value
+
+
+def number(text: str) -> float:
+    """A float, or the sentence argparse prints."""
+    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return float(text)
+
+
+def complain(message: str) -> int:
+    """One line to stderr; the exit code of a mistake."""
+    print(f"nls-sim: {message}", file=sys.stderr)
+    return 2

@@ -1,0 +1,235 @@
+r"""What a simulated world is, and the three steps every one of them shares: measure, chain, build.
+
+    z = h Exp(v),   v ~ N(0, Sigma),   h = x_i^{-1} x_j
+
+The noise is drawn in the tangent space at the true h, so the residual Log(h^-1 z) of the convention `log` is v itself:
+chi2 at the truth is a chi-square variable with as many degrees of freedom as there are measured numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import Between, Diagonal
+from models import LieGroup
+from models.algebra import Array
+from models.errors import GraphError
+from nls import FactorGraph, Values, kinds
+from sim.checks import check_not_negative, check_positive, check_rng
+
+__all__ = ["Index", "World", "build", "chain", "measure", "position_error", "start_from_odometry"]
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class World:
+    """A simulated problem together with its answer.
+
+    Attributes
+    ----------
+    name : of the function that made it.
+    truth : the true poses, kind ``x``, numbers 0 .. n-1.
+    graph : two factors: ``graph.factors[0]`` the odometry from each pose to the next, ``graph.factors[1]`` the loop
+        closures. Relative measurements only: the gauge is free.
+    start : the noisy odometry chained from the first true pose.
+    seed : the whole number the generator was made from; None where it was made in another way.
+    description : what the world is, in sentences with the numbers.
+    """
+
+    name: str
+    truth: Values
+    graph: FactorGraph
+    start: Values
+    seed: int | None
+    description: str
+
+    @property
+    def poses(self) -> int:
+        """Number of poses."""
+        return len(self.truth)
+
+    @property
+    def closures(self) -> int:
+        """Number of loop closures."""
+        return len(self.graph.factors[1])
+
+    @property
+    def rows(self) -> int:
+        """Measured numbers, the rows of A: the expected chi2 at the truth."""
+        return len(self.graph) * self.truth.stack("x").manifold.dim
+
+    @property
+    def dof(self) -> int:
+        """Rows minus free columns with one pose held: the expected chi2 at the optimum."""
+        return self.rows - self.truth.dim + self.truth.stack("x").manifold.dim
+
+
+def measure(
+    rng: np.random.Generator, group: LieGroup, X_i: Array, X_j: Array, sigmas: npt.ArrayLike, scale: float = 1.0
+) -> Array:
+    r"""Relative poses as a sensor would report them, z = h Exp(v) with h = X_i^{-1} X_j.
+
+    Parameters
+    ----------
+    rng : source of the noise.
+    group : the group of the poses.
+    X_i, X_j : (n, size) true poses, in the stored form of the group.
+    sigmas : (dim,) standard deviations of v, m and rad, translation first.
+    scale : factor on the noise; 0 for exact measurements.
+
+    Returns
+    -------
+    (n, size) array.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models import SE2
+    >>> X = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.5]])
+    >>> measure(np.random.default_rng(0), SE2, X[:1], X[1:], [0.1, 0.1, 0.01], scale=0.0)
+    array([[1. , 1. , 0.5]])
+    """
+    h = group.between(X_i, X_j)  # (n, size)
+    v = rng.standard_normal((len(h), group.dim)) * np.asarray(sigmas, dtype=float)  # (n, dim)
+    return group.retract(h, scale * v)
+
+
+def chain(group: LieGroup, first: npt.ArrayLike, steps: npt.ArrayLike) -> Array:
+    """Poses along a path: first, first o z_0, first o z_0 o z_1, ...
+
+    A parallel prefix product of plain arrays: after the k-th of log2(n) passes every element is the product of the 2^k
+    before it, so a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several
+    components there is `nls.initialize.chain`.
+
+    Parameters
+    ----------
+    group : the group of the poses.
+    first : (size,) the pose the chain begins at.
+    steps : (n, size) each pose as seen from the one before.
+
+    Returns
+    -------
+    (n + 1, size) array.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models import SE2
+    >>> chain(SE2, [0.0, 0.0, 0.0], np.tile([1.0, 0.0, np.pi / 2], (4, 1))).round(6) + 0.0
+    array([[ 0.      ,  0.      ,  0.      ],
+           [ 1.      ,  0.      ,  1.570796],
+           [ 1.      ,  1.      , -3.141593],
+           [ 0.      ,  1.      , -1.570796],
+           [ 0.      ,  0.      ,  0.      ]])
+    """
+    X = np.concatenate([np.asarray(first, dtype=float)[None], np.asarray(steps, dtype=float)])
+    reach = 1
+    while reach < len(X):
+        X = np.concatenate([X[:reach], group.compose(X[:-reach], X[reach:])])
+        reach *= 2
+    return X
+
+
+def build(
+    name: str,
+    group: LieGroup,
+    X: Array,
+    i: Index,
+    j: Index,
+    rng: np.random.Generator,
+    sigma_t: float,
+    sigma_r: float,
+    noise_scale: float,
+    description: str,
+) -> World:
+    """A world from its true poses and the pairs that see each other.
+
+    Parameters
+    ----------
+    name : of the world.
+    group : SE2 or SE3.
+    X : (n, size) true poses, m and rad or unit quaternions.
+    i, j : (k,) the pairs of the loop closures; pose j is measured from pose i.
+    rng : source of the noise.
+    sigma_t, sigma_r : standard deviations per component of translation, m, and rotation, rad.
+    noise_scale : factor on the drawn noise; 0 gives exact measurements with unchanged weights.
+    description : sentences; the counts and the noise are added here.
+
+    Raises
+    ------
+    OptionError
+        A standard deviation that is not above 0, a scale below 0.
+    """
+    check_rng(rng)
+    check_positive(sigma_t=sigma_t, sigma_r=sigma_r)
+    check_not_negative(noise_scale=noise_scale)
+    (x,) = kinds("x")
+    n, d = len(X), group.point_dim
+    sigmas = np.repeat([sigma_t, sigma_r], [d, group.dim - d])
+    step = np.arange(n - 1)
+    odometry = measure(rng, group, X[:-1], X[1:], sigmas, noise_scale)
+    closures = measure(rng, group, X[i], X[j], sigmas, noise_scale)
+    graph = FactorGraph([Between(x[step], x[step + 1], odometry, Diagonal(sigmas))])
+    graph.add(Between(x[i], x[j], closures, Diagonal(sigmas)))
+    said = (
+        f"{description} {n} poses in {group}, {n - 1} odometry measurements and {len(i)} loop closures; standard "
+        f"deviation {noise_scale * sigma_t:g} m and {noise_scale * sigma_r:g} rad per component, weighted as "
+        f"{sigma_t:g} m and {sigma_r:g} rad. Relative measurements only: the gauge is free."
+    )
+    truth = Values({x: (group, X)})
+    return World(name, truth, graph, start_from_odometry(truth, odometry), _seed(rng), said)
+
+
+def start_from_odometry(truth: Values, odometry: Array) -> Values:
+    """The odometry (n - 1, size) chained from the first true pose."""
+    stack = truth.stack("x")
+    group = stack.manifold
+    assert isinstance(group, LieGroup)
+    return Values({"x": (group, chain(group, stack.X[0], odometry))})
+
+
+def position_error(estimate: Values, truth: Values) -> float:
+    r"""Root mean square distance of positions, m, after the estimate is moved onto the truth at the first pose.
+
+    .. math:: \sqrt{\frac{1}{n} \sum_k |t(G \hat{x}_k) - t(x_k)|^2}, \quad G = x_0 \hat{x}_0^{-1}
+
+    Parameters
+    ----------
+    estimate, truth : poses of kind ``x`` with the same numbers.
+
+    Returns
+    -------
+    float, m.
+
+    Raises
+    ------
+    GraphError
+        The two do not hold the same poses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    >>> position_error(world.truth, world.truth)
+    0.0
+    """
+    ours, true = estimate.stack("x"), truth.stack("x")
+    group = true.manifold
+    assert isinstance(group, LieGroup)
+    if ours.manifold is not group or not np.array_equal(ours.numbers, true.numbers):
+        raise GraphError(f"position_error: the estimate is {estimate!r}, the truth {truth!r}; expected the same poses")
+    G = group.between(group.inverse(true.X[:1]), group.inverse(ours.X[:1]))
+    away = group.position(group.compose(G, ours.X)) - group.position(true.X)
+    return float(np.sqrt(np.mean(np.sum(away * away, axis=-1))))
+
+
+def _seed(rng: np.random.Generator) -> int | None:
+    """The whole number given to `numpy.random.default_rng`, where there was one."""
+    sequence = getattr(rng.bit_generator, "seed_seq", None)
+    entropy = getattr(sequence, "entropy", None)
+    return int(entropy) if isinstance(entropy, int) and not getattr(sequence, "spawn_key", ()) else None
