@@ -50,21 +50,18 @@ def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> 
             "scales differ by more than 13 digits. Check sigmas and units; linear solver 'qr' keeps twice the digits.",
             values=values,
         )
-    keys: dict[Keys, None] = {}
-    texts = []
     owner, component = pattern.column_owner()
-    for direction in (N**2).T:
-        carriers = direction >= SHARE * direction.max()
-        named = _by_variable(pattern, owner[carriers], component[carriers])
-        keys.update(dict.fromkeys(key for key, _ in named))
-        texts.append(_listed(named))
-    count = "at least " if N.shape[1] == MAX_DIRECTIONS else ""
-    shown = "; ".join(dict.fromkeys(texts))
+    share = (N * system.column_norms[:, None]) ** 2  # in sigmas, so that meters and radians compare
+    carried = share >= SHARE * share.max(axis=0)
+    any_of_them = carried.any(axis=1)
+    named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
+    count = f"at least {MAX_DIRECTIONS}" if N.shape[1] == MAX_DIRECTIONS else str(N.shape[1])
+    where, cure = _where(pattern, np.unique(owner[any_of_them]), named)
     return UnderconstrainedError(
-        f"the measurements leave {count}{N.shape[1]} direction(s) free, carried by {shown}. {_cure(pattern, N)}",
-        list(keys),
+        f"the measurements leave {count} direction{'s' if count != '1' else ''} free: {where}. {cure}",
+        [key for key, _ in named],
         N.shape[1],
-        texts,
+        [_listed(_by_variable(pattern, owner[c], component[c])) for c in carried.T],
         values,
     )
 
@@ -114,22 +111,25 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
     return "; ".join(texts[:6]) + (f"; and {len(texts) - 6} more variables" if len(texts) > 6 else "")
 
 
-def _cure(pattern: Pattern, N: Array) -> str:
-    """The usual cures: an anchor when whole components move, another view when single variables do."""
+def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, str]:
+    """What moves, in words, and the usual cures: an anchor for whole components, another view for single variables."""
     from nls.gauge import component_labels
 
-    owner, _ = pattern.column_owner()
-    moving = np.unique(owner[(N**2 >= SHARE * (N**2).max(axis=0)).any(axis=1)])
     label = component_labels(pattern)
-    whole = all(
-        (np.isin(np.flatnonzero(label == k), moving) | pattern.held[label == k]).all() for k in np.unique(label[moving])
-    )
-    if whole:
-        return (
-            "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "
-            "components by a measurement."
-        )
-    return (
-        "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs two "
-        "views that differ."
+    free = np.flatnonzero(~pattern.held)
+    parts = []
+    for k in np.unique(label[moving]):
+        members = free[label[free] == k]
+        if not np.isin(members, moving).all() or (label[pattern.held] == k).any():
+            return _listed(named), (
+                "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs "
+                "two views that differ."
+            )
+        names = dict.fromkeys(text.split(": ", 1)[1] for key, text in named if key == pattern.key(int(members[0])))
+        size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
+        parts.append(f"{', '.join(names)} of {size} {pattern.key(int(members[0]))}")
+    listed = "; ".join(parts[:6]) + (f"; and {len(parts) - 6} more components" if len(parts) > 6 else "")
+    return listed, (
+        "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "
+        "components by a measurement."
     )

@@ -80,7 +80,8 @@ class Result:
             lines.append(f"{it.number:9d}  {it.chi2:12.6g}  {update:>9}  {sum(it.seconds.values()):8.4f}")
         lines.append(f"{self.status.name}: {self.reason}")
         lines.append(
-            f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom; {self.method}, "
-            f"{self.linear_solver}; gauge: {self.gauge}"
+            f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
+            + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 else "")
+            + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
         return "\n".join(lines)
