@@ -146,11 +146,11 @@ class FreeGauge(LinearSolver):
         self.rest = np.setdiff1d(np.arange(pattern.n), self.gauge)
         return self.solver.analyze(self.held)
 
-    def solve(self, state: Any, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: Any, system: LinearSystem) -> LinearSolution:
         A = system.A
 
         def step(b: Array) -> LinearSolution:
-            return self.solver.solve(state, LinearSystem(self.held, system.blocks, b))
+            return self.solver.solve(analyzed, LinearSystem(self.held, system.blocks, b))
 
         first = step(system.b)
         x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(self.gauge)))

@@ -8,7 +8,7 @@ SE(2) edges: 2 ms; scipy's A.T @ A: 10 ms.)
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["Hessian", "Order"]
+__all__ = ["Blocks", "Hessian", "Order"]
 
 Index = npt.NDArray[np.intp]
 Order = Callable[[Index, Index, int], Index]  # (u, v, number of variables) -> elimination order
@@ -38,113 +38,106 @@ class Hessian:
     diagonal : (V,) where in S the diagonal block (d, d) of each variable begins.
     off : (P,) where in S the contribution (dims[u], dims[v]) begins.
     order : gives the elimination order from the graph of variables; None keeps the given order.
+
+    Attributes
+    ----------
+    n, variables : columns, and block columns.
+    permutation : (n,) column k here is column permutation[k] of the given order.
+    indptr, indices : of the lower triangle, compressed by column.
+    source : where in S each of its numbers is.
     """
 
     def __init__(
         self, dims: Index, u: Index, v: Index, diagonal: Index, off: Index, order: Order | None = None
     ) -> None:
-        V = len(dims)
-        first, repeated = _unique_pairs(u, v, V)
-        elimination = np.arange(V) if order is None else order(u[first], v[first], V)
+        V = self.variables = len(dims)
+        first, again = _unique_pairs(u, v, V)
+        eliminated = np.arange(V) if order is None else order(u[first], v[first], V)
         position = np.empty(V, dtype=np.intp)
-        position[elimination] = np.arange(V)
-        widths = dims[elimination]
+        position[eliminated] = np.arange(V)
+        widths = self._widths = dims[eliminated]
+        starts = self._starts = np.cumsum(widths) - widths
         self.n = int(widths.sum())
-        starts = np.cumsum(widths) - widths  # first column of the k-th eliminated variable
-        # scalar permutation: column c of the matrix here is column permutation[c] of the natural order
-        natural = np.cumsum(dims) - dims
-        self.permutation = np.repeat(natural[elimination] - starts, widths) + np.arange(self.n)
+        inner = np.arange(self.n) - np.repeat(starts, widths)  # column within its block column
+        self.permutation = np.repeat((np.cumsum(dims) - dims)[eliminated], widths) + inner
 
-        lower = np.maximum(position[u], position[v])  # block row of every contribution
-        column = np.minimum(position[u], position[v])
-        transposed = position[u] < position[v]  # the block is stored (u, v); rows of the matrix then belong to v
-        by_column = first[np.argsort(column[first] * V + lower[first], kind="stable")]
+        # Blocks below the diagonal: (row, column) in elimination order; turned where S has them the other way round.
+        self._row, self._column = np.maximum(position[u], position[v]), np.minimum(position[u], position[v])
+        self._turned, self._off = position[u] < position[v], off
+        place = self._column * V + self._row
+        blocks = first[np.argsort(place[first])]
+        heights = widths[self._row[blocks]]
+        total = np.bincount(self._column[blocks], weights=heights, minlength=V).astype(np.intp)
+        above = np.cumsum(heights) - heights - (np.cumsum(total) - total)[self._column[blocks]]
+        self._above = np.empty(len(u), dtype=np.intp)  # rows of a block column between its diagonal and this block
+        self._above[blocks] = above
+        self._above[again] = above[np.searchsorted(place[blocks], place[again])]
 
-        # Rows of off-diagonal blocks above each block in its column
-        heights = widths[lower[by_column]]
-        above = np.cumsum(heights) - heights
-        count = np.bincount(column[by_column], weights=heights, minlength=V).astype(np.intp)
-        above -= np.repeat(np.cumsum(count) - count, np.bincount(column[by_column], minlength=V))
-        # column j of a block column: (width - j) numbers of the diagonal block, then the blocks below
-        inner = np.arange(self.n) - np.repeat(starts, widths)
-        self.indptr = np.concatenate([[0], np.cumsum(np.repeat(widths + count, widths) - inner)]).astype(np.int32)
-        nnz = int(self.indptr[-1])
-        self.indices = np.empty(nnz, dtype=np.int32)
-        self.source = np.empty(nnz, dtype=np.intp)
-
-        for d in np.unique(widths):  # diagonal blocks, one pass per size
-            k = np.flatnonzero(widths == d)
+        # Column k of a block column: the diagonal block from its row k on, then the blocks below.
+        self.indptr = np.concatenate([[0], np.cumsum(np.repeat(widths + total, widths) - inner)]).astype(np.int32)
+        self.indices = np.empty(self.indptr[-1], dtype=np.int32)
+        self.source = np.empty(self.indptr[-1], dtype=np.intp)
+        for d in np.unique(widths):
+            k = np.flatnonzero(widths == d)[:, None]
             r, c = np.tril_indices(int(d))
-            target = self.indptr[starts[k][:, None] + c] + (r - c)
-            self.indices[target] = starts[k][:, None] + r
-            self.source[target] = diagonal[elimination[k]][:, None] + r * d + c
-        places = np.empty(len(u), dtype=np.intp)
-        places[by_column] = above
-        self._add: tuple[Index, Index] = (np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
-        if len(repeated):
-            pair = column * V + lower
-            row = np.searchsorted(pair[by_column], pair[repeated])
-            places[repeated] = above[row]
-        adds: list[tuple[Index, Index]] = []
-        for subset, out in ((by_column, None), (repeated, adds)):
-            shapes = widths[lower[subset]] * (1 + widths.max(initial=0)) + widths[column[subset]]
-            for shape in np.unique(shapes):
-                p = subset[shapes == shape]
-                rows, cols = int(widths[lower[p[0]]]), int(widths[column[p[0]]])
-                r, c = (g.reshape(-1) for g in np.indices((rows, cols)))
-                top = starts[column[p]][:, None] + c
-                target = self.indptr[top] + (cols - c) + places[p][:, None] + r
-                stride_r = np.where(transposed[p], 1, cols)[:, None]
-                stride_c = np.where(transposed[p], rows, 1)[:, None]
-                source = off[p][:, None] + r * stride_r + c * stride_c
-                if out is None:
-                    self.indices[target] = starts[lower[p]][:, None] + r
-                    self.source[target] = source
-                else:
-                    out.append((target.reshape(-1), source.reshape(-1)))
-        if adds:
-            self._add = (np.concatenate([a[0] for a in adds]), np.concatenate([a[1] for a in adds]))
-        self.blocks = V
-        self.collect: Callable[[LinearSystem], Array] = _no_blocks
+            target = self.indptr[starts[k] + c] + (r - c)
+            self.indices[target] = starts[k] + r
+            self.source[target] = diagonal[eliminated[k]] + r * d + c
+        for target, source, rows in self._entries(blocks):
+            self.indices[target] = rows
+            self.source[target] = source
+        repeats = [(target.reshape(-1), source.reshape(-1)) for target, source, _ in self._entries(again)]
+        self._add = [np.concatenate(part) for part in zip(*repeats, strict=True)] or None
 
-    @classmethod
-    def of(cls, pattern: Pattern, order: Order | None = None) -> Hessian:
-        """Structure of A'A for a graph; its `collect` fills S from a linear system."""
-        collector = Collector(pattern)
-        hessian = cls(collector.dims, collector.u, collector.v, collector.diagonal, collector.off, order)
-        hessian.collect = collector
-        return hessian
+    def _entries(self, contributions: Index) -> Iterator[tuple[Index, Index, Index]]:
+        """For all contributions of one shape at a time: places in the data, sources in S, and rows of their numbers."""
+        row, column, widths = self._row[contributions], self._column[contributions], self._widths
+        shapes = np.stack([widths[row], widths[column]], axis=1)
+        for height, width in np.unique(shapes, axis=0).tolist():
+            same = (shapes == (height, width)).all(axis=1)
+            p = contributions[same]
+            r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
+            target = self.indptr[self._starts[column[same], None] + c] + (width - c) + self._above[p, None] + r
+            turned = self._turned[p, None]
+            source = self._off[p, None] + np.where(turned, c * height + r, r * width + c)
+            yield target, source, self._starts[row[same], None] + r
 
     def data(self, S: Array) -> Array:
         """Numbers of the lower triangle from the flat blocks S."""
         data = np.take(S, self.source)
-        if len(self._add[0]):
+        if self._add is not None:
             np.add.at(data, self._add[0], np.take(S, self._add[1]))
         return data
 
+    def diagonal(self, S: Array) -> Array:
+        """Diagonal of the matrix (n,)."""
+        return np.take(S, self.source[self.indptr[:-1]])
+
     def matrix(self, S: Array) -> sp.csc_matrix:
-        """Lower triangle as a sparse matrix, columns in elimination order."""
+        """Lower triangle as a sparse matrix."""
         H = sp.csc_matrix((self.data(S), self.indices, self.indptr), shape=(self.n, self.n))
         H.has_sorted_indices = True
         return H
 
 
-class Collector:
+class Blocks:
     """Fills the flat array S from a linear system: A_a'A_b per pair of slots, and summed A_a'A_a per variable.
 
     The sums are products with the sparse 0/1 incidence of a slot, 0.3 ms for 10,000 6x6 blocks. S holds the diagonal
-    blocks of *all* variables, held ones too, whose blocks are never taken from it.
+    blocks of *all* variables, also of held ones, whose blocks are never taken from it.
+
+    Parameters
+    ----------
+    pattern : the numbering of the graph.
     """
 
     def __init__(self, pattern: Pattern) -> None:
         free = np.flatnonzero(~pattern.held)
         number = np.full(len(pattern.held), -1, dtype=np.intp)
         number[free] = np.arange(len(free))
-        self.dims = pattern.dims[free]
         sizes = pattern.dims * pattern.dims
         begin = np.cumsum(sizes) - sizes
-        self.diagonal = begin[free]
-        self.size = int(sizes.sum())
+        self.dims, self.diagonal, self.size = pattern.dims[free], begin[free], int(sizes.sum())
         self.sums: dict[str, slice] = {}
         for kind, start in pattern.offsets.items():
             count, d = len(pattern.numbers[kind]), pattern.manifolds[kind].dim
@@ -165,7 +158,12 @@ class Collector:
         none = [np.zeros(0, dtype=np.intp)]
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
-    def __call__(self, system: LinearSystem) -> Array:
+    def structure(self, order: Order | None = None) -> Hessian:
+        """Structure of H = A'A over the free variables."""
+        return Hessian(self.dims, self.u, self.v, self.diagonal, self.off, order)
+
+    def fill(self, system: LinearSystem) -> Array:
+        """S of one linearization."""
         S = np.empty(self.size)
         for where in self.sums.values():
             S[where] = 0.0
@@ -185,7 +183,3 @@ def _unique_pairs(u: Index, v: Index, V: int) -> tuple[Index, Index]:
     again = np.ones(len(pair), dtype=bool)
     again[first] = False
     return first.astype(np.intp), np.flatnonzero(again)
-
-
-def _no_blocks(system: LinearSystem) -> Array:
-    raise AssertionError("this structure was not made for a linear system")

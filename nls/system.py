@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, apply
-from nls.hessian import Hessian
+from nls.hessian import Blocks
 
 if TYPE_CHECKING:
     from nls.assemble import Index, Pattern
@@ -95,8 +95,8 @@ class LinearSystem:
     @cached_property
     def H(self) -> sp.csc_array:
         """A'A (n, n), symmetric, columns in the order of A, filled from the blocks."""
-        hessian = Hessian.of(self.pattern)
-        lower = hessian.matrix(hessian.collect(self))
+        blocks = Blocks(self.pattern)
+        lower = blocks.structure().matrix(blocks.fill(self))
         return sp.csc_array(lower + sp.tril(lower, -1).T)
 
     @property

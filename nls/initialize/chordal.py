@@ -144,7 +144,7 @@ class _Laplacian:
         at = np.arange(max(V, len(both)), dtype=np.intp) * d * d
         dims = np.full(V, d, dtype=np.intp)
         hessian = Hessian(dims, j[both], i[both], at[:V], V * d * d + at[: len(both)], self.order)
-        state = NormalState(hessian, best_factorization()(hessian))
+        state = NormalState(hessian, best_factorization())
 
         # H y = g: what is known about y_j is T y_i + c with y_i held, and about y_i it is T'(y_j - c) with y_j held
         known = np.zeros((len(w), d, value.shape[-1])) if c is None else c

@@ -67,7 +67,7 @@ class LinearSolver(ABC):
         """What depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
 
     @abstractmethod
-    def solve(self, state: Any, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: Any, system: LinearSystem) -> LinearSolution:
         """The Gauss-Newton step.
 
         Raises

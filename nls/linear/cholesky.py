@@ -58,8 +58,7 @@ class CholmodFactorization(Factorization):
         module = cholmod()
         assert module is not None
         self._module, self._hessian = module, hessian
-        blocks = max(1, hessian.blocks)
-        self.mode = "supernodal" if hessian.n / blocks > SUPERNODAL_FROM else "simplicial"
+        self.mode = "supernodal" if hessian.n > SUPERNODAL_FROM * hessian.variables else "simplicial"
         self._H = sp.csc_matrix(
             (np.ones(len(hessian.indices)), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
         )

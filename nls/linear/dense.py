@@ -47,7 +47,7 @@ class _Dense(LinearSolver):
                 "dense system",
             )
 
-    def solve(self, state: None, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: None, system: LinearSystem) -> LinearSolution:
         t0 = perf_counter()
         A = system.A.toarray()
         t1 = perf_counter()

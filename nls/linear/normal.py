@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
-from nls.hessian import Hessian
+from nls.hessian import Blocks, Hessian
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
 
 if TYPE_CHECKING:
@@ -46,12 +45,18 @@ class Factorization(ABC):
         """Sparse upper triangular R and its order p, with H[p][:, p] = R'R, H in the order of the `Hessian`."""
 
 
-@dataclass
 class NormalState:
-    """Structure and factorization of one graph."""
+    """A symmetric structure and its factorization.
 
-    hessian: Hessian
-    factorization: Factorization
+    Parameters
+    ----------
+    hessian : the structure.
+    kind : the factorization to use.
+    """
+
+    def __init__(self, hessian: Hessian, kind: type[Factorization]) -> None:
+        self.hessian = hessian
+        self.factorization = kind(hessian)
 
     def solve(self, g: Array) -> Array:
         """H^-1 g with rows in the order of the columns of A."""
@@ -66,7 +71,7 @@ class NormalState:
 
     def factorize(self, S: Array) -> Array:
         """Factorize H from its flat blocks, refuse a rank-deficient one; returns the diagonal of H, in its order."""
-        diagonal = np.take(S, self.hessian.source[self.hessian.indptr[:-1]])
+        diagonal = self.hessian.diagonal(S)
         if not np.isfinite(diagonal.sum()):
             raise SingularSystemError("A'A is not finite")
         pivots = self.factorization.factorize(S)
@@ -80,14 +85,15 @@ class NormalEquations(LinearSolver):
 
     factorization: ClassVar[type[Factorization]]
 
-    def analyze(self, pattern: Pattern) -> NormalState:
+    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
         self.require()
-        hessian = Hessian.of(pattern, self.factorization.order)
-        return NormalState(hessian, self.factorization(hessian))
+        blocks = Blocks(pattern)
+        return blocks, NormalState(blocks.structure(self.factorization.order), self.factorization)
 
-    def solve(self, state: NormalState, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution:
+        blocks, state = analyzed
         t0 = perf_counter()
-        S = state.hessian.collect(system)
+        S = blocks.fill(system)
         gradient = system.gradient
         t1 = perf_counter()
         squared_norms = np.empty_like(gradient)

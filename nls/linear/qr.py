@@ -41,7 +41,7 @@ class QR(LinearSolver):
     def analyze(self, pattern: Pattern) -> None:
         self.require()
 
-    def solve(self, state: None, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: None, system: LinearSystem) -> LinearSolution:
         module = spqr()
         assert module is not None
         t0 = perf_counter()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
-from nls.hessian import Hessian
+from nls.hessian import Blocks
 from nls.linear import best_factorization
 from nls.linear.normal import NormalState
 
@@ -42,9 +42,9 @@ def spy(system: LinearSystem) -> Figure:
     from matplotlib.figure import Figure
 
     factorization = best_factorization()
-    hessian = Hessian.of(system.pattern, factorization.order)
-    state = NormalState(hessian, factorization(hessian))
-    state.factorize(hessian.collect(system))
+    blocks = Blocks(system.pattern)
+    state = NormalState(blocks.structure(factorization.order), factorization)
+    state.factorize(blocks.fill(system))
     R, permutation = state.upper()
     H = system.H
     ordered = sp.csc_array(H[permutation][:, permutation])
