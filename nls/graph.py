@@ -134,15 +134,15 @@ class FactorGraph:
             solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
-        best, status, reason, history = method.run(problem, values)
-        chi2 = min(h.chi2 for h in history)
+        watch = method.run(problem, values)
+        assert watch.status is not None
         return Result(
-            values=best,
-            status=status,
-            reason=reason,
-            history=history,
-            chi2_initial=history[0].chi2,
-            chi2_final=chi2,
+            values=watch.best,
+            status=watch.status,
+            reason=watch.reason,
+            history=watch.history,
+            chi2_initial=watch.history[0].chi2,
+            chi2_final=watch.lowest,
             dof=pattern.m - pattern.n,
             linear_solver=solver.name,
             gauge=decided.said,

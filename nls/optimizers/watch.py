@@ -1,0 +1,107 @@
+"""The memory of one optimization: its history, its best point, and the stop rules applied after every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nls.optimizers.result import Iteration
+from nls.optimizers.stop import Status, Stop
+
+if TYPE_CHECKING:
+    from models.algebra import Array
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["Watch"]
+
+BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
+PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
+ROUNDING = 1e-9  # relative difference of chi2 that is no difference
+
+
+class Watch:
+    """Follows an optimizer step by step and says when it is over.
+
+    Parameters
+    ----------
+    stop : the thresholds.
+    callback : called with every `Iteration`; returning True stops.
+    values, chi2, seconds : the start.
+
+    Attributes
+    ----------
+    best, lowest : values of lowest chi2 so far, and that chi2.
+    status, reason : None and empty until it is over.
+    history : one `Iteration` per step, the start first.
+    """
+
+    def __init__(
+        self,
+        stop: Stop,
+        callback: Callable[[Iteration], bool | None] | None,
+        values: Values,
+        chi2: float,
+        seconds: dict[str, float],
+    ) -> None:
+        self.stop, self.callback, self.began = stop, callback, perf_counter()
+        self.history = [Iteration(0, chi2, seconds=seconds)]
+        self.best, self.lowest, self._since_best = values, chi2, 0
+        self.status: Status | None = None
+        self.reason = ""
+        self._limits()
+
+    def end(self, status: Status, reason: str) -> None:
+        """It is over."""
+        self.status, self.reason = status, reason
+
+    def flat(self, system: LinearSystem) -> bool:
+        """Whether the gradient of the current point vanishes; it is over then, without another step."""
+        if system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol:
+            self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
+        return self.status is not None
+
+    def step(self, values: Values, chi2: float, dx: Array, seconds: dict[str, float]) -> None:
+        """Record a step that was taken and apply the rules to it."""
+        stop, old = self.stop, self.history[-1]
+        update = float(np.abs(dx).max(initial=0.0))
+        new = Iteration(old.number + 1, chi2, update, seconds=seconds)
+        self.history.append(new)
+        self._since_best += 1
+        if chi2 < self.lowest:
+            self.best, self.lowest, self._since_best = values, chi2, 0
+        if update < stop.update_tol:
+            self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
+        elif not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
+            self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
+        elif 0 <= old.chi2 - chi2 <= stop.chi2_rtol * old.chi2:
+            self._settled(f"chi2 fell by {(old.chi2 - chi2) / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
+        elif self._cycles(chi2):
+            self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
+        else:
+            self._limits()
+        if self.callback is not None and self.callback(new) and self.status is None:
+            self.end(Status.STOPPED, f"after {new.number} iterations")
+
+    def _settled(self, rule: str) -> None:
+        """CONVERGED where the last point is the best one up to rounding; settling above it is not."""
+        last = self.history[-1].chi2
+        if last <= self.lowest * (1 + ROUNDING):
+            self.end(Status.CONVERGED, rule)
+        else:
+            above = f"{rule}, but at chi2 {last:.6g}, above the {self.lowest:.6g} met before, which is returned"
+            self.end(Status.STALLED, above)
+
+    def _cycles(self, chi2: float) -> bool:
+        recent = self.history[-PATIENCE:-1]
+        return self._since_best >= PATIENCE and any(abs(chi2 - h.chi2) <= 1e-6 * chi2 for h in recent)
+
+    def _limits(self) -> None:
+        taken, seconds = self.history[-1].number, perf_counter() - self.began
+        if taken >= self.stop.max_iterations:
+            self.end(Status.MAX_ITERATIONS, f"after {taken} iterations")
+        elif seconds > self.stop.max_seconds:
+            self.end(Status.MAX_TIME, f"after {seconds:.1f} s")
