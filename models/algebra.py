@@ -26,10 +26,12 @@ def wrap(angle: npt.ArrayLike) -> Array:
     >>> float(wrap(np.pi)) == -np.pi, float(wrap(0.25))
     (True, 0.25)
     """
-    a = np.asarray(angle, dtype=float)
-    turned = np.mod(a + np.pi, 2 * np.pi) - np.pi
-    turned = np.where(turned >= np.pi, -np.pi, turned)  # mod can round up to its modulus
-    return np.asarray(np.where((a >= -np.pi) & (a < np.pi), a, turned))  # an angle in range stays bit for bit
+    a = np.array(angle, dtype=float)
+    outside = ~((a >= -np.pi) & (a < np.pi))  # an angle in range stays bit for bit
+    if outside.any():
+        turned = np.mod(a[outside] + np.pi, 2 * np.pi) - np.pi
+        a[outside] = np.where(turned >= np.pi, -np.pi, turned)  # mod can round up to its modulus
+    return a
 
 
 def components(X: npt.ArrayLike) -> Array:

@@ -5,7 +5,7 @@ With x = theta^2 and the Stumpff functions c_k(x) of `models.algebra.stumpff`:
     Exp(rho, theta) = (V rho, theta),       V = [[c1, -theta c2], [theta c2, c1]]
     V^-1 = [[a, theta/2], [-theta/2, a]],   a = c1 / (2 c2) = (theta/2) cot(theta/2)
     J_l = [[V, u], [0, 1]],                 u = (theta c3 rho_1 + c2 rho_2, -c2 rho_1 + theta c3 rho_2)
-    Ad = [[R, (y, -x)'], [0, 1]]
+    Ad = [[R, (y, -x)'], [0, 1]],           Ad^-1 = [[R', (s x - c y, c x + s y)'], [0, 1]]
 
 Source: J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, appendix C.
 """
@@ -68,6 +68,11 @@ class PosesOfThePlane(LieGroup):
         x, y, theta = components(X)
         c, s = np.cos(theta), np.sin(theta)
         return matrix([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])
+
+    def adjoint_inverse(self, X: npt.ArrayLike) -> Array:
+        x, y, theta = components(X)
+        c, s = np.cos(theta), np.sin(theta)
+        return matrix([[c, s, s * x - c * y], [-s, c, c * x + s * y], [0.0, 0.0, 1.0]])
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)
