@@ -57,7 +57,7 @@ class Factor(ABC):
     relative: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
-        name = type(self).__name__
+        name = self.name
         for k in keys:
             if not isinstance(k, Keys):
                 raise GraphError(f"{name}: expected variables such as x[0] or x[i], got {k!r:.80}", factor=name)
@@ -79,12 +79,17 @@ class Factor(ABC):
     def __len__(self) -> int:
         return len(self.keys[0]) if self.keys else 0
 
+    @property
+    def name(self) -> str:
+        """What kind of measurement this is, for messages."""
+        return type(self).__name__
+
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(map(repr, self.keys))})"
+        return f"{self.name}({', '.join(map(repr, self.keys))})"
 
     def describe(self, index: int) -> str:
         """One measurement of the batch by type and variables, for messages: ``Between(x3, x4)``."""
-        return f"{type(self).__name__}({', '.join(repr(k[[index]]) for k in self.keys)})"
+        return f"{self.name}({', '.join(repr(k[[index]]) for k in self.keys)})"
 
     @abstractmethod
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
@@ -101,6 +106,7 @@ class Factor(ABC):
         """Which components of the innovation are measured; all, unless a subclass says otherwise."""
         return slice(None)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def bind(self, *manifolds: Manifold) -> Model:
         """The factor with the spaces of its variables: z checked, the whitener computed once.
 
@@ -110,7 +116,7 @@ class Factor(ABC):
             A slot that does not accept its space; a measurement or noise of the wrong shape.
         """
         if self._model is None or self._model.manifolds != manifolds:
-            name = type(self).__name__
+            name = self.name
             for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
                 if wanted is not None and wanted is not manifold:
                     raise GraphError(f"{name}: {keys[[0]]} is in {manifold}, this factor needs {wanted}", [keys], name)
@@ -122,6 +128,9 @@ class Factor(ABC):
                 rows = self.rows(space)
                 names = tuple(np.array(space.components)[rows])
                 W = self.noise.sqrt_information(len(self), names)
+                if not np.isfinite(W).all():
+                    k = int(np.argmax(~np.isfinite(W).reshape(len(W), -1).all(axis=1)))
+                    raise NoiseModelError(f"the noise of measurement {k} is beyond the largest number", "noise", k)
             except NoiseModelError as error:
                 message = f"{self.describe(error.index)}: {error}"
                 raise NoiseModelError(message, error.matrix, error.index, error.value, self.keys) from error
@@ -189,11 +198,13 @@ class Model:
     rows: npt.NDArray[np.intp] | slice
     dim: int
 
+    @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
     def error(self, *X: Array) -> Array:
         """Whitened innovation b (n, m) alone, for the cost of a trial point."""
         h, _ = self._predict(X, jacobians=False)
         return self._whitened_innovation(h)[0]
 
+    @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
         h, H = self._predict(X, jacobians=True)
@@ -223,7 +234,7 @@ class Model:
         if h.shape != self.z.shape:
             raise EvaluationError(
                 f"{self.factor!r}: the prediction has shape {h.shape}, expected {self.z.shape}",
-                type(self.factor).__name__,
+                self.factor.name,
                 self.factor.keys,
             )
         if not jacobians:
@@ -233,7 +244,7 @@ class Model:
         if len(H) != len(self.manifolds):
             raise EvaluationError(
                 f"{self.factor!r}: {len(H)} Jacobians, expected {len(self.manifolds)}: one per slot",
-                type(self.factor).__name__,
+                self.factor.name,
                 self.factor.keys,
             )
         for slot, (H_k, manifold) in enumerate(zip(H, self.manifolds, strict=True)):
@@ -241,7 +252,7 @@ class Model:
             if H_k is not None and H_k.shape not in ((len(h), *shape), (1, *shape), shape):
                 raise EvaluationError(
                     f"{self.factor!r}: Jacobian of slot {slot} has shape {H_k.shape}, expected {(len(h), *shape)}",
-                    type(self.factor).__name__,
+                    self.factor.name,
                     self.factor.keys,
                 )
         return h, H
@@ -273,7 +284,7 @@ class Model:
         raise EvaluationError(
             f"{self.factor.describe(index)}: its {what} is not finite: {array[index].tolist()}; "
             "check the values of its variables and the function",
-            type(self.factor).__name__,
+            self.factor.name,
             [k[[index]] for k in self.factor.keys],
             where=what,
         )
@@ -293,12 +304,13 @@ class _FunctionFactor(Factor):
         noise: Noise | None,
         jacobians: Callable[..., Sequence[Array]] | None,
     ) -> None:
-        super().__init__(keys, np.zeros(dim), noise or Isotropic())
         self.dim, self.residual, self.jacobians = dim, residual, jacobians
+        super().__init__(keys, np.zeros(dim), noise or Isotropic())
         self.slots = (None,) * len(keys)  # type: ignore[misc]
 
-    def __repr__(self) -> str:
-        return f"{getattr(self.residual, '__name__', 'residual')}({', '.join(map(repr, self.keys))})"
+    @property
+    def name(self) -> str:
+        return getattr(self.residual, "__name__", "residual")
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return R(self.dim)

@@ -64,7 +64,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
                 f"{factor.describe(n)}: whitened Jacobian, residual row {row}, component "
                 f"{manifold.components[column]} of {factor.keys[slot][[n]]}: analytic {analytic:.9g}, central "
                 f"difference {other:.9g}{_likely_cause(A_k, numeric)}",
-                type(factor).__name__,
+                factor.name,
                 (slot, n, row, column),
                 analytic,
                 other,

@@ -134,7 +134,7 @@ class FactorGraph:
             solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
-        watch = method.run(problem, values)
+        watch = method.run(problem, values.copy())
         assert watch.status is not None
         return Result(
             values=watch.best,
@@ -155,7 +155,7 @@ class FactorGraph:
         counts: dict[str, int] = {}
         touched: dict[str, set[int]] = {}
         for factor in self.factors:
-            counts[type(factor).__name__] = counts.get(type(factor).__name__, 0) + len(factor)
+            counts[factor.name] = counts.get(factor.name, 0) + len(factor)
             for keys in factor.keys:
                 touched.setdefault(keys.kind, set()).update(keys.numbers.tolist())
         lines = [f"{name:24s} {count:8d}" for name, count in counts.items()]

@@ -169,7 +169,8 @@ class Blocks:
             S[where] = 0.0
         for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
             for kind, incidence, A in zip(batch.kinds, batch.incidence, blocks, strict=True):
-                S[self.sums[kind]] += (incidence @ product(A.mT, A).reshape(len(A), -1)).reshape(-1)
+                squares = product(A.mT, A).reshape(len(A), A.shape[2] ** 2)
+                S[self.sums[kind]] += (incidence @ squares).reshape(-1)
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)

@@ -121,7 +121,7 @@ class LinearSystem:
         pattern = self.pattern
         sums = {kind: np.zeros((len(n), pattern.manifolds[kind].dim)) for kind, n in pattern.numbers.items()}
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
-            b = self.b[batch.rows].reshape(len(batch), -1)
+            b = self.b[batch.rows].reshape(len(batch), batch.model.dim)
             for kind, incidence, A_k in zip(batch.kinds, batch.incidence, A, strict=True):
                 sums[kind] += incidence @ np.ascontiguousarray(part(A_k, b))
         return pattern.restrict(np.concatenate([np.zeros(0), *(x.reshape(-1) for x in sums.values())]))

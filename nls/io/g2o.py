@@ -57,6 +57,7 @@ SPACE = Dialect(
 HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
 def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, start values and report of the bytes of a g2o file.
 
@@ -89,7 +90,7 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
         )
         report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
         report.ignored = [text.line(int(n)) for n in np.sort(np.concatenate(list(ignored.values())))]
-        warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=3)
+        warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=4)
     if len(comments):
         report.notes.append(f"{len(comments)} comment lines")
 
@@ -104,6 +105,8 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     for line in tags.get(b"FIX", none):
         count = int(text.first[line + 1] - text.first[line]) - 1
         numbers = text.whole(np.full(count, line), 1 + np.arange(count))
+        if not len(numbers):
+            raise text.error("FIX without a vertex; expected FIX id [id ...]", int(line))
         keys = Keys("x", numbers)
         if keys not in values:
             missing = keys[~np.isin(numbers, values.stack("x").numbers)]
@@ -190,7 +193,10 @@ def _start(
     report.vertices_given = False
     report.notes.append(f"no vertices in the file: {len(unique)} poses chained along the edges")
     values = Values({"x": (dialect.group, dialect.group.identity(len(unique)), unique)})
-    return chain(FactorGraph([between]), values)
+    values = chain(FactorGraph([between]), values)
+    if not np.isfinite(values.stack("x").X).all():
+        raise text.error("the poses chained along the edges grow beyond the largest number", int(lines[0]))
+    return values
 
 
 def write_g2o(path: str | Path, graph: FactorGraph, values: Values, ignored: list[str] | None = None) -> None:
@@ -221,7 +227,7 @@ def write_g2o(path: str | Path, graph: FactorGraph, values: Values, ignored: lis
 
 def _edge_lines(path: str, factor: Factor, dialect: Dialect) -> list[str]:
     if not isinstance(factor, Between):
-        raise GraphError(f"{path}: {factor!r} cannot be written to a g2o file", factor.keys, type(factor).__name__)
+        raise GraphError(f"{path}: {factor!r} cannot be written to a g2o file", factor.keys, factor.name)
     model, d = factor.bind(dialect.group, dialect.group), dialect.group.dim
     if isinstance(factor.noise, Information):
         Omega = factor.noise.matrix

@@ -25,7 +25,7 @@ __all__ = ["Text", "read_bytes"]
 
 Index = npt.NDArray[np.intp]
 
-NUMBER = re.compile(rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 WHOLE = re.compile(rb"[+-]?[0-9]+")
 LONGEST = 17  # characters of a token read by columns: at most 16 digits, below 10^16
 POWERS = 10.0 ** np.arange(LONGEST + 1)

@@ -71,9 +71,9 @@ class GaussNewton:
                 dx = problem.solve(system)
                 if watch.flat(system):
                     break
-                X = problem.retract(X, dx)
+                X, promised = problem.retract(X, dx), float(dx @ system.gradient)
                 system = problem.linearize(X)
-                watch.step(X, system.chi2, dx, problem.lap())
+                watch.step(X, system.chi2, dx, promised, problem.lap())
         except SingularSystemError as error:
             raise underconstrained(problem.pattern, system, watch.best) from error
         except (EvaluationError, SingularGeometryError) as error:

@@ -31,7 +31,8 @@ class Stop:
     Parameters
     ----------
     update_tol : converged when max |dx| < update_tol (meters, radians).
-    chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2.
+    chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2, and promised to lower it
+        by no more than ten times that.
     gradient_tol : converged when the largest cosine between b and a column of A is below it.
     max_iterations : at most so many steps.
     max_seconds : no further step after so many seconds.

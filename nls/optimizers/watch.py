@@ -20,6 +20,7 @@ __all__ = ["Watch"]
 
 BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
+AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 
 
@@ -64,9 +65,10 @@ class Watch:
             self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
 
-    def step(self, values: Values, chi2: float, dx: Array, seconds: dict[str, float]) -> None:
-        """Record a step that was taken and apply the rules to it."""
+    def step(self, values: Values, chi2: float, dx: Array, promised: float, seconds: dict[str, float]) -> None:
+        """Record a step that was taken and apply the rules to it; `promised` is the fall of the linear model's chi2."""
         stop, old = self.stop, self.history[-1]
+        fall, little = old.chi2 - chi2, stop.chi2_rtol * old.chi2
         update = float(np.abs(dx).max(initial=0.0))
         new = Iteration(old.number + 1, chi2, update, seconds=seconds)
         self.history.append(new)
@@ -77,8 +79,8 @@ class Watch:
             self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
         elif not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
             self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
-        elif 0 <= old.chi2 - chi2 <= stop.chi2_rtol * old.chi2:
-            self._settled(f"chi2 fell by {(old.chi2 - chi2) / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
+        elif 0 <= fall <= little and promised <= AGREEMENT * little:
+            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
         elif self._cycles(chi2):
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
         else:
