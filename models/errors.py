@@ -33,7 +33,7 @@ class LeadlineError(Exception):
 
 
 class GraphFileError(LeadlineError, ValueError):
-    """Something wrong in a file; ``str()`` begins ``path:line: ``.
+    """Something wrong in a file; ``str()`` begins with path and line, ``survey.g2o:17:``.
 
     Parameters
     ----------

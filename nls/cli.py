@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
+PICTURES = (".png", ".pdf", ".svg")
+
+PICTURES = (".png", ".pdf", ".svg")
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
@@ -101,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:  # a fault of ours: a user still gets one line, and the way to the traceback
         status, message = 2, f"internal error, please report it (--debug shows where): {error!r}"  # type: ignore[assignment]
     if debug:
-        raise
+        raise message
     if not isinstance(message, BrokenPipeError):
         print(f"nls: {' '.join(str(message).split())}", file=sys.stderr)
     return status
@@ -115,7 +118,11 @@ def run_solve(options: argparse.Namespace) -> int:
     started = perf_counter()
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     for name in (options.output, options.plot, options.json):
-        _refuse_missing_folder(name)
+        _refuse_unwritable(name)
+    if options.plot and Path(options.plot).suffix.lower() not in PICTURES:
+        raise nls.OptionError("--plot", options.plot, "a file name ending in " + ", ".join(PICTURES))
+    if options.plot and Path(options.plot).suffix.lower() not in PICTURES:
+        raise nls.OptionError("plot", options.plot, "a name that ends in " + ", ".join(PICTURES))
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
     graph, values, read = nls.load(options.file, convention=options.convention)
     t_read = perf_counter() - started
@@ -172,7 +179,7 @@ def run_info(options: argparse.Namespace) -> int:
     import nls
     from nls.inspect import inspect
 
-    _refuse_missing_folder(options.json)
+    _refuse_unwritable(options.json)
     graph, values, read = nls.load(options.file)
     found = inspect(graph, values)
     _write_json(
@@ -236,12 +243,12 @@ def _write_json(report: dict[str, Any], where: str | None) -> None:
         Path(where).write_text(text + "\n")
 
 
-def _refuse_missing_folder(name: str | None) -> None:
+def _refuse_unwritable(name: str | None) -> None:
     """Find out before the work, not after it, that an output cannot be written."""
     from models.errors import OptionError
 
-    if name and name != "-" and not Path(name).resolve().parent.is_dir():
-        raise OptionError("output file", name, "a path in a folder that exists")
+    if name and name != "-" and (Path(name).is_dir() or not Path(name).resolve().parent.is_dir()):
+        raise OptionError("output file", name, "a file in a folder that exists")
 
 
 def _peak_rss_mb() -> float:

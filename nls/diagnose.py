@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 
 from models.algebra import Array
@@ -20,7 +21,8 @@ __all__ = ["null_space", "underconstrained"]
 
 MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
 NULL = 1e-9  # |A v| below this for a unit v (columns of A scaled to length 1) is a free direction
-SHARE = 0.05  # a variable is named when it carries at least this part of the largest one's share of a direction
+SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one
+INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas
 
 
 def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> UnderconstrainedError:
@@ -51,8 +53,7 @@ def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> 
             values=values,
         )
     owner, component = pattern.column_owner()
-    share = (N * system.column_norms[:, None]) ** 2  # in sigmas, so that meters and radians compare
-    carried = share >= SHARE * share.max(axis=0)
+    carried = _carriers(N, system.column_norms, _component_ids(pattern, owner, component))
     any_of_them = carried.any(axis=1)
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
     count = f"at least {MAX_DIRECTIONS}" if N.shape[1] == MAX_DIRECTIONS else str(N.shape[1])
@@ -64,6 +65,29 @@ def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> 
         [_listed(_by_variable(pattern, owner[c], component[c])) for c in carried.T],
         values,
     )
+
+
+def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:
+    """A number (n,) per column, the same for columns of one component name: x with x, yaw with yaw."""
+    names = [name for manifold in pattern.manifolds.values() for name in manifold.components]
+    number = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    start = np.cumsum([0, *(m.dim for m in pattern.manifolds.values())])[:-1]
+    kind = np.searchsorted(list(pattern.offsets.values()), owner, side="right") - 1
+    return np.array([number[name] for name in names])[start[kind] + component]
+
+
+def _carriers(N: Array, scale: Array, ids: Index) -> npt.NDArray[np.bool_]:
+    """Which unknowns (n, k) carry each free direction: compared among their like, since meters and radians do not.
+
+    A component name counts as involved when, in sigmas, it carries at least INVOLVED of the direction.
+    """
+    carried = np.zeros(N.shape, dtype=bool)
+    sigmas = np.abs(N) * scale[:, None]
+    for k in np.unique(ids):
+        like = ids == k
+        involved = sigmas[like].max(axis=0) >= INVOLVED * sigmas.max(axis=0)
+        carried[like] = (np.abs(N[like]) >= SHARE * np.abs(N[like]).max(axis=0)) & involved
+    return carried
 
 
 def null_space(system: LinearSystem) -> Array:
@@ -117,6 +141,7 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
 
     label = component_labels(pattern)
     free = np.flatnonzero(~pattern.held)
+    texts = dict(zip(moving.tolist(), (text for _, text in named), strict=True))
     parts = []
     for k in np.unique(label[moving]):
         members = free[label[free] == k]
@@ -125,9 +150,9 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
                 "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs "
                 "two views that differ."
             )
-        names = dict.fromkeys(text.split(": ", 1)[1] for key, text in named if key == pattern.key(int(members[0])))
+        _, names = texts[int(members[0])].split(": ", 1)
         size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
-        parts.append(f"{', '.join(names)} of {size} {pattern.key(int(members[0]))}")
+        parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
     listed = "; ".join(parts[:6]) + (f"; and {len(parts) - 6} more components" if len(parts) > 6 else "")
     return listed, (
         "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "

@@ -1,10 +1,10 @@
 """The gauge: what relative measurements leave free, and what is done about it, by name.
 
-first   in every component made of relative measurements only, with nothing fixed: hold one variable, the lowest
-        numbered of the kind with the most degrees of freedom (its pose, where there are poses)
-prior   give that variable a prior of unit information at its start value instead
-free    hold nothing and take the shortest step, the one of the pseudo-inverse
-none    do nothing; a graph with a free gauge is then refused as under-constrained
+- ``first``: in every component made of relative measurements only, with nothing fixed, hold one variable, the lowest
+  numbered of the kind with the most degrees of freedom (its pose, where there are poses)
+- ``prior``: give that variable a prior of unit information at its start value instead
+- ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse
+- ``none``: do nothing; a graph with a free gauge is then refused as under-constrained
 
 Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``: nothing says
 anything about them, so nothing can be wrong.

@@ -14,6 +14,7 @@ from nls.hessian import Blocks
 
 if TYPE_CHECKING:
     from nls.assemble import Index, Pattern
+    from nls.linear import LinearSolver
 
 __all__ = ["LinearSystem"]
 
@@ -98,6 +99,19 @@ class LinearSystem:
         blocks = Blocks(self.pattern)
         lower = blocks.structure().matrix(blocks.fill(self))
         return sp.csc_array(lower + sp.tril(lower, -1).T)
+
+    def solve(self, linear_solver: LinearSolver | None = None) -> Array:
+        """The step dx = argmin |A dx - b|, (n,), by a solver of `nls.linear`; the best one installed when omitted.
+
+        Raises
+        ------
+        SingularSystemError
+            Something is free: there is no unique step.
+        """
+        from nls.linear import default_solver
+
+        solver = linear_solver or default_solver()
+        return solver.solve(solver.analyze(self.pattern), self).dx
 
     @property
     def rows(self) -> list[str]:

@@ -135,7 +135,9 @@ class Values:
         Y = stack.manifold.stack(X)
         if len(Y) not in (1, len(index)):
             raise GraphError(f"{len(Y)} elements for {key!r}, expected {len(index)}", [key])
-        stack.X[index] = Y
+        X_new = stack.X.copy(order="F")  # other Values may share the stack
+        X_new[index] = Y
+        self.stacks[stack.kind] = stack.moved(X_new)
 
     def __contains__(self, key: Keys) -> bool:
         return key.kind in self.stacks and bool(np.isin(key.numbers, self.stacks[key.kind].numbers).all())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,13 +16,20 @@ if TYPE_CHECKING:
 
 __all__ = ["LU", "SuperLUFactorization"]
 
+SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+
 
 class SuperLUFactorization(Factorization):
-    """H = L U with symmetric pivoting, ordered by SuperLU itself (minimum degree of H + H')."""
+    """H = L U with symmetric pivoting. SuperLU's minimum degree orders the graph of variables, once per graph."""
 
     @staticmethod
     def order(u: Index, v: Index, V: int) -> Index:
-        return np.arange(V)
+        from scipy.sparse.linalg import splu
+
+        i, j = np.concatenate([u, v]), np.concatenate([v, u])
+        adjacency = sp.coo_array((np.full(len(i), -1.0), (i, j)), shape=(V, V))
+        laplacian = sp.csc_array(adjacency + sp.diags_array(1.0 - adjacency.sum(axis=0)))
+        return np.argsort(splu(laplacian, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
 
     def __init__(self, hessian: Hessian) -> None:
         self._hessian = hessian
@@ -33,7 +40,7 @@ class SuperLUFactorization(Factorization):
         lower = self._hessian.matrix(S)
         H = sp.csc_matrix(lower + sp.tril(lower, -1).T)
         try:
-            self._lu = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            self._lu = splu(H, permc_spec="NATURAL", **SYMMETRIC)
         except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
             raise SingularSystemError(str(error)) from error
         return np.asarray(self._lu.U.diagonal()[self._lu.perm_c])

@@ -1,0 +1,299 @@
+"""What the pseudo-inverse costs: six ways to solve one A dx = b, on pose graphs that grow from 30 to 100,000 unknowns.
+
+    python benchmarks/pinv.py [--quick] [--seconds 20] [--gigabytes 4] [--out DIR]
+
+Every measurement is a fresh process with one BLAS thread that is given A and b of a simulated city, linearized at the
+true poses, and solves for the update. A solver stops where its next size is predicted to pass a limit, and says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import ctypes.util
+import datetime
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+SIZES = (30, 99, 300, 999, 3_000, 9_999, 30_000, 99_999)  # three unknowns a pose, the first pose held
+QUICK = 3_000
+DENSE = ("pinv", "dense-qr", "dense-cholesky")
+SPARSE = ("qr", "lu", "cholesky")
+TITLE = {
+    "pinv": "dense pseudo-inverse",
+    "dense-qr": "dense QR",
+    "dense-cholesky": "dense Cholesky",
+    "qr": "sparse QR",
+    "lu": "sparse LU",
+    "cholesky": "sparse Cholesky",
+}
+REFERENCES = ("dense-qr", "qr", "cholesky", "lu", "dense-cholesky", "pinv")  # the most accurate first
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
+RUNS, ENOUGH = 99, 1.0  # runs of one measurement at most; no further one after so many seconds
+SMALL = 1e6  # bytes; less is lost in the memory a process has at hand
+RESULTS = Path(__file__).parent / "results"
+
+
+@dataclass
+class Series:
+    """Measurements of one solver, size by size, and why there are no more."""
+
+    name: str
+    n: list[int] = field(default_factory=list)  # unknowns
+    seconds: list[float] = field(default_factory=list)  # of one solve, median
+    bytes: list[float] = field(default_factory=list)  # that a solve adds to the process
+    dx: list[npt.NDArray[np.float64]] = field(default_factory=list)  # the update
+    stopped: str = ""  # why it ended; empty when every size was solved
+
+
+# --- one measurement, in a process of its own -------------------------------------------------------------------------
+
+
+def measure(name: str, n: int, folder: Path) -> None:
+    """Solve the system of n unknowns; print seconds and bytes as JSON, leave the update in the folder."""
+    import sim
+    from nls.assemble import Pattern
+    from nls.gauge import fixed_variables
+    from nls.linear import SOLVERS
+    from nls.system import LinearSystem
+
+    def system(poses: int) -> LinearSystem:
+        world = sim.manhattan(np.random.default_rng(1), n_poses=poses)
+        world.graph.fix(next(iter(world.truth)))
+        held = fixed_variables(world.graph.fixed, world.truth)
+        return Pattern(world.graph.factors, world.truth, held).linearize(world.truth)
+
+    def solve(given: LinearSystem) -> tuple[float, npt.NDArray[np.float64]]:
+        fresh = LinearSystem(given.pattern, given.blocks, given.b)  # remembers nothing of an earlier solve
+        fresh.A  # noqa: B018 - A and b are given; everything made from them is timed
+        began = process_time()
+        dx = solver.solve(solver.analyze(fresh.pattern), fresh).dx
+        return process_time() - began, dx
+
+    kind: Any = SOLVERS[name]
+    solver = kind(memory_limit=np.inf) if name in DENSE else kind()
+    solve(system(50))  # libraries loaded
+    given = system(n // 3 + 1)
+    before = peak_memory(reset=True)
+    runs = [solve(given)]
+    added = max(peak_memory() - before, 0.0)
+    while len(runs) < RUNS and sum(seconds for seconds, _ in runs) < ENOUGH:
+        runs.append(solve(given))
+    np.save(folder / "dx.npy", runs[0][1])
+    print(json.dumps({"seconds": float(np.median([s for s, _ in runs])), "bytes": added}))
+
+
+def peak_memory(reset: bool = False) -> float:
+    """Largest resident memory of this process so far, bytes; on Linux, with `reset`, from now on."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1 if sys.platform == "darwin" else 1024)
+    if reset:
+        Path("/proc/self/clear_refs").write_text("5")
+    # not getrusage: on Linux that begins with the peak of the parent process
+    return 1024.0 * next(int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+
+
+# --- the series of one solver -----------------------------------------------------------------------------------------
+
+
+def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gigabytes: float) -> Series:
+    """Measure a solver size by size, up to the one predicted to pass a limit."""
+    from nls.linear import SOLVERS
+
+    series = Series(name)
+    if (missing := SOLVERS[name].missing()) is not None:
+        series.stopped = f"{name} was not run: {missing}"
+    for n in sizes:
+        if series.stopped:
+            break
+        time, memory = predict(series, n, cells)
+        if time > seconds or memory > gigabytes * 1e9:
+            need = f"{time:,.0f} s" if time > seconds else f"{memory / 1e9:,.1f} GB"
+            series.stopped = f"{name} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
+            break
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, __file__, "--child", name, str(n), folder]
+            done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True)
+            if done.returncode:
+                series.stopped = f"{name} stops at {n:,} unknowns: {(done.stderr.strip() or 'killed').splitlines()[-1]}"
+                break
+            found = json.loads(done.stdout)
+            series.n.append(n)
+            series.seconds.append(found["seconds"])
+            series.bytes.append(max(found["bytes"], SMALL))
+            series.dx.append(np.load(Path(folder) / "dx.npy"))
+        foreseen = f"  ({time:.2g} s foreseen)" if time else ""
+        print(f"  {name:15s}{n:8,}{found['seconds']:12.4g} s{found['bytes'] / 1e6:11.1f} MB{foreseen}", flush=True)
+    if series.stopped:
+        print(f"  {series.stopped}", flush=True)
+    return series
+
+
+def predict(series: Series, n: int, cells: dict[int, float]) -> tuple[float, float]:
+    """Seconds and bytes the size n will need, from the sizes before; zeros while nothing is known.
+
+    Dense: time grows with m n^2, memory with the m n numbers of A. Sparse: the power law through the last two sizes,
+    continued from the last one and taken at least linear.
+    """
+    if len(series.n) < 2:
+        return 0.0, 0.0
+    last = series.n[-1]
+    if series.name in DENSE:
+        more = cells[n] / cells[last]
+        return series.seconds[-1] * more * n / last, series.bytes[-1] * more
+    laws = ((y[-1], max(1.0, exponent(series.n[-2:], y[-2:]))) for y in (series.seconds, series.bytes))
+    time, memory = (y * (n / last) ** power for y, power in laws)
+    return time, memory
+
+
+def exponent(n: list[int], y: list[float]) -> float:
+    """p of the power law y ~ n^p through the points, by least squares of the logarithms."""
+    if len(n) < 2:
+        return float("nan")
+    return float(np.polyfit(np.log(n), np.log(np.maximum(y, 1e-9)), 1)[0])
+
+
+# --- the report -------------------------------------------------------------------------------------------------------
+
+
+def table(found: list[Series]) -> list[str]:
+    """Markdown: one row per size and solver, one per solver, then the sentences."""
+    lines = ["| unknowns | solver | seconds | relative | memory, MB | difference of dx |", "|--:|:--|--:|--:|--:|--:|"]
+    for n in sorted({n for s in found for n in s.n}):
+        here = {s.name: (s.seconds[k], s.bytes[k], s.dx[k]) for s in found if n in s.n for k in [s.n.index(n)]}
+        reference = next(name for name in REFERENCES if name in here)
+        for name, (seconds, added, dx) in here.items():
+            relative = f"{seconds / here['cholesky'][0]:,.1f}" if "cholesky" in here else ""
+            off = "reference" if name == reference else f"{np.abs(dx - here[reference][2]).max():.1e}"
+            mb = f"{added / 1e6:,.1f}" if added > SMALL else "< 1"
+            lines.append(f"| {n:,} | {TITLE[name]} | {seconds:.3g} | {relative} | {mb} | {off} |")
+    lines += ["", "| solver | largest size | time grows as | memory grows as |", "|:--|--:|:--|:--|"]
+    for s in (s for s in found if s.n):
+        powers = (f"n^{exponent(s.n[-3:], y[-3:]):.2f}" for y in (s.seconds, s.bytes))
+        lines.append(f"| {TITLE[s.name]} | {s.n[-1]:,} | {' | '.join(powers)} |")
+    lines += ["", "Exponents are fitted to the last three sizes of each solver.", ""]
+    return lines + [f"- {s.stopped}." for s in found if s.stopped] + crossings(found)
+
+
+def crossings(found: list[Series]) -> list[str]:
+    """From which size on sparse Cholesky is faster than each dense solver."""
+    at = {s.name: s for s in found if s.n}
+    lines = []
+    for name in (n for n in DENSE if n in at and "cholesky" in at):
+        k = min(len(at[name].n), len(at["cholesky"].n))
+        faster = np.array(at["cholesky"].seconds[:k]) < np.array(at[name].seconds[:k])
+        first = int(np.flatnonzero(np.append(True, ~faster))[-1])  # the size after the last slower one
+        if first < k:
+            lines.append(f"- Sparse Cholesky is faster than {TITLE[name]} from {at[name].n[first]:,} unknowns on.")
+    return lines
+
+
+def machine() -> list[str]:
+    """What the figures depend on."""
+    import scipy
+
+    processor, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
+    if info.exists():
+        named = [line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        processor = (named or [processor])[0]
+    suitesparse = "not installed"
+    if (library := ctypes.util.find_library("suitesparseconfig")) is not None:
+        numbers = (ctypes.c_int * 3)()
+        ctypes.CDLL(library).SuiteSparse_version(numbers)
+        suitesparse = ".".join(map(str, numbers))
+    versions = f"NumPy {np.__version__}, SciPy {scipy.__version__}, SuiteSparse {suitesparse}"
+    return [
+        f"- {datetime.date.today():%Y-%m-%d}, {processor}, {os.cpu_count()} cores",
+        f"- other work on the machine at the start: load {os.getloadavg()[0]:.1f}",
+        f"- Python {platform.python_version()}, {versions}",
+        "- one thread for every solver, and its processor time, which other work on the machine hardly changes",
+        "- graph: `sim.manhattan`, plane poses, seed 1, first pose held, linearized at the true poses",
+        f"- seconds: from A and b to dx, ordering included; median of up to {RUNS} runs, as many as begin within "
+        f"{ENOUGH:g} s; relative: to sparse Cholesky",
+        "- memory: what the solve adds to the process at its peak; a fresh process for every row",
+        "- difference: largest |dx - dx of the reference|, m and rad; the reference is the first of "
+        f"{', '.join(TITLE[name] for name in REFERENCES)} that reaches the size",
+    ]
+
+
+def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> None:
+    """Time and memory against unknowns, both axes logarithmic."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    styles = dict(zip(TITLE, ("o-", "s--", "^:", "o:", "s--", "^-"), strict=True))
+    for s in (s for s in found if s.n):
+        color = "#e07a2f" if s.name in DENSE else "#0b4f6c"
+        for axes, y in ((left, s.seconds), (right, np.array(s.bytes) / 1e6)):
+            axes.loglog(s.n, np.maximum(y, 1e-6), styles[s.name], color=color, label=TITLE[s.name], markersize=5)
+    for axes, limit, what in ((left, seconds, f"{seconds:g} s"), (right, 1e3 * gigabytes, f"{gigabytes:g} GB")):
+        axes.axhline(limit, color="0.5", linewidth=0.8)
+        axes.annotate(
+            f"limit {what}", (0.99, limit), xycoords=("axes fraction", "data"), ha="right", va="bottom", color="0.4"
+        )
+        axes.set(xlabel="unknowns", ylim=(None, 3 * limit))
+        axes.grid(alpha=0.3)
+    left.set_ylabel("one linear solve, one thread [s]")
+    right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, None))
+    right.legend(loc="upper left", framealpha=1.0)
+    figure.savefig(path, dpi=130)
+
+
+# --- command line -----------------------------------------------------------------------------------------------------
+
+
+def positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=positive, default=20.0, help="a solver stops before a solve longer than this")
+    parser.add_argument("--gigabytes", type=positive, default=4.0, help="or before one that takes more memory")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for pinv.md and pinv.png")
+    parser.add_argument("--quick", action="store_true", help=f"sizes up to {QUICK:,} unknowns")
+    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        measure(options.child[0], int(options.child[1]), Path(options.child[2]))
+        return 0
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out: {error}")
+    import sim
+
+    sizes = [n for n in SIZES if n <= QUICK or not options.quick]
+    cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
+    head = machine()
+    found = [run(name, sizes, cells, options.seconds, options.gigabytes) for name in (*DENSE, *SPARSE)]
+    limits = f"- limits: {options.seconds:g} s and {options.gigabytes:g} GB a solve"
+    lines = ["# Dense pseudo-inverse against sparse solvers", "", *head, limits, "", *table(found)]
+    print("\n" + "\n".join(lines))
+    (options.out / "pinv.md").write_text("\n".join(lines) + "\n")
+    draw(found, options.out / "pinv.png", options.seconds, options.gigabytes)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
