@@ -17,10 +17,10 @@ from models.errors import (
     UnderconstrainedError,
 )
 from nls.graph import FactorGraph
-from nls.initialize import initialize
 from nls.io import LoadReport, load, save
 from nls.linear import LU, QR, Cholesky, DenseCholesky, DenseQR, LinearSolver, Pinv, backends
 from nls.optimizers import GaussNewton, Iteration, Result, Status, Stop
+from nls.starts import initialize
 from nls.system import LinearSystem
 from nls.values import Values
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 PICTURES = (".png", ".pdf", ".svg")
-
-PICTURES = (".png", ".pdf", ".svg")
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
@@ -42,8 +40,8 @@ def parser() -> Parser:
     """All commands and options."""
     from factors.conventions import CONVENTIONS
     from nls.gauge import GAUGES
-    from nls.initialize import STARTS
     from nls.linear import SOLVERS
+    from nls.starts import STARTS
 
     top = Parser("nls", description="Least squares on factor graphs: solve and inspect pose graphs.", epilog=EXAMPLES)
     top.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -121,8 +119,6 @@ def run_solve(options: argparse.Namespace) -> int:
         _refuse_unwritable(name)
     if options.plot and Path(options.plot).suffix.lower() not in PICTURES:
         raise nls.OptionError("--plot", options.plot, "a file name ending in " + ", ".join(PICTURES))
-    if options.plot and Path(options.plot).suffix.lower() not in PICTURES:
-        raise nls.OptionError("plot", options.plot, "a name that ends in " + ", ".join(PICTURES))
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
     graph, values, read = nls.load(options.file, convention=options.convention)
     t_read = perf_counter() - started

@@ -103,7 +103,7 @@ def chain(group: LieGroup, first: npt.ArrayLike, steps: npt.ArrayLike) -> Array:
 
     A parallel prefix product of plain arrays: after the k-th of log2(n) passes every element is the product of the 2^k
     before it, so a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several
-    components there is `nls.initialize.chain`.
+    components there is `nls.starts.chain`.
 
     Parameters
     ----------

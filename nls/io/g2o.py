@@ -31,9 +31,9 @@ from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from models.errors import GraphError, GraphWarning, NoiseModelError
 from nls.graph import FactorGraph
-from nls.initialize.chain import chain
 from nls.io.report import LoadReport
 from nls.io.text import Text
+from nls.starts.chain import chain
 from nls.values import Values
 
 __all__ = ["read_g2o", "write_g2o"]

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from models.errors import OptionError, UnderconstrainedError
 from nls.graph import FactorGraph
-from nls.initialize.chain import chain, spanning_tree
-from nls.initialize.chordal import chordal
+from nls.starts.chain import chain, spanning_tree
+from nls.starts.chordal import chordal
 from nls.values import Values
 
 __all__ = ["STARTS", "chain", "chordal", "initialize", "spanning_tree"]

@@ -21,10 +21,10 @@ from models.manifolds.so2 import rotation2
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
 from nls.hessian import Hessian
-from nls.initialize.edges import PoseEdges, pose_edges
 from nls.linear import best_factorization
 from nls.linear.base import SingularSystemError
 from nls.linear.normal import NormalState
+from nls.starts.edges import PoseEdges, pose_edges
 from nls.values import Values
 
 __all__ = ["chordal"]
@@ -57,7 +57,7 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import FactorGraph, Values, kinds
-    >>> from nls.initialize import chordal
+    >>> from nls.starts import chordal
     >>> (x,) = kinds("x")
     >>> square = Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 0]], [1.0, 0.0, np.pi / 2], Isotropic(1))
     >>> chordal(FactorGraph([square]), Values({x: (SE2, SE2.identity(4))}))[x[1:4]].round(6).tolist()

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from nls.graph import FactorGraph
-from nls.initialize.edges import pose_edges
+from nls.starts.edges import pose_edges
 from nls.values import Values
 
 __all__ = ["chain", "spanning_tree"]
@@ -33,7 +33,7 @@ def chain(graph: FactorGraph, values: Values) -> Values:
     >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import FactorGraph, Values, kinds
-    >>> from nls.initialize import chain
+    >>> from nls.starts import chain
     >>> (x,) = kinds("x")
     >>> graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [[1, 0, 1.5], [1, 0, 0]], Isotropic(1))])
     >>> chain(graph, Values({x: (SE2, SE2.identity(3))}))[x].round(3).tolist()

@@ -1,0 +1,237 @@
+"""One or more samples of every factor: how to make it, and its measurement function once more, written by hand.
+
+The conformity suite finds every Factor subclass by itself and fails when it has no sample here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from factors import Between, Factor, Noise, Prior, SqrtInformation
+from factors.conventions import CONVENTIONS
+from factors.keys import Keys
+from models import SE2, SE3, SO2, SO3, LieGroup, Manifold, R
+from nls import Values
+
+Array = npt.NDArray[np.float64]
+GROUPS: list[LieGroup] = [SO2, SE2, SO3, SE3, R(2), R(3)]
+CASES = ["truth", "large innovation", "near identity", "residual near pi", "state near pi"]
+ANGLES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A factor that can be made for any number of measurements.
+
+    Parameters
+    ----------
+    name : of the test.
+    manifolds : the space of each variable.
+    space : the space of the measurement.
+    dim : numbers per residual.
+    build : the factor of (keys, z, noise).
+    truth : the measurement z (n, size) of the stacks of variables, not by way of the library's prediction.
+    convention : of the residual.
+    """
+
+    name: str
+    manifolds: tuple[Manifold, ...]
+    space: Manifold
+    dim: int
+    build: Callable[[tuple[Keys, ...], Array, Noise], Factor]
+    truth: Callable[..., Array]
+    convention: str = "log"
+
+    def __str__(self) -> str:
+        return self.name
+
+    def factor(self, z: Array, noise: Noise) -> Factor:
+        """Slot k takes the variables of kind vk, number 0 to n-1."""
+        return self.build(tuple(Keys(f"v{k}", np.arange(len(z))) for k in range(len(self.manifolds))), z, noise)
+
+    def values(self, X: tuple[Array, ...]) -> Values:
+        return Values({f"v{k}": (manifold, X[k]) for k, manifold in enumerate(self.manifolds)})
+
+
+def turned(manifold: Manifold, n: int, angle: float, length: float, rng: np.random.Generator) -> Array:
+    """Random tangent steps of given angle and length."""
+    delta = np.zeros((n, manifold.dim))
+    angular = np.isin(manifold.components, ANGLES)
+    for part, size in ((angular, angle), (~angular, length)):
+        if part.any():
+            v = rng.normal(size=(n, int(part.sum())))
+            delta[:, part] = size * v / np.linalg.norm(v, axis=1, keepdims=True)
+    return delta
+
+
+def states(manifold: Manifold, n: int, case: str, rng: np.random.Generator) -> Array:
+    """Variables of a case."""
+    angle, length = {"near identity": (1e-8, 1e-8), "state near pi": (np.pi - 1e-9, 3.0)}.get(case, (1.3, 3.0))
+    return manifold.retract(manifold.identity(n), turned(manifold, n, angle, length, rng))
+
+
+def situation(sample: Sample, case: str, n: int, seed: int) -> tuple[tuple[Array, ...], Array]:
+    """Stacks of variables and a measurement as far from the prediction as the case says."""
+    rng = np.random.default_rng(seed)
+    X = tuple(states(manifold, n, case, rng) for manifold in sample.manifolds)
+    angle, length = {
+        "truth": (0.0, 0.0),
+        "large innovation": (2.0, 5.0),
+        "near identity": (1e-7, 1e-7),
+        "residual near pi": (np.pi - 1e-3, 2.0),
+        "state near pi": (0.1, 0.1),
+    }[case]
+    z = np.asarray(sample.truth(*X), dtype=float)
+    return X, sample.space.retract(z, turned(sample.space, n, angle, length, rng))
+
+
+def whiteners(n: int, m: int, seed: int) -> Array:
+    """A different full, well-conditioned, not symmetric W (n, m, m) for each measurement."""
+    return np.eye(m) * 2 + np.random.default_rng(seed).uniform(-0.8, 0.8, size=(n, m, m))
+
+
+def full_noise(n: int, m: int, seed: int) -> Noise:
+    return SqrtInformation(whiteners(n, m, seed))
+
+
+# Groups once more, one element at a time, by homogeneous matrices and SciPy's rotations.
+
+
+def homogeneous(group: Manifold, X: Array) -> Array:
+    """Stored element (size,) as a matrix."""
+    if group is SO2 or group is SE2:
+        *t, theta = X
+        M = np.eye(3)
+        M[:2, :2] = [[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]]
+        M[: len(t), 2] = t
+    elif group is SO3 or group is SE3:
+        M = np.eye(4)
+        M[:3, :3] = Rotation.from_quat(X[-4:]).as_matrix()
+        M[: len(X) - 4, 3] = X[:-4]
+    else:
+        M = np.eye(len(X) + 1)
+        M[:-1, -1] = X
+    return M
+
+
+def stored(group: Manifold, M: Array) -> Array:
+    """Matrix as stored element."""
+    if group is SO2 or group is SE2:
+        return np.array([*M[: group.size - 1, 2], np.arctan2(M[1, 0], M[0, 0])])
+    if group is SO3 or group is SE3:
+        return np.array([*M[: group.size - 4, 3], *Rotation.from_matrix(M[:3, :3]).as_quat()])
+    return M[:-1, -1]
+
+
+def file_vector(group: Manifold, M: Array) -> Array:
+    """Translation and wrapped angle, or quaternion vector part with w >= 0."""
+    if group is SO3 or group is SE3:
+        q = Rotation.from_matrix(M[:3, :3]).as_quat()
+        return np.array([*M[: group.size - 4, 3], *(q[:3] if q[3] >= 0 else -q[:3])])
+    return stored(group, M)
+
+
+def logarithm(group: Manifold, M: Array) -> Array:
+    """(rho, phi), the translation by V rho = t V from exp [[K, I], [0, 0]] = [[R, V], [0, I]]."""
+    if group is not SE2 and group is not SE3:
+        return Rotation.from_matrix(M[:3, :3]).as_rotvec() if group is SO3 else stored(group, M)
+    k = len(M) - 1
+    if k == 2:
+        phi = np.array([np.arctan2(M[1, 0], M[0, 0])])
+        K = phi[0] * np.array([[0.0, -1.0], [1.0, 0.0]])
+    else:
+        phi = Rotation.from_matrix(M[:3, :3]).as_rotvec()
+        K = np.cross(phi, np.eye(3)).T
+    V = expm(np.block([[K, np.eye(k)], [np.zeros((k, 2 * k))]]))[:k, k:]
+    return np.concatenate([np.linalg.solve(V, M[:k, k]), phi])
+
+
+def innovation_by_hand(group: Manifold, h: Array, z: Array, convention: str) -> Array:
+    """z [-] h of one measurement, in the four conventions."""
+    H, Z = homogeneous(group, h), homogeneous(group, z)
+    if convention == "g2o":
+        if group not in (SO2, SE2, SO3, SE3):
+            return z - h
+        return -file_vector(group, np.linalg.inv(Z) @ H)
+    if convention == "graphslam":
+        return file_vector(group, np.linalg.inv(H) @ Z)
+    return logarithm(group, np.linalg.inv(H) @ Z)
+
+
+def difference(group: Manifold) -> Callable[[Array, Array], Array]:
+    def truth(X_i: Array, X_j: Array) -> Array:
+        relative = [np.linalg.inv(homogeneous(group, a)) @ homogeneous(group, b) for a, b in zip(X_i, X_j, strict=True)]
+        return np.array([stored(group, M) for M in relative])
+
+    return truth
+
+
+def between(group: LieGroup, convention: str) -> Sample:
+    return Sample(
+        f"Between-{group}-{convention}",
+        (group, group),
+        group,
+        group.dim,
+        lambda keys, z, noise: Between(*keys, z, noise, convention=convention),
+        difference(group),
+        convention,
+    )
+
+
+def prior(group: LieGroup, convention: str, components: tuple[str, ...] | None = None) -> Sample:
+    return Sample(
+        f"Prior-{group}-{convention}" + (f"-{'+'.join(components)}" if components else ""),
+        (group,),
+        group,
+        len(components) if components else group.dim,
+        lambda keys, z, noise: Prior(keys[0], z, noise, components, convention=convention),
+        lambda X: X.copy(),
+        convention,
+    )
+
+
+def _range(X: Array, L: Array) -> Array:
+    """Distance of a pose from a point moved by (4, 3) m; one number per measurement."""
+    return np.linalg.norm(L + np.array([4.0, 3.0]) - X[:, :2], axis=1)[:, None] - 2.0
+
+
+def _range_jacobians(X: Array, L: Array) -> tuple[Array, Array]:
+    d = L + np.array([4.0, 3.0]) - X[:, :2]
+    u = d / np.linalg.norm(d, axis=1, keepdims=True)
+    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
+    body = np.stack([-c * u[:, 0] - s * u[:, 1], s * u[:, 0] - c * u[:, 1], np.zeros(len(u))], axis=1)
+    return body[:, None, :], u[:, None, :]
+
+
+def _position(T: Array) -> Array:
+    """Three numbers of a pose in space."""
+    return np.stack([T[:, 0] * T[:, 1], np.sin(T[:, 2]), T[:, 2] + T[:, 0]], axis=1)
+
+
+def from_function(name: str, manifolds: tuple[Manifold, ...], dim: int, f: Callable, J: Callable | None) -> Sample:
+    """A factor of a function f has z = 0: the sample measures f(X) as f(X) - z for a z of its choice."""
+
+    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
+        return Factor.from_function(lambda *X: f(*X) - z, keys, dim, noise, J)
+
+    return Sample(f"from_function-{name}", manifolds, R(dim), dim, build, f)
+
+
+SAMPLES = [
+    *(between(group, convention) for group in GROUPS for convention in CONVENTIONS),
+    *(prior(group, convention) for group in GROUPS for convention in CONVENTIONS),
+    *(prior(SE2, convention, ("yaw", "x")) for convention in CONVENTIONS),
+    *(prior(SE3, convention, ("z", "roll", "pitch")) for convention in CONVENTIONS),
+    prior(SE3, "log", ("z",)),
+    prior(R(3), "log", ("z", "x")),
+    prior(R(2), "log", ("y",)),
+    from_function("range-differences", (SE2, R(2)), 1, _range, None),
+    from_function("range-jacobians", (SE2, R(2)), 1, _range, _range_jacobians),
+    from_function("position-differences", (SE3,), 3, _position, None),
+]

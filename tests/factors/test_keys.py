@@ -1,0 +1,85 @@
+"""Names of variables: kinds, numbers, batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors.keys import Keys, Kind, kinds
+from models.errors import GraphError
+
+x, l = kinds("x", "l")
+
+
+def test_one_variable_and_a_batch() -> None:
+    assert repr(x[17]) == "x17"
+    assert repr(l[[3, 4]]) == "l[3, 4]"
+    assert repr(l[[3]]) == "l3"
+    assert x[17].single
+    assert not x[[17]].single
+    assert (len(x[17]), len(x[[3, 4, 5]]), len(x[[]])) == (1, 3, 0)
+    assert x[np.arange(3)].numbers.dtype == np.int64
+    assert repr(x[0:1000]).replace(" ", "") == "x[0,1,...,998,999]"
+
+
+def test_slices() -> None:
+    assert x[0:4].numbers.tolist() == [0, 1, 2, 3]
+    assert x[:3].numbers.tolist() == [0, 1, 2]
+    assert x[2:9:3].numbers.tolist() == [2, 5, 8]
+    with pytest.raises(GraphError, match=r"x\[5:\]: a slice of variables needs its end, x\[0:10\]"):
+        x[5:]
+
+
+def test_any_whole_number_of_64_bits_is_a_name() -> None:
+    low, high = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+    assert x[[low, -1, high]].numbers.tolist() == [low, -1, high]
+    assert x[np.array([high], dtype=np.uint64)].numbers.tolist() == [high]
+    assert repr(x[high]) == f"x{high}"
+    with pytest.raises(GraphError, match=rf"variable number {high + 1} is above 2\^63 - 1"):
+        x[np.array([1, high + 1], dtype=np.uint64)]
+
+
+@pytest.mark.parametrize("bad", [1.5, [0.0, 1.0], "a", None, [True, False], [1, "b"]], ids=str)
+def test_numbers_must_be_whole(bad: object) -> None:
+    with pytest.raises(GraphError, match=r"x\[...\]: variable numbers must be whole numbers, got "):
+        x[bad]  # type: ignore[index]
+
+
+def test_numbers_are_a_list() -> None:
+    with pytest.raises(GraphError, match=r"variable numbers have shape \(2, 1\), expected \(n,\)"):
+        x[[[1], [2]]]
+
+
+def test_equality_and_hash() -> None:
+    assert x[3] == x[3]
+    assert x[3] == x[[3]]
+    assert x[3] != l[3]
+    assert x[3] != x[4]
+    assert x[[3, 4]] != x[[4, 3]]
+    assert x[[3, 4]] != x[[3]]
+    assert x[3] != 3
+    assert {x[3]: "a", l[3]: "b"}[Keys("x", 3)] == "a"
+    assert hash(x[[1, 2]]) == hash(x[np.array([1, 2], dtype=np.int32)])
+    assert (x == Kind("x"), x == l, x == "x", len({x, Kind("x"), l})) == (True, False, False, 2)
+
+
+def test_iteration_and_selection() -> None:
+    assert list(x[[5, 7]]) == [x[5], x[7]]
+    assert all(key.single for key in x[[5, 7]])
+    assert x[[5, 6, 7]][[2, 0]] == x[[7, 5]]
+    assert x[[5, 6, 7]][np.array([True, False, True])] == x[[5, 7]]
+
+
+def test_a_batch_does_not_follow_its_array() -> None:
+    numbers = np.array([1, 2, 3])
+    keys = x[numbers]
+    numbers[0] = 99
+    assert keys.numbers.tolist() == [1, 2, 3]
+
+
+def test_kinds_have_short_names() -> None:
+    assert repr(x) == "x"
+    assert [kind.name for kind in kinds("pose", "l2")] == ["pose", "l2"]
+    for bad in ("", "2x", "a b", "x,"):
+        with pytest.raises(GraphError, match="expected a short name of letters"):
+            Kind(bad)

@@ -1,0 +1,160 @@
+"""Roll, pitch and yaw, z down: R = Rz(yaw) Ry(pitch) Rx(roll), body to world."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models import SE3, SO3, euler
+from models.errors import SingularGeometryError
+from models.manifolds.so3 import quaternion_from_matrix, rotation3
+
+Array = npt.NDArray[np.float64]
+SHAPES: list[tuple[int, ...]] = [(), (1,), (3, 1, 2)]
+every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)
+
+
+def by_hand(roll: float, pitch: float, yaw: float) -> Array:
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return Rz @ Ry @ Rx
+
+
+def random_angles(shape: tuple[int, ...], seed: int) -> Array:
+    """Canonical angles away from gimbal lock."""
+    rng = np.random.default_rng(seed)
+    return np.stack([rng.uniform(-3.1, 3.1, shape), rng.uniform(-1.5, 1.5, shape), rng.uniform(-3.1, 3.1, shape)], -1)
+
+
+@every_shape
+def test_rotation_of_angles(shape: tuple[int, ...]) -> None:
+    rpy = random_angles(shape, 1)
+    q = euler.quaternion_from_angles(rpy)
+    assert q.shape == (*shape, 4)
+    assert np.linalg.norm(q, axis=-1) == pytest.approx(1.0, abs=1e-15)
+    for index in np.ndindex(shape):
+        np.testing.assert_allclose(rotation3(q)[index], by_hand(*rpy[index]), atol=1e-15)
+
+
+@every_shape
+def test_angles_of_rotation(shape: tuple[int, ...]) -> None:
+    rpy = random_angles(shape, 2)
+    matrices = np.empty((*shape, 3, 3))
+    for index in np.ndindex(shape):
+        matrices[index] = by_hand(*rpy[index])
+    q = quaternion_from_matrix(matrices)
+    for stored in (q, -q, 1.01 * q):
+        found = euler.angles_from_quaternion(stored)
+        assert found.shape == (*shape, 3)
+        np.testing.assert_allclose(found, rpy, atol=1e-13)
+
+
+def test_single_angles_turn_as_named() -> None:
+    ahead, starboard, down = np.eye(3)
+    quarter = np.pi / 2
+    yawed = rotation3(euler.quaternion_from_angles([0, 0, quarter]))
+    np.testing.assert_allclose(yawed @ ahead, starboard, atol=1e-15)  # to starboard, clockwise from above
+    pitched = rotation3(euler.quaternion_from_angles([0, quarter, 0]))
+    np.testing.assert_allclose(pitched @ ahead, -down, atol=1e-15)  # bow up
+    rolled = rotation3(euler.quaternion_from_angles([quarter, 0, 0]))
+    np.testing.assert_allclose(rolled @ starboard, down, atol=1e-15)  # starboard side down
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
+def test_the_other_triple_of_a_rotation_comes_back_canonical(roll: float, pitch: float, yaw: float) -> None:
+    same = euler.quaternion_from_angles([roll + np.pi, np.pi - pitch, yaw + np.pi])
+    np.testing.assert_allclose(rotation3(same), by_hand(roll, pitch, yaw), atol=1e-14)
+    np.testing.assert_allclose(euler.angles_from_quaternion(same), [roll, pitch, yaw], atol=1e-12)
+
+
+def test_half_turns_are_minus_pi() -> None:
+    for rpy in ([np.pi, 0.2, 0.1], [0.1, 0.2, np.pi], [np.pi, 0.0, np.pi - 1e-12]):
+        found = euler.angles_from_quaternion(euler.quaternion_from_angles(rpy))
+        assert (found >= -np.pi).all()
+        assert (found < np.pi).all()
+        np.testing.assert_allclose(np.cos(found - rpy), 1.0, atol=1e-14)
+    yaw = euler.angles_from_quaternion(np.array([0.0, 0.0, 1.0, 0.0]))[2]
+    assert float(yaw) == -np.pi
+
+
+@every_shape
+def test_rate_matrix_is_the_body_rotation_of_a_change_of_angles(shape: tuple[int, ...]) -> None:
+    rpy = random_angles(shape, 3)
+    T = euler.rate_matrix(rpy)
+    assert T.shape == (*shape, 3, 3)
+    h, q = 1e-6, euler.quaternion_from_angles(rpy)
+    for k, step in enumerate(h * np.eye(3)):
+        plus, minus = euler.quaternion_from_angles(rpy + step), euler.quaternion_from_angles(rpy - step)
+        w = (SO3.log(SO3.between(q, plus)) - SO3.log(SO3.between(q, minus))) / (2 * h)
+        np.testing.assert_allclose(T[..., k], w, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(T), np.cos(rpy[..., 1]), atol=1e-14)
+    eye = np.broadcast_to(np.eye(3), T.shape)
+    np.testing.assert_allclose(euler.rate_matrix_inv(rpy) @ T, eye, atol=1e-12)
+    np.testing.assert_allclose(T @ euler.rate_matrix_inv(rpy), eye, atol=1e-12)
+
+
+def test_rate_matrix_entries() -> None:
+    r, p = 0.3, -0.4
+    expected = [[1, 0, -np.sin(p)], [0, np.cos(r), np.sin(r) * np.cos(p)], [0, -np.sin(r), np.cos(r) * np.cos(p)]]
+    np.testing.assert_allclose(euler.rate_matrix([r, p, 9.9]), expected)
+    assert np.isfinite(euler.rate_matrix([0.0, np.pi / 2, 0.0])).all(), "T itself exists at gimbal lock"
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, np.pi / 2 - 5e-7, np.pi / 2 + 5e-7])
+def test_gimbal_lock_is_refused(pitch: float) -> None:
+    batch = np.array([[0.1, 0.2, 0.3], [0.1, pitch, 0.3]])
+    poses = euler.to_se3(np.concatenate([batch, np.ones((2, 3))], axis=1))
+    for call in (
+        lambda: euler.angles_from_quaternion(euler.quaternion_from_angles(batch)),
+        lambda: euler.rate_matrix_inv(batch),
+        lambda: euler.from_se3(poses),
+    ):
+        with pytest.raises(
+            SingularGeometryError, match=r"element 1 of the batch is at gimbal lock \(pitch = \+-90 deg\)"
+        ):
+            call()
+    with pytest.raises(SingularGeometryError, match="element 0"):
+        euler.rate_matrix_inv(batch[1])
+
+
+@pytest.mark.parametrize("pitch", [1.57, -1.57, np.pi / 2 - 1e-5])
+def test_close_to_gimbal_lock_still_works(pitch: float) -> None:
+    rpy = np.array([0.1, pitch, 0.3])
+    q = euler.quaternion_from_angles(rpy)
+    np.testing.assert_allclose(euler.angles_from_quaternion(q), rpy, atol=1e-9)
+    np.testing.assert_allclose(euler.rate_matrix_inv(rpy) @ euler.rate_matrix(rpy), np.eye(3), atol=1e-9)
+
+
+@every_shape
+def test_six_vectors_and_poses(shape: tuple[int, ...]) -> None:
+    t = np.random.default_rng(4).normal(size=(*shape, 3))
+    state = np.concatenate([random_angles(shape, 4), t], axis=-1)
+    T = euler.to_se3(state)
+    assert T.shape == (*shape, 7)
+    np.testing.assert_array_equal(SE3.position(T), t)
+    np.testing.assert_array_equal(T[..., 3:], euler.quaternion_from_angles(state[..., :3]))
+    np.testing.assert_allclose(euler.from_se3(T), state, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.1, 2.0, np.pi - 1e-3, np.pi - 1e-7, np.pi - 1e-9, np.pi])
+def test_quaternion_of_a_matrix(angle: float) -> None:
+    rng = np.random.default_rng(5)
+    axes = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(50, 3)), [[1, 1, 0], [0, 1, -1], [1, 1, 1]]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    K = np.cross(axes[:, None, :], np.eye(3)).swapaxes(1, 2)  # columns: axis x e
+    matrices = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    q = quaternion_from_matrix(matrices)
+    np.testing.assert_allclose(rotation3(q), matrices, atol=4e-15)
+    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0, atol=1e-15)
+    assert (q[:, 3] >= 0).all()
+    assert np.abs(q[:, 3] - np.cos(angle / 2)).max() < 1e-15
+    expected = np.sin(angle / 2) * axes
+    sign = np.sign(np.sum(q[:, :3] * expected, axis=1, keepdims=True)) if angle == np.pi else 1.0
+    np.testing.assert_allclose(q[:, :3] * sign, expected, atol=1e-15)
+    np.testing.assert_array_equal(quaternion_from_matrix(matrices[7]), q[7])
+    np.testing.assert_array_equal(quaternion_from_matrix(matrices[:6].reshape(3, 1, 2, 3, 3)).reshape(6, 4), q[:6])

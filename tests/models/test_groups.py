@@ -1,0 +1,397 @@
+"""Conformity of every Lie group: a group found in `models.manifolds` is tested without being listed anywhere."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import itertools
+import pkgutil
+import re
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+import models.manifolds
+from models import SE2, SE3, SO2, SO3, LieGroup, R
+from models.errors import GraphError, OptionError
+
+Array = npt.NDArray[np.float64]
+MODULES = [
+    importlib.import_module(m.name) for m in pkgutil.walk_packages(models.manifolds.__path__, "models.manifolds.")
+]
+FOUND = [value for module in MODULES for value in vars(module).values() if isinstance(value, LieGroup)]
+GROUPS = list(dict.fromkeys([*FOUND, R(1), R(2), R(3), R(7)]))
+ANGLES = [0.0, 1e-9, 1e-7, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-7, np.pi - 1e-9]
+LENGTHS = ["x", "y", "z", *(f"c{k}" for k in range(7))]  # components that are lengths or plain numbers
+AXES = ["roll", "pitch", "yaw"]  # components that are angles, about x, y and z
+SHAPES: list[tuple[int, ...]] = [(), (1,), (3, 1, 2)]
+STEP = 1e-5
+OTHER_FORMS: dict[str, list[Callable[[Array], Array]]] = {  # other stored numbers of the same element
+    "SO2": [lambda X: X + 2 * np.pi, lambda X: X - 4 * np.pi],
+    "SE2": [lambda X: X + np.array([0, 0, 2 * np.pi]), lambda X: X - np.array([0, 0, 4 * np.pi])],
+    "SO3": [lambda X: -X, lambda X: 1.001 * X],
+    "SE3": [lambda X: X * [1, 1, 1, -1, -1, -1, -1], lambda X: X * [1, 1, 1, *[-0.999] * 4]],
+}
+
+every_group = pytest.mark.parametrize("group", GROUPS, ids=str)
+every_shape = pytest.mark.parametrize("shape", SHAPES, ids=str)
+every_angle = pytest.mark.parametrize("angle", ANGLES, ids=lambda a: f"{a:.10g}")
+seeds = st.integers(0, 2**32 - 1)
+
+
+def turning(group: LieGroup) -> list[int]:
+    """Which tangent components are angles."""
+    unknown = set(group.components) - {*LENGTHS, *AXES}
+    assert not unknown, f"{group}: no sample: say here whether its components {unknown} are lengths or angles"
+    assert len(group.components) == group.dim
+    return [k for k, name in enumerate(group.components) if name in AXES]
+
+
+def tangent(group: LieGroup, shape: tuple[int, ...], angle: float, rng: np.random.Generator) -> Array:
+    """Random tangent vectors that turn by a given angle."""
+    delta = rng.normal(size=(*shape, group.dim)) * 2.0
+    k = turning(group)
+    if k:
+        axis = rng.normal(size=(*shape, len(k)))
+        delta[..., k] = angle * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    return delta
+
+
+def element(group: LieGroup, shape: tuple[int, ...], rng: np.random.Generator, largest: float = np.pi) -> Array:
+    return group.exp(tangent(group, shape, float(rng.uniform(0.1, largest)), rng))
+
+
+def form(group: LieGroup, X: Array) -> Array:
+    """Elements as numbers that are the same for the same element: homogeneous matrices, or the stored vectors."""
+    if not group.point_dim:
+        return X
+    k = group.point_dim
+    M = np.zeros((*X.shape[:-1], k + 1, k + 1))
+    M[..., :k, :k] = group.rotation(X)
+    M[..., :k, k] = group.act(X, np.zeros(k))
+    M[..., k, k] = 1.0
+    return M
+
+
+def assert_same(group: LieGroup, X: Array, Y: Array, atol: float = 1e-12) -> None:
+    np.testing.assert_allclose(form(group, X), form(group, Y), rtol=1e-12, atol=atol)
+
+
+def central(f: Callable[[Array], Array], dim: int, shape: tuple[int, ...]) -> Array:
+    """Derivative at 0 of a function of tangent vectors, columns last; all steps in one call, as a leading axis."""
+    steps = (STEP * np.eye(dim)).reshape(dim, *[1] * len(shape), dim)
+    return np.moveaxis((f(steps) - f(-steps)) / (2 * STEP), 0, -1)
+
+
+def test_every_group_class_has_an_instance_that_is_tested() -> None:
+    classes = {c for m in MODULES for c in vars(m).values() if inspect.isclass(c) and issubclass(c, LieGroup)}
+    concrete = {c for c in classes if not inspect.isabstract(c)}
+    assert concrete <= {type(group) for group in GROUPS}, "a group without an instance: name one in its module"
+    assert {"SO2", "SE2", "SO3", "SE3"} <= {group.name for group in GROUPS}
+
+
+@every_group
+def test_every_group_can_be_sampled(group: LieGroup) -> None:
+    assert len(set(group.components)) == group.dim
+    assert group.identity(4).shape == (4, group.size)
+    assert not turning(group) or group.name in OTHER_FORMS, f"{group}: no sample: add its other stored forms here"
+
+
+@every_group
+@given(seed=seeds, shape=st.sampled_from(SHAPES))
+def test_axioms(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    X, Y, Z = (element(group, shape, rng) for _ in range(3))
+    neutral = group.identity()[0]
+    assert_same(group, group.compose(group.compose(X, Y), Z), group.compose(X, group.compose(Y, Z)))
+    assert_same(group, group.compose(X, neutral), X)
+    assert_same(group, group.compose(neutral, X), X)
+    identities = np.broadcast_to(neutral, X.shape)
+    assert_same(group, group.compose(X, group.inverse(X)), identities)
+    assert_same(group, group.compose(group.inverse(X), X), identities)
+    assert_same(group, group.inverse(group.compose(X, Y)), group.compose(group.inverse(Y), group.inverse(X)))
+    assert_same(group, group.between(X, Y), group.compose(group.inverse(X), Y))
+    assert_same(group, group.compose(X, group.between(X, Y)), Y)
+    for found in (X, group.compose(X, Y), group.inverse(X), group.between(X, Y)):
+        assert found.shape == (*shape, group.size)
+        assert group.invalid(found.reshape(-1, group.size)) is None
+        if group.point_dim == 2:
+            assert (found[..., -1] >= -np.pi).all()
+            assert (found[..., -1] < np.pi).all()
+
+
+@every_group
+@given(seed=seeds, shape=st.sampled_from(SHAPES))
+def test_retract_and_local_undo_each_other_on_the_right(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    X, Y = element(group, shape, rng), element(group, shape, rng)
+    delta = tangent(group, shape, float(rng.uniform(0, 3.1)), rng)
+    assert_same(group, group.retract(X, group.local(X, Y)), Y)
+    np.testing.assert_allclose(group.local(X, group.retract(X, delta)), delta, atol=1e-11)
+    assert_same(group, group.retract(X, delta), group.compose(X, group.exp(delta)))
+    assert group.local(X, Y).shape == (*shape, group.dim)
+
+
+@every_group
+@given(seed=seeds, shape=st.sampled_from(SHAPES))
+def test_adjoint_moves_a_step_to_the_other_side(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    X, Y = element(group, shape, rng), element(group, shape, rng)
+    delta = tangent(group, shape, 0.8, rng)
+    Ad = group.adjoint(X)
+    assert Ad.shape == (*shape, group.dim, group.dim)
+    left = group.compose(group.exp((Ad @ delta[..., None])[..., 0]), X)
+    assert_same(group, group.compose(X, group.exp(delta)), left, 1e-11)
+    np.testing.assert_allclose(group.adjoint(group.compose(X, Y)), Ad @ group.adjoint(Y), atol=1e-10)
+    np.testing.assert_allclose(group.adjoint_inverse(X) @ Ad, np.broadcast_to(np.eye(group.dim), Ad.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("group", [g for g in GROUPS if g.point_dim], ids=str)
+@given(seed=seeds, shape=st.sampled_from(SHAPES))
+def test_act_is_a_homomorphism(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(seed)
+    X, Y = element(group, shape, rng), element(group, shape, rng)
+    p = rng.normal(size=(*shape, group.point_dim))
+    np.testing.assert_allclose(group.act(group.compose(X, Y), p), group.act(X, group.act(Y, p)), atol=1e-12)
+    np.testing.assert_allclose(group.act(group.inverse(X), group.act(X, p)), p, atol=1e-12)
+    np.testing.assert_allclose(group.act(group.identity()[0], p), p)
+    turned = (group.rotation(X) @ p[..., None])[..., 0]
+    t = group.position(X)
+    np.testing.assert_allclose(group.act(X, p), turned + t if t.shape[-1] else turned, atol=1e-14)
+
+
+@every_group
+@every_shape
+@every_angle
+def test_exp_and_log_undo_each_other(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+    rng = np.random.default_rng(11)
+    delta = tangent(group, shape, angle, rng)
+    X = group.exp(delta)
+    assert X.shape == (*shape, group.size)
+    found = group.log(X)
+    k = turning(group)
+    assert np.abs(found - delta)[..., k].max(initial=0.0) <= 2e-15 * angle, "relative to the angle, however small"
+    np.testing.assert_allclose(found, delta, rtol=0, atol=1e-13)
+    assert_same(group, group.exp(found), X)
+    assert_same(group, group.exp(-delta), group.inverse(X), 1e-13)
+
+
+@every_group
+def test_half_a_turn(group: LieGroup) -> None:
+    X = group.exp(tangent(group, (20,), np.pi, np.random.default_rng(12)))
+    found = group.log(X)
+    assert_same(group, group.exp(found), X)
+    if k := turning(group):
+        assert np.linalg.norm(found[:, k], axis=-1) == pytest.approx(np.pi, abs=1e-14)
+    np.testing.assert_array_equal(group.log(group.identity(2)), np.zeros((2, group.dim)))
+    assert_same(group, group.exp(np.zeros((2, group.dim))), group.identity(2))
+
+
+@every_group
+@every_angle
+def test_exp_is_the_matrix_exponential_in_the_named_order(group: LieGroup, angle: float) -> None:
+    if not group.point_dim:
+        assert group.exp([1.0, *[0.0] * (group.dim - 1)]) == pytest.approx(np.eye(group.dim)[0])
+        return
+    k = group.point_dim
+    generators = np.zeros((group.dim, k + 1, k + 1))
+    for G, name in zip(generators, group.components, strict=True):
+        if name in LENGTHS:
+            G[LENGTHS.index(name), k] = 1.0
+        elif k == 2:
+            G[:2, :2] = [[0, -1], [1, 0]]
+        else:
+            G[:3, :3] = np.cross(np.eye(3)[AXES.index(name)], np.eye(3)).T  # columns: axis x e
+    delta = tangent(group, (), angle, np.random.default_rng(13))
+    np.testing.assert_allclose(form(group, group.exp(delta)), expm(np.tensordot(delta, generators, 1)), atol=1e-13)
+
+
+@every_group
+@every_shape
+@every_angle
+def test_jacobians_of_exp(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+    delta = tangent(group, shape, angle, np.random.default_rng(14))
+    X, dim = group.exp(delta), group.dim
+    left = central(lambda d: group.log(group.compose(group.exp(delta + d), group.inverse(X))), dim, shape)
+    right = central(lambda d: group.log(group.between(X, group.exp(delta + d))), dim, shape)
+    np.testing.assert_allclose(group.jl(delta), left, atol=2e-9)
+    np.testing.assert_allclose(group.jr(delta), right, atol=2e-9)
+    eye = np.broadcast_to(np.eye(dim), (*shape, dim, dim))
+    np.testing.assert_allclose(group.jl_inv(delta) @ group.jl(delta), eye, atol=1e-13)
+    np.testing.assert_allclose(group.jr_inv(delta) @ group.jr(delta), eye, atol=1e-13)
+    np.testing.assert_allclose(group.jl(delta), group.adjoint(X) @ group.jr(delta), atol=1e-12)
+    for J in (group.jl, group.jr, group.jl_inv, group.jr_inv):
+        assert J(delta).shape == (*shape, dim, dim)
+
+
+@every_group
+@every_shape
+@pytest.mark.parametrize("angle", [a for a in ANGLES if a < 3.1], ids=str)
+def test_jacobians_of_log(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+    delta = tangent(group, shape, angle, np.random.default_rng(15))
+    X = group.exp(delta)
+    left = central(lambda d: group.log(group.compose(group.exp(d), X)), group.dim, shape)
+    right = central(lambda d: group.log(group.compose(X, group.exp(d))), group.dim, shape)
+    np.testing.assert_allclose(group.jl_inv(delta), left, atol=2e-9)
+    np.testing.assert_allclose(group.jr_inv(delta), right, atol=2e-9)
+
+
+@every_group
+@every_shape
+@pytest.mark.parametrize("angle", [a for a in ANGLES if a < 3.1], ids=str)
+def test_vector_and_its_jacobians(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+    X = group.exp(tangent(group, shape, angle, np.random.default_rng(16)))
+    for Y in (X, *(other(X) for other in OTHER_FORMS.get(group.name, []))):
+        assert group.vector(Y).shape == (*shape, group.dim)
+        np.testing.assert_allclose(group.vector(Y), vector_by_hand(group, Y), atol=1e-14)
+        left = central(lambda d, Y=Y: group.vector(group.compose(group.exp(d), Y)), group.dim, shape)
+        right = central(lambda d, Y=Y: group.vector(group.compose(Y, group.exp(d))), group.dim, shape)
+        np.testing.assert_allclose(group.vector_jl(Y), left, atol=2e-9)
+        np.testing.assert_allclose(group.vector_jr(Y), right, atol=2e-9)
+
+
+def vector_by_hand(group: LieGroup, X: Array) -> Array:
+    """Translation, then the wrapped angle or the vector part of the quaternion with w >= 0."""
+    k = turning(group)
+    if not k:
+        return X
+    t = group.act(X, np.zeros(group.point_dim)) if group.dim > len(k) else X[..., :0]
+    rotation = group.rotation(X)
+    if group.point_dim == 2:
+        return np.concatenate([t, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])[..., None]], axis=-1)
+    q = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.concatenate([t, q[:, :3].reshape(*X.shape[:-1], 3)], axis=-1)
+
+
+@every_group
+@every_shape
+def test_stored_forms_of_one_element_are_one_element(group: LieGroup, shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(17)
+    X, Y = element(group, shape, rng, 3.0), element(group, shape, rng, 3.0)
+    for other in OTHER_FORMS.get(group.name, []):
+        Z = other(X)
+        assert np.abs(Z - X).max() > 1e-4
+        for f in (
+            group.log,
+            group.vector,
+            group.vector_jl,
+            group.vector_jr,
+            group.adjoint,
+            group.adjoint_inverse,
+            group.position,
+        ):
+            np.testing.assert_allclose(f(Z), f(X), atol=1e-12)
+        assert_same(group, Z, X)
+        assert_same(group, group.inverse(Z), group.inverse(X))
+        assert_same(group, group.compose(Z, Y), group.compose(X, Y))
+        assert_same(group, group.between(Z, Y), group.between(X, Y))
+        assert_same(group, group.between(Y, Z), group.between(Y, X))
+        np.testing.assert_allclose(group.local(Z, Y), group.local(X, Y), atol=1e-12)
+
+
+@pytest.mark.parametrize("group", [g for g in GROUPS if g.point_dim], ids=str)
+@every_shape
+@every_angle
+def test_rotation_matrices_are_rotations(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+    X = group.exp(tangent(group, shape, angle, np.random.default_rng(18)))
+    for Y in (X, *(other(X) for other in OTHER_FORMS[group.name])):
+        M, k = group.rotation(Y), group.point_dim
+        assert M.shape == (*shape, k, k)
+        np.testing.assert_allclose(M @ M.mT, np.broadcast_to(np.eye(k), M.shape), atol=1e-15)
+        np.testing.assert_allclose(np.linalg.det(M), 1.0, atol=1e-14)
+
+
+@every_group
+def test_a_batch_is_its_elements_one_by_one(group: LieGroup) -> None:
+    rng = np.random.default_rng(19)
+    shape = (3, 1, 2)
+    X, Y, delta = element(group, shape, rng, 3.0), element(group, shape, rng, 3.0), tangent(group, shape, 1.2, rng)
+    unary = [
+        group.log,
+        group.inverse,
+        group.adjoint,
+        group.adjoint_inverse,
+        group.vector,
+        group.vector_jl,
+        group.vector_jr,
+        group.position,
+    ]
+    tangents = [group.exp, group.jl, group.jr, group.jl_inv, group.jr_inv]
+    for f, argument in [*((f, X) for f in unary), *((f, delta) for f in tangents)]:
+        found = f(argument)
+        for index in np.ndindex(shape):
+            np.testing.assert_allclose(found[index], f(argument[index]), rtol=1e-14, atol=1e-15, err_msg=str(f))
+    for f, second in [(group.compose, Y), (group.between, Y), (group.local, Y), (group.retract, delta)]:
+        found = f(X, second)
+        for index in np.ndindex(shape):
+            np.testing.assert_allclose(found[index], f(X[index], second[index]), rtol=1e-13, atol=1e-14)
+
+
+@every_group
+@pytest.mark.parametrize(("a", "b"), [*itertools.permutations([(), (1,), (4, 1), (3, 1, 2)], 2)], ids=str)
+def test_batches_broadcast(group: LieGroup, a: tuple[int, ...], b: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(20)
+    X, Y, delta = element(group, a, rng, 3.0), element(group, b, rng, 3.0), tangent(group, b, 0.7, rng)
+    shape = np.broadcast_shapes(a, b)
+    X_all, Y_all = np.broadcast_to(X, (*shape, group.size)), np.broadcast_to(Y, (*shape, group.size))
+    delta_all = np.broadcast_to(delta, (*shape, group.dim))
+    for f, second, second_all in [
+        (group.compose, Y, Y_all),
+        (group.between, Y, Y_all),
+        (group.local, Y, Y_all),
+        (group.retract, delta, delta_all),
+    ]:
+        np.testing.assert_allclose(f(X, second), f(X_all, second_all), rtol=1e-13, atol=1e-14)
+    if group.point_dim:
+        p = rng.normal(size=(*b, group.point_dim))
+        p_all = np.broadcast_to(p, (*shape, group.point_dim))
+        np.testing.assert_allclose(group.act(X, p), group.act(X_all, p_all), rtol=1e-13, atol=1e-14)
+
+
+@every_group
+def test_stack_refuses_what_is_no_element(group: LieGroup) -> None:
+    X = element(group, (3,), np.random.default_rng(21))
+    np.testing.assert_array_equal(group.stack(X), X)
+    np.testing.assert_array_equal(group.stack(X[0]), X[:1])
+    wrong = f"{group}: elements have shape (2, {group.size + 1}), expected (n, {group.size}): one element per row"
+    with pytest.raises(GraphError, match=re.escape(wrong)):
+        group.stack(np.zeros((2, group.size + 1)))
+    X[1, -1] = np.nan
+    with pytest.raises(GraphError, match=r"element 1 is .*a number is not finite"):
+        group.stack(X)
+    with pytest.raises(GraphError, match="expected numbers"):
+        group.stack([["a"] * group.size])
+
+
+@pytest.mark.parametrize("group", [SO3, SE3], ids=str)
+def test_stack_refuses_a_quaternion_that_has_no_direction(group: LieGroup) -> None:
+    X = group.identity(3)
+    X[2, -4:] = 0.0
+    with pytest.raises(GraphError, match=r"element 2 is .*quaternion has length 0, expected 1"):
+        group.stack(X)
+
+
+def test_points_of_plane_and_space_are_where_they_are_said_to_be() -> None:
+    assert SE2.act([1.0, 2.0, np.pi / 2], [1.0, 0.0]) == pytest.approx([1.0, 3.0])
+    half = np.sqrt(0.5)
+    assert SE3.act([1, 2, 3, 0, 0, half, half], [1.0, 0.0, 0.0]) == pytest.approx([1.0, 3.0, 3.0])
+    assert SO3.act([half, 0, 0, half], [0.0, 1.0, 0.0]) == pytest.approx([0.0, 0.0, 1.0])
+    assert SO2.act([np.pi / 2], [1.0, 0.0]) == pytest.approx([0.0, 1.0])
+    assert float(SE2.compose([0, 0, 3.0], [0, 0, 1.0])[2]) == pytest.approx(4.0 - 2 * np.pi)
+
+
+def test_vector_spaces_are_one_object_each() -> None:
+    assert R(2) is R(2)
+    assert R(np.int64(2)) is R(2)  # type: ignore[arg-type]
+    assert repr(R(3)) == "R(3)"
+    for bad in (0, -1, 1.5, "2"):
+        with pytest.raises(OptionError, match=r"R\(n\): .* expected a whole number"):
+            R(bad)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match=r"R\(2\) has no rotation"):
+        R(2).rotation(np.zeros(2))

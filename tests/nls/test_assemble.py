@@ -1,0 +1,216 @@
+"""A and b equal a slow dense reference, the double sum over measurements and slots; H and A'b too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from factors import Between, Diagonal, Isotropic, Prior
+from models import SE2
+from models.algebra import Array
+from nls import FactorGraph, LinearSystem, Values
+from nls.assemble import Pattern
+from nls.gauge import fixed_variables
+from nls.hessian import Blocks
+from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph, x
+
+
+def columns_of(values: Values, fixed: set[str]) -> dict[str, list[int]]:
+    """Column numbers of every free variable, by name: kind after kind, in the order of the stacks."""
+    out, n = {}, 0
+    for name, stack in values.stacks.items():
+        for number in stack.numbers:
+            if f"{name}{number}" not in fixed:
+                out[f"{name}{number}"] = list(range(n, n + stack.manifold.dim))
+                n += stack.manifold.dim
+    return out
+
+
+def reference(sample: Sample) -> tuple[Array, Array, Array, Array]:
+    """Dense A, b, H = sum A_a'A_c and g = sum A_a'b, one measurement and one pair of slots at a time."""
+    fixed = {repr(key) for keys in sample.graph.fixed for key in keys}
+    columns = columns_of(sample.values, fixed)
+    n = sum(map(len, columns.values()))
+    H, g = np.zeros((n, n)), np.zeros(n)
+    A_rows, b_rows = [], []
+    for factor in sample.graph.factors:
+        model, X = sample.values.gather(factor)
+        A, b = model.linearize(*X)
+        for k in range(len(factor)):
+            row = np.zeros((model.dim, n))
+            names = [repr(keys[[k]]) for keys in factor.keys]
+            for a, name in enumerate(names):
+                if name not in columns:
+                    continue
+                row[:, columns[name]] += A[a][k]
+                g[columns[name]] += A[a][k].T @ b[k]
+                for c, other in enumerate(names):
+                    if other in columns:
+                        H[np.ix_(columns[name], columns[other])] += A[a][k].T @ A[c][k]
+            A_rows.append(row)
+            b_rows.append(b[k])
+    return np.concatenate(A_rows), np.concatenate(b_rows), H, g
+
+
+@pytest.fixture(params=list(SAMPLES))
+def sample(request: pytest.FixtureRequest) -> Sample:
+    return SAMPLES[request.param]()
+
+
+def test_A_and_b_equal_the_double_sum(sample: Sample) -> None:
+    system = sample.graph.linearize(sample.values)
+    A, b, _, _ = reference(sample)
+    assert np.array_equal(system.A.toarray(), A)
+    assert np.array_equal(system.b, b)
+    unpacked_A, unpacked_b = system
+    assert unpacked_A is system.A
+    assert unpacked_b is system.b
+    assert system.chi2 == pytest.approx(float(b @ b), rel=1e-14)
+    assert sample.graph.chi2(sample.values) == pytest.approx(float(b @ b), rel=1e-14)
+
+
+def test_H_and_gradient_come_out_of_the_blocks(sample: Sample) -> None:
+    system = sample.graph.linearize(sample.values)
+    A, b, H, g = reference(sample)
+    scale = np.abs(H).max()
+    np.testing.assert_allclose(system.H.toarray(), H, rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(system.H.toarray(), A.T @ A, rtol=0, atol=1e-12 * scale)
+    np.testing.assert_allclose(system.gradient, g, rtol=0, atol=1e-12 * np.abs(g).max())
+    np.testing.assert_allclose(system.gradient, A.T @ b, rtol=0, atol=1e-12 * np.abs(g).max())
+    np.testing.assert_allclose(system.column_norms, np.linalg.norm(A, axis=0), rtol=1e-13)
+    cosine = np.abs(A.T @ b) / (np.linalg.norm(A, axis=0) * np.linalg.norm(b))
+    assert system.scaled_gradient == pytest.approx(cosine.max(), rel=1e-10)
+
+
+def test_H_is_symmetric_to_the_bit(sample: Sample) -> None:
+    H = sample.graph.linearize(sample.values).H
+    assert (H != H.T).nnz == 0
+
+
+@pytest.mark.parametrize("name", ["R(2)", "SE2 odd ids", "SE3", "mixed, some fixed"])
+def test_A_is_minus_the_derivative_of_b(name: str) -> None:
+    """Independent of every Jacobian: b at values moved along one column of A after the other."""
+    sample = SAMPLES[name]()
+    pattern = Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
+    A, step = pattern.linearize(sample.values).A.toarray(), 1e-6
+    for column in range(pattern.n):
+        delta = np.zeros(pattern.n)
+        delta[column] = step
+        there, back = (pattern.linearize(sample.values.retract(pattern.expand(s * delta))).b for s in (1, -1))
+        np.testing.assert_allclose(A[:, column], (back - there) / (2 * step), rtol=0, atol=2e-7 * np.abs(A).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_elimination_order_gives_the_same_H(sample: Sample, seed: int) -> None:
+    pattern = Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
+    system = pattern.linearize(sample.values)
+    blocks = Blocks(pattern)
+    hessian = blocks.structure(lambda u, v, V: np.random.default_rng(seed).permutation(V))
+    S = blocks.fill(system)
+    lower = hessian.matrix(S)
+    assert (sp.triu(lower, 1)).nnz == 0
+    assert all((np.diff(lower.indices[a:b]) > 0).all() for a, b in zip(lower.indptr, lower.indptr[1:], strict=False))
+    p = hessian.permutation
+    assert np.array_equal(np.sort(p), np.arange(pattern.n))
+    H = (system.A.T @ system.A).toarray()[np.ix_(p, p)]
+    np.testing.assert_allclose(lower.toarray(), np.tril(H), rtol=0, atol=1e-12 * np.abs(H).max())
+    assert np.array_equal(hessian.diagonal(S), lower.diagonal())
+
+
+def test_H_stores_one_block_per_joined_pair_whatever_its_factors() -> None:
+    sample = pose_graph(SE2, n=8)
+    pairs = {
+        frozenset(pair) for f in sample.graph.factors[:3] for pair in zip(*(k.numbers for k in f.keys), strict=True)
+    }
+    assert len(pairs) < len(sample.graph) - 1  # there are duplicates
+    assert sample.graph.linearize(sample.values).H.nnz == 9 * (8 + 2 * len(pairs))
+
+
+def test_A_data_is_one_buffer_of_contiguous_slices() -> None:
+    sample = SAMPLES["SE2"]()
+    system = sample.graph.linearize(sample.values)
+    start = 0
+    for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
+        side_by_side = np.concatenate(blocks, axis=-1)
+        view = system.A.data[start : start + side_by_side.size].reshape(side_by_side.shape)
+        assert np.shares_memory(view, system.A.data)
+        assert np.array_equal(view, side_by_side)
+        assert np.array_equal(system.b[batch.rows].reshape(len(batch), -1).shape, side_by_side.shape[:2])
+        start += side_by_side.size
+    assert start == len(system.A.data) == system.A.nnz
+
+
+def test_labels_name_every_row_and_column() -> None:
+    sample = mixed(0, held=True)
+    system = sample.graph.linearize(sample.values)
+    assert len(system.rows) == system.A.shape[0]
+    assert len(system.cols) == system.A.shape[1]
+    assert system.cols[:2] == ["l-1: x", "l-1: y"]  # l5 is held
+    assert system.cols[6:9] == ["x40: x", "x40: y", "x40: yaw"]
+    assert system.cols[9] == "x8: x"  # x7 is held
+    assert system.rows[0] == "Between(x40, x7): x"
+    assert system.rows[2] == "Between(x40, x7): yaw"
+    assert system.rows[-3] == "Prior(l77): y"  # one component alone
+    assert system.rows[-1] == "Prior(y2): x"
+    for label, row in zip(system.rows, system.A.toarray(), strict=True):
+        for column in np.flatnonzero(row):
+            assert system.cols[column].split(":")[0] in label
+
+
+def test_held_variables_leave_the_other_columns_alone() -> None:
+    free, held = mixed(6), mixed(6, held=True)
+    A, B = free.graph.linearize(free.values), held.graph.linearize(held.values)
+    kept = [k for k, name in enumerate(A.cols) if name in set(B.cols)]
+    assert len(kept) == B.A.shape[1] == A.A.shape[1] - 2 * 3 - 2
+    assert np.array_equal(A.A.toarray()[:, kept], B.A.toarray())
+    assert np.array_equal(A.b, B.b)
+
+
+def test_everything_held_leaves_no_columns() -> None:
+    sample = pose_graph(SE2)
+    sample.graph.fix(x[0:8])
+    system = sample.graph.linearize(sample.values)
+    assert system.A.shape == (len(system.b), 0)
+    assert system.A.nnz == 0
+    assert system.H.shape == (0, 0)
+    assert system.gradient.shape == (0,)
+    assert system.scaled_gradient == 0.0
+
+
+def test_variables_without_measurement_have_columns_of_zeros() -> None:
+    graph = FactorGraph([Prior(x[1], [0.0, 0.0, 0.0], Diagonal([1.0, 0.5, 0.25]))])
+    system = graph.linearize(Values({x: (SE2, SE2.identity(3))}))
+    diagonal = [1.0, 4.0, 16.0]
+    assert system.A.shape == (3, 9)
+    assert system.H.toarray().diagonal().tolist() == [0.0] * 3 + diagonal + [0.0] * 3
+
+
+def test_expand_and_restrict_are_inverse_on_the_free_columns() -> None:
+    sample = mixed(0, held=True)
+    pattern = Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
+    dx = np.random.default_rng(0).normal(size=pattern.n)
+    full = pattern.expand(dx)
+    assert len(full) == sample.values.dim
+    assert np.count_nonzero(full) == pattern.n
+    assert np.array_equal(pattern.restrict(full), dx)
+    moved = sample.values.retract(full)
+    assert np.array_equal(moved[x[[7, 1000]]], sample.values[x[[7, 1000]]])
+
+
+def test_a_system_can_be_made_of_blocks() -> None:
+    sample = pose_graph(SE2)
+    system = sample.graph.linearize(sample.values)
+    twice = LinearSystem(system.pattern, [tuple(2 * A for A in blocks) for blocks in system.blocks], 3 * system.b)
+    np.testing.assert_allclose(twice.A.toarray(), 2 * system.A.toarray(), rtol=1e-15)
+    np.testing.assert_allclose(twice.gradient, 6 * system.gradient, rtol=1e-13)
+    assert twice.chi2 == pytest.approx(9 * system.chi2, rel=1e-14)
+
+
+def test_an_empty_batch_has_no_rows() -> None:
+    sample = pose_graph(SE2)
+    before = sample.graph.linearize(sample.values).A
+    sample.graph.add(Between(x[[]], x[[]], np.zeros((0, 3)), Isotropic(1)))
+    after = sample.graph.linearize(sample.values)
+    assert np.array_equal(after.A.toarray(), before.toarray())
+    assert after.H.nnz > 0

@@ -1,0 +1,225 @@
+"""Under-constrained problems: the free variables and directions by name, how many there are, and what helps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Between, Diagonal, Factor, Information, Isotropic, Prior
+from models import SE2, SE3, LieGroup, R
+from nls import FactorGraph, UnderconstrainedError, Values
+from nls.diagnose import null_space
+from nls.linear import SOLVERS
+from tests.nls.graphs import GROUPS, Seen, in_frame, l, p, pose_graph, walk, x
+
+
+def refused(graph: FactorGraph, values: Values, gauge: str = "none", solver: str = "lu") -> UnderconstrainedError:
+    with pytest.raises(UnderconstrainedError) as caught:
+        graph.optimize(values, linear_solver=SOLVERS[solver](), gauge=gauge)
+    assert isinstance(caught.value, np.linalg.LinAlgError)
+    return caught.value
+
+
+def names(error: UnderconstrainedError) -> list[str]:
+    return [repr(key) for key in error.keys]
+
+
+@pytest.mark.parametrize("solver", [name for name in SOLVERS if name != "pinv"])
+def test_an_untouched_variable(solver: str) -> None:
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(f"{solver}: {why}")
+    graph = FactorGraph([Prior(x[0:3], SE2.identity(3), Isotropic(1))])
+    error = refused(graph, Values({x: (SE2, SE2.identity(5), [0, 1, 2, 30, 40])}), solver=solver)
+    assert names(error) == ["x30", "x40"]
+    assert error.nullity == 6
+    assert error.components == ("x30: x, y, yaw", "x40: x, y, yaw")
+    assert "6 unknowns have no measurement at all: x30: x, y, yaw; x40: x, y, yaw" in str(error)
+    assert "add the factors that are missing, or fix them" in str(error)
+
+
+def test_many_untouched_variables_are_counted() -> None:
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1))])
+    error = refused(graph, Values({x: (R(1), np.zeros((30, 1)))}))
+    assert "x6: x; and 23 more variables" in str(error)
+    assert len(error.keys) == error.nullity == 29
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_a_component_without_anchor(group: LieGroup) -> None:
+    sample = pose_graph(group, anchored=False)
+    error = refused(sample.graph, sample.values)
+    assert error.nullity == group.dim
+    assert len(error.components) == group.dim
+    assert set(names(error)) <= {f"x{k}" for k in range(8)}
+    assert "all 8 variables joined to x0" in str(error)
+    assert f"leave {group.dim} direction{'s' if group.dim > 1 else ''} free" in str(error)
+    assert "fix a pose, add a prior to one, choose gauge='first'" in str(error)
+
+
+def two(group: LieGroup, n: int, anchored: bool) -> tuple[FactorGraph, Values]:
+    """Two chains of n poses each."""
+    X = walk(group, 2 * n, np.random.default_rng(3))
+    i = np.array([k for k in range(2 * n - 1) if k != n - 1])
+    graph = FactorGraph([Between(x[i], x[i + 1], group.between(X[i], X[i + 1]), Isotropic(0.1))])
+    if anchored:
+        graph.add(Prior(x[2], X[2], Isotropic(0.1)))
+    return graph, Values({x: (group, X)})
+
+
+@pytest.mark.parametrize("n", [4, 70])
+@pytest.mark.parametrize("group", [R(2), SE2, SE3], ids=str)
+def test_two_components(group: LieGroup, n: int) -> None:
+    error = refused(*two(group, n, anchored=False))
+    assert error.nullity == min(12, 2 * group.dim)
+    assert "joined to x0; " in str(error)
+    assert f"all {n} variables joined to x{n}" in str(error)
+
+
+@pytest.mark.parametrize("n", [4, 70, 160])
+@pytest.mark.parametrize("group", [R(2), SE2, SE3], ids=str)
+def test_only_the_floating_one_of_two_components(group: LieGroup, n: int) -> None:
+    """n = 70 in space and 160 in the plane are past 300 columns: the sparse path."""
+    error = refused(*two(group, n, anchored=True))
+    assert error.nullity == group.dim
+    assert {int(name[1:]) for name in names(error)} <= set(range(n, 2 * n))
+    assert f"all {n} variables joined to x{n}" in str(error)
+    assert "joined to x0" not in str(error)
+
+
+def scene(extra: int = 0) -> tuple[FactorGraph, Values]:
+    """Two anchored poses (and a chain of more); both see the point l0, and l1 is seen in one component alone."""
+    n = 2 + extra
+    X = walk(SE2, n, np.random.default_rng(4))
+    L = np.array([[3.0, 1.0], [4.0, -2.0]])
+    graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1))])
+    i = np.arange(n - 1)
+    graph.add(Between(x[i], x[i + 1], SE2.between(X[i], X[i + 1]), Isotropic(0.1)))
+    graph.add(Seen(x[[0, 1]], l[[0, 0]], in_frame(X[:2], L[[0, 0]]), Isotropic(0.1)))
+    graph.add(Prior(l[1], [4.0, 0.0], Isotropic(0.2), components=["x"]))
+    return graph, Values({x: (SE2, X), l: (R(2), L)})
+
+
+@pytest.mark.parametrize("extra", [0, 120])
+def test_one_unseen_direction_of_a_landmark(extra: int) -> None:
+    graph, values = scene(extra)
+    graph.factors[-1] = Prior(l[1], [4.0, 0.0], Information(np.array([[4.0, 4.0], [4.0, 4.0]])))
+    error = refused(graph, values)
+    assert names(error) == ["l1"]
+    assert error.nullity == 1
+    assert error.components == ("l1: x, y",)
+    assert "leave 1 direction free: " in str(error)
+
+
+def test_an_unmeasured_component_is_named_alone() -> None:
+    error = refused(*scene())
+    assert names(error) == ["l1"]
+    assert error.nullity == 1
+    assert error.components == ("l1: y",)
+    assert "1 unknowns have no measurement at all: l1: y" in str(error)
+
+
+@pytest.mark.parametrize("extra", [0, 120])
+def test_a_landmark_seen_at_a_distance_only(extra: int) -> None:
+    """One range to a point leaves the direction across it, here y."""
+    graph, values = scene(extra)
+    graph.remove(graph.factors[-1])
+    graph.add(Prior(l[0], [3.0, 1.0], Isotropic(0.1)))
+    pose = values[x[0]]
+    values[l[1]] = SE2.act(pose, np.array([2.0, 0.0]))
+
+    def distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(b - a[:, :2], axis=1, keepdims=True) - 2.0
+
+    graph.add(Factor.from_function(distance, [x[0], l[1]], 1))
+    error = refused(graph, values)
+    assert error.nullity == 1
+    assert "l1" in names(error)
+    assert "a landmark needs two views that differ" in str(error)
+    direction = null_space(graph.linearize(values))[-2:, 0]
+    across = np.array([-np.sin(pose[2]), np.cos(pose[2])])
+    assert abs(direction @ across) == pytest.approx(np.linalg.norm(direction), rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [5, 150])
+def test_the_null_space_moves_no_measurement(n: int) -> None:
+    for group in (SE2, SE3):
+        graph, values = two(group, n, anchored=True)
+        system = graph.linearize(values)
+        N = null_space(system)
+        assert N.shape == (2 * n * group.dim, group.dim)
+        assert np.linalg.matrix_rank(N) == group.dim
+        np.testing.assert_allclose(np.linalg.norm(N, axis=0), 1.0, rtol=1e-12)
+        assert np.abs(system.A @ N).max() < 1e-7
+        assert np.abs(N[: n * group.dim]).max() < 1e-7
+
+
+@pytest.mark.parametrize("n", [5, 150])
+def test_a_regular_system_has_no_null_space(n: int) -> None:
+    sample = pose_graph(SE2, n=n)
+    assert null_space(sample.graph.linearize(sample.values)).shape == (3 * n, 0)
+
+
+@pytest.mark.parametrize("n", [20, 400])
+def test_more_directions_than_are_looked_for(n: int) -> None:
+    X = np.zeros((2 * n, 1))
+    i = 2 * np.arange(n)
+    graph = FactorGraph([Between(x[i], x[i + 1], [1.0], Isotropic(1))])
+    error = refused(graph, Values({x: (R(1), X)}))
+    assert "leave at least 12 directions free" in str(error)
+    assert error.nullity == 12
+
+
+def test_the_error_carries_the_best_values() -> None:
+    """The second point is singular: x^2 loses its slope at 0, where the first step leads."""
+    residual = Factor.from_function(
+        lambda X: X**2 + 1.0, p[0], 1, jacobians=lambda X: [np.where(np.abs(X) < 0.5, 0.0, 2.0)[..., None]]
+    )
+    error = refused(FactorGraph([residual]), Values({p: (R(1), [1.0])}))
+    assert error.values[p[0]][0] == pytest.approx(0.0)
+    assert names(error) == ["p0"]
+
+
+def test_the_start_is_the_best_where_the_first_system_is_singular() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    error = refused(sample.graph, sample.values)
+    assert np.array_equal(error.values[x], sample.values[x])
+
+
+@pytest.mark.parametrize("solver", ["cholesky", "lu", "dense-cholesky"])
+def test_weights_thirteen_digits_apart_are_not_called_free_directions(solver: str) -> None:
+    """Nothing is free here, and no variable may be accused of it."""
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(f"{solver}: {why}")
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0)), Between(x[0], x[1], [1.0], Isotropic(1e-8))])
+    error = refused(graph, Values({x: (R(1), [0.0, 0.0])}), solver=solver)
+    assert error.nullity == 0 or "x0" in names(error)
+    assert "sigmas" in str(error)
+
+
+def test_without_rotation_information_yaw_is_free() -> None:
+    X = walk(SE2, 4, np.random.default_rng(6))
+    noise = Diagonal([0.1, 0.1, 0.1])
+    graph = FactorGraph([Prior(x[k], X[k], Isotropic(0.1), components=["x", "y"]) for k in range(4)])
+    graph.add(Between(x[[0, 1]], x[[1, 2]], SE2.between(X[:2], X[1:3]), noise))
+    error = refused(graph, Values({x: (SE2, X)}), gauge="first")
+    assert names(error) == ["x3"]
+    assert error.components == ("x3: yaw",)
+
+
+def test_a_long_chain_that_bends_easily_is_not_free() -> None:
+    """3,000 poses held at one end alone: a soft bending mode, but only the floating pair behind it is free."""
+    n = 3000
+    X = np.stack([np.arange(n + 2.0), np.zeros(n + 2), np.zeros(n + 2)], axis=1)
+    i = np.array([*range(n - 1), n])
+    graph = FactorGraph([Between(x[i], x[i + 1], [1.0, 0.0, 0.0], Diagonal([0.1, 0.1, 0.05]))])
+    graph.add(Prior(x[0], X[0], Isotropic(0.1)))
+    error = refused(graph, Values({x: (SE2, X)}))
+    assert (error.nullity, names(error)) == (3, [f"x{n}", f"x{n + 1}"])
+
+
+def test_the_gauge_that_is_chosen_free_is_not_counted_among_the_free_directions() -> None:
+    X = walk(SE2, 4, np.random.default_rng(8))
+    graph = FactorGraph([Between(x[0:2], x[1:3], SE2.between(X[:2], X[1:3]), Isotropic(0.1))])
+    graph.add(Between(x[2], x[3], SE2.between(X[2], X[3]), Information(np.diag([1.0, 1.0, 0.0]))))
+    error = refused(graph, Values({x: (SE2, X)}), gauge="free")
+    assert (error.nullity, names(error)) == (1, ["x3"])

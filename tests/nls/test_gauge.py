@@ -1,0 +1,215 @@
+"""What relative measurements leave free, and the four things that can be done about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Between, Factor, Isotropic, Prior
+from models import SE2, LieGroup, R
+from models.algebra import Array
+from nls import FactorGraph, GaussNewton, GraphWarning, Pinv, Stop, UnderconstrainedError, Values
+from nls.linear import SOLVERS
+from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
+
+ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))
+TIGHT = GaussNewton(Stop(update_tol=1e-11, chi2_rtol=0.0, gradient_tol=0.0))
+
+
+@pytest.fixture(params=GROUPS, ids=str)
+def group(request: pytest.FixtureRequest) -> LieGroup:
+    return request.param  # type: ignore[no-any-return]
+
+
+def two_components(group: LieGroup, numbers: tuple[int, ...] = (9, 4, 7, 30, 21, 25)) -> tuple[FactorGraph, Values]:
+    X = walk(group, 6, np.random.default_rng(0))
+    number = np.array(numbers)
+    i, j = [0, 1, 0, 3, 4, 3], [1, 2, 2, 4, 5, 5]
+    z = group.retract(group.between(X[i], X[j]), 0.05 * np.random.default_rng(1).normal(size=(6, group.dim)))
+    graph = FactorGraph([Between(x[number[i]], x[number[j]], z, Isotropic(0.1))])
+    return graph, Values({x: (group, X, number)})
+
+
+def test_first_holds_the_lowest_number_and_says_so(group: LieGroup) -> None:
+    sample = pose_graph(group, anchored=False, numbers=(40, 7, 8, -3, 1000, 12, 9, 11))
+    result = sample.graph.optimize(sample.values)
+    assert result.converged
+    assert result.gauge == "x-3 held"
+    assert np.array_equal(result.values[x[-3]], sample.values[x[-3]])
+    assert distance(group, result.values[x[40]][None], sample.values[x[40]][None]) > 1e-6
+    assert result.dof == sample.graph.linearize(sample.values).A.shape[0] - 7 * group.dim
+    assert "gauge: x-3 held" in str(result)
+
+
+def test_first_holds_one_variable_in_every_component(group: LieGroup) -> None:
+    graph, values = two_components(group)
+    result = graph.optimize(values)
+    assert result.gauge == "x4, x21 held"
+    assert result.converged
+    for number in (4, 21):
+        assert np.array_equal(result.values[x[number]], values[x[number]])
+
+
+def test_every_gauge_has_the_same_chi2(group: LieGroup) -> None:
+    graph, values = two_components(group)
+    chi2 = {gauge: graph.optimize(values, TIGHT, gauge=gauge).chi2_final for gauge in ("first", "prior", "free")}
+    assert chi2["first"] > 0.01
+    assert chi2["prior"] == pytest.approx(chi2["first"], rel=1e-9)
+    assert chi2["free"] == pytest.approx(chi2["first"], rel=1e-9)
+
+
+def test_prior_keeps_the_variable_at_its_start(group: LieGroup) -> None:
+    graph, values = two_components(group)
+    result = graph.optimize(values, TIGHT, gauge="prior")
+    assert result.gauge == "a prior of unit information on x4, x21"
+    assert distance(group, result.values[x[[4, 21]]], values[x[[4, 21]]]) < 1e-8
+    assert result.dof == 6 * group.dim + 2 * group.dim - 6 * group.dim
+    assert len(graph.factors) == 1  # the prior is not the graph's
+
+
+@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
+@pytest.mark.parametrize("components", [1, 2])
+def test_free_takes_the_step_of_the_pseudo_inverse(group: LieGroup, components: int, name: str) -> None:
+    if (why := SOLVERS[name].missing()) is not None:
+        pytest.skip(f"{name}: {why}")
+    sample = pose_graph(group, anchored=False)
+    graph, values = (sample.graph, sample.values) if components == 1 else two_components(group)
+    short = graph.optimize(values, ONE_STEP, Pinv(), gauge="none")
+    free = graph.optimize(values, ONE_STEP, SOLVERS[name](), gauge="free")
+    assert free.gauge.startswith("free, shortest step")
+    assert free.linear_solver == name
+    assert distance(group, free.values[x], short.values[x]) < 1e-9
+    assert distance(group, values[x], free.values[x]) > 1e-4
+
+
+def test_free_with_points_and_something_fixed() -> None:
+    graph, values = landmarks()
+    graph.add(Between(y[0], y[1], [1.0], Isotropic(1)))
+    stacks = {kind: (s.manifold, s.X, s.numbers) for kind, s in values.stacks.items()}
+    values = Values({**stacks, y: (R(1), [0.0, 5.0, 9.0])})
+    graph.add(Between(y[1], y[2], [1.0], Isotropic(1)))
+    graph.fix(y[2])
+    short = graph.optimize(values, ONE_STEP, Pinv(), gauge="none")
+    free = graph.optimize(values, ONE_STEP, gauge="free")
+    for kind in (x, l, y):
+        np.testing.assert_allclose(free.values[kind], short.values[kind], rtol=0, atol=1e-9)
+    assert free.values[y].ravel() == pytest.approx([7.0, 8.0, 9.0])
+
+
+def test_none_refuses_a_free_gauge(group: LieGroup) -> None:
+    sample = pose_graph(group, anchored=False)
+    with pytest.raises(UnderconstrainedError, match="choose gauge='first'"):
+        sample.graph.optimize(sample.values, gauge="none")
+
+
+def test_none_holds_nothing(group: LieGroup) -> None:
+    sample = pose_graph(group)
+    result = sample.graph.optimize(sample.values, gauge="none")
+    assert (result.gauge, result.converged) == ("nothing is held", True)
+
+
+@pytest.mark.parametrize("gauge", ["first", "prior", "free", "none"])
+def test_with_a_prior_nothing_is_held(group: LieGroup, gauge: str) -> None:
+    sample = pose_graph(group)
+    result = sample.graph.optimize(sample.values, TIGHT, gauge=gauge)
+    assert result.gauge == ("nothing is held" if gauge == "none" else "fixed by the graph itself")
+    reference = sample.graph.optimize(sample.values, TIGHT, gauge="none")
+    assert distance(group, reference.values[x], result.values[x]) < 1e-9
+    assert distance(group, sample.values[x], result.values[x]) > 1e-3
+    assert result.dof == reference.dof
+
+
+@pytest.mark.parametrize("gauge", ["first", "prior", "free", "none"])
+def test_a_fixed_variable_is_the_gauge(group: LieGroup, gauge: str) -> None:
+    sample = pose_graph(group, anchored=False)
+    sample.graph.fix(x[5])
+    result = sample.graph.optimize(sample.values, gauge=gauge)
+    assert result.gauge == ("nothing is held" if gauge == "none" else "fixed by the graph itself")
+    assert np.array_equal(result.values[x[5]], sample.values[x[5]])
+    assert distance(group, sample.values[x[[0]]], result.values[x[[0]]]) > 1e-6
+
+
+def test_a_prior_in_one_component_leaves_the_other_to_the_gauge() -> None:
+    graph, values = two_components(SE2)
+    graph.add(Prior(x[7], values[x[7]], Isotropic(1)))
+    assert graph.optimize(values).gauge == "x21 held"
+    graph.fix(x[30])
+    assert graph.optimize(values).gauge == "fixed by the graph itself"
+
+
+def test_many_components_are_counted() -> None:
+    n = 8
+    graph = FactorGraph([Between(x[np.arange(0, 2 * n, 2)], x[np.arange(1, 2 * n, 2)], [1.0], Isotropic(1))])
+    result = graph.optimize(Values({x: (R(1), np.zeros((2 * n, 1)))}))
+    assert result.gauge == "x0, x2, x4, x6, x8 and 3 more held"
+    assert result.converged
+
+
+def landmarks() -> tuple[FactorGraph, Values]:
+    rng = np.random.default_rng(5)
+    X, L = walk(SE2, 4, rng), 3 * rng.normal(size=(3, 2))
+    i, j = np.repeat(np.arange(4), 3), np.tile(np.arange(3), 4)
+    number = np.array([8, 6, 5, 9])
+    seen = Seen(x[number[i]], l[j], in_frame(X[i], L[j]) + 0.05 * rng.normal(size=(12, 2)), Isotropic(0.1))
+    return FactorGraph([seen]), Values({l: (R(2), L + 0.1 * rng.normal(size=L.shape)), x: (SE2, X, number)})
+
+
+def test_a_pose_is_held_rather_than_a_landmark() -> None:
+    graph, values = landmarks()
+    result = graph.optimize(values)
+    assert result.gauge == "x5 held"  # points come first in the values, but cannot hold a heading
+    assert result.converged
+    assert result.chi2_final < 3 * result.dof
+    assert graph.optimize(values, TIGHT, gauge="free").chi2_final == pytest.approx(result.chi2_final, rel=1e-6)
+
+
+def test_a_function_of_two_variables_is_not_taken_for_relative() -> None:
+    """Powell's function in two scalars: both have an optimum of their own and neither may be held in silence."""
+
+    def powell(a: Array, b: Array) -> Array:
+        return np.concatenate([1e4 * a * b - 1.0, np.exp(-a) + np.exp(-b) - 1.0001], axis=1)
+
+    graph = FactorGraph([Factor.from_function(powell, [p[0], p[1]], 2)])
+    result = graph.optimize(Values({p: (R(1), [0.0, 1.0])}))
+    assert result.gauge == "fixed by the graph itself"
+    assert result.converged
+    assert result.values[p].ravel() == pytest.approx([1.098159e-5, 9.106146], rel=1e-5)
+
+
+def test_rosenbrock_in_two_variables() -> None:
+    graph = FactorGraph(
+        [Factor.from_function(lambda a, b: np.concatenate([10 * (b - a**2), 1 - a], axis=1), [p[0], p[1]], 2)]
+    )
+    result = graph.optimize(Values({p: (R(1), [-1.2, 1.0])}))
+    assert result.values[p].ravel() == pytest.approx([1.0, 1.0], abs=1e-8)
+
+
+def test_a_difference_by_function_is_refused_and_not_held() -> None:
+    graph = FactorGraph([Factor.from_function(lambda a, b: b - a - 1.0, [p[0], p[1]], 1)])
+    with pytest.raises(UnderconstrainedError) as caught:
+        graph.optimize(Values({p: (R(1), [0.0, 5.0])}))
+    assert caught.value.nullity == 1
+
+
+def test_variables_without_measurement_are_held_with_a_warning() -> None:
+    sample = pose_graph(SE2)
+    stack = sample.values.stacks["x"]
+    values = Values({x: (SE2, stack.X, stack.numbers), l: (R(2), np.arange(14.0).reshape(7, 2))})
+    with pytest.warns(GraphWarning, match="l0, l1, l2, l3, l4 and 2 more: no measurement touches them; held"):
+        result = sample.graph.optimize(values)
+    assert result.converged
+    assert np.array_equal(result.values[l], values[l])
+    assert result.dof == sample.graph.optimize(sample.values).dof
+    with pytest.raises(UnderconstrainedError, match="14 unknowns have no measurement at all"):
+        sample.graph.optimize(values, gauge="none")
+
+
+@pytest.mark.parametrize("group", POSES, ids=str)
+def test_the_held_variable_does_not_change_the_shape(group: LieGroup) -> None:
+    sample = pose_graph(group, anchored=False)
+    one = sample.graph.optimize(sample.values, TIGHT)
+    sample.graph.fix(x[6])
+    other = sample.graph.optimize(sample.values, TIGHT)
+    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
+    A, B = (group.between(r.values[x][:1], r.values[x]) for r in (one, other))
+    assert distance(group, A, B) < 1e-8

@@ -1,0 +1,138 @@
+"""The graph: what is added, removed, held; what it counts and refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Between, Isotropic, Prior
+from models import SE2, R
+from nls import FactorGraph, GraphError, OptionError, Values, kinds
+from tests.nls.graphs import pose_graph
+
+x, l = kinds("x", "l")
+
+
+def line() -> tuple[FactorGraph, Values]:
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1)), Between(x[[0, 1]], x[[1, 2]], [[1.0], [1.0]], Isotropic(1))])
+    return graph, Values({x: (R(1), [0.0, 0.0, 0.0])})
+
+
+def test_length_counts_measurements() -> None:
+    graph, _ = line()
+    assert len(graph) == 3
+    assert len(graph.factors) == 2
+    assert repr(graph) == "FactorGraph(2 factors, 3 measurements)"
+    assert len(FactorGraph()) == 0
+
+
+def test_add_returns_the_handle_that_remove_takes() -> None:
+    graph, values = line()
+    before = graph.chi2(values)
+    factor = graph.add(Prior(x[2], [5.0], Isotropic(1)))
+    assert graph.chi2(values) == before + 25.0
+    graph.remove(factor)
+    assert graph.chi2(values) == before
+    with pytest.raises(GraphError, match=r"Prior\(x2\) is not in this graph"):
+        graph.remove(factor)
+
+
+def test_remove_takes_the_very_factor_and_not_its_twin() -> None:
+    graph, _ = line()
+    first, second = (graph.add(Prior(x[1], [v], Isotropic(1))) for v in (3.0, 3.0))
+    graph.remove(second)
+    assert graph.factors[-1] is first
+
+
+@pytest.mark.parametrize("wrong", [None, "Between", 3, Between])
+def test_add_refuses_what_is_no_factor(wrong: object) -> None:
+    with pytest.raises(GraphError, match=r"FactorGraph\.add: expected a factor"):
+        FactorGraph().add(wrong)  # type: ignore[arg-type]
+
+
+def test_chi2_is_the_sum_of_squares_without_one_half() -> None:
+    graph, values = line()
+    values[x] = [[0.5], [0.0], [4.0]]
+    assert graph.chi2(values) == 0.5**2 + 1.5**2 + 3.0**2
+    assert graph.linearize(values).chi2 == graph.chi2(values)
+
+
+def test_fixed_variables_have_no_columns_and_do_not_move() -> None:
+    graph, values = line()
+    graph.fix(x[1])
+    system = graph.linearize(values)
+    assert system.cols == ["x0: x", "x2: x"]
+    values[x[1]] = [7.0]
+    solved = graph.optimize(values).values
+    assert solved[x[1]].tolist() == [7.0]
+    assert solved[x].ravel() == pytest.approx([3.0, 7.0, 8.0])  # x0 between its prior at 0 and 7 - 1
+
+
+def test_release_undoes_fix_for_these_alone() -> None:
+    graph, values = line()
+    graph.fix(x[[0, 1]])
+    graph.fix(x[2])
+    graph.release(x[[1, 2]])
+    assert graph.linearize(values).cols == ["x1: x", "x2: x"]
+    graph.release(l[0])
+    graph.release(x[0])
+    assert len(graph.linearize(values).cols) == 3
+
+
+def test_fix_refuses_what_is_no_variable_and_names_one_without_value() -> None:
+    graph, values = line()
+    with pytest.raises(GraphError, match=r"FactorGraph\.fix: expected variables such as x\[0\], got 0"):
+        graph.fix(0)  # type: ignore[arg-type]
+    graph.fix(x[9])
+    with pytest.raises(GraphError, match="x9 has no value"):
+        graph.optimize(values)
+
+
+def test_a_factor_on_a_variable_without_value_is_refused() -> None:
+    graph, values = line()
+    graph.add(Prior(x[17], [0.0], Isotropic(1)))
+    with pytest.raises(GraphError, match="x17 has no value"):
+        graph.optimize(values)
+    graph.factors.pop()
+    graph.add(Prior(l[0], [0.0], Isotropic(1)))
+    with pytest.raises(GraphError, match="no variable of kind 'l'"):
+        graph.chi2(values)
+
+
+def test_wrong_spaces_are_refused() -> None:
+    graph = FactorGraph([Between(x[0], l[0], [1.0, 0.0, 0.0], Isotropic(1))])
+    with pytest.raises(GraphError, match=r"Between\(x0, l0\) joins SE2 and R\(2\)"):
+        graph.optimize(Values({x: (SE2, SE2.identity()), l: (R(2), [[0.0, 0.0]])}))
+
+
+def test_nothing_to_optimize() -> None:
+    with pytest.raises(GraphError, match="no factors: nothing to optimize"):
+        FactorGraph().optimize(Values({x: (R(1), [0.0])}))
+    empty = Between(x[[]], x[[]], np.zeros((0, 1)), Isotropic(1))
+    with pytest.raises(GraphError, match="no factors: nothing to optimize"):
+        FactorGraph([empty]).optimize(Values({x: (R(1), [0.0])}))
+
+
+def test_an_unknown_gauge_lists_the_known() -> None:
+    graph, values = line()
+    with pytest.raises(OptionError, match="gauge: 'middle' is not possible; expected one of first, prior, free, none"):
+        graph.optimize(values, gauge="middle")
+
+
+def test_summary_counts_each_type_and_its_variables() -> None:
+    sample = pose_graph(SE2)
+    sample.graph.fix(x[3])
+    text = sample.graph.summary()
+    rows = [line.split() for line in text.splitlines()]
+    assert rows == [["Between", "13"], ["Prior", "1"], ["variables", "x", "8"], ["fixed", "1"]]
+
+
+def test_a_batch_equals_its_measurements_one_by_one() -> None:
+    sample = pose_graph(SE2)
+    batch = Between(x[[0, 1, 2]], x[[1, 2, 3]], np.array([[1.0, 0, 0.1], [1, 0.2, 0], [0.9, 0, 0]]), Isotropic(0.1))
+    singles = [Between(x[k], x[k + 1], batch.z[k], Isotropic(0.1)) for k in range(3)]  # type: ignore[index]
+    together, apart = FactorGraph([batch]), FactorGraph(singles)
+    assert together.chi2(sample.values) == pytest.approx(apart.chi2(sample.values), rel=1e-15)
+    np.testing.assert_allclose(
+        together.linearize(sample.values).A.toarray(), apart.linearize(sample.values).A.toarray(), rtol=0, atol=1e-13
+    )

@@ -1,0 +1,116 @@
+"""What a graph is made of and what a solve would cost: counts against a real factorization."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from factors import Between, Diagonal, Information, Isotropic, Prior
+from models import SE2, SE3, LieGroup, R
+from nls import FactorGraph, GraphWarning, Values
+from nls.assemble import Pattern
+from nls.hessian import Blocks
+from nls.inspect import inspect
+from nls.linear import best_factorization
+from nls.linear.fill import fill_in
+from nls.linear.lu import SuperLUFactorization
+from nls.linear.normal import NormalState
+from tests.nls.graphs import SAMPLES, l, pose_graph, x
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_numbers_in_R_are_those_of_a_factorization(name: str) -> None:
+    sample = SAMPLES[name]()
+    system = sample.graph.linearize(sample.values)
+    found = inspect(sample.graph, sample.values)
+    assert found["columns of A"] == system.A.shape[1]
+    assert found["rows of A"] == system.A.shape[0]
+    blocks, kind = Blocks(system.pattern), best_factorization()
+    if kind is SuperLUFactorization:
+        pytest.skip("SuperLU orders scalars itself; its fill is another")
+    state = NormalState(blocks.structure(kind.order), kind)
+    state.factorize(blocks.fill(system))
+    R_, order = state.upper()
+    assert found["numbers in R"] == eliminated(system.A, order) <= R_.nnz  # supernodes are stored with zeros in them
+
+
+def eliminated(A: sp.csr_array, order: np.ndarray) -> int:
+    """Numbers in R by Gaussian elimination of the pattern of A'A, one column at a time."""
+    ones = sp.csr_array((np.ones(A.nnz), A.indices, A.indptr), shape=A.shape).toarray()
+    H = (ones.T @ ones > 0)[np.ix_(order, order)]
+    for k in range(len(H)):
+        below = np.flatnonzero(H[k + 1 :, k]) + k + 1
+        H[np.ix_(below, below)] = True
+    return int(np.triu(H).sum())
+
+
+@pytest.mark.parametrize("group", [R(1), SE2, SE3], ids=str)
+def test_fill_of_a_chain_is_none(group: LieGroup) -> None:
+    """A chain eliminated from its ends has R as sparse as the upper half of H; the work is that of its blocks."""
+    n, d = 50, group.dim
+    graph = FactorGraph([Between(x[0 : n - 1], x[1:n], group.identity(), Isotropic(1))])
+    pattern = Pattern(graph.factors, Values({x: (group, group.identity(n))}))
+    fill = fill_in(pattern, pattern.held)
+    assert fill.nnz == n * d * (d + 1) // 2 + (n - 1) * d * d
+    per_column = np.concatenate([np.tile(np.arange(2 * d, d, -1.0), n - 1), np.arange(d, 0, -1.0)])
+    assert fill.flops == pytest.approx((per_column**2).sum())
+
+
+def test_fill_of_everything_held() -> None:
+    sample = pose_graph(SE2)
+    pattern = Pattern(sample.graph.factors, sample.values)
+    assert fill_in(pattern, np.ones(8, dtype=bool)).nnz == 0
+
+
+def test_counts() -> None:
+    noise = Information(np.diag([4.0, 0.0, 25.0]))
+    graph = FactorGraph(
+        [
+            Between(x[[0, 1, 4]], x[[1, 2, 5]], [[1.0, 0.0, 0.0]], Isotropic(0.1)),
+            Between(x[[0, 1]], x[[2, 2]], [[2.0, 0.0, 0.0]], noise),
+            Prior(x[3], [0.0, 0.0, 0.0], Diagonal([0.5, 2.0, 0.05])),
+        ]
+    )
+    values = Values({x: (SE2, np.zeros((7, 3))), l: (R(2), np.zeros((2, 2)))})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraphWarning)
+        found = inspect(graph, values)
+    assert found["variables"] == 9
+    assert found["measurements"] == 6
+    assert found["components"] == 3
+    assert found["component sizes"] == [3, 2, 1]
+    assert found["isolated variables"] == 3
+    assert found["gauge"] == "x0, x4 held"
+    assert found["rows of A"] == 18
+    assert found["columns of A"] == (3 + 2 + 1) * 3 - 2 * 3
+    assert found["numbers in A"] == 5 * 3 * 6 + 3 * 3
+    assert found["sigma, smallest"] == pytest.approx(0.05)
+    assert found["sigma, largest"] == pytest.approx(2.0)
+    assert found["semi-definite"] == "2 measurements without information in some direction"
+    assert found["chi2"] == pytest.approx(3 * 100 + 2 * 4 * 4)
+
+
+def test_a_whitener_per_measurement_is_counted_by_measurement() -> None:
+    Omega = np.array([np.diag([1.0, 1.0, 0.0]), np.eye(3), [[1.0, 1.0, 0], [1.0, 1.0, 0.0], [0, 0, 1.0]]])
+    graph = FactorGraph([Between(x[[0, 1, 2]], x[[1, 2, 3]], [1.0, 0.0, 0.0], Information(Omega))])
+    found = inspect(graph, Values({x: (SE2, np.zeros((4, 3)))}))
+    assert found["semi-definite"].startswith("2 measurements")
+
+
+def test_numbers_in_A_are_stored() -> None:
+    sample = pose_graph(SE3)
+    found = inspect(sample.graph, sample.values)
+    assert found["numbers in A"] == sample.graph.linearize(sample.values).A.nnz
+    assert found["chi2"] == sample.graph.chi2(sample.values)
+
+
+def test_an_empty_graph() -> None:
+    values = Values({x: (SE2, SE2.identity(2))})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraphWarning)
+        found = inspect(FactorGraph(), values)
+    assert (found["components"], found["isolated variables"], found["chi2"]) == (0, 2, 0.0)
+    assert found["sigma, smallest"] is None

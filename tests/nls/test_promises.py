@@ -1,0 +1,119 @@
+"""What every optimization promises: named errors, the caller's values untouched, the same bits every time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models import LieGroup, R
+from models.algebra import Array
+from nls import EvaluationError, FactorGraph, GaussNewton, GraphError, Stop
+from tests.nls.graphs import GROUPS, circle, never_worse, p, pose_graph, scalar, x
+
+
+def test_the_start_must_be_finite() -> None:
+    graph, start = scalar(lambda X: X * np.nan, 1.0)
+    with pytest.raises(EvaluationError, match=r"\(p0\): its residual is not finite"):
+        graph.optimize(start)
+
+
+def test_an_exception_in_user_code_is_chained_and_named() -> None:
+    def residual(X: Array) -> Array:
+        raise ZeroDivisionError("my fault")
+
+    graph, start = scalar(residual, 1.0)
+    with pytest.raises(EvaluationError, match=r"residual\(p0\): your function raised ZeroDivisionError: my fault") as e:
+        graph.optimize(start)
+    assert isinstance(e.value.__cause__, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_the_callers_values_are_untouched(group: LieGroup) -> None:
+    sample = pose_graph(group)
+    X = sample.values[x]
+    result = sample.graph.optimize(sample.values)
+    assert np.array_equal(sample.values[x], X)
+    assert not np.shares_memory(result.values.stacks["x"].X, sample.values.stacks["x"].X)
+    never_worse(sample.graph, sample.values, result)
+
+
+def test_a_start_that_is_kept_can_be_changed_without_harm() -> None:
+    graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
+    result = graph.optimize(start)
+    start[p[0]] = [99.0]
+    assert result.values[p[0]].tolist() == [3.0]
+
+
+def test_history_timings_and_table() -> None:
+    sample = pose_graph(R(2))
+    result = sample.graph.optimize(sample.values)
+    assert [it.number for it in result.history] == list(range(result.iterations + 1))
+    assert np.isnan(result.history[0].update)
+    assert result.history[0].chi2 == result.chi2_initial
+    assert {"build", "analyze", "linearize", "retract"} <= set(result.timings)
+    assert all(seconds >= 0 for seconds in result.timings.values())
+    text = str(result)
+    assert f"CONVERGED: {result.reason}" in text
+    assert f"{result.dof} degrees of freedom" in text
+    assert len(text.splitlines()) == 1 + len(result.history) + 2
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_the_same_bits_twice(group: LieGroup) -> None:
+    one, two = (pose_graph(group, n=30).graph.optimize(pose_graph(group, n=30).values) for _ in range(2))
+    assert one.values[x].tobytes() == two.values[x].tobytes()
+    assert [it.chi2 for it in one.history] == [it.chi2 for it in two.history]
+
+
+SCRIPT = """
+import hashlib
+from models import SE2, SE3
+from tests.nls.graphs import mixed, pose_graph
+h = hashlib.sha256()
+for sample in (pose_graph(SE2, n=40), pose_graph(SE3, n=40), mixed(0)):
+    result = sample.graph.optimize(sample.values)
+    for stack in result.values.stacks.values():
+        h.update(stack.X.tobytes())
+print(h.hexdigest())
+"""
+
+
+def test_the_same_bits_whatever_the_hash_seed() -> None:
+    root = Path(__file__).parents[2]
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            cwd=root,
+            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(root)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("0", "4711")
+    }
+    assert len(digests) == 1
+    assert len(digests.pop().strip()) == 64
+
+
+def test_an_optimizer_is_not_changed_by_a_run() -> None:
+    graph, start = circle()
+    optimizer = GaussNewton()
+    first, second = graph.optimize(start, optimizer), graph.optimize(start, optimizer)
+    assert first.values[p[0]].tobytes() == second.values[p[0]].tobytes()
+    with pytest.raises(AttributeError):
+        optimizer.stop = Stop()  # type: ignore[misc]
+
+
+def test_nothing_left_to_move() -> None:
+    sample = pose_graph(R(2))
+    sample.graph.fix(x[0:8])
+    result = sample.graph.optimize(sample.values)
+    assert result.converged
+    assert np.array_equal(result.values[x], sample.values[x])
+    with pytest.raises(GraphError):
+        FactorGraph().optimize(sample.values)

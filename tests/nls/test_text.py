@@ -1,0 +1,263 @@
+"""Numbers, ids and lines of a text file: every number is Python's float() to the bit, everything else has its line."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from nls import GraphFileError
+from nls.io.text import Text, read_bytes
+
+digits = st.text("0123456789", max_size=25)
+sign = st.sampled_from(["", "-", "+"])
+exponent = st.one_of(
+    st.just(""),
+    st.builds("{}{}{}".format, st.sampled_from("eE"), sign, st.text("0123456789", min_size=1, max_size=3)),
+)
+
+
+def parse(words: list[str]) -> np.ndarray:
+    """The words on one line, as numbers."""
+    text = Text(("T " + " ".join(words) + "\n").encode())
+    return text.table(np.array([0]), len(words), "numbers")[0]
+
+
+def same_bits(words: list[str]) -> None:
+    expected = np.array([float(word) for word in words])
+    found = parse(words)
+    wrong = found.view(np.int64) != expected.view(np.int64)
+    assert not wrong.any(), [(w, f, e) for w, f, e, bad in zip(words, found, expected, wrong, strict=True) if bad]
+
+
+def is_number(word: str) -> bool:
+    mantissa = word.lstrip("+-").split("e")[0].split("E")[0]
+    return any(c.isdigit() for c in mantissa)
+
+
+@given(
+    st.lists(
+        st.builds("{}{}{}{}{}".format, sign, digits, st.sampled_from(["", "."]), digits, exponent).filter(
+            lambda word: is_number(word) and np.isfinite(float(word))
+        ),
+        min_size=1,
+        max_size=40,
+    )
+)
+@settings(max_examples=150)
+@example(["4503599627370496", "4503599627370497", "9007199254740993", "450359962737049.6", "0.4503599627370496"])
+@example(["-0", "-0.0", "-.0", "+0", "0.", ".5", "-.5", "5.", "-5.", "007", "-00.70"])
+@example(["1e-320", "4.9e-324", "2.4703282292062327e-324", "2.4703282292062328e-324", "1e-400", "0.1e-322"])
+@example(["1.7976931348623157e308", "123456789012345678901234567890", "0.30000000000000004", "99999999999999999"])
+@example(["9999999999999999", "999999999999999.9", ".9999999999999999", "0.000000000000001", "1000000000000000.0"])
+def test_every_number_is_read_to_the_bit(words: list[str]) -> None:
+    same_bits(words)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=60))
+@settings(max_examples=120)
+def test_the_shortest_digits_read_back(numbers: list[float]) -> None:
+    same_bits([repr(x) for x in numbers])
+    same_bits([f"{x:.17g}" for x in numbers])
+
+
+@given(st.lists(st.integers(-(10**18), 10**18), min_size=1, max_size=40), st.integers(0, 18))
+def test_decimals_of_every_length(integers: list[int], places: int) -> None:
+    same_bits([f"{n / 10**places:.{places}f}" for n in integers])
+
+
+def test_many_random_decimals() -> None:
+    rng = np.random.default_rng(0)
+    words = []
+    for length in range(1, 20):
+        for point in range(length + 1):
+            number = "".join(map(str, rng.integers(0, 10, length)))
+            words += [f"{number[:point]}.{number[point:]}", f"-{number[:point]}.{number[point:]}"]
+    same_bits(words)
+
+
+BAD = [
+    "nan",
+    "NaN",
+    "inf",
+    "-inf",
+    "Infinity",
+    "1_0",
+    "\uff11",
+    "\u0661",
+    "0x1A",
+    "1e",
+    "1e+",
+    "e5",
+    ".",
+    "-",
+    "+",
+    "-.",
+]
+BAD += [
+    "1-2",
+    "1..2",
+    "1.2.3",
+    "--1",
+    "+-1",
+    "1,5",
+    "1e5.0",
+    "1f",
+    "1d0",
+    "1/2",
+    "5%",
+    "\u22121",
+    "1.-2",
+    "None",
+    "1e1_0",
+]
+
+
+@pytest.mark.parametrize("word", BAD)
+def test_what_is_no_number_is_an_error_with_its_line(word: str) -> None:
+    data = f"T 1 2\nT 3 4\n\nT {word} 5\nT 6 7\n".encode()
+    text = Text(data, "a.g2o")
+    with pytest.raises(GraphFileError, match=r"^a\.g2o:4: .* is not a number") as caught:
+        text.table(np.array([0, 1, 3, 4]), 2, "a b")
+    assert caught.value.line == 4
+    assert caught.value.text == f"T {word} 5"
+
+
+@pytest.mark.parametrize("word", ["1e309", "-1e400", "1" * 400, "1e99999"])
+def test_what_is_beyond_the_largest_number(word: str) -> None:
+    with pytest.raises(GraphFileError, match=r"<text>:2: '1?.*' is beyond the largest number"):
+        Text(f"\nT {word}\n".encode()).table(np.array([1]), 1, "a")
+
+
+def test_the_first_wrong_line_is_named_with_what_was_expected() -> None:
+    text = Text(b"T 1 2\nT 1 2 3\nT 1\n", "f")
+    with pytest.raises(GraphFileError, match=r"^f:2: 3 numbers after the tag, expected 2: a b \[T 1 2 3\]"):
+        text.table(np.arange(3), 2, "a b")
+
+
+@given(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=1, max_size=30))
+@example([2**63 - 1, -(2**63), 2**53 + 1, 2**52, 2**52 + 1, 0, -1, 10**17, 10**16 - 1])
+def test_ids_are_exact(numbers: list[int]) -> None:
+    text = Text("".join(f"V {n}\n" for n in numbers).encode())
+    found = text.whole(np.arange(len(numbers)), 1)
+    assert found.dtype == np.int64
+    assert found.tolist() == numbers
+
+
+@pytest.mark.parametrize("word", ["+7", "007", "-0"])
+def test_ids_in_unusual_dress(word: str) -> None:
+    assert Text(f"V {word}".encode()).whole(np.array([0]), 1).tolist() == [int(word)]
+
+
+@pytest.mark.parametrize(
+    "word", [str(2**63), str(-(2**63) - 1), "9" * 40, "1.0", "1.", "1e3", "x1", "1_0", "\uff11", "-"]
+)
+def test_what_is_no_id(word: str) -> None:
+    with pytest.raises(GraphFileError, match=r"<text>:2: id .* is not a whole number below 2\^63"):
+        Text(f"V 1\nV {word}\n".encode()).whole(np.array([0, 1]), 1)
+
+
+@pytest.mark.parametrize(
+    "data", [b"A 1 2\nB 3\n", b"A 1 2\r\nB 3\r\n", b"\tA\t1 \t 2\t\n B  3  ", b"\n\nA 1 2\n\n\nB 3"]
+)
+def test_line_ends_tabs_and_blank_lines(data: bytes) -> None:
+    text = Text(data)
+    assert list(text.tags) == [b"A", b"B"]
+    lines = text.tags[b"A"], text.tags[b"B"]
+    assert text.table(lines[0], 2, "").tolist() == [[1.0, 2.0]]
+    assert text.table(lines[1], 1, "").tolist() == [[3.0]]
+
+
+def test_tags_are_grouped_in_order_of_appearance() -> None:
+    text = Text(b"B 1\nA 2\n\nAB 3\nB 4\nA 5\nb 6\n")
+    assert {tag: lines.tolist() for tag, lines in text.tags.items()} == {
+        b"B": [0, 4],
+        b"A": [1, 5],
+        b"AB": [3],
+        b"b": [6],
+    }
+
+
+@pytest.mark.parametrize("words", [99, 100, 101, 250])
+def test_more_tags_than_any_format_has(words: int) -> None:
+    rng = np.random.default_rng(words)
+    order = rng.integers(0, words, 3 * words)
+    text = Text("".join(f"t{k} {n}\n" for n, k in enumerate(order)).encode())
+    expected: dict[bytes, list[int]] = {}
+    for n, k in enumerate(order):
+        expected.setdefault(f"t{k}".encode(), []).append(n)
+    assert {tag: lines.tolist() for tag, lines in text.tags.items()} == expected
+    assert list(text.tags) == list(expected)
+
+
+@pytest.mark.parametrize("data", [b"", b"\n", b"  \n\t\r\n "])
+def test_nothing_in_it(data: bytes) -> None:
+    assert Text(data).tags == {}
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_can_be_split(data: bytes) -> None:
+    text = Text(data)
+    words = [line.split() for line in bytes(b if b > 32 or b == 10 else 32 for b in data).split(b"\n")]
+    assert [text.token(k) for k in range(len(text.starts))] == [word for line in words for word in line]
+    assert np.diff(text.first).tolist() == [len(line) for line in words]
+    assert sum(map(len, text.tags.values())) == sum(bool(line) for line in words)
+
+
+CONTENT = b"VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
+
+
+def write(folder: Path, data: bytes) -> Path:
+    path = folder / "f.g2o"
+    path.write_bytes(data)
+    return path
+
+
+def test_plain_compressed_and_marked_files_are_the_same(tmp_path: Path) -> None:
+    for data in (CONTENT, gzip.compress(CONTENT), b"\xef\xbb\xbf" + CONTENT, gzip.compress(b"\xef\xbb\xbf" + CONTENT)):
+        assert read_bytes(write(tmp_path, data)) == CONTENT
+        assert read_bytes(str(write(tmp_path, data))) == CONTENT
+
+
+@pytest.mark.parametrize("cut", [3, 12, 30, -1, -5, -9])
+def test_a_truncated_gzip_file(tmp_path: Path, cut: int) -> None:
+    data = gzip.compress(CONTENT * 20)[:cut]
+    with pytest.raises(GraphFileError, match=r"f\.g2o: is not a complete gzip file"):
+        read_bytes(write(tmp_path, data))
+
+
+def test_a_damaged_gzip_file(tmp_path: Path) -> None:
+    data = bytearray(gzip.compress(CONTENT * 20))
+    data[len(data) // 2] ^= 0xFF
+    with pytest.raises(GraphFileError, match="is not a complete gzip file"):
+        read_bytes(write(tmp_path, bytes(data)))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_utf16(tmp_path: Path, encoding: str) -> None:
+    with pytest.raises(GraphFileError, match=r"UTF-16|binary"):
+        read_bytes(write(tmp_path, CONTENT.decode().encode(encoding)))
+
+
+def test_a_binary_file_has_its_line(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"f\.g2o:2: has a zero byte: this is a binary file"):
+        read_bytes(write(tmp_path, b"VERTEX_SE2\n\x00\x01\x02\n"))
+
+
+def test_a_folder_and_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match="is a folder; expected a file"):
+        read_bytes(tmp_path)
+    with pytest.raises(GraphFileError, match=r"none\.g2o: cannot be read: No such file") as caught:
+        read_bytes(tmp_path / "none.g2o")
+    assert isinstance(caught.value, ValueError)
+
+
+def test_a_long_line_is_cut_in_the_message() -> None:
+    with pytest.raises(GraphFileError) as caught:
+        Text(b"T " + b"9" * 5000 + b"x\n").table(np.array([0]), 1, "a")
+    assert len(str(caught.value)) < 250
+    assert len(caught.value.text) == 80

@@ -1,0 +1,157 @@
+"""The house rules that can be read off the sources: who imports whom, what the engine may name, what is documented."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import pkgutil
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import factors
+import models
+import nls
+import sim
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("models", "factors", "nls", "sim")
+ENGINE = ("values", "graph", "assemble", "system", "hessian", "linear", "optimizers", "gauge", "diagnose")
+RIM = ("io", "starts", "inspect", "plot", "cli", "filters", "__main__")
+FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
+ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
+ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
+SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
+SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}
+
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    """Path from the root, with slashes."""
+    return path.relative_to(ROOT).as_posix()
+
+
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names of everything a file imports, also inside functions; ``from a import b`` gives a and a.b."""
+    found = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name_of(path)}:{node.lineno}: relative import"
+            found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def engine_files() -> list[Path]:
+    return [
+        p
+        for p in FILES
+        if p.parts[len(ROOT.parts)] == "nls" and p.relative_to(ROOT / "nls").parts[0].removesuffix(".py") in ENGINE
+    ]
+
+
+def modules() -> list[ModuleType]:
+    out: list[ModuleType] = []
+    for package in (models, factors, nls, sim):
+        out.append(package)
+        for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            if not found.name.endswith("__main__"):
+                out.append(importlib.import_module(found.name))
+    return out
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert len(FILES) > 40
+    assert {name.split("/")[1].removesuffix(".py") for name in map(name_of, engine_files())} == set(ENGINE)
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_go_one_way(path: Path) -> None:
+    package = name_of(path).split("/")[0]
+    ours = {name.split(".")[0] for name in imports(path)} & set(PACKAGES)
+    assert ours - {package} <= ALLOWED[package]
+    assert not {name.split(".")[0] for name in imports(path)} & {"tests", "benchmarks", "docs"}
+
+
+@pytest.mark.parametrize("path", engine_files(), ids=name_of)
+def test_the_engine_does_not_know_the_rim(path: Path) -> None:
+    for name in imports(path):
+        parts = name.split(".")
+        if parts[0] == "nls" and len(parts) > 1:
+            assert parts[1] not in RIM, f"{name_of(path)} imports {name}"
+        if parts[0] == "factors" and len(parts) > 1:
+            assert parts[1] in FACTORS_FOR_ENGINE, f"{name_of(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", engine_files(), ids=name_of)
+def test_the_engine_names_no_space_and_no_sensor(path: Path) -> None:
+    for node in ast.walk(tree_of(path)):
+        name = node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else None
+        if isinstance(node, ast.ImportFrom):
+            assert not {alias.name for alias in node.names} & (SPACES | SENSORS), name_of(path)
+        assert name not in SPACES | SENSORS, f"{name_of(path)} names {name}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_optional_packages_have_one_door(path: Path) -> None:
+    top = {name.split(".")[0] for name in imports(path)}
+    for package, where in ONLY_IN.items():
+        assert package not in top or name_of(path) in where
+    if "matplotlib" in top or "mpl_toolkits" in top:
+        assert "plot" in path.parent.parts or path.name == "plot.py"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_slow_packages_are_imported_where_they_are_used(path: Path) -> None:
+    checked = ast.Module([n for n in tree_of(path).body if isinstance(n, ast.Import | ast.ImportFrom)], [])
+    for node in checked.body:
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else [str(node.module)]  # type: ignore[attr-defined]
+        assert not {n.split(".")[0] for n in names} & {
+            "matplotlib",
+            "mpl_toolkits",
+            "tqdm",
+            "threadpoolctl",
+            "sksparse",
+            "sparseqr",
+        }
+        assert not {n for n in names if n.startswith("scipy.sparse.linalg")}
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_files_are_short_and_say_what_they_are(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 400
+    assert ast.get_docstring(ast.parse(text)), f"{name_of(path)} has no docstring"
+
+
+@pytest.mark.parametrize("module", modules(), ids=lambda m: m.__name__)
+def test_public_names_exist_and_are_documented(module: ModuleType) -> None:
+    public = getattr(module, "__all__", [])
+    assert len(set(public)) == len(public)
+    for name in public:
+        thing = getattr(module, name)
+        if inspect.isclass(thing) or inspect.isfunction(thing):
+            assert inspect.getdoc(thing), f"{module.__name__}.{name} has no docstring"
+        if inspect.isclass(thing) and module in (models, factors, nls, sim):
+            for member, value in vars(thing).items():
+                if not member.startswith("_") and inspect.isfunction(value):
+                    assert inspect.getdoc(getattr(thing, member)), f"{module.__name__}.{name}.{member} has no docstring"
+
+
+@pytest.mark.parametrize("package", [models, factors, nls, sim], ids=lambda m: m.__name__)
+def test_packages_state_their_public_names(package: ModuleType) -> None:
+    assert package.__all__
+    assert package.__doc__
+
+
+def test_tests_are_short_too() -> None:
+    long = {name_of(p): n for p in (ROOT / "tests").rglob("*.py") if (n := len(p.read_text().splitlines())) > 400}
+    assert long == {}

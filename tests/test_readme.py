@@ -1,0 +1,66 @@
+"""Everything the README shows is run: its Python in one namespace, its commands in a folder of their own."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+import nls.cli
+import sim.cli
+
+README = Path(__file__).parents[1] / "README.md"
+COMMANDS = {"nls": nls.cli.main, "nls-sim": sim.cli.main}
+
+
+def blocks(*languages: str) -> list[str]:
+    """Contents of the fenced blocks of these languages."""
+    if not README.exists():
+        pytest.skip("there is no README.md here (an installed copy has none)")
+    text = README.read_text(encoding="utf-8")
+    return [body for language, body in re.findall(r"^```(\w+)\n(.*?)^```$", text, re.M | re.S) if language in languages]
+
+
+def test_the_python_blocks_run_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("agg")
+    found, namespace = blocks("python"), {"__name__": "readme"}
+    assert found
+    for k, block in enumerate(found):
+        exec(compile(block, f"README.md, Python block {k + 1}", "exec"), namespace)
+    assert capsys.readouterr().out.strip()
+
+
+def test_what_the_python_blocks_claim(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``print(...)  # text`` promises that the text is printed, where the comment quotes it with a bar or dots."""
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {"__name__": "readme"}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), namespace)
+        out = capsys.readouterr().out
+        for claim in re.findall(r"print\(.*\)\s+# (.*(?:\.\.\.|\|).*)$", block, re.M):
+            for part in filter(None, (p.strip(" ;") for p in claim.split("..."))):
+                assert part in out
+
+
+def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [line[2:] for block in blocks("console", "sh") for line in block.splitlines() if line.startswith("$ ")]
+    words = [shlex.split(line, comments=True) for line in lines]
+    ran = 0
+    for command, *arguments in words:
+        if command in COMMANDS:
+            assert COMMANDS[command](arguments) == 0, " ".join([command, *arguments])
+            assert "Traceback" not in capsys.readouterr().err
+            ran += 1
+        for word in arguments:  # what a command says it writes is there
+            if word.endswith((".png", ".json")):
+                assert (tmp_path / word).stat().st_size > 0
+    assert ran == len(words) > 0
