@@ -23,7 +23,7 @@ from nls.values import Values, take
 if TYPE_CHECKING:
     from factors.base import Factor, Model
 
-__all__ = ["Batch", "Pattern"]
+__all__ = ["Batch", "Pattern", "measured_rows", "offsets"]
 
 Index = npt.NDArray[np.intp]
 
@@ -129,6 +129,16 @@ class Pattern:
         free = np.flatnonzero(~self.held)
         variable = np.repeat(free, self.dims[free])
         return variable, np.arange(self.n) - self.starts[variable]
+
+
+def measured_rows(pattern: Pattern) -> int:
+    """Rows of A that say something: a semi-definite information leaves rows of zeros, which are no measurements."""
+    empty = 0
+    for batch in pattern.batches:
+        W = batch.model.W
+        zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
+        empty += zero * (len(batch) if len(W) == 1 else 1)
+    return pattern.m - empty
 
 
 def _incidence(index: Index, size: int) -> sp.csr_array:

@@ -11,7 +11,7 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models.errors import GraphError
-from nls.assemble import Pattern
+from nls.assemble import Pattern, measured_rows
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import default_solver
 from nls.optimizers import GaussNewton, Result
@@ -143,7 +143,7 @@ class FactorGraph:
             history=watch.history,
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,
-            dof=pattern.m - pattern.n,
+            dof=measured_rows(pattern) - int(pattern.dims[~decided.held].sum()),
             linear_solver=solver.name,
             gauge=decided.said,
             timings=problem.timings,

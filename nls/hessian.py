@@ -92,9 +92,10 @@ class Hessian:
     def _entries(self, contributions: Index) -> Iterator[tuple[Index, Index, Index]]:
         """For all contributions of one shape at a time: places in the data, sources in S, and rows of their numbers."""
         row, column, widths = self._row[contributions], self._column[contributions], self._widths
-        shapes = np.stack([widths[row], widths[column]], axis=1)
-        for height, width in np.unique(shapes, axis=0).tolist():
-            same = (shapes == (height, width)).all(axis=1)
+        base = int(widths.max(initial=0)) + 1
+        shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
+        for height, width in (divmod(int(shape), base) for shape in np.unique(shapes)):
+            same = shapes == height * base + width
             p = contributions[same]
             r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
             target = self.indptr[self._starts[column[same], None] + c] + (width - c) + self._above[p, None] + r

@@ -45,7 +45,8 @@ class Result:
     status, reason : why it stopped, and the sentence with the numbers.
     converged : True only for `Status.CONVERGED`.
     chi2_initial, chi2_final : |b|^2, without one-half, at the start and at `values`.
-    dof : rows of A minus free columns: the expected chi2 at the optimum for Gaussian noise.
+    dof : rows of A that are not all zero, minus the unknowns the gauge leaves free: the expected chi2 at the optimum
+        for Gaussian noise.
     history : one `Iteration` per step, the start first.
     linear_solver : the one that ran.
     gauge : what was done about the gauge, in words.

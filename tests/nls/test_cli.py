@@ -85,7 +85,7 @@ def test_the_report_for_programs(text: str, dimension: str, tmp_path: Path) -> N
     assert report["history"][0]["update"] is None
     assert report["history"][0]["chi2"] == report["chi2_initial"]
     graph, values, _ = nls.load(file)
-    start, name, tried = nls.starts(graph, values)
+    start, name, tried = nls.initialize(graph, values)
     result = graph.optimize(start)
     assert report["chi2_file"] == graph.chi2(values) == tried["file"]
     assert report["init"] == name

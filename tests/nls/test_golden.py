@@ -34,7 +34,7 @@ CONVENTIONS = {  # start and optimum, from the estimate of the file
 @pytest.mark.parametrize("name", OPTIMUM)
 def test_the_default_reaches_the_known_optimum(name: str, data: Path) -> None:
     graph, values, _ = nls.load(data / name)
-    start, _, _ = nls.starts(graph, values)
+    start, _, _ = nls.initialize(graph, values)
     result = graph.optimize(start)
     assert result.converged
     assert result.iterations <= 10

@@ -164,7 +164,7 @@ from nls.plot import before_after, spy
 from tests.nls.graphs import pose_graph
 sample = pose_graph(SE2)
 result = sample.graph.optimize(sample.values)
-before_after(sample.graph, sample.values, result).savefig("/dev/null", format="png", dpi=20)
+before_after(sample.graph, sample.values, result)
 spy(sample.graph.linearize(sample.values)).savefig("/dev/null", format="png", dpi=20)
 print("matplotlib.pyplot" in sys.modules, "matplotlib" in sys.modules)
 """
