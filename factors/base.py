@@ -12,6 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
@@ -67,7 +68,7 @@ class Factor(ABC):
         if any(len(k) not in (1, n) for k in keys):
             raise GraphError(f"{name}: its variables number {[len(k) for k in keys]}; expected 1 or {n}", keys, name)
         self.keys = tuple(k if len(k) == n else k[np.zeros(n, dtype=int)] for k in keys)
-        for a, b in zip(self.keys, self.keys[1:], strict=False):
+        for a, b in combinations(self.keys, 2):
             if a.kind == b.kind and (same := a.numbers == b.numbers).any():
                 twice = a[[int(np.argmax(same))]]
                 raise GraphError(f"{name}: measurement {int(np.argmax(same))} joins {twice} to itself", [twice], name)

@@ -75,11 +75,13 @@ class Kind:
 
     def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:
         if isinstance(numbers, slice):
-            if numbers.stop is None:
+            start, stop = numbers.start or 0, numbers.stop
+            if stop is None or stop < start or start < 0:
                 raise GraphError(
-                    f"{self.name}[{numbers.start}:]: a slice of variables needs its end, {self.name}[0:10]"
+                    f"{self.name}[{start}:{'' if stop is None else stop}]: a kind has no end to count from; give both "
+                    f"ends, {self.name}[0:10]"
                 )
-            return Keys(self.name, np.arange(numbers.start or 0, numbers.stop, numbers.step or 1))
+            return Keys(self.name, np.arange(start, stop, numbers.step or 1))
         return Keys(self.name, numbers)
 
     def __eq__(self, other: object) -> bool:

@@ -196,7 +196,10 @@ def whiten(W: Array, x: Array) -> Array:
 
 
 def _numbers(value: npt.ArrayLike, what: str, ndim: int) -> Array:
-    array = np.array(value, dtype=float)
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise NoiseModelError(f"{what}: expected numbers, got {value!r:.60}", what) from error
     if array.ndim > ndim:
         raise NoiseModelError(f"{what} has shape {array.shape}, expected at most {ndim} axes", what)
     if not np.isfinite(array).all():

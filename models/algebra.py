@@ -66,6 +66,8 @@ def product(A: Array, B: Array) -> Array:
     """
     if max(A.shape[-2:] + B.shape[-1:]) > 3:
         return np.asarray(np.matmul(A, B))
+    if A.shape[-1] != B.shape[-2]:
+        raise ValueError(f"product of {A.shape} and {B.shape}: the inner sizes differ")
     if A.ndim != B.ndim:  # batches broadcast from the right, so the shorter one gets its missing axes in front
         ndim = max(A.ndim, B.ndim)
         A, B = A.reshape((1,) * (ndim - A.ndim) + A.shape), B.reshape((1,) * (ndim - B.ndim) + B.shape)

@@ -25,14 +25,15 @@ SHARE = 0.05  # a variable is named when it moves by at least this part of the f
 INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas
 
 
-def underconstrained(pattern: Pattern, system: LinearSystem, values: Values) -> UnderconstrainedError:
+def underconstrained(system: LinearSystem, values: Values) -> UnderconstrainedError:
     """The error for a singular system: which variables can move without any measurement noticing, how, and the cures.
 
     Parameters
     ----------
-    pattern, system : the numbering and the linearization that was singular.
+    system : the linearization that was singular.
     values : the best values so far, for the error to carry.
     """
+    pattern = system.pattern
     untouched = np.flatnonzero(system.column_norms == 0.0)
     if len(untouched):
         owner, component = pattern.column_owner()
@@ -110,10 +111,10 @@ def null_space(system: LinearSystem) -> Array:
     H = sp.csc_matrix(A.T @ A + 1e-12 * sp.eye_array(n))
     factorization = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
-    for _ in range(4):
+    for _ in range(8):
         V = np.linalg.qr(factorization.solve(V))[0]
     _, s, Wt = np.linalg.svd(A @ V, full_matrices=False)
-    return _unscaled((V @ Wt.T)[:, s <= 1e-6], scale)
+    return _unscaled((V @ Wt.T)[:, s <= NULL], scale)
 
 
 def _unscaled(N: Array, scale: Array) -> Array:

@@ -146,6 +146,9 @@ class FreeGauge(LinearSolver):
         self.rest = np.setdiff1d(np.arange(pattern.n), self.gauge)
         return self.solver.analyze(self.held)
 
+    def seen(self, system: LinearSystem) -> LinearSystem:
+        return LinearSystem(self.held, system.blocks, system.b)
+
     def solve(self, analyzed: Any, system: LinearSystem) -> LinearSolution:
         A = system.A
 

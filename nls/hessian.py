@@ -9,6 +9,7 @@ SE(2) edges: 2 ms; scipy's A.T @ A: 10 ms.)
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -103,6 +104,16 @@ class Hessian:
             source = self._off[p, None] + np.where(turned, c * height + r, r * width + c)
             yield target, source, self._starts[row[same], None] + r
 
+    @cached_property
+    def _mirrored(self) -> tuple[Index, Index, Index]:
+        """indptr and indices of both triangles, and which number of the lower one each of theirs is."""
+        column = np.repeat(np.arange(self.n), np.diff(self.indptr))
+        below = np.flatnonzero(self.indices != column)
+        rows, columns = np.append(self.indices, column[below]), np.append(column, self.indices[below])
+        order = np.lexsort((rows, columns))
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.n))])
+        return indptr, rows[order], np.append(np.arange(len(column)), below)[order]
+
     def data(self, S: Array) -> Array:
         """Numbers of the lower triangle from the flat blocks S."""
         data = np.take(S, self.source)
@@ -113,6 +124,11 @@ class Hessian:
     def diagonal(self, S: Array) -> Array:
         """Diagonal of the matrix (n,)."""
         return np.take(S, self.source[self.indptr[:-1]])
+
+    def symmetric(self, S: Array) -> sp.csc_array:
+        """Both triangles as a sparse matrix; numbers that happen to be zero stay in its structure."""
+        indptr, indices, place = self._mirrored
+        return sp.csc_array((self.data(S)[place], indices, indptr), shape=(self.n, self.n))
 
     def matrix(self, S: Array) -> sp.csc_matrix:
         """Lower triangle as a sparse matrix."""

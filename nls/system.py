@@ -97,8 +97,7 @@ class LinearSystem:
     def H(self) -> sp.csc_array:
         """A'A (n, n), symmetric, columns in the order of A, filled from the blocks."""
         blocks = Blocks(self.pattern)
-        lower = blocks.structure().matrix(blocks.fill(self))
-        return sp.csc_array(lower + sp.tril(lower, -1).T)
+        return blocks.structure().symmetric(blocks.fill(self))
 
     def solve(self, linear_solver: LinearSolver | None = None) -> Array:
         """The step dx = argmin |A dx - b|, (n,), by a solver of `nls.linear`; the best one installed when omitted.

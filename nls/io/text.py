@@ -80,7 +80,7 @@ class Text:
         self.data, self.path = data, path
         buffer = np.frombuffer(b"\n" + data + b"\n", dtype=np.uint8)
         self._buffer = buffer
-        blank = buffer <= 32
+        blank = (buffer == 32) | ((buffer >= 9) & (buffer <= 13))
         edges = np.flatnonzero(blank[1:] != blank[:-1]) + 1  # tokens and blanks alternate; the buffer begins blank
         self.starts, self.ends = edges[0::2], edges[1::2]
         newlines = np.flatnonzero(buffer == 10)

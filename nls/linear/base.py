@@ -76,5 +76,9 @@ class LinearSolver(ABC):
             A is rank deficient.
         """
 
+    def seen(self, system: LinearSystem) -> LinearSystem:
+        """The system whose singularity `solve` reports: the one given, unless the solver holds something itself."""
+        return system
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"

@@ -37,10 +37,8 @@ class SuperLUFactorization(Factorization):
     def factorize(self, S: Array) -> Array:
         from scipy.sparse.linalg import splu
 
-        lower = self._hessian.matrix(S)
-        H = sp.csc_matrix(lower + sp.tril(lower, -1).T)
         try:
-            self._lu = splu(H, permc_spec="NATURAL", **SYMMETRIC)
+            self._lu = splu(self._hessian.symmetric(S), permc_spec="NATURAL", **SYMMETRIC)
         except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
             raise SingularSystemError(str(error)) from error
         return np.asarray(self._lu.U.diagonal()[self._lu.perm_c])

@@ -75,7 +75,7 @@ class GaussNewton:
                 system = problem.linearize(X)
                 watch.step(X, system.chi2, dx, promised, problem.lap())
         except SingularSystemError as error:
-            raise underconstrained(problem.pattern, system, watch.best) from error
+            raise underconstrained(problem.solver.seen(system), watch.best) from error
         except (EvaluationError, SingularGeometryError) as error:
             watch.end(Status.DIVERGED, f"the step of iteration {len(watch.history)} led where {error}")
         except KeyboardInterrupt:

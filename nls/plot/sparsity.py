@@ -46,7 +46,9 @@ def spy(system: LinearSystem) -> Figure:
     state = NormalState(blocks.structure(factorization.order), factorization)
     state.factorize(blocks.fill(system))
     R, permutation = state.upper()
-    H = system.H
+    R.eliminate_zeros()  # CHOLMOD pads its supernodes
+    H = system.H.copy()
+    H.eliminate_zeros()
     ordered = sp.csc_array(H[permutation][:, permutation])
 
     figure = Figure(figsize=(13, 4.8), layout="constrained")
@@ -64,10 +66,10 @@ def spy(system: LinearSystem) -> Figure:
     _name(axes[0].set_xticks, axes[0].set_xticklabels, names, first)
     _name(axes[1].set_xticks, axes[1].set_xticklabels, names, first)
     _name(axes[1].set_yticks, axes[1].set_yticklabels, names, first)
-    rows = system.rows
-    factors = [row.rsplit(":", 1)[0] for row in rows]
-    begin = [k for k in range(len(factors)) if k == 0 or factors[k] != factors[k - 1]]
-    _name(axes[0].set_yticks, axes[0].set_yticklabels, [factors[k] for k in begin], begin)
+    if sum(map(len, system.pattern.batches)) <= LABELS:
+        factors = [row.rsplit(":", 1)[0] for row in system.rows]
+        begin = [k for k in range(len(factors)) if k == 0 or factors[k] != factors[k - 1]]
+        _name(axes[0].set_yticks, axes[0].set_yticklabels, [factors[k] for k in begin], begin)
     variable, _ = system.pattern.column_owner()
     owner = variable[permutation]
     begin = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]

@@ -10,7 +10,7 @@ from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, UnderconstrainedError, Values
 from nls.diagnose import null_space
 from nls.linear import SOLVERS
-from tests.nls.graphs import GROUPS, Seen, in_frame, l, p, pose_graph, walk, x
+from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
 
 
 def refused(graph: FactorGraph, values: Values, gauge: str = "none", solver: str = "lu") -> UnderconstrainedError:
@@ -221,5 +221,6 @@ def test_the_gauge_that_is_chosen_free_is_not_counted_among_the_free_directions(
     X = walk(SE2, 4, np.random.default_rng(8))
     graph = FactorGraph([Between(x[0:2], x[1:3], SE2.between(X[:2], X[1:3]), Isotropic(0.1))])
     graph.add(Between(x[2], x[3], SE2.between(X[2], X[3]), Information(np.diag([1.0, 1.0, 0.0]))))
-    error = refused(graph, Values({x: (SE2, X)}), gauge="free")
+    values = Values({x: (SE2, moved(SE2, X, 0.1, np.random.default_rng(9)))})
+    error = refused(graph, values, gauge="free")
     assert (error.nullity, names(error)) == (1, ["x3"])

@@ -202,7 +202,7 @@ def test_nothing_in_it(data: bytes) -> None:
 @given(st.binary(max_size=200))
 def test_any_bytes_can_be_split(data: bytes) -> None:
     text = Text(data)
-    words = [line.split() for line in bytes(b if b > 32 or b == 10 else 32 for b in data).split(b"\n")]
+    words = [line.split() for line in data.split(b"\n")]  # bytes.split knows the blanks of ASCII only
     assert [text.token(k) for k in range(len(text.starts))] == [word for line in words for word in line]
     assert np.diff(text.first).tolist() == [len(line) for line in words]
     assert sum(map(len, text.tags.values())) == sum(bool(line) for line in words)
