@@ -23,7 +23,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic, Noise, whiten
 from models import Manifold, R
 from models.algebra import Array, product
-from models.errors import EvaluationError, GraphError, NoiseModelError
+from models.errors import EvaluationError, GraphError, LeadlineError, NoiseModelError
 
 __all__ = ["Factor", "Model"]
 
@@ -64,21 +64,30 @@ class Factor(ABC):
                 raise GraphError(f"{name}: expected variables such as x[0] or x[i], got {k!r:.80}", factor=name)
         if not isinstance(noise, Noise):
             raise GraphError(f"{name}: expected a noise model such as Isotropic(0.1), got {noise!r:.80}", keys, name)
-        n = max((len(k) for k in keys), default=0)
+        n = 0 if any(len(k) == 0 for k in keys) else max((len(k) for k in keys), default=0)
         if any(len(k) not in (1, n) for k in keys):
             raise GraphError(f"{name}: its variables number {[len(k) for k in keys]}; expected 1 or {n}", keys, name)
-        self.keys = tuple(k if len(k) == n else k[np.zeros(n, dtype=int)] for k in keys)
+        self.keys = tuple(k if len(k) == n else k[np.zeros(n, dtype=np.intp)] for k in keys)
         for a, b in combinations(self.keys, 2):
             if a.kind == b.kind and (same := a.numbers == b.numbers).any():
                 twice = a[[int(np.argmax(same))]]
                 raise GraphError(f"{name}: measurement {int(np.argmax(same))} joins {twice} to itself", [twice], name)
-        self.z = z
+        try:
+            self._z = np.array(z, dtype=float)  # a copy, and read-only: what was added stays what it was
+        except (TypeError, ValueError) as error:
+            raise GraphError(f"{name}: z is not an array of numbers: {error}", keys, name) from error
+        self._z.setflags(write=False)
         self.noise = noise
         self.convention = check_convention(convention)
         self._model: Model | None = None
 
     def __len__(self) -> int:
         return len(self.keys[0]) if self.keys else 0
+
+    @property
+    def z(self) -> Array:
+        """The measured values, as given; read-only."""
+        return self._z
 
     @property
     def name(self) -> str:
@@ -107,6 +116,10 @@ class Factor(ABC):
         """Which components of the innovation are measured; all, unless a subclass says otherwise."""
         return slice(None)
 
+    def names(self, space: Manifold) -> tuple[str, ...]:
+        """Names of the measured components, for named noise and the labels of rows."""
+        return tuple(np.array(space.components)[self.rows(space)].tolist())
+
     @np.errstate(over="ignore", invalid="ignore")
     def bind(self, *manifolds: Manifold) -> Model:
         """The factor with the spaces of its variables: z checked, the whitener computed once.
@@ -126,8 +139,7 @@ class Factor(ABC):
                 z = space.stack(self.z)
                 if len(z) not in (1, len(self)):
                     raise GraphError(f"{len(z)} measurements for {len(self)} sets of variables")
-                rows = self.rows(space)
-                names = tuple(np.array(space.components)[rows])
+                rows, names = self.rows(space), self.names(space)
                 W = self.noise.sqrt_information(len(self), names)
                 if not np.isfinite(W).all():
                     k = int(np.argmax(~np.isfinite(W).reshape(len(W), -1).all(axis=1)))
@@ -140,7 +152,7 @@ class Factor(ABC):
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
             if W.shape[-1] <= 3:  # components first, as `product` wants small matrices
                 W = np.moveaxis(np.ascontiguousarray(np.moveaxis(W, 0, -1)), -1, 0)
-            self._model = Model(self, manifolds, space, z, W, rows, len(names))
+            self._model = Model(self, manifolds, space, z, W, rows, names)
         return self._model
 
     @staticmethod
@@ -150,6 +162,7 @@ class Factor(ABC):
         dim: int,
         noise: Noise | None = None,
         jacobians: Callable[..., Sequence[Array]] | None = None,
+        relative: bool = False,
     ) -> Factor:
         """A factor from a function of yours: minimizes |residual|^2 under the noise.
 
@@ -161,6 +174,7 @@ class Factor(ABC):
         noise : noise of the residual; unit variance when omitted.
         jacobians : called with the same stacks; returns one (n, dim, dim_k) array per slot, the derivative of the
             residual with respect to a tangent step of that variable. Central differences when omitted.
+        relative : True when the residual does not change if all variables are moved together: the gauge may be held.
 
         Returns
         -------
@@ -184,7 +198,7 @@ class Factor(ABC):
         >>> graph.optimize(Values({p: (R(2), [-1.2, 1.0])})).values[p[0]].round(6)
         array([1., 1.])
         """
-        return _FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians)
+        return _FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
 
 
 @dataclass(frozen=True)
@@ -197,7 +211,12 @@ class Model:
     z: Array
     W: Array
     rows: npt.NDArray[np.intp] | slice
-    dim: int
+    names: tuple[str, ...]
+
+    @property
+    def dim(self) -> int:
+        """Numbers per measurement."""
+        return len(self.names)
 
     @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
     def error(self, *X: Array) -> Array:
@@ -228,6 +247,15 @@ class Model:
         e, J = innovation(self.space, h, self.z, self.factor.convention)
         b = whiten(self.W, e[:, self.rows])
         self._check(b, None)
+        if len(b) and np.abs(b).max() > SQUARABLE:
+            index = int(np.argmax(np.abs(b).max(axis=1)))
+            raise EvaluationError(
+                f"{self.factor.describe(index)}: its residual is {np.abs(b[index]).max():.3g} sigmas, too large for a "
+                "chi2; check its measurement, sigmas and start values",
+                self.factor.name,
+                [k[[index]] for k in self.factor.keys],
+                where="residual",
+            )
         return b, J
 
     def _predict(self, X: tuple[Array, ...], jacobians: bool) -> tuple[Array, tuple[Array | None, ...]]:
@@ -271,7 +299,7 @@ class Model:
             H_k = np.empty((len(h), self.space.dim, manifold.dim))
             for d in range(manifold.dim):
                 delta = np.zeros((len(h), manifold.dim))
-                delta[:, d] = STEP * (np.maximum(1.0, np.abs(X[slot][:, d])) if manifold.dim == manifold.size else 1.0)
+                delta[:, d] = difference_steps(manifold, X[slot])[:, d]
                 H_k[:, :, d] = (moved(slot, delta) - moved(slot, -delta)) / (2 * delta[:, d : d + 1])
             H.append(H_k)
         return tuple(H)
@@ -291,7 +319,22 @@ class Model:
         )
 
 
+SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2
 STEP = 6e-6  # cube root of the rounding unit: where truncation and rounding of a central difference balance
+
+
+def difference_steps(manifold: Manifold, X: Array) -> Array:
+    """Steps (n, dim) of central differences: larger for coordinates far from 0, which carry coarser rounding.
+
+    Rounding of x moves f by eps |x| and the step h divides it, truncation is of order h^2: h = (eps |x|)^(1/3).
+    """
+    size = np.ones((len(X), manifold.dim))
+    if manifold.dim == manifold.size and manifold.name.startswith("R"):
+        size = np.maximum(size, np.abs(X))
+    else:
+        t = manifold.position(X)
+        size[:, : t.shape[1]] = np.maximum(1.0, np.abs(t).max(axis=1, keepdims=True, initial=0.0))
+    return STEP * np.cbrt(size)
 
 
 class _FunctionFactor(Factor):
@@ -304,10 +347,11 @@ class _FunctionFactor(Factor):
         dim: int,
         noise: Noise | None,
         jacobians: Callable[..., Sequence[Array]] | None,
+        relative: bool,
     ) -> None:
         self.dim, self.residual, self.jacobians = dim, residual, jacobians
         super().__init__(keys, np.zeros(dim), noise or Isotropic())
-        self.slots = (None,) * len(keys)  # type: ignore[misc]
+        self.slots, self.relative = (None,) * len(keys), relative  # type: ignore[misc]
 
     @property
     def name(self) -> str:
@@ -316,14 +360,19 @@ class _FunctionFactor(Factor):
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return R(self.dim)
 
+    def names(self, space: Manifold) -> tuple[str, ...]:
+        return tuple(f"r{k}" for k in range(self.dim))
+
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         (h,) = self._call(lambda *X: [self.residual(*X)], *X)
         return h, None if self.jacobians is None else self._call(self.jacobians, *X)
 
     def _call(self, function: Callable[..., Sequence[Array]], *X: Array) -> tuple[Array, ...]:
         try:
-            found = function(*(np.ascontiguousarray(stack) for stack in X))
-            return tuple(np.asarray(array, dtype=float) for array in found)
+            found = function(*(np.array(stack, order="C") for stack in X))  # copies: it may change or keep them
+            return tuple(np.array(array, dtype=float) for array in found)
+        except LeadlineError:
+            raise  # it says its own name: a singular geometry, for example, is a place to avoid
         except Exception as error:  # the user's code may raise anything; it comes through, named and chained
             raise EvaluationError(
                 f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys

@@ -6,11 +6,13 @@ from typing import Protocol
 
 import numpy as np
 
-from factors.base import STEP, Factor, Model
+from factors.base import STEP, Factor, Model, difference_steps
 from models.algebra import Array
 from models.errors import JacobianError
 
 __all__ = ["check_jacobians"]
+
+EPS = float(np.finfo(float).eps)
 
 
 class Gatherer(Protocol):
@@ -26,7 +28,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     ----------
     factor : the factor, any batch.
     values : the point to check at; choose one with non-zero residuals.
-    rtol : largest difference allowed, relative to the largest entry of that Jacobian (or 1).
+    rtol : largest difference allowed beyond rounding, relative to the largest entry of that Jacobian.
 
     Returns
     -------
@@ -49,15 +51,20 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     True
     """
     model, X = values.gather(factor)
-    A, _ = model.linearize(*X)
+    A, b = model.linearize(*X)
     worst = 0.0
     for slot, A_k in enumerate(A):
-        numeric = numerical(model, X, slot)
+        steps = difference_steps(model.manifolds[slot], X[slot])
+        numeric = numerical(model, X, slot, steps)
         difference = np.abs(A_k - numeric)
-        scale = max(1.0, float(np.abs(numeric).max(initial=0.0)))
-        found = float(difference.max(initial=0.0)) / scale
+        scale = float(np.abs(numeric).max(initial=0.0))
+        # what rounding of b and of the coordinates leaves of a central difference says nothing about the Jacobian
+        coordinate = (steps / STEP) ** 3
+        rounding = 10 * EPS / steps[:, None, :] * (np.abs(b)[:, :, None] + scale * coordinate[:, None, :])
+        excess = np.maximum(difference - rounding, 0.0)
+        found = float(excess.max(initial=0.0)) / scale if scale else float(np.abs(A_k).max(initial=0.0))
         if found > rtol:
-            n, row, column = (int(i) for i in np.unravel_index(np.argmax(difference), difference.shape))
+            n, row, column = (int(i) for i in np.unravel_index(np.argmax(excess), excess.shape))
             analytic, other = float(A_k[n, row, column]), float(numeric[n, row, column])
             manifold = model.manifolds[slot]
             raise JacobianError(
@@ -73,19 +80,19 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     return worst
 
 
-def numerical(model: Model, X: tuple[Array, ...], slot: int) -> Array:
+def numerical(model: Model, X: tuple[Array, ...], slot: int, steps: Array) -> Array:
     """Minus the central difference of b with respect to a tangent step of one slot, (n, m, dim)."""
     manifold = model.manifolds[slot]
     A = np.empty((len(model.z), model.dim, manifold.dim))
     for d in range(manifold.dim):
         delta = np.zeros((len(model.z), manifold.dim))
-        delta[:, d] = STEP
+        delta[:, d] = steps[:, d]
         moved = []
         for sign in (1.0, -1.0):
             Y = list(X)
             Y[slot] = manifold.retract(X[slot], sign * delta)
             moved.append(model.error(*Y))
-        A[:, :, d] = -(moved[0] - moved[1]) / (2 * STEP)
+        A[:, :, d] = -(moved[0] - moved[1]) / (2 * steps[:, d : d + 1])
     return A
 
 

@@ -69,8 +69,10 @@ class Kind:
     __slots__ = ("name",)
 
     def __init__(self, name: str) -> None:
-        if not name.isidentifier():
-            raise GraphError(f"kind {name!r}: expected a short name of letters, such as 'x'")
+        if not isinstance(name, str) or not name.isidentifier() or name[-1].isdigit():
+            raise GraphError(
+                f"kind {name!r}: expected a short name of letters, such as 'x', without a number at its end"
+            )
         self.name = name
 
     def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:

@@ -19,9 +19,9 @@ from models.errors import NoiseModelError
 
 __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "whiten"]
 
-SEMI_DEFINITE = (
-    1e-10  # eigenvalues above -1e-10 of the largest are rounding (files carry 6 to 10 digits) and count as 0
-)
+# Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
+NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
+NOTHING = 1e-14  # an eigenvalue or squared pivot below 1e-14 is rounding of 0: no information in that direction
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
 
 
@@ -143,7 +143,8 @@ class Covariance(_Matrix):
             k = int(np.argmax(bad))
             smallest = float(np.linalg.eigvalsh(Sigma[k])[0])
             raise NoiseModelError(
-                f"Covariance of measurement {k} has eigenvalue {smallest:.6g}, expected all > 0: {Sigma[k].tolist()}",
+                f"Covariance of measurement {k} is not positive definite beyond rounding (smallest eigenvalue "
+                f"{smallest:.6g}): {Sigma[k].tolist()}",
                 "covariance",
                 k,
                 smallest,
@@ -166,19 +167,23 @@ class Information(_Matrix):
         return W
 
     def _semi_definite(self, Omega: Array, index: npt.NDArray[np.intp]) -> Array:
-        """W = diag(sqrt(lambda)) V' for Omega = V diag(lambda) V'; rows of zeros where lambda = 0."""
-        eigenvalues, V = np.linalg.eigh(Omega)
-        negative = eigenvalues[:, 0] < -SEMI_DEFINITE * np.abs(eigenvalues).max(axis=1)
+        """W = diag(sqrt(lambda)) V' D, D^2 = diag(Omega), D^-1 Omega D^-1 = V diag(lambda) V'; zeros for lambda = 0."""
+        d = np.sqrt(np.abs(np.diagonal(Omega, axis1=1, axis2=2)))
+        D = 1 / np.where(d > 0, d, 1.0)
+        eigenvalues, V = np.linalg.eigh(D[:, :, None] * Omega * D[:, None, :])
+        negative = eigenvalues[:, 0] < -NEGATIVE
         if negative.any():
             k = int(np.argmax(negative))
+            smallest = float(np.linalg.eigvalsh(Omega[k])[0])
             raise NoiseModelError(
-                f"information of measurement {index[k]} has the negative eigenvalue {eigenvalues[k, 0]:.6g}: it is no "
+                f"information of measurement {index[k]} has the negative eigenvalue {smallest:.6g}: it is no "
                 f"information matrix (check the order of its entries); {int(negative.sum())} such in this batch",
                 "information",
                 int(index[k]),
-                float(eigenvalues[k, 0]),
+                smallest,
             )
-        return np.asarray(np.sqrt(np.maximum(eigenvalues, 0.0))[..., None] * V.mT)
+        known = np.where(eigenvalues > NOTHING, eigenvalues, 0.0)
+        return np.asarray(np.sqrt(known)[..., None] * V.mT * d[:, None, :])
 
 
 class SqrtInformation(_Matrix):
@@ -247,7 +252,7 @@ def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     L: list[list[Array]] = [[np.zeros(()) for _ in range(m)] for _ in range(m)]
     for j in range(m):
         pivot = C[j, j] - sum((L[j][k] ** 2 for k in range(j)), np.zeros(()))
-        poor = ~(pivot > SEMI_DEFINITE * np.abs(C[j, j]))  # of its own diagonal: units may differ by any factor
+        poor = ~(pivot > NOTHING * np.abs(C[j, j]))  # of its own diagonal: units may differ by any factor
         bad |= poor
         L[j][j] = np.sqrt(np.where(poor, 1.0, pivot))
         for i in range(j + 1, m):

@@ -141,7 +141,7 @@ def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
     out = []
     for k in orders:
         series = np.zeros_like(x)
-        for j in range(9, -1, -1):  # 2^10 / 20! < 1e-15: the truncation is below rounding
+        for j in range(10, -1, -1):  # 2^11 / 22! = 2e-18: the truncation is below rounding
             series = 1 / _FACTORIAL[2 * j + k] - x * series
         out.append(np.where(small, series, closed[k]))
     return tuple(out)

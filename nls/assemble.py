@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -93,6 +94,7 @@ class Pattern:
             blocks.append(A)
         return LinearSystem(self, blocks, b)
 
+    @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:
         """|b|^2 without any Jacobian."""
         total = 0.0
@@ -102,6 +104,31 @@ class Pattern:
 
     def _gather(self, batch: Batch, values: Values) -> list[Array]:
         return [take(values.stacks[k].X, i) for k, i in zip(batch.kinds, batch.index, strict=True)]
+
+    @property
+    def numbers_in_A(self) -> int:
+        """Numbers in all Jacobian blocks, those of held variables too."""
+        return sum(len(b) * b.model.dim * sum(m.dim for m in b.model.manifolds) for b in self.batches)
+
+    @cached_property
+    def structure(self) -> tuple[Index, Index, Index | None]:
+        """indices and indptr of A by rows, and which numbers of the blocks are in it (None: all, nothing is held)."""
+        indices, counts = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+        for batch in self.batches:
+            columns = np.concatenate(
+                [self._columns(v, m.dim) for v, m in zip(batch.variables, batch.model.manifolds, strict=True)], axis=1
+            )  # (k, D), -1 where held
+            indices.append(np.repeat(columns, batch.model.dim, axis=0).reshape(-1))
+            counts.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
+        every = np.concatenate(indices)
+        indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+        kept = np.flatnonzero(every >= 0) if self.held.any() else None
+        return every if kept is None else every[kept], indptr, kept
+
+    def _columns(self, variables: Index, d: int) -> Index:
+        """Columns (k, d) of the components of variables, -1 where they are held."""
+        start = self.starts[variables][:, None]
+        return np.where(start < 0, -1, start + np.arange(d))
 
     def expand(self, dx: Array) -> Array:
         """Step of all variables, zeros where held, from a step of the free ones."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import math
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -50,7 +52,7 @@ def parser() -> Parser:
 
     solve = commands.add_parser("solve", help="find the optimum", epilog=EXAMPLES, formatter_class=top.formatter_class)
     solve.add_argument("file", metavar="FILE", help="pose graph, *.g2o or *.g2o.gz")
-    solve.add_argument("-o", "--output", metavar="OUT.g2o", help="write the optimum")
+    solve.add_argument("-o", "--output", metavar="OUT.g2o", help="write the optimum (*.g2o or *.g2o.gz)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", "gauss-newton"], help="optimizer")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
@@ -77,9 +79,17 @@ def parser() -> Parser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what the terminal cannot show is escaped
+            stream.reconfigure(errors="backslashreplace")
+    with warnings.catch_warnings():
+        warnings.showwarning = _one_line_warning
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     from models.errors import LeadlineError, UnderconstrainedError
 
-    warnings.showwarning = _one_line_warning
     debug = False
     try:
         options = parser().parse_args(argv)
@@ -219,41 +229,65 @@ def _advice(result: Result) -> str:
 
 
 def _record(iteration: Iteration) -> dict[str, Any]:
-    """One iteration for programs; what was not computed is null."""
-    update = None if math.isnan(iteration.update) else iteration.update
+    """One iteration for programs."""
     return {
         "iteration": iteration.number,
-        "chi2": iteration.chi2 if math.isfinite(iteration.chi2) else None,
-        "update": update,
+        "chi2": iteration.chi2,
+        "update": iteration.update,
+        "gradient": iteration.gradient,
+        "lambda": iteration.damping,
         "seconds": iteration.seconds,
     }
 
 
+def _finite(item: Any) -> Any:
+    """A report with null for every number that is not finite: JSON has no other word for it."""
+    if isinstance(item, dict):
+        return {name: _finite(value) for name, value in item.items()}
+    if isinstance(item, list):
+        return [_finite(value) for value in item]
+    return None if isinstance(item, float) and not math.isfinite(item) else item
+
+
 def _write_json(report: dict[str, Any], where: str | None) -> None:
+    from nls.io.files import write_bytes
+
     if where is None:
         return
-    text = json.dumps(report, indent=1, allow_nan=False)
+    text = json.dumps(_finite(report), indent=1, allow_nan=False)
     if where == "-":
         print(text)
     else:
-        Path(where).write_text(text + "\n")
+        write_bytes(where, (text + "\n").encode())
 
 
 def _refuse_unwritable(name: str | None) -> None:
     """Find out before the work, not after it, that an output cannot be written."""
     from models.errors import OptionError
 
-    if name and name != "-" and (Path(name).is_dir() or not Path(name).resolve().parent.is_dir()):
+    if not name or name == "-":
+        return
+    path = Path(name)
+    folder = Path(os.path.realpath(name)).parent
+    if path.is_dir() or not folder.is_dir():
         raise OptionError("output file", name, "a file in a folder that exists")
+    special = path.exists() and not path.is_file()  # a pipe or device is written to, a file is replaced
+    if not os.access(path if special else folder, os.W_OK):
+        raise OptionError("output file", name, "a file in a folder you may write to")
 
 
 def _peak_rss_mb() -> float:
+    try:  # Linux hands the peak of the parent process down to ru_maxrss, but not to VmHWM
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError):
+        pass
     try:
         import resource
     except ImportError:  # no such count on Windows
         return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
 def _one_line_warning(message: Warning | str, *_: object, **__: object) -> None:

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from models.algebra import Array
-from models.errors import UnderconstrainedError
+from models.errors import EvaluationError, UnderconstrainedError
+from nls.gauge import component_labels, touched_variables
 
 if TYPE_CHECKING:
     from factors.keys import Keys
@@ -21,51 +22,93 @@ __all__ = ["null_space", "underconstrained"]
 
 MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
 NULL = 1e-9  # |A v| below this for a unit v (columns of A scaled to length 1) is a free direction
+EXACT = 1e-12  # above this the direction may be a weak prior, or the rounding of a numerical Jacobian
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one
 INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas
 
 
-def underconstrained(system: LinearSystem, values: Values) -> UnderconstrainedError:
+def underconstrained(system: LinearSystem, values: Values | None = None) -> UnderconstrainedError:
     """The error for a singular system: which variables can move without any measurement noticing, how, and the cures.
 
     Parameters
     ----------
     system : the linearization that was singular.
     values : the best values so far, for the error to carry.
+
+    Raises
+    ------
+    EvaluationError
+        Nothing is free: squares of weights or Jacobians overflow.
     """
     pattern = system.pattern
-    untouched = np.flatnonzero(system.column_norms == 0.0)
-    if len(untouched):
-        owner, component = pattern.column_owner()
-        named = _by_variable(pattern, owner[untouched], component[untouched])
-        return UnderconstrainedError(
-            f"{len(untouched)} unknowns have no measurement at all: {_listed(named)}. Remove these variables, add the "
-            "factors that are missing, or fix them.",
-            [key for key, _ in named],
-            len(untouched),
-            [text for _, text in named],
-            values,
-        )
-    N = null_space(system)
-    if not N.shape[1]:
-        return UnderconstrainedError(
-            "A'A is singular to rounding although no free direction could be separated: the measurements' weights or "
-            "scales differ by more than 13 digits. Check sigmas and units; linear solver 'qr' keeps twice the digits.",
-            values=values,
-        )
     owner, component = pattern.column_owner()
-    carried = _carriers(N, system.column_norms, _component_ids(pattern, owner, component))
+    with np.errstate(over="ignore"):
+        norms = system.column_norms
+    if not np.isfinite(norms).all():
+        named = _by_variable(pattern, owner[~np.isfinite(norms)], component[~np.isfinite(norms)])
+        raise EvaluationError(
+            f"the squares of weights or Jacobians overflow: {_listed(named)}. Check sigmas and units.",
+            keys=[key for key, _ in named],
+        )
+    if (norms == 0.0).any():
+        return _unmeasured(pattern, norms == 0.0, values)
+    s, N = _weakest(system)
+    null = s <= NULL
+    shown = N[:, null] if null.any() else N[:, [np.argmin(s)]]
+    carried = _carriers(shown, norms, _component_ids(pattern, owner, component))
     any_of_them = carried.any(axis=1)
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
-    count = f"at least {MAX_DIRECTIONS}" if N.shape[1] == MAX_DIRECTIONS else str(N.shape[1])
+    keys = [key for key, _ in named]
     where, cure = _where(pattern, np.unique(owner[any_of_them]), named)
+    if not null.any():
+        return UnderconstrainedError(
+            "the measurements determine every unknown, but their weights or scales differ too much for A'A, which "
+            f"keeps 13 digits. The weakest direction: {where}. Use linear solver 'qr' (it keeps twice the digits), "
+            "tighten the prior there, or fix a variable instead; check sigmas and units.",
+            keys,
+            values=values,
+        )
+    directions = "1 direction" if len(carried.T) == 1 else f"{len(carried.T)} directions"
+    count = f"at least {directions}" if len(carried.T) == MAX_DIRECTIONS else directions
+    if s[null].max() > EXACT:
+        cure += (
+            " If a prior is meant to hold that, it is a billion times weaker than the rest: tighten it, check sigmas, "
+            "or use linear solver 'qr'."
+        )
     return UnderconstrainedError(
-        f"the measurements leave {count} direction{'s' if count != '1' else ''} free: {where}. {cure}",
-        [key for key, _ in named],
-        N.shape[1],
+        f"the measurements leave {count} free: {where}. {cure}",
+        keys,
+        len(carried.T),
         [_listed(_by_variable(pattern, owner[c], component[c])) for c in carried.T],
         values,
     )
+
+
+def _unmeasured(pattern: Pattern, zero: npt.NDArray[np.bool_], values: Values | None) -> UnderconstrainedError:
+    """The error for columns of zeros (n,): nothing touches their variable, or what touches it does not react."""
+    owner, component = pattern.column_owner()
+    touched = touched_variables(pattern)[owner]
+    sentences = []
+    for unknowns, what, cure in (
+        (
+            zero & ~touched,
+            "no measurement at all",
+            "No factor touches that: remove the variable, add the factors that are missing, or fix it.",
+        ),
+        (
+            zero & touched,
+            "factors that do not react to a change here",
+            "Either these factors never measure that component (add one that does), or their Jacobian is zero at these "
+            "values alone (try another start or convention).",
+        ),
+    ):
+        if count := int(unknowns.sum()):
+            listed = _listed(_by_variable(pattern, owner[unknowns], component[unknowns]))
+            have = "1 unknown has" if count == 1 else f"{count} unknowns have"
+            sentences.append(f"{have} {what}: {listed}. {cure}")
+    named = _by_variable(pattern, owner[zero], component[zero])
+    keys, texts = [key for key, _ in named], [text for _, text in named]
+    return UnderconstrainedError(" ".join(sentences), keys, int(zero.sum()), texts, values)
 
 
 def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:
@@ -92,35 +135,38 @@ def _carriers(N: Array, scale: Array, ids: Index) -> npt.NDArray[np.bool_]:
 
 
 def null_space(system: LinearSystem) -> Array:
-    """Orthonormal free directions (n, k) of a linear system, k at most 12, columns of A scaled to length 1.
+    """Free directions (n, k) of a linear system, of length 1, k at most 12."""
+    s, N = _weakest(system)
+    return N[:, s <= NULL]
+
+
+def _weakest(system: LinearSystem) -> tuple[Array, Array]:
+    """The least singular values (k,) of A with columns scaled to length 1, at most 12, and their directions (n, k).
 
     A is tall and sparse: a few rounds of inverse iteration on A'A + 1e-12 I, with the factorization kept, separate what
-    no measurement sees. Small systems take the singular value decomposition.
+    no measurement sees. Small systems take the singular value decomposition of R in A = QR. Directions are in the units
+    of the unknowns, each of length 1.
     """
     norms = system.column_norms
     scale = np.where(norms > 0, norms, 1.0)
     n = len(norms)
     A = system.A @ sp.diags_array(1 / scale)
     if n <= 300:
-        _, s, Vt = np.linalg.svd(
-            A.toarray() if A.shape[0] >= n else np.vstack([A.toarray(), np.zeros((n - A.shape[0], n))])
-        )
-        return _unscaled(Vt[s <= NULL].T[:, :MAX_DIRECTIONS], scale)
-    from scipy.sparse.linalg import splu
+        R = np.linalg.qr(A.toarray(), mode="r")
+        _, s, Vt = np.linalg.svd(np.pad(R, ((0, n - len(R)), (0, 0))))
+        s, V = s[-MAX_DIRECTIONS:], Vt[-MAX_DIRECTIONS:].T
+    else:
+        from scipy.sparse.linalg import splu
 
-    H = sp.csc_matrix(A.T @ A + 1e-12 * sp.eye_array(n))
-    factorization = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
-    for _ in range(8):
-        V = np.linalg.qr(factorization.solve(V))[0]
-    _, s, Wt = np.linalg.svd(A @ V, full_matrices=False)
-    return _unscaled((V @ Wt.T)[:, s <= NULL], scale)
-
-
-def _unscaled(N: Array, scale: Array) -> Array:
-    """Directions in the units of the unknowns, each of length 1."""
-    N = N / scale[:, None]
-    return np.asarray(N / np.linalg.norm(N, axis=0))
+        H = sp.csc_matrix(A.T @ A + 1e-12 * sp.eye_array(n))
+        factorization = splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        V = np.linalg.qr(np.random.default_rng(0).normal(size=(n, MAX_DIRECTIONS)))[0]
+        for _ in range(8):
+            V = np.linalg.qr(factorization.solve(V))[0]
+        _, s, Wt = np.linalg.svd(A @ V, full_matrices=False)
+        V = V @ Wt.T
+    N = V / scale[:, None]
+    return s, np.asarray(N / np.linalg.norm(N, axis=0))
 
 
 def _by_variable(pattern: Pattern, owner: Index, component: Index) -> list[tuple[Keys, str]]:
@@ -138,8 +184,6 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
 
 def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, str]:
     """What moves, in words, and the usual cures: an anchor for whole components, another view for single variables."""
-    from nls.gauge import component_labels
-
     label = component_labels(pattern)
     free = np.flatnonzero(~pattern.held)
     texts = dict(zip(moving.tolist(), (text for _, text in named), strict=True))
@@ -155,7 +199,16 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
         size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
     listed = "; ".join(parts[:6]) + (f"; and {len(parts) - 6} more components" if len(parts) > 6 else "")
+    components = np.unique(label[moving])
+    kept: dict[int, str] = {}  # component -> a factor that keeps the gauge from being held there
+    for batch in pattern.batches:
+        if not batch.model.factor.relative:
+            at, first = np.unique(label[batch.variables[0]], return_index=True)
+            for k in np.flatnonzero(np.isin(at, components)):
+                kept.setdefault(int(at[k]), batch.model.factor.describe(int(first[k])))
+    choose = "" if len(kept) == len(components) else "choose gauge='first', "
+    why = [f" {factor} is not declared relative and keeps the gauge from being held." for factor in kept.values()]
     return listed, (
-        "Whole components of the graph can move: fix a pose, add a prior to one, choose gauge='first', or join the "
-        "components by a measurement."
+        f"Whole components of the graph can move: fix a pose, add a prior to one, {choose}or join the components by a "
+        "measurement." + "".join(why[:1])
     )

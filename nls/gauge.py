@@ -15,6 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,22 +30,36 @@ from models.algebra import Array
 from models.errors import GraphWarning, OptionError
 from nls.assemble import Pattern, offsets
 from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.normal import NormalEquations
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
     from factors.base import Factor
+    from nls.assemble import Index
     from nls.values import Values
 
-__all__ = ["GAUGES", "FreeGauge", "Gauge", "choose_gauge", "component_labels", "fixed_variables"]
+__all__ = [
+    "GAUGES",
+    "FreeGauge",
+    "Gauge",
+    "choose_gauge",
+    "component_labels",
+    "fixed_variables",
+    "touched_variables",
+]
 
 GAUGES = ("first", "prior", "free", "none")
 
 
 @dataclass(frozen=True)
 class Gauge:
-    """What was decided: variables held, priors added, and the sentence for the report."""
+    """What was decided: variables held, priors added, and the sentence for the report.
+
+    `fixed` are the held variables that are not the gauge: those the user fixed and those no factor touches.
+    """
 
     held: npt.NDArray[np.bool_]
+    fixed: npt.NDArray[np.bool_]
     priors: list[Factor] = field(default_factory=list)
     said: str = ""
     free: bool = False
@@ -59,6 +74,15 @@ def component_labels(pattern: Pattern) -> npt.NDArray[np.int32]:
     rows, cols = np.concatenate(i + empty), np.concatenate(j + empty)
     graph = sp.coo_array((np.ones(len(rows), dtype=np.int8), (rows, cols)), shape=(V, V))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
+
+
+def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
+    """(V,) which variables a factor touches."""
+    touched = np.zeros(len(pattern.dims), dtype=bool)
+    for batch in pattern.batches:
+        for variables in batch.variables:
+            touched[variables] = True
+    return touched
 
 
 def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: npt.NDArray[np.bool_]) -> Gauge:
@@ -78,15 +102,13 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
     if name not in GAUGES:
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
-        return Gauge(fixed, said="nothing is held")
+        return Gauge(fixed, fixed, said="nothing is held")
     pattern = Pattern(factors, values)
     label = component_labels(pattern)
     anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
     anchored[label[fixed]] = True
-    touched = np.zeros(len(label), dtype=bool)
+    touched = touched_variables(pattern)
     for batch in pattern.batches:
-        for variables in batch.variables:
-            touched[variables] = True
         if not batch.model.factor.relative:
             anchored[label[batch.variables[0]]] = True
     if not (touched | fixed).all():
@@ -95,16 +117,16 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
         fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, touched, anchored)
     if not len(chosen):
-        return Gauge(fixed, said="fixed by the graph itself")
+        return Gauge(fixed, fixed, said="fixed by the graph itself")
     keys, named = [pattern.key(int(v)) for v in chosen], _named(pattern, chosen)
     if name == "prior":
         priors: list[Factor] = [Prior(key, values[key], Isotropic(1.0)) for key in keys]
-        return Gauge(fixed, priors, f"a prior of unit information on {named}")
+        return Gauge(fixed, fixed, priors, f"a prior of unit information on {named}")
     held = fixed.copy()
     held[chosen] = True
     if name == "free":
-        return Gauge(held, said=f"free, shortest step; computed with {named} held", free=True)
-    return Gauge(held, said=f"{named} held")
+        return Gauge(held, fixed, said=f"free, shortest step; computed with {named} held", free=True)
+    return Gauge(held, fixed, said=f"{named} held")
 
 
 def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
@@ -125,11 +147,21 @@ def _first_of_components(
     return candidates[order][first]
 
 
+@dataclass(frozen=True)
+class FreeState:
+    """What `FreeGauge` knows of a pattern: the state of its solver, and which columns are the gauge."""
+
+    analyzed: Any
+    gauge: Index
+    rest: Index
+
+
 class FreeGauge(LinearSolver):
     """A linear solver whose step is the shortest of all minimizers, found with one variable per component held.
 
     With A = [A_f A_h], the columns of N = [-pinv(A_f) A_h; I] change no measurement: they are the gauge. The step of
-    the solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means.
+    the solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means. The factorization
+    of the step serves N as well, N_f = -(A_f'A_f)^-1 A_f'A_h; a solver that keeps none is called once per column.
 
     Parameters
     ----------
@@ -141,35 +173,40 @@ class FreeGauge(LinearSolver):
         self.solver, self.held = solver, held
         self.name = solver.name  # type: ignore[misc]
 
-    def analyze(self, pattern: Pattern) -> Any:
-        self.gauge = np.flatnonzero(np.repeat(self.held.held & ~pattern.held, np.where(pattern.held, 0, pattern.dims)))
-        self.rest = np.setdiff1d(np.arange(pattern.n), self.gauge)
-        return self.solver.analyze(self.held)
+    def analyze(self, pattern: Pattern) -> FreeState:
+        gauge = np.flatnonzero(np.repeat(self.held.held & ~pattern.held, np.where(pattern.held, 0, pattern.dims)))
+        return FreeState(self.solver.analyze(self.held), gauge, np.setdiff1d(np.arange(pattern.n), gauge))
 
     def seen(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)
 
-    def solve(self, analyzed: Any, system: LinearSystem) -> LinearSolution:
-        A = system.A
-
-        def step(b: Array) -> LinearSolution:
-            return self.solver.solve(analyzed, LinearSystem(self.held, system.blocks, b))
-
-        first = step(system.b)
-        x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(self.gauge)))
-        x[self.rest] = first.dx
-        for k, column in enumerate(self.gauge):
-            N[self.rest, k] = step(-A[:, [column]].toarray()[:, 0]).dx
-            N[column, k] = 1.0
+    def solve(self, analyzed: FreeState, system: LinearSystem) -> LinearSolution:
+        A, gauge, rest = system.A, analyzed.gauge, analyzed.rest
+        step = self.solver.solve(analyzed.analyzed, self.seen(system))
+        t0 = perf_counter()
+        x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(gauge)))
+        x[rest] = step.dx
+        N[rest], N[gauge] = -self._unheld(analyzed, system), np.eye(len(gauge))
         if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
             raise SingularSystemError("the held variable is not a free direction of the measurements")
         Q, _ = np.linalg.qr(N)
-        return LinearSolution(x - Q @ (Q.T @ x), first.seconds)
+        seconds = {**step.seconds, "solve": step.seconds.get("solve", 0.0) + perf_counter() - t0}
+        return LinearSolution(x - Q @ (Q.T @ x), seconds)
+
+    def _unheld(self, analyzed: FreeState, system: LinearSystem) -> Array:
+        """pinv(A_f) A_h, after the solver has taken its step."""
+        A_f, A_h = system.A[:, analyzed.rest], system.A[:, analyzed.gauge]
+        if isinstance(self.solver, NormalEquations):
+            _, factorized = analyzed.analyzed
+            return np.asarray(factorized.solve((A_f.T @ A_h).toarray()))
+        columns = [LinearSystem(self.held, system.blocks, column) for column in A_h.toarray().T]
+        return np.stack([self.solver.solve(analyzed.analyzed, column).dx for column in columns], axis=1)
 
 
 def fixed_variables(fixed: Sequence[Keys], values: Values) -> npt.NDArray[np.bool_]:
     """(V,) which variables are in a list of keys."""
     start, out = offsets(values), np.zeros(len(values), dtype=bool)
     for keys in fixed:
-        out[start[keys.kind] + values.stack(keys.kind).index(keys)] = True
+        rows = values.stack(keys.kind).index(keys)
+        out[start[keys.kind] + rows] = True
     return out

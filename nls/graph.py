@@ -10,15 +10,14 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from models.errors import GraphError
+from models.errors import GraphError, OptionError
 from nls.assemble import Pattern, measured_rows
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
-from nls.linear import default_solver
+from nls.linear import LinearSolver, default_solver
 from nls.optimizers import GaussNewton, Result
 from nls.optimizers.problem import Problem
 
 if TYPE_CHECKING:
-    from nls.linear import LinearSolver
     from nls.system import LinearSystem
     from nls.values import Values
 
@@ -80,6 +79,8 @@ class FactorGraph:
 
     def release(self, keys: Keys) -> None:
         """Undo `fix` for these variables."""
+        if not isinstance(keys, Keys):
+            raise GraphError(f"FactorGraph.release: expected variables such as x[0], got {keys!r:.80}")
         self.fixed = [
             Keys(k.kind, k.numbers[~np.isin(k.numbers, keys.numbers)]) if k.kind == keys.kind else k for k in self.fixed
         ]
@@ -126,12 +127,16 @@ class FactorGraph:
             raise GraphError("the graph has no factors: nothing to optimize")
         method = optimizer or GaussNewton()
         solver = linear_solver or default_solver()
+        if not isinstance(method, GaussNewton):
+            raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
+        if not isinstance(solver, LinearSolver):
+            raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, values)
         decided = choose_gauge(gauge, self.factors, values, fixed)
         factors = [*self.factors, *decided.priors]
         pattern = Pattern(factors, values, decided.held)
         if decided.free:
-            solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, fixed)
+            solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, decided.fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         watch = method.run(problem, values.copy())
@@ -160,7 +165,7 @@ class FactorGraph:
                 touched.setdefault(keys.kind, set()).update(keys.numbers.tolist())
         lines = [f"{name:24s} {count:8d}" for name, count in counts.items()]
         lines += [f"variables {kind:14s} {len(numbers):8d}" for kind, numbers in touched.items()]
-        lines += [f"fixed                    {sum(map(len, self.fixed)):8d}"]
+        lines += [f"fixed                    {len({key for keys in self.fixed for key in keys}):8d}"]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from models.algebra import Array, product
+from models.errors import ResourceLimitError
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
@@ -75,7 +76,10 @@ class Hessian:
         self._above[again] = above[np.searchsorted(place[blocks], place[again])]
 
         # Column k of a block column: the diagonal block from its row k on, then the blocks below.
-        self.indptr = np.concatenate([[0], np.cumsum(np.repeat(widths + total, widths) - inner)]).astype(np.int32)
+        ends = np.cumsum(np.repeat(widths + total, widths) - inner)
+        if len(ends) and ends[-1] > np.iinfo(np.int32).max:
+            raise ResourceLimitError(f"H has {ends[-1]} numbers, more than 32-bit indices can count", float(ends[-1]))
+        self.indptr = np.concatenate([[0], ends]).astype(np.int32)
         self.indices = np.empty(self.indptr[-1], dtype=np.int32)
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
         for d in np.unique(widths):

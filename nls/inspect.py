@@ -52,7 +52,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
         "gauge": gauge.said,
         "rows of A": pattern.m,
         "columns of A": int(pattern.dims[~gauge.held].sum()),
-        "numbers in A": sum(len(b) * b.model.dim * sum(m.dim for m in b.model.manifolds) for b in pattern.batches),
+        "numbers in A": pattern.numbers_in_A,
         "numbers in R": fill.nnz,
         "factorization": f"{fill.flops / 1e6:.0f} Mflop, {fill.nnz * 8 / 1e6:.1f} MB, {default_solver().name}",
         "sigma, smallest": float(1 / weights.max()) if len(weights) else None,

@@ -13,7 +13,7 @@ from models.algebra import Array, apply
 from nls.hessian import Blocks
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from nls.assemble import Pattern
     from nls.linear import LinearSolver
 
 __all__ = ["LinearSystem"]
@@ -39,6 +39,9 @@ class LinearSystem:
         self.pattern, self.blocks, self.b = pattern, blocks, b
         self.chi2 = float(np.square(b).sum())  # not b @ b: BLAS would start threads for it, and round differently
 
+    def __repr__(self) -> str:
+        return f"LinearSystem({self.pattern.m} x {self.pattern.n}, chi2 {self.chi2:.6g})"
+
     def __iter__(self) -> Iterator[sp.csr_array | Array]:
         return iter((self.A, self.b))
 
@@ -49,32 +52,15 @@ class LinearSystem:
         ``A.data`` is one buffer in which every factor batch owns a contiguous slice, seen as (k, m, D) with D the
         widths of its slots side by side. Columns of held variables are left out of it when there are any.
         """
-        data = [np.concatenate(A, axis=-1).reshape(-1) for A in self.blocks] or [np.zeros(0)]
-        indices, indptr, keep = self._structure
-        values = np.concatenate(data)
-        values = values if keep is None else values[keep]
-        return sp.csr_array((values, indices, indptr), shape=(self.pattern.m, self.pattern.n))
-
-    @cached_property
-    def _structure(self) -> tuple[Index, Index, Index | None]:
         pattern = self.pattern
-        indices, lengths = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+        indices, indptr, kept = pattern.structure
+        data, begin = np.empty(pattern.numbers_in_A), 0
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
-            columns = np.concatenate(
-                [self._columns(v, A_k.shape[2]) for v, A_k in zip(batch.variables, A, strict=True)], axis=1
-            )  # (k, D), -1 where held
-            full = np.repeat(columns[:, None], batch.model.dim, axis=1)
-            indices.append(full.reshape(-1))
-            lengths.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
-        indices_all, counts = np.concatenate(indices), np.concatenate(lengths)
-        keep = np.flatnonzero(indices_all >= 0) if pattern.held.any() else None
-        indptr = np.concatenate([[0], np.cumsum(counts)])
-        return (indices_all if keep is None else indices_all[keep]), indptr, keep
-
-    def _columns(self, variables: Index, d: int) -> Index:
-        """Columns (k, d) of the components of variables, -1 where they are held."""
-        start = self.pattern.starts[variables][:, None]
-        return np.where(start < 0, -1, start + np.arange(d))
+            width = sum(A_k.shape[2] for A_k in A)
+            end = begin + len(batch) * batch.model.dim * width
+            np.concatenate(A, axis=2, out=data[begin:end].reshape(len(batch), batch.model.dim, width))
+            begin = end
+        return sp.csr_array((data if kept is None else data[kept], indices, indptr), shape=(pattern.m, pattern.n))
 
     @cached_property
     def gradient(self) -> Array:
@@ -104,13 +90,21 @@ class LinearSystem:
 
         Raises
         ------
-        SingularSystemError
+        UnderconstrainedError
             Something is free: there is no unique step.
+        EvaluationError
+            Squares of weights or Jacobians overflow.
         """
+        from nls.diagnose import underconstrained
         from nls.linear import default_solver
+        from nls.linear.base import SingularSystemError
 
         solver = linear_solver or default_solver()
-        return solver.solve(solver.analyze(self.pattern), self).dx
+        state = solver.analyze(self.pattern)
+        try:
+            return solver.solve(state, self).dx
+        except SingularSystemError as error:
+            raise underconstrained(solver.seen(self)) from error
 
     @property
     def rows(self) -> list[str]:
@@ -119,7 +113,7 @@ class LinearSystem:
             f"{batch.model.factor.describe(k)}: {name}"
             for batch in self.pattern.batches
             for k in range(len(batch))
-            for name in np.array(batch.model.space.components)[batch.model.rows]
+            for name in batch.model.names
         ]
 
     @property

@@ -10,11 +10,11 @@ import numpy.typing as npt
 
 from factors.keys import Keys, Kind
 from models.errors import GraphError
+from models.manifolds.base import Manifold
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model
     from models.algebra import Array
-    from models.manifolds.base import Manifold
 
 __all__ = ["Stack", "Values"]
 
@@ -27,7 +27,8 @@ class Stack:
     def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: npt.NDArray[np.int64]) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
         self.X = np.asfortranarray(X)
-        consecutive = bool(len(numbers)) and bool((np.diff(numbers) == 1).all())
+        rising = bool(len(numbers)) and bool((numbers[1:] > numbers[:-1]).all())
+        consecutive = rising and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
         self._order = None if consecutive else np.argsort(numbers, kind="stable")
         self._sorted = numbers if self._order is None else numbers[self._order]
         if self._order is not None and (twice := self._sorted[1:] == self._sorted[:-1]).any():
@@ -104,6 +105,8 @@ class Values:
             name = kind.name if isinstance(kind, Kind) else Kind(str(kind)).name
             if not isinstance(entry, tuple) or len(entry) not in (2, 3):
                 raise GraphError(f"Values: {name}: expected (manifold, X) or (manifold, X, numbers)")
+            if not isinstance(entry[0], Manifold):
+                raise GraphError(f"Values: {name}: {entry[0]!r:.60} is no space; expected SE2, SE3, R(2) ...")
             X = entry[0].stack(entry[1])
             numbers = Keys(name, entry[2] if len(entry) == 3 else np.arange(len(X))).numbers
             if len(numbers) != len(X):
@@ -123,14 +126,15 @@ class Values:
         return self.stacks[kind]
 
     def __getitem__(self, key: Kind | Keys) -> Array:
+        """A copy of the stack of a kind, of one variable, or of a batch of them."""
         if isinstance(key, Kind):
-            return np.ascontiguousarray(self.stack(key.name).X)
-        stack = self.stack(key.kind)
-        X = np.ascontiguousarray(stack.X[stack.index(key)])
+            return np.array(self.stack(key.name).X, order="C")
+        stack = self.stack(_keys(key).kind)
+        X = np.array(stack.X[stack.index(key)], order="C")
         return X[0] if key.single else X
 
     def __setitem__(self, key: Kind | Keys, X: npt.ArrayLike) -> None:
-        stack = self.stack(key.name if isinstance(key, Kind) else key.kind)
+        stack = self.stack(key.name if isinstance(key, Kind) else _keys(key).kind)
         index = np.arange(len(stack)) if isinstance(key, Kind) else stack.index(key)
         Y = stack.manifold.stack(X)
         if len(Y) not in (1, len(index)):
@@ -140,7 +144,7 @@ class Values:
         self.stacks[stack.kind] = stack.moved(X_new)
 
     def __contains__(self, key: Keys) -> bool:
-        return key.kind in self.stacks and bool(np.isin(key.numbers, self.stacks[key.kind].numbers).all())
+        return _keys(key).kind in self.stacks and bool(np.isin(key.numbers, self.stacks[key.kind].numbers).all())
 
     def __iter__(self) -> Iterator[Keys]:
         """All variables, kind by kind."""
@@ -186,6 +190,12 @@ class Values:
 
     def __repr__(self) -> str:
         return "Values(" + ", ".join(f"{s.kind}: {len(s)} x {s.manifold}" for s in self.stacks.values()) + ")"
+
+
+def _keys(key: object) -> Keys:
+    if not isinstance(key, Keys):
+        raise GraphError(f"Values: {key!r:.60} names no variable; expected x[0], x[i] or the kind x")
+    return key
 
 
 def take(X: Array, index: npt.NDArray[np.intp]) -> Array:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from nls.graph import FactorGraph
+from nls.io.files import read_bytes
 from nls.io.g2o import read_g2o, write_g2o
 from nls.io.report import LoadReport
-from nls.io.text import read_bytes
 from nls.values import Values
 
 __all__ = ["LoadReport", "load", "save"]
@@ -29,6 +29,8 @@ def load(path: str | Path, convention: str = "g2o") -> tuple[FactorGraph, Values
     ------
     GraphFileError
         The file cannot be right; says where.
+    ResourceLimitError
+        The file, or what it unpacks to, is too large.
 
     Examples
     --------
@@ -46,13 +48,15 @@ def save(path: str | Path, graph: FactorGraph, values: Values, ignored: list[str
 
     Parameters
     ----------
-    path : the file, ``*.g2o``.
+    path : the file, ``*.g2o``, or ``*.g2o.gz`` to compress it.
     graph, values : what to write.
     ignored : lines to append verbatim, ``LoadReport.ignored``.
 
     Raises
     ------
     GraphError
-        A factor or kind of variable the format has no line for.
+        A factor or kind of variable the format has no line for; a variable without a value; mixed conventions.
+    GraphFileError
+        The file cannot be written.
     """
     write_g2o(path, graph, values, ignored)

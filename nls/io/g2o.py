@@ -13,8 +13,6 @@ line. Comments are never *written*: widely used readers lose a file's edges over
 
 from __future__ import annotations
 
-import os
-import tempfile
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,10 +27,12 @@ from factors.keys import Keys
 from factors.noise import Information
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
-from models.errors import GraphError, GraphWarning, NoiseModelError
+from models.errors import GraphError, GraphFileError, GraphWarning, NoiseModelError
+from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
+from nls.io.files import write_bytes
 from nls.io.report import LoadReport
-from nls.io.text import Text
+from nls.io.text import Text, printable
 from nls.starts.chain import chain
 from nls.values import Values
 
@@ -54,6 +54,7 @@ PLANE = Dialect(SE2, b"VERTEX_SE2", b"EDGE_SE2", "id x y theta", "i j dx dy dthe
 SPACE = Dialect(
     SE3, b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT", "id x y z qx qy qz qw", "i j x y z qx qy qz qw and 21 entries"
 )
+UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
 HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
 
 
@@ -74,7 +75,7 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     found = [d for d in (PLANE, SPACE) if d.vertex in tags or d.edge in tags]
     known = {tag for d in (PLANE, SPACE) for tag in (d.vertex, d.edge)} | {b"FIX"}
     if not found:
-        raise text_error(text, tags, known)
+        raise _no_poses(text, tags, comments, known)
     if len(found) == 2:
         line = max(min(int(tags[t][0]) for t in (d.vertex, d.edge) if t in tags) for d in found)
         raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
@@ -82,14 +83,15 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     edges, vertices = tags.get(dialect.edge, none), tags.get(dialect.vertex, none)
 
     report = LoadReport(path, "g2o", f"{dialect.group.point_dim}-D", convention)
-    report.tags = {tag.decode("utf-8", "replace"): len(lines) for tag, lines in tags.items()}
+    report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     ignored = {tag: lines for tag, lines in tags.items() if tag not in known}
     if ignored:
-        named = ", ".join(
-            f"{t.decode('utf-8', 'replace')[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in ignored.items()
-        )
-        report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
-        report.ignored = [text.line(int(n)) for n in np.sort(np.concatenate(list(ignored.values())))]
+        first = list(ignored.items())[:9]
+        named = ", ".join(f"{printable(t)[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in first)
+        more = f" and {len(ignored) - 9} other tags" if len(ignored) > 9 else ""
+        report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}{more}")
+        lines = np.sort(np.concatenate(list(ignored.values())))
+        report.ignored = [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
         warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=4)
     if len(comments):
         report.notes.append(f"{len(comments)} comment lines")
@@ -97,33 +99,65 @@ def read_g2o(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGra
     ids, poses = _vertices(text, dialect, vertices)
     graph = FactorGraph()
     between = _edges(text, dialect, edges, convention)
+    z = poses[:0]
     if between is not None:
         graph.add(between)
+        z = np.asarray(between.z)
         values = _start(text, dialect, between, edges, ids, poses, report)
     else:
         values = Values({"x": (dialect.group, poses, ids)})
-    for line in tags.get(b"FIX", none):
-        count = int(text.first[line + 1] - text.first[line]) - 1
-        numbers = text.whole(np.full(count, line), 1 + np.arange(count))
-        if not len(numbers):
-            raise text.error("FIX without a vertex; expected FIX id [id ...]", int(line))
-        keys = Keys("x", numbers)
-        if keys not in values:
-            missing = keys[~np.isin(numbers, values.stack("x").numbers)]
-            raise text.error(f"FIX names {missing[[0]]}, which is not in the file", int(line))
-        graph.fix(keys)
+    rounded = np.concatenate([_rounded(dialect, poses, vertices), _rounded(dialect, z, edges)])
+    if len(rounded):
+        report.notes.append(
+            f"the length of {len(rounded)} quaternions is off by more than {UNIT_ROUNDED:g}, first on line "
+            f"{rounded.min() + 1}: kept as written, and used as rotations; write more digits"
+        )
+        warnings.warn(f"{path}: {report.notes[-1]}", GraphWarning, stacklevel=4)
+    if b"FIX" in tags:
+        graph.fix(_fixed(text, dialect, tags[b"FIX"], values.stack("x").numbers, report.vertices_given))
     return graph, values, report
 
 
-def text_error(text: Text, tags: dict[bytes, npt.NDArray[np.intp]], known: set[bytes]) -> Exception:
+def _no_poses(
+    text: Text, tags: dict[bytes, npt.NDArray[np.intp]], comments: npt.NDArray[np.intp], known: set[bytes]
+) -> GraphFileError:
     """The error for a file without any pose."""
     expected = ", ".join(sorted(tag.decode() for tag in known))
-    if not tags:
-        return text.error(f"is empty; expected lines such as {expected}", 0)
-    tag, lines = next(iter(tags.items()))
-    return text.error(
-        f"{tag.decode('utf-8', 'replace')[:30]!r} is no tag of a pose graph; expected {expected}", int(lines[0])
-    )
+    unknown = [tag for tag in tags if tag not in known]
+    if unknown:
+        line, what = int(tags[unknown[0]][0]), f"{printable(unknown[0])[:30]!r} is no tag of a pose graph"
+    elif tags:
+        line, what = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
+    elif len(comments):
+        line, what = int(comments.min()), "has nothing but comments"
+    else:
+        line, what = 0, "is empty"
+    return text.error(f"{what}; expected lines such as {expected}", line)
+
+
+def _rounded(dialect: Dialect, X: Array, lines: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Lines whose quaternion has a length that is not 1 up to the rounding of six digits."""
+    if dialect is PLANE or not len(lines):
+        return lines[:0]
+    off: npt.NDArray[np.bool_] = np.abs(np.linalg.norm(X[:, 3:], axis=1) - 1) > UNIT_ROUNDED
+    return lines[off]
+
+
+def _fixed(
+    text: Text, dialect: Dialect, lines: npt.NDArray[np.intp], ids: npt.NDArray[np.int64], vertices_given: bool
+) -> Keys:
+    """The variables of all FIX lines, each once."""
+    count = text.first[lines + 1] - text.first[lines] - 1
+    if (count == 0).any():
+        raise text.error("FIX without a vertex; expected FIX id [id ...]", int(lines[np.argmin(count)]))
+    owner = np.repeat(lines, count)
+    numbers = text.whole(owner, 1 + np.concatenate([np.arange(n) for n in count]))
+    missing = ~np.isin(numbers, ids)
+    if missing.any():
+        k = int(np.argmax(missing))
+        name, tag = f"x{numbers[k]}", (dialect.vertex if vertices_given else dialect.edge).decode()
+        raise text.error(f"FIX names {name}, which no {tag} line has; add one, or take {name} out", int(owner[k]))
+    return Keys("x", np.unique(numbers))
 
 
 def _vertices(text: Text, dialect: Dialect, lines: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.int64], Array]:
@@ -185,7 +219,8 @@ def _start(
         if missing.any():
             k = int(np.argmax(missing))
             raise text.error(
-                f"the edge needs vertex {numbers[k]}, which is not in the file (other vertices are)",
+                f"the edge needs vertex {numbers[k]}, which no {dialect.vertex.decode()} line has (others are there); "
+                "add it, or take out all vertices to have the poses chained along the edges",
                 int(lines[k % len(lines)]),
             )
         return Values({"x": (dialect.group, poses, ids)})
@@ -200,12 +235,17 @@ def _start(
 
 
 def write_g2o(path: str | Path, graph: FactorGraph, values: Values, ignored: list[str] | None = None) -> None:
-    """Write a pose graph; reading it again gives the same graph, bit for bit.
+    """Write a pose graph, gzip-compressed where the name ends in ``.gz``.
+
+    Read, write, read gives the same graph bit for bit, when both are read with one convention: a file does not name
+    it. A graph made in Python is read back with its information as a full matrix: its chi2 may differ by rounding.
 
     Raises
     ------
     GraphError
-        A factor or kind of variable this format has no line for.
+        A factor or kind of variable this format has no line for; a variable without a value; mixed conventions.
+    GraphFileError
+        The file cannot be written.
     """
     if list(values.stacks) != ["x"]:
         raise GraphError(f"{path}: g2o files hold poses of kind x, these values have {list(values.stacks)}")
@@ -213,22 +253,28 @@ def write_g2o(path: str | Path, graph: FactorGraph, values: Values, ignored: lis
     dialect = next((d for d in (PLANE, SPACE) if d.group is stack.manifold), None)
     if dialect is None:
         raise GraphError(f"{path}: g2o files hold SE2 or SE3 poses, these are in {stack.manifold}")
-    fixed = set(np.concatenate([np.zeros(0, dtype=np.int64), *(k.numbers for k in graph.fixed)]).tolist())
+    edges = [line for factor in graph.factors for line in _edge_lines(str(path), factor, values, dialect)]
+    conventions = sorted({factor.convention for factor in graph.factors})
+    if len(conventions) > 1:
+        raise GraphError(
+            f"{path}: a g2o file is read with one convention, these factors have {', '.join(conventions)}; give all "
+            "the same one"
+        )
+    for keys in graph.fixed:
+        values.stack(keys.kind)  # refuses a kind without values
+    fixed = fixed_variables(graph.fixed, values)
     out = []
-    for number, line in zip(stack.numbers.tolist(), _rows(dialect.vertex, [stack.numbers], stack.X), strict=True):
-        out.append(line)
-        if number in fixed:
-            out.append(f"FIX {number}")
-    for factor in graph.factors:
-        out += _edge_lines(str(path), factor, dialect)
-    out += ignored or []
-    _replace(Path(path), "\n".join(out) + "\n")
+    poses = _rows(dialect.vertex, [stack.numbers], stack.X)
+    for line, number, held in zip(poses, stack.numbers.tolist(), fixed.tolist(), strict=True):
+        out += [line, f"FIX {number}"] if held else [line]
+    text = "\n".join([*out, *edges, *(ignored or [])]) + "\n"
+    write_bytes(path, text.encode("utf-8", "surrogateescape"))
 
 
-def _edge_lines(path: str, factor: Factor, dialect: Dialect) -> list[str]:
+def _edge_lines(path: str, factor: Factor, values: Values, dialect: Dialect) -> list[str]:
     if not isinstance(factor, Between):
         raise GraphError(f"{path}: {factor!r} cannot be written to a g2o file", factor.keys, factor.name)
-    model, d = factor.bind(dialect.group, dialect.group), dialect.group.dim
+    (model, _), d = values.gather(factor), dialect.group.dim
     if isinstance(factor.noise, Information):
         Omega = factor.noise.matrix
     else:
@@ -249,16 +295,3 @@ def _rows(tag: bytes, ids: list[npt.NDArray[np.int64]], numbers: Array) -> list[
         f"{head} {' '.join(map(str, name))} {' '.join(repr(v).removesuffix('.0') for v in row)}"
         for name, row in zip(names, numbers.tolist(), strict=True)
     ]
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "w") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise

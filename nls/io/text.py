@@ -9,11 +9,8 @@ float() also takes "nan", "1_0" and the digits of other scripts.
 
 from __future__ import annotations
 
-import gzip
 import re
-import zlib
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -21,45 +18,21 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import GraphFileError
 
-__all__ = ["Text", "read_bytes"]
+__all__ = ["Text", "printable"]
 
 Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 WHOLE = re.compile(rb"[+-]?[0-9]+")
+FEW, SHORT = 16, 64  # first words of a format: how many, how long
 LONGEST = 17  # characters of a token read by columns: at most 16 digits, below 10^16
 POWERS = 10.0 ** np.arange(LONGEST + 1)
 EXACT = 2.0**52  # integers up to here are exact, and so is the floor of their rounded quotient by a power of ten
-MAX_BYTES = 4 << 30
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Content of a text file, unpacked when it is gzip-compressed, without a byte-order mark.
-
-    Raises
-    ------
-    GraphFileError
-        It cannot be read, or is not text.
-    """
-    name = str(path)
-    try:
-        data = Path(path).read_bytes()
-    except IsADirectoryError as error:
-        raise GraphFileError("is a folder; expected a file", name) from error
-    except OSError as error:
-        raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
-    if data[:2] == b"\x1f\x8b":
-        try:
-            data = gzip.decompress(data)
-        except (OSError, EOFError, zlib.error) as error:
-            raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
-    if b"\x00" in data:
-        line = data[: data.index(b"\x00")].count(b"\n") + 1
-        raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
-    return data
+def printable(word: bytes) -> str:
+    """Bytes of a file as text for a message, whatever their encoding."""
+    return word.decode("utf-8", "backslashreplace")
 
 
 class Text:
@@ -83,20 +56,20 @@ class Text:
         blank = (buffer == 32) | ((buffer >= 9) & (buffer <= 13))
         edges = np.flatnonzero(blank[1:] != blank[:-1]) + 1  # tokens and blanks alternate; the buffer begins blank
         self.starts, self.ends = edges[0::2], edges[1::2]
-        newlines = np.flatnonzero(buffer == 10)
-        self.first = np.searchsorted(self.starts, newlines)
+        self._newlines = np.flatnonzero(buffer == 10)
+        self.first = np.searchsorted(self.starts, self._newlines)
 
     def token(self, index: int) -> bytes:
         """One token."""
         return self._buffer[self.starts[index] : self.ends[index]].tobytes()
 
-    def line(self, line: int) -> str:
-        """One line, counted from 0, as text for a message."""
-        return self.data.split(b"\n", line + 1)[line].decode("utf-8", "replace").strip()
+    def line(self, line: int) -> bytes:
+        """One line, counted from 0, without its newline."""
+        return self.data[self._newlines[line] : self._newlines[line + 1] - 1]
 
     def error(self, message: str, line: int) -> GraphFileError:
         """An error at a line counted from 0."""
-        return GraphFileError(message, self.path, line + 1, self.line(line))
+        return GraphFileError(message, self.path, line + 1, printable(self.line(line).strip()))
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:
@@ -106,18 +79,17 @@ class Text:
         heads = self.first[lines]
         length = self.ends[heads] - self.starts[heads]
         found: dict[bytes, Index] = {}
-        while len(lines):
+        while len(lines) and len(found) < FEW and length[0] <= SHORT:
             tag = self.token(int(heads[0]))
             same = length == len(tag)
-            if len(found) < 100:
-                window = self.starts[heads[same]][:, None] + np.arange(len(tag))
-                same[same] = (self._buffer[window] == np.frombuffer(tag, dtype=np.uint8)).all(axis=1)
-                found[tag] = lines[same]
-            else:  # a file of a hundred different words is no graph: one look at each line is then cheap enough
-                same = np.zeros(len(lines), dtype=bool)
-                same[0] = True
-                found[tag] = np.append(found.get(tag, lines[:0]), lines[0])
+            window = self.starts[heads[same]][:, None] + np.arange(len(tag))
+            same[same] = (self._buffer[window] == np.frombuffer(tag, dtype=np.uint8)).all(axis=1)
+            found[tag] = lines[same]
             lines, heads, length = lines[~same], heads[~same], length[~same]
+        rest: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
+        for line, head in zip(lines.tolist(), heads.tolist(), strict=True):
+            rest.setdefault(self.token(head), []).append(line)
+        found |= {tag: np.array(same, dtype=np.intp) for tag, same in rest.items()}
         return found
 
     def table(self, lines: Index, columns: int, what: str) -> Array:
@@ -151,9 +123,7 @@ class Text:
             word = self.token(int(tokens[k]))
             exact = int(word) if WHOLE.fullmatch(word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
-                raise self.error(
-                    f"id {word[:40].decode('utf-8', 'replace')!r} is not a whole number below 2^63", int(lines[k])
-                )
+                raise self.error(f"id {printable(word)[:40]!r} is not a whole number below 2^63", int(lines[k]))
             value[k] = exact
         return value
 
@@ -169,14 +139,12 @@ class Text:
             good = [NUMBER.fullmatch(word) is not None for word in words]
             if not all(good):
                 k = good.index(False)
-                raise self.error(
-                    f"{words[k][:40].decode('utf-8', 'replace')!r} is not a number", int(lines[rest[k] // columns])
-                )
+                raise self.error(f"{printable(words[k])[:40]!r} is not a number", int(lines[rest[k] // columns]))
             value[rest] = np.fromiter(map(float, words), dtype=float, count=len(words))
             if not np.isfinite(value[rest]).all():
                 k = int(np.argmax(~np.isfinite(value[rest])))
                 raise self.error(
-                    f"{words[k][:40].decode()!r} is beyond the largest number", int(lines[rest[k] // columns])
+                    f"{printable(words[k])[:40]!r} is beyond the largest number", int(lines[rest[k] // columns])
                 )
         return value
 

@@ -11,6 +11,7 @@ import scipy.linalg
 from models.algebra import Array
 from models.errors import ResourceLimitError
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
@@ -51,7 +52,8 @@ class _Dense(LinearSolver):
         t0 = perf_counter()
         A = system.A.toarray()
         t1 = perf_counter()
-        dx = self._solve(A, system.b) if A.size else np.zeros(A.shape[1])
+        with single_thread():
+            dx = self._solve(A, system.b) if A.size else np.zeros(A.shape[1])
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
 
     def _solve(self, A: Array, b: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
+from models.errors import EvaluationError
 from nls.hessian import Blocks, Hessian
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
 
@@ -70,9 +71,21 @@ class NormalState:
         return R, self.hessian.permutation[p]
 
     def factorize(self, S: Array) -> Array:
-        """Factorize H from its flat blocks, refuse a rank-deficient one; returns the diagonal of H, in its order."""
+        """Factorize H from its flat blocks; returns the diagonal of H, in its order.
+
+        Raises
+        ------
+        EvaluationError
+            The diagonal, sums of squares, has overflowed.
+        SingularSystemError
+            H is rank deficient.
+        """
         diagonal = self.hessian.diagonal(S)
-        if not np.isfinite(diagonal.sum()):
+        if np.isinf(diagonal).any():
+            raise EvaluationError(
+                "the squares of weights or Jacobians overflow in A'A; check sigmas and units", where="A'A"
+            )
+        if np.isnan(diagonal).any():
             raise SingularSystemError("A'A is not finite")
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
@@ -93,8 +106,9 @@ class NormalEquations(LinearSolver):
     def solve(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution:
         blocks, state = analyzed
         t0 = perf_counter()
-        S = blocks.fill(system)
-        gradient = system.gradient
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
+            S = blocks.fill(system)
+            gradient = system.gradient
         t1 = perf_counter()
         squared_norms = np.empty_like(gradient)
         squared_norms[state.hessian.permutation] = state.factorize(S)

@@ -8,6 +8,7 @@ opening here, and OpenBLAS is kept on one thread, which also makes results indep
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -16,9 +17,18 @@ from typing import Any
 __all__ = ["openmp", "single_thread"]
 
 
-@cache
+def _suitesparse() -> tuple[bool, bool]:
+    """Which bindings are loaded: they bring BLAS and OpenMP libraries into the process that were not there before."""
+    return "sksparse.cholmod" in sys.modules, "sparseqr" in sys.modules
+
+
 def openmp() -> ctypes.CDLL | None:
-    """GNU's OpenMP runtime, if it is in this process; asked for once SuiteSparse is loaded."""
+    """GNU's OpenMP runtime, if it is in this process."""
+    return _openmp(_suitesparse())
+
+
+@cache
+def _openmp(loaded: tuple[bool, bool]) -> ctypes.CDLL | None:
     try:
         with open("/proc/self/maps") as maps:
             paths = {line.split()[-1] for line in maps if "libgomp" in line}
@@ -28,7 +38,7 @@ def openmp() -> ctypes.CDLL | None:
 
 
 @cache
-def _blas() -> Any:
+def _blas(loaded: tuple[bool, bool]) -> Any:
     """Controller of the BLAS libraries in this process."""
     from threadpoolctl import ThreadpoolController
 
@@ -37,13 +47,13 @@ def _blas() -> Any:
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """No OpenMP regions and one BLAS thread inside; both are restored. To be entered once SuiteSparse is loaded."""
+    """No OpenMP regions and one BLAS thread inside; both are restored."""
     runtime = openmp()
     levels = runtime.omp_get_max_active_levels() if runtime else 0
     if runtime:
         runtime.omp_set_max_active_levels(0)
     try:
-        with _blas().limit(limits=1):
+        with _blas(_suitesparse()).limit(limits=1):
             yield
     finally:
         if runtime:

@@ -62,7 +62,7 @@ class GaussNewton:
         UnderconstrainedError
             A singular system; carries the best values so far.
         EvaluationError, SingularGeometryError
-            The start itself cannot be evaluated.
+            The start itself cannot be evaluated, or a function of the user's raised an exception.
         """
         X, system = values, problem.linearize(values)
         watch = Watch(self.stop, self.callback, X, system.chi2, problem.lap())
@@ -77,6 +77,9 @@ class GaussNewton:
         except SingularSystemError as error:
             raise underconstrained(problem.solver.seen(system), watch.best) from error
         except (EvaluationError, SingularGeometryError) as error:
+            at_start = len(watch.history) == 1 and getattr(error, "where", "") == "A'A"
+            if error.__cause__ is not None or at_start:  # a fault to see, not a place the step should have avoided
+                raise
             watch.end(Status.DIVERGED, f"the step of iteration {len(watch.history)} led where {error}")
         except KeyboardInterrupt:
             watch.end(Status.INTERRUPTED, f"after {len(watch.history) - 1} iterations")

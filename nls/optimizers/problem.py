@@ -32,12 +32,6 @@ class Problem:
         self._add("linearize", perf_counter() - start)
         return system
 
-    def chi2(self, values: Values) -> float:
-        start = perf_counter()
-        chi2 = self.pattern.chi2(values)
-        self._add("linearize", perf_counter() - start)
-        return chi2
-
     def solve(self, system: LinearSystem) -> Array:
         solution = self.solver.solve(self.state, system)
         for part, seconds in solution.seconds.items():

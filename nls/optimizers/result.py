@@ -22,7 +22,7 @@ class Iteration:
     number : 0 is the start.
     chi2 : after the step.
     update : max |dx| of the step; nan for the start.
-    gradient : largest cosine between b and a column of A, after the step; nan where it was not needed.
+    gradient : largest cosine between b and a column of A, after the step; nan for a last step that was not followed.
     damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
     seconds : by part: linearize, assemble, factorize, solve, retract.
     """
@@ -35,7 +35,10 @@ class Iteration:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass
+SUSPICIOUS = 100  # chi2 per degree of freedom beyond which noise cannot be the reason
+
+
+@dataclass(repr=False)
 class Result:
     """The outcome of an optimization; ``print(result)`` shows the table.
 
@@ -74,6 +77,9 @@ class Result:
         """Steps taken."""
         return len(self.history) - 1
 
+    def __repr__(self) -> str:
+        return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"
+
     def __str__(self) -> str:
         lines = ["iteration          chi2    max|dx|   seconds"]
         for it in self.history:
@@ -85,4 +91,9 @@ class Result:
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
+        if self.chi2_final > SUSPICIOUS * max(self.dof, 1):
+            lines.append(
+                f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers, or a "
+                "point that is stationary but no minimum; try another start, nls.initialize(graph, values)"
+            )
         return "\n".join(lines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
+from numbers import Integral, Real
 
 from models.errors import OptionError
 
@@ -52,7 +53,7 @@ class Stop:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if not isinstance(value, int | float) or math.isnan(value) or value < 0:
+            if not isinstance(value, Real) or math.isnan(value) or value < 0:
                 raise OptionError(f.name, value, "a number of at least 0")
-        if self.max_iterations != int(self.max_iterations):
+        if not isinstance(self.max_iterations, Integral):
             raise OptionError("max_iterations", self.max_iterations, "a whole number")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, t
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
+ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
 
 
 class Watch:
@@ -61,6 +63,7 @@ class Watch:
 
     def flat(self, system: LinearSystem) -> bool:
         """Whether the gradient of the current point vanishes; it is over then, without another step."""
+        self.history[-1] = replace(self.history[-1], gradient=system.scaled_gradient)
         if system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol:
             self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
@@ -75,11 +78,15 @@ class Watch:
         self._since_best += 1
         if chi2 < self.lowest:
             self.best, self.lowest, self._since_best = values, chi2, 0
-        if update < stop.update_tol:
+        missed = promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
+        if update < stop.update_tol and missed:
+            said = f"an update of {update:.1e} promised to lower chi2 by {promised:.3g} and brought {fall:.3g}"
+            self.end(Status.STALLED, f"{said}; check the Jacobians with factors.check_jacobians")
+        elif update < stop.update_tol:
             self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
         elif not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
             self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
-        elif 0 <= fall <= little and promised <= AGREEMENT * little:
+        elif 0 <= fall <= little and not missed:
             self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
         elif self._cycles(chi2):
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
@@ -91,7 +98,7 @@ class Watch:
     def _settled(self, rule: str) -> None:
         """CONVERGED where the last point is the best one up to rounding; settling above it is not."""
         last = self.history[-1].chi2
-        if last <= self.lowest * (1 + ROUNDING):
+        if last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
             self.end(Status.CONVERGED, rule)
         else:
             above = f"{rule}, but at chi2 {last:.6g}, above the {self.lowest:.6g} met before, which is returned"

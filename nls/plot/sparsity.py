@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
+from nls.diagnose import underconstrained
 from nls.hessian import Blocks
 from nls.linear import best_factorization
+from nls.linear.base import SingularSystemError
 from nls.linear.normal import NormalState
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ def spy(system: LinearSystem) -> Figure:
 
     Raises
     ------
-    SingularSystemError
+    UnderconstrainedError
         There is no R: something is free. Fix a variable or add a prior.
     """
     from matplotlib.figure import Figure
@@ -44,7 +46,10 @@ def spy(system: LinearSystem) -> Figure:
     factorization = best_factorization()
     blocks = Blocks(system.pattern)
     state = NormalState(blocks.structure(factorization.order), factorization)
-    state.factorize(blocks.fill(system))
+    try:
+        state.factorize(blocks.fill(system))
+    except SingularSystemError as error:
+        raise underconstrained(system) from error
     R, permutation = state.upper()
     R.eliminate_zeros()  # CHOLMOD pads its supernodes
     H = system.H.copy()

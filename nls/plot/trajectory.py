@@ -115,7 +115,8 @@ def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
             continue
         i, j = factor.keys
         ends = [values.stack(k.kind) for k in (i, j)]
-        apart = (i.kind != j.kind) | (np.abs(i.numbers - j.numbers) != 1)
+        low, high = np.minimum(i.numbers, j.numbers), np.maximum(i.numbers, j.numbers)
+        apart = (i.kind != j.kind) | (high - 1 != low)  # high - low could be beyond int64
         points = [np.asarray(s.manifold.position(s.X))[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)]
         if points[0].shape[1] == points[1].shape[1] > 0:
             out.append(np.stack(points, axis=1))

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from models.errors import OptionError, UnderconstrainedError
+import numpy as np
+
+from models import SE2, SE3
+from models.errors import EvaluationError, LeadlineError, OptionError, UnderconstrainedError
 from nls.graph import FactorGraph
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
+from nls.starts.edges import pose_edges
 from nls.values import Values
 
 __all__ = ["STARTS", "chain", "chordal", "initialize", "spanning_tree"]
@@ -39,6 +43,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ------
     OptionError
         No such method.
+    EvaluationError, UnderconstrainedError
+        The chosen start, or every start that ``auto`` tries, cannot be evaluated or does not exist.
 
     Examples
     --------
@@ -57,13 +63,18 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         start = STARTS[method](graph, values)
         return start, method, {method: graph.chi2(start)}
     chi2: dict[str, float] = {}
-    best, name = values, "file"
-    for candidate in ("file", "odometry", "chordal"):
+    best, name = values, ""
+    refused: LeadlineError | None = None
+    relaxable = any(edges.group in (SE2, SE3) for edges in pose_edges(graph, values))
+    for candidate in ("file", "odometry", "chordal") if relaxable else ("file", "odometry"):
         try:
             start = STARTS[candidate](graph, values)
-        except UnderconstrainedError:  # a start that does not exist for this graph is no candidate, and is not listed
+            chi2[candidate] = graph.chi2(start)
+        except (UnderconstrainedError, EvaluationError) as error:  # no start of this graph: not listed
+            refused = error
             continue
-        chi2[candidate] = graph.chi2(start)
-        if chi2[candidate] < chi2[name]:
+        if chi2[candidate] < chi2.get(name, np.inf):
             best, name = start, candidate
+    if refused is not None and not chi2:
+        raise refused
     return best, name, chi2

@@ -1,9 +1,10 @@
 r"""Chordal relaxation: all rotations from one linear system, then all translations from another.
 
 Rotations minimize sum kappa |M_j - M_i R_ij|_F^2 over matrices M, without the constraint that they are rotations, and
-are projected afterwards; translations then minimize sum tau |t_j - t_i - R_i t_ij|^2. The first pose of every component
-keeps its value. kappa and tau are the mean informations of the two blocks. Both systems have the pattern of the pose
-graph, so one elimination order serves both; in the plane the rotation is two numbers (cos, sin) instead of nine.
+are projected afterwards; translations then minimize sum tau |t_j - t_i - R_i t_ij|^2. Fixed poses keep their values;
+in a component without any, the first pose does. kappa and tau are the mean informations of the two blocks. Both systems
+have the pattern of the pose graph, so one elimination order serves both; in the plane the rotation is two numbers (cos,
+sin) instead of nine.
 
 Source: L. Carlone, R. Tron, K. Daniilidis, F. Dellaert, "Initialization techniques for 3D SLAM", ICRA 2015.
 """

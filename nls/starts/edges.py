@@ -29,6 +29,7 @@ class PoseEdges:
     ----------
     kinds : the kinds of variables in the group; their stacks, one after the other, are the n nodes.
     order : (n,) nodes by kind and number: the order in time where numbers are.
+    fixed : (n,) nodes the graph holds fixed; no start moves them.
     i, j : (m,) nodes; z : (m, size) measurements; W : their whiteners.
     """
 
@@ -36,6 +37,7 @@ class PoseEdges:
     kinds: tuple[str, ...]
     n: int
     order: Index
+    fixed: npt.NDArray[np.bool_]
     i: Index
     j: Index
     z: Array
@@ -57,14 +59,16 @@ class PoseEdges:
         return np.broadcast_to(total / W.shape[-1], (len(self.i),))
 
     def roots(self) -> Index:
-        """Lowest-numbered node of every connected component that has an edge."""
+        """Nodes that keep their value: all fixed ones, and the lowest-numbered of every component without any."""
         graph = sp.coo_array((np.ones(len(self.i), dtype=np.int8), (self.i, self.j)), shape=(self.n, self.n))
         label = connected_components(graph, directed=False)[1]
         touched = np.zeros(self.n, dtype=bool)
         touched[self.i] = touched[self.j] = True
-        ordered = self.order[touched[self.order]]
+        anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+        anchored[label[self.fixed]] = True
+        ordered = self.order[(touched & ~anchored[label])[self.order]]
         _, first = np.unique(label[ordered], return_index=True)
-        return ordered[first]
+        return np.append(np.flatnonzero(self.fixed & touched), ordered[first])
 
     def first_pairs(self) -> Index:
         """One edge for every joined pair of nodes."""
@@ -127,4 +131,8 @@ def pose_edges(graph: FactorGraph, values: Values) -> Iterator[PoseEdges]:
             W = [w if w.ndim == 3 else w[..., None] * np.eye(w.shape[-1]) for w in W]
         order = np.concatenate([start[k] + np.argsort(values.stacks[k].numbers, kind="stable") for k in kinds])
         n = sum(len(values.stacks[k]) for k in kinds)
-        yield PoseEdges(group, kinds, n, order, i, j, np.concatenate([m.z for m in models]), np.concatenate(W))
+        fixed = np.zeros(n, dtype=bool)
+        for keys in graph.fixed:
+            if keys.kind in kinds:
+                fixed[start[keys.kind] + values.stacks[keys.kind].index(keys)] = True
+        yield PoseEdges(group, kinds, n, order, fixed, i, j, np.concatenate([m.z for m in models]), np.concatenate(W))

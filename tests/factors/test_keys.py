@@ -80,7 +80,7 @@ def test_a_batch_does_not_follow_its_array() -> None:
 
 def test_kinds_have_short_names() -> None:
     assert repr(x) == "x"
-    assert [kind.name for kind in kinds("pose", "l2")] == ["pose", "l2"]
-    for bad in ("", "2x", "a b", "x,"):
+    assert [kind.name for kind in kinds("pose", "l_b")] == ["pose", "l_b"]
+    for bad in ("", "2x", "a b", "x,", "x1"):
         with pytest.raises(GraphError, match="expected a short name of letters"):
             Kind(bad)

@@ -189,7 +189,7 @@ def test_negative_information_names_its_measurement() -> None:
 def test_covariance_must_be_positive_definite() -> None:
     good = np.array([[2.0, 0.5], [0.5, 1.0]])
     for bad, value in (([[1.0, 2.0], [2.0, 1.0]], -1.0), ([[1.0, 1.0], [1.0, 1.0]], 0.0)):
-        with pytest.raises(NoiseModelError, match="Covariance of measurement 1 has eigenvalue") as caught:
+        with pytest.raises(NoiseModelError, match="Covariance of measurement 1 is not positive definite") as caught:
             Covariance([good, bad]).sqrt_information(2, ("x", "y"))
         assert caught.value.value == pytest.approx(value, abs=1e-12)
         assert caught.value.index == 1

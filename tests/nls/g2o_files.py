@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
+
+import numpy as np
+
+from factors import Between, Information
+from nls import FactorGraph, GraphWarning, LoadReport, Values, load, save
+from nls.io.g2o import read_g2o
 
 INFORMATION_2 = "500 1 2 400 3 300"
 UPPER_3 = "100 1 2 3 4 5 200 6 7 8 9 300 10 11 12 400 13 14 500 15 600"
@@ -31,3 +38,39 @@ def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:
     path = folder / name
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return path
+
+
+CONVENTIONS = ("g2o", "graphslam", "log", "gtsam")
+Loaded = tuple[FactorGraph, Values, LoadReport]
+
+
+def read(text: str, convention: str = "g2o") -> Loaded:
+    return read_g2o(text.encode(), "f.g2o", convention)
+
+
+def same(one: Loaded, other: Loaded) -> None:
+    """Two graphs equal to the bit: poses, ids, edges in order, measurements, information, what is fixed, kept text."""
+    a, b = one[1].stacks["x"], other[1].stacks["x"]
+    assert a.manifold is b.manifold
+    assert np.array_equal(a.numbers, b.numbers)
+    assert a.X.tobytes("C") == b.X.tobytes("C")
+    assert len(one[0].factors) == len(other[0].factors)
+    for f, g in zip(one[0].factors, other[0].factors, strict=True):
+        assert isinstance(f, Between)
+        assert isinstance(g, Between)
+        assert all(np.array_equal(i.numbers, j.numbers) for i, j in zip(f.keys, g.keys, strict=True))
+        assert np.asarray(f.z).tobytes("C") == np.asarray(g.z).tobytes("C")
+        assert isinstance(f.noise, Information)
+        assert isinstance(g.noise, Information)
+        assert f.noise.matrix.tobytes("C") == g.noise.matrix.tobytes("C")
+        assert f.convention == g.convention
+    fixed = [sorted(n for keys in graph.fixed for n in keys.numbers.tolist()) for graph, _, _ in (one, other)]
+    assert fixed[0] == fixed[1]
+    assert one[2].ignored == other[2].ignored
+
+
+def again(loaded: Loaded, folder: Path, convention: str = "g2o") -> Loaded:
+    save(folder / "again.g2o", loaded[0], loaded[1], loaded[2].ignored)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraphWarning)
+        return load(folder / "again.g2o", convention)

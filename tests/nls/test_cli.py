@@ -83,6 +83,8 @@ def test_the_report_for_programs(text: str, dimension: str, tmp_path: Path) -> N
     assert report["peak_rss_mb"] > 10
     assert [step["iteration"] for step in report["history"]] == list(range(report["iterations"] + 1))
     assert report["history"][0]["update"] is None
+    assert all({"gradient", "lambda"} <= set(step) for step in report["history"])
+    assert {step["lambda"] for step in report["history"]} == {0.0}
     assert report["history"][0]["chi2"] == report["chi2_initial"]
     graph, values, _ = nls.load(file)
     start, name, tried = nls.initialize(graph, values)
@@ -132,6 +134,37 @@ def test_the_optimum_is_written_and_reads_back(text: str, convention: str, tmp_p
     again = graph.optimize(values)
     assert again.converged
     assert again.chi2_final == pytest.approx(again.chi2_initial, rel=1e-5)
+
+
+def test_a_compressed_optimum(file: str, tmp_path: Path) -> None:
+    for name in ("out.g2o", "out.g2o.gz"):
+        assert main(["solve", file, "-o", str(tmp_path / name), "--quiet"]) == 0
+    assert gzip.decompress((tmp_path / "out.g2o.gz").read_bytes()) == (tmp_path / "out.g2o").read_bytes()
+
+
+def test_a_start_of_infinite_chi2_is_null(
+    file: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    graph, values, _ = nls.load(file)
+    monkeypatch.setattr(nls, "initialize", lambda *_: (values, "file", {"file": graph.chi2(values), "worse": math.inf}))
+    assert main(["solve", file, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["starts"]["worse"] is None
+
+
+def test_warnings_are_shown_as_before_after_a_run(file: str) -> None:
+    before = warnings.showwarning
+    assert main(["solve", file, "--quiet"]) == 0
+    assert warnings.showwarning is before
+
+
+def test_a_folder_without_permission(
+    file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
+    for option in ("-o", "--json", "--plot"):
+        assert main(["solve", file, option, str(tmp_path / "out.png")]) == 2
+        assert "expected a file in a folder you may write to" in one_line(capsys)
+    assert main(["solve", file, "-o", os.devnull, "--quiet"]) == 0
 
 
 def test_the_plot_is_a_picture(file: str, tmp_path: Path) -> None:
@@ -347,3 +380,17 @@ def test_isolated_poses_are_a_warning_of_one_line(tmp_path: Path) -> None:
     done = module("solve", str(write(tmp_path, PLANE + "VERTEX_SE2 77 1 2 3\n")))
     assert done.returncode == 0
     assert done.stderr == "nls: warning: x77: no measurement touches them; held\n"
+
+
+def test_names_the_terminal_cannot_show(tmp_path: Path) -> None:
+    done = module("solve", str(write(tmp_path, PLANE, "ünï.g2o")), PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"\xfcn\xef.g2o: 4 variables" in done.stdout
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the parent is handed down elsewhere")
+def test_peak_memory_is_not_that_of_the_parent(file: str) -> None:
+    code = "import subprocess, sys; big = bytearray(b'1') * 1_000_000_000; subprocess.run(sys.argv[1:], check=True)"
+    command = [sys.executable, "-c", code, sys.executable, "-m", "nls", "solve", file, "--json", "-"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    assert json.loads(done.stdout)["peak_rss_mb"] < 900

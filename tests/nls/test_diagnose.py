@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
 from factors import Between, Diagonal, Factor, Information, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
-from nls import FactorGraph, UnderconstrainedError, Values
+from models.algebra import Array
+from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.diagnose import null_space
 from nls.linear import SOLVERS
+from nls.plot.sparsity import spy
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
 
 
@@ -34,7 +38,7 @@ def test_an_untouched_variable(solver: str) -> None:
     assert error.nullity == 6
     assert error.components == ("x30: x, y, yaw", "x40: x, y, yaw")
     assert "6 unknowns have no measurement at all: x30: x, y, yaw; x40: x, y, yaw" in str(error)
-    assert "add the factors that are missing, or fix them" in str(error)
+    assert "No factor touches that: remove the variable, add the factors that are missing, or fix it." in str(error)
 
 
 def test_many_untouched_variables_are_counted() -> None:
@@ -115,7 +119,9 @@ def test_an_unmeasured_component_is_named_alone() -> None:
     assert names(error) == ["l1"]
     assert error.nullity == 1
     assert error.components == ("l1: y",)
-    assert "1 unknowns have no measurement at all: l1: y" in str(error)
+    assert "1 unknown has factors that do not react to a change here: l1: y. Either these factors never measure" in str(
+        error
+    )
 
 
 @pytest.mark.parametrize("extra", [0, 120])
@@ -187,13 +193,49 @@ def test_the_start_is_the_best_where_the_first_system_is_singular() -> None:
 
 @pytest.mark.parametrize("solver", ["cholesky", "lu", "dense-cholesky"])
 def test_weights_thirteen_digits_apart_are_not_called_free_directions(solver: str) -> None:
-    """Nothing is free here, and no variable may be accused of it."""
+    """Nothing is free here; the error says what is weak instead."""
     if (why := SOLVERS[solver].missing()) is not None:
         pytest.skip(f"{solver}: {why}")
     graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0)), Between(x[0], x[1], [1.0], Isotropic(1e-8))])
     error = refused(graph, Values({x: (R(1), [0.0, 0.0])}), solver=solver)
-    assert error.nullity == 0 or "x0" in names(error)
-    assert "sigmas" in str(error)
+    assert (error.nullity, error.components) == (0, ())
+    assert names(error) == ["x0", "x1"]
+    assert "check sigmas" in str(error)
+
+
+def weakly_held(X: Array, sigma: float) -> FactorGraph:
+    """A precise chain whose first pose has a prior of this sigma."""
+    n = len(X)
+    chain = Between(x[0 : n - 1], x[1:n], SE2.between(X[:-1], X[1:]), Isotropic(1e-4))
+    return FactorGraph([chain, Prior(x[0], X[0], Isotropic(sigma))])
+
+
+@pytest.mark.parametrize(("n", "sigma"), [(20, 1000.0), (150, 300.0)])
+@pytest.mark.parametrize("solver", ["cholesky", "lu"])
+def test_a_weak_prior_is_named_as_such(solver: str, n: int, sigma: float) -> None:
+    """n = 150 is past 300 columns: the sparse path."""
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(f"{solver}: {why}")
+    X = walk(SE2, n, np.random.default_rng(0))
+    graph = weakly_held(X, sigma)
+    error = refused(graph, Values({x: (SE2, X)}), solver=solver)
+    assert (error.nullity, error.components) == (0, ())
+    assert {"x0", f"x{n - 1}"} <= set(names(error))
+    assert "determine every unknown" in str(error)
+    assert "13 digits" in str(error)
+    assert f"of all {n} variables joined to x0" in str(error)
+    assert "Use linear solver 'qr'" in str(error)
+    assert "tighten the prior" in str(error)
+    if SOLVERS["qr"].missing() is None:
+        assert graph.optimize(Values({x: (SE2, X)}), linear_solver=SOLVERS["qr"]()).converged
+
+
+def test_a_prior_a_billion_times_weaker_is_free_but_mentioned() -> None:
+    X = walk(SE2, 150, np.random.default_rng(0))
+    error = refused(weakly_held(X, 1000.0), Values({x: (SE2, X)}))
+    assert error.components[0].startswith("x0: yaw")
+    assert error.nullity == 1
+    assert "If a prior is meant to hold that, it is a billion times weaker than the rest" in str(error)
 
 
 def test_without_rotation_information_yaw_is_free() -> None:
@@ -224,3 +266,71 @@ def test_the_gauge_that_is_chosen_free_is_not_counted_among_the_free_directions(
     values = Values({x: (SE2, moved(SE2, X, 0.1, np.random.default_rng(9)))})
     error = refused(graph, values, gauge="free")
     assert (error.nullity, names(error)) == (1, ["x3"])
+
+
+def test_two_unknowns_and_very_many_rows() -> None:
+    m = 60_000
+    graph = FactorGraph([Prior(x[np.zeros(m, dtype=int)], np.ones((m, 2)), Information(np.ones((2, 2))))])
+    system = graph.linearize(Values({x: (R(2), np.zeros((1, 2)))}))
+    started = time.perf_counter()
+    N = null_space(system)
+    assert time.perf_counter() - started < 2.0
+    np.testing.assert_allclose(np.abs(N), np.sqrt([[0.5], [0.5]]), rtol=1e-9)
+
+
+def test_a_jacobian_that_vanishes_is_not_called_no_measurement() -> None:
+    squared = Factor.from_function(lambda a, b: a**2 + b**2 - 1.0, [p[0], p[1]], 1)
+    start = Values({p: (R(1), [0.0, 0.0]), l: (R(1), [0.0])})
+    error = refused(FactorGraph([squared]), start)
+    assert names(error) == ["p0", "p1", "l0"]
+    assert error.nullity == 3
+    assert "1 unknown has no measurement at all: l0: x. No factor touches that" in str(error)
+    assert "2 unknowns have factors that do not react to a change here: p0: x; p1: x." in str(error)
+    assert "their Jacobian is zero at these values alone (try another start or convention)" in str(error)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_solve_of_a_linear_system_names_what_is_free(solver: str) -> None:
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(f"{solver}: {why}")
+    sample = pose_graph(SE2, anchored=False)
+    system = sample.graph.linearize(sample.values)
+    if solver == "pinv":
+        assert np.isfinite(system.solve(SOLVERS[solver]())).all()
+        return
+    with pytest.raises(UnderconstrainedError, match="all 8 variables joined to x0") as caught:
+        system.solve(SOLVERS[solver]())
+    assert (caught.value.nullity, caught.value.values) == (3, None)
+
+
+def test_the_picture_of_a_singular_system_names_what_is_free() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    with pytest.raises(UnderconstrainedError, match="all 8 variables joined to x0"):
+        spy(sample.graph.linearize(sample.values))
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize("solver", [name for name in SOLVERS if name != "pinv"])
+def test_overflow_is_not_called_free(solver: str) -> None:
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(f"{solver}: {why}")
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1e-160))])
+    with pytest.raises(EvaluationError, match="the squares of weights or Jacobians overflow"):
+        graph.linearize(Values({x: (R(1), [0.0])})).solve(SOLVERS[solver]())
+
+
+@pytest.mark.parametrize("gauge", ["first", "free", "none"])
+def test_the_cure_is_not_a_gauge_that_cannot_be_held(gauge: str) -> None:
+    difference = Factor.from_function(lambda a, b: b - a - 1.0, [p[0], p[1]], 1)
+    error = refused(FactorGraph([difference]), Values({p: (R(1), [0.0, 5.0])}), gauge=gauge)
+    assert "choose gauge='first'" not in str(error)
+    assert f"{difference.describe(0)} is not declared relative and keeps the gauge from being held" in str(error)
+    assert "fix a pose, add a prior to one, or join" in str(error)
+
+
+def test_the_gauge_is_a_cure_for_the_components_that_are_relative() -> None:
+    graph = FactorGraph([Factor.from_function(lambda a, b: b - a - 1.0, [p[0], p[1]], 1)])
+    graph.add(Between(x[0], x[1], [1.0], Isotropic(1)))
+    error = refused(graph, Values({p: (R(1), [0.0, 5.0]), x: (R(1), [0.0, 1.0])}))
+    assert "choose gauge='first'" in str(error)
+    assert "(p0, p1) is not declared relative" in str(error)

@@ -9,7 +9,10 @@ from factors import Between, Factor, Isotropic, Prior
 from models import SE2, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Pinv, Stop, UnderconstrainedError, Values
-from nls.linear import SOLVERS
+from nls.assemble import Pattern
+from nls.gauge import FreeGauge, choose_gauge
+from nls.linear import LU, SOLVERS
+from nls.linear.normal import NormalState
 from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
 ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))
@@ -213,3 +216,42 @@ def test_the_held_variable_does_not_change_the_shape(group: LieGroup) -> None:
     assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
     A, B = (group.between(r.values[x][:1], r.values[x]) for r in (one, other))
     assert distance(group, A, B) < 1e-8
+
+
+def test_free_factorizes_once_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+    factorize = NormalState.factorize
+
+    def counted(state: NormalState, S: Array) -> Array:
+        calls.append(state)
+        return factorize(state, S)
+
+    monkeypatch.setattr(NormalState, "factorize", counted)
+    graph, values = two_components(POSES[-1])
+    graph.optimize(values, ONE_STEP, LU(), gauge="first")
+    needed = len(calls)
+    graph.optimize(values, ONE_STEP, LU(), gauge="free")
+    assert len(calls) == 2 * needed
+
+
+@pytest.mark.filterwarnings("ignore:.*no measurement touches them")
+@pytest.mark.parametrize("solver", ["lu", "dense-qr"])
+def test_variables_without_measurement_are_no_gauge(solver: str) -> None:
+    sample = pose_graph(SE2, anchored=False)
+    stack, L = sample.values.stacks["x"], np.arange(14.0).reshape(7, 2)
+    values = Values({x: (SE2, stack.X, stack.numbers), l: (R(2), L)})
+    fixed = np.zeros(len(values), dtype=bool)
+    decided = choose_gauge("free", sample.graph.factors, values, fixed)
+    assert decided.fixed.tolist() == [False] * 8 + [True] * 7
+    assert decided.held.tolist() == [True] + [False] * 7 + [True] * 7
+    free = FreeGauge(SOLVERS[solver](), Pattern(sample.graph.factors, values, decided.held))
+    settings = dict(vars(free))
+    state = free.analyze(Pattern(sample.graph.factors, values, decided.fixed))
+    assert state.gauge.tolist() == [0, 1, 2]
+    assert state.rest.tolist() == list(range(3, 24))
+    assert vars(free) == settings  # a solver holds settings only
+    result = sample.graph.optimize(values, TIGHT, SOLVERS[solver](), gauge="free")
+    alone = sample.graph.optimize(sample.values, TIGHT, SOLVERS[solver](), gauge="free")
+    assert np.array_equal(result.values[l], L)
+    assert result.dof == alone.dof
+    assert distance(SE2, result.values[x], alone.values[x]) < 1e-9

@@ -149,7 +149,7 @@ def test_conventions_agree_to_first_order(group: LieGroup, convention: str) -> N
         Omega = whiteners(f, group) * half[:, None] * half
         make = Between if len(X) == 2 else Prior
         graph.add(make(*f.keys, z, Information(Omega), convention=convention))
-        f.z, f._model = z, None
+        f._z, f._model = z, None
     one, other = (g.optimize(sample.truth, TIGHT) for g in (sample.graph, graph))
     assert one.chi2_final > 1e-6
     assert other.chi2_final == pytest.approx(one.chi2_final, rel=2e-3)

@@ -67,7 +67,7 @@ def test_noise_free_measurements_are_met(group: LieGroup) -> None:
     sample = pose_graph(group, start=0.2)
     for factor in sample.graph.factors:
         X = [sample.truth[keys] for keys in factor.keys]
-        factor.z = group.between(*X) if len(X) == 2 else X[0]
+        factor._z = group.between(*X) if len(X) == 2 else X[0]
         factor._model = None
     result = sample.graph.optimize(sample.values)
     assert result.converged
@@ -153,7 +153,7 @@ def test_stopped_by_the_callback() -> None:
     result = graph.optimize(start, GaussNewton(NEVER, callback))
     assert (result.status, result.iterations) == (Status.STOPPED, 2)
     assert [it.number for it in seen] == [1, 2]
-    assert seen == result.history[1:]
+    assert [(it.chi2, it.update) for it in seen] == [(it.chi2, it.update) for it in result.history[1:]]
     never_worse(graph, start, result)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nls import GraphFileError
-from nls.io.text import Text, read_bytes
+from nls import GraphFileError, ResourceLimitError
+from nls.io.files import read_bytes
+from nls.io.text import Text
 
 digits = st.text("0123456789", max_size=25)
 sign = st.sampled_from(["", "-", "+"])
@@ -182,7 +184,7 @@ def test_tags_are_grouped_in_order_of_appearance() -> None:
     }
 
 
-@pytest.mark.parametrize("words", [99, 100, 101, 250])
+@pytest.mark.parametrize("words", [15, 16, 17, 250])
 def test_more_tags_than_any_format_has(words: int) -> None:
     rng = np.random.default_rng(words)
     order = rng.integers(0, words, 3 * words)
@@ -192,6 +194,21 @@ def test_more_tags_than_any_format_has(words: int) -> None:
         expected.setdefault(f"t{k}".encode(), []).append(n)
     assert {tag: lines.tolist() for tag, lines in text.tags.items()} == expected
     assert list(text.tags) == list(expected)
+
+
+def test_long_first_words() -> None:
+    a, b = b"a" * 64, b"b" * 65
+    text = Text(b"\n".join([b"s 1", a, b, b"s", b, a, b + b"b"]))
+    assert [(tag, lines.tolist()) for tag, lines in text.tags.items()] == [
+        *[(b"s", [0, 3]), (a, [1, 5]), (b, [2, 4]), (b + b"b", [6])]
+    ]
+
+
+@given(st.binary(max_size=100))
+def test_lines_are_slices(data: bytes) -> None:
+    text = Text(data)
+    assert [text.line(k) for k in range(len(text.first) - 1)] == data.split(b"\n")
+    assert str(text.error("wrong", 0)).encode()  # printable, whatever the bytes
 
 
 @pytest.mark.parametrize("data", [b"", b"\n", b"  \n\t\r\n "])
@@ -254,6 +271,33 @@ def test_a_folder_and_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(GraphFileError, match=r"none\.g2o: cannot be read: No such file") as caught:
         read_bytes(tmp_path / "none.g2o")
     assert isinstance(caught.value, ValueError)
+
+
+def test_size_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nls.io.files.MAX_BYTES", 1000)
+    monkeypatch.setattr("nls.io.files.CHUNK", 64)
+    assert read_bytes(write(tmp_path, b"#" * 1000)) == b"#" * 1000
+    assert read_bytes(write(tmp_path, gzip.compress(b"#" * 1000))) == b"#" * 1000
+    with pytest.raises(
+        ResourceLimitError, match=r"f\.g2o: has 1,001 bytes or more, the limit is 1,000; split"
+    ) as caught:
+        read_bytes(write(tmp_path, b"#" * 1001))
+    assert (caught.value.needed, caught.value.limit) == (1001, 1000)
+
+
+def test_a_bomb_is_unpacked_no_further_than_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nls.io.files.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("nls.io.files.CHUNK", 1 << 16)
+    bomb = write(tmp_path, gzip.compress(bytes(1 << 26)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(
+            ResourceLimitError, match=r"f\.g2o: unpacks to 1,114,112 bytes or more, the limit is 1,048,576"
+        ):
+            read_bytes(bomb)
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_long_line_is_cut_in_the_message() -> None:

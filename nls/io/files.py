@@ -1,0 +1,112 @@
+"""Bytes of files: read within bounds, unpacked; written whole or not at all, compressed by suffix."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import secrets
+import stat
+import zlib
+from pathlib import Path
+from typing import BinaryIO
+
+from models.errors import GraphFileError, ResourceLimitError
+
+__all__ = ["read_bytes", "write_bytes"]
+
+MAX_BYTES = 4 << 30  # of a file, and of what it unpacks to
+CHUNK = 1 << 24
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Content of a text file, unpacked when it is gzip-compressed, without a byte-order mark.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read, or is not text.
+    ResourceLimitError
+        It has more than `MAX_BYTES`, or unpacks to more.
+    """
+    name = str(path)
+    try:
+        with open(path, "rb") as file:
+            data = _bounded(file, f"{name}: has", os.fstat(file.fileno()).st_size)
+    except IsADirectoryError as error:
+        raise GraphFileError("is a folder; expected a file", name) from error
+    except OSError as error:
+        raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
+    if data[:2] == b"\x1f\x8b":
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as unpacked:
+                data = _bounded(unpacked, f"{name}: unpacks to")
+        except (OSError, EOFError, zlib.error) as error:
+            raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
+    if b"\x00" in data:
+        line = data[: data.index(b"\x00")].count(b"\n") + 1
+        raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
+    return data
+
+
+def _bounded(file: BinaryIO | gzip.GzipFile, what: str, size: int = 0) -> bytes:
+    """All of a file of at least this size, read in chunks: refused as soon as it is known to be too large."""
+    chunks: list[bytes] = []
+    total = 0
+    while max(size, total) <= MAX_BYTES:
+        chunk = file.read(CHUNK)
+        if not chunk:
+            return b"".join(chunks)
+        chunks.append(chunk)
+        total += len(chunk)
+    needed = max(size, total)
+    raise ResourceLimitError(
+        f"{what} {needed:,} bytes or more, the limit is {MAX_BYTES:,}; split the file or leave lines out",
+        needed,
+        MAX_BYTES,
+        what,
+    )
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file whole or not at all, gzip-compressed (equal content, equal bytes) where its name ends in ``.gz``.
+
+    A link stays and the file it leads to is replaced, with its permissions; a pipe or device is written to.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be written.
+    """
+    name = os.fspath(path)
+    if name.lower().endswith(".gz"):
+        data = gzip.compress(data, mtime=0)
+    try:
+        _replace(name, data)
+    except OSError as error:
+        raise GraphFileError(f"cannot be written: {error.strerror or error}", name) from error
+
+
+def _replace(name: str, data: bytes) -> None:
+    try:
+        mode = os.stat(name).st_mode
+    except FileNotFoundError:
+        mode = None
+    if mode is not None and not stat.S_ISREG(mode):
+        with open(name, "wb") as file:
+            file.write(data)
+        return
+    target = Path(os.path.realpath(name))
+    temporary = target.with_name(f"{secrets.token_hex(8)}.part")
+    try:
+        with open(temporary, "xb") as file:
+            file.write(data)
+        if mode is not None:
+            os.chmod(temporary, stat.S_IMODE(mode))
+        os.replace(temporary, target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
