@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nls.assemble import Pattern
-from nls.gauge import choose_gauge, component_labels, fixed_variables
+from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import default_solver
 from nls.linear.fill import fill_in
@@ -29,12 +29,10 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     """
     pattern = Pattern(graph.factors, values)
     labels = component_labels(pattern)
-    touched = np.zeros(len(labels), dtype=bool)
+    touched = touched_variables(pattern)
     semi_definite = 0
     lengths = [np.zeros(0)]
     for batch in pattern.batches:
-        for variables in batch.variables:
-            touched[variables] = True
         W = batch.model.W
         rows = np.abs(W) if W.ndim == 2 else np.linalg.norm(W, axis=2)
         semi_definite += int((rows == 0).any(axis=1).sum()) * (len(batch) if len(W) == 1 else 1)

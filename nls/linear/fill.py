@@ -30,6 +30,7 @@ def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_]) -> Fill:
     cancels; its columns are then counted with the sizes of the variables.
     """
     from nls.linear import best_factorization
+    from nls.linear.lu import SYMMETRIC, dominant
 
     free = np.flatnonzero(~held)
     number = np.full(len(held), -1, dtype=np.intp)
@@ -47,13 +48,10 @@ def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_]) -> Fill:
     order = best_factorization().order(u, v, len(free))
     position = np.empty(len(free), dtype=np.intp)
     position[order] = np.arange(len(free))
-    i, j = position[u], position[v]
-    graph = sp.coo_array((np.full(2 * len(u), -1.0), (np.append(i, j), np.append(j, i))), shape=(len(free),) * 2)
-    laplacian = sp.csc_array(graph)
-    laplacian = sp.csc_array(laplacian + sp.diags_array(1.0 - laplacian.sum(axis=0)))
     from scipy.sparse.linalg import splu
 
-    L = sp.csc_array(splu(laplacian, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).L)
+    matrix = dominant(position[u], position[v], len(free))
+    L = sp.csc_array(splu(matrix, permc_spec="NATURAL", **SYMMETRIC).L)
     widths = dims[order].astype(float)
     below = np.add.reduceat(widths[L.indices], L.indptr[:-1]) - widths
     nnz = widths * (widths + 1) / 2 + widths * below

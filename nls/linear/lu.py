@@ -14,9 +14,16 @@ from nls.linear.normal import Factorization, NormalEquations
 if TYPE_CHECKING:
     from nls.hessian import Hessian, Index
 
-__all__ = ["LU", "SuperLUFactorization"]
+__all__ = ["LU", "SYMMETRIC", "SuperLUFactorization", "dominant"]
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+
+
+def dominant(u: Index, v: Index, V: int) -> sp.csc_array:
+    """Diagonally dominant (V, V) matrix with the pattern of a graph of variables: in its factors nothing cancels."""
+    i, j = np.concatenate([u, v]), np.concatenate([v, u])
+    adjacency = sp.coo_array((np.full(len(i), -1.0), (i, j)), shape=(V, V))
+    return sp.csc_array(adjacency + sp.diags_array(1.0 - adjacency.sum(axis=0)))
 
 
 class SuperLUFactorization(Factorization):
@@ -26,10 +33,7 @@ class SuperLUFactorization(Factorization):
     def order(u: Index, v: Index, V: int) -> Index:
         from scipy.sparse.linalg import splu
 
-        i, j = np.concatenate([u, v]), np.concatenate([v, u])
-        adjacency = sp.coo_array((np.full(len(i), -1.0), (i, j)), shape=(V, V))
-        laplacian = sp.csc_array(adjacency + sp.diags_array(1.0 - adjacency.sum(axis=0)))
-        return np.argsort(splu(laplacian, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
+        return np.argsort(splu(dominant(u, v, V), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
 
     def __init__(self, hessian: Hessian) -> None:
         self._hessian = hessian

@@ -117,10 +117,9 @@ class _Laplacian:
     """Minimizers of sum w |y_j - T y_i - c|^2 over blocks y, T orthogonal, the first pose of each component held."""
 
     def __init__(self, edges: PoseEdges) -> None:
-        touched = np.zeros(edges.n, dtype=bool)
-        touched[edges.i] = touched[edges.j] = True
-        touched[edges.roots()] = False
-        self.free = np.flatnonzero(touched)
+        free = edges.touched
+        free[edges.roots()] = False
+        self.free = np.flatnonzero(free)
         number = np.full(edges.n, -1, dtype=np.intp)
         number[self.free] = np.arange(len(self.free))
         self.edges, self.i, self.j = edges, number[edges.i], number[edges.j]

@@ -58,12 +58,17 @@ class PoseEdges:
         total = np.sum(W * W, axis=tuple(range(1, W.ndim)))
         return np.broadcast_to(total / W.shape[-1], (len(self.i),))
 
+    @property
+    def touched(self) -> npt.NDArray[np.bool_]:
+        """(n,) nodes that have an edge."""
+        touched = np.zeros(self.n, dtype=bool)
+        touched[self.i] = touched[self.j] = True
+        return touched
+
     def roots(self) -> Index:
         """Nodes that keep their value: all fixed ones, and the lowest-numbered of every component without any."""
         graph = sp.coo_array((np.ones(len(self.i), dtype=np.int8), (self.i, self.j)), shape=(self.n, self.n))
-        label = connected_components(graph, directed=False)[1]
-        touched = np.zeros(self.n, dtype=bool)
-        touched[self.i] = touched[self.j] = True
+        label, touched = connected_components(graph, directed=False)[1], self.touched
         anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
         anchored[label[self.fixed]] = True
         ordered = self.order[(touched & ~anchored[label])[self.order]]
