@@ -11,19 +11,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import combinations
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.conventions import check_convention, innovation
 from factors.keys import Keys
-from factors.noise import Isotropic, Noise, whiten
-from models import Manifold, R
+from factors.noise import Noise, whiten
+from factors.robust import Kernel, Robust
+from models import Manifold
 from models.algebra import Array, product
-from models.errors import EvaluationError, GraphError, LeadlineError, NoiseModelError
+from models.errors import EvaluationError, GraphError, NoiseModelError
 
 __all__ = ["Factor", "Model"]
 
@@ -52,10 +54,16 @@ class Factor(ABC):
     ----------
     relative : True when the residual does not change if all variables are moved by the same group element. Only a part
         of a graph all of whose factors say so has a gauge that may be held.
+    unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor: they neither
+        anchor a part of the graph nor join two parts.
+    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
+        optimizer is left to the library, it takes Levenberg-Marquardt.
     """
 
     slots: ClassVar[tuple[Manifold | None, ...]] = ()
     relative: ClassVar[bool] = False
+    unmoved: ClassVar[tuple[int, ...]] = ()
+    damped: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         name = self.name
@@ -100,6 +108,28 @@ class Factor(ABC):
     def describe(self, index: int) -> str:
         """One measurement of the batch by type and variables, for messages: ``Between(x3, x4)``."""
         return f"{self.name}({', '.join(repr(k[[index]]) for k in self.keys)})"
+
+    def chi2(self, values: Any) -> Array:
+        """Squared whitened length |b_i|^2 (n,) of every measurement at some values, before any robust kernel."""
+        model, X = values.gather(self)
+        return np.square(model.error(*X)).sum(axis=1)
+
+    def weights(self, values: Any) -> Array:
+        """Weight (n,) the robust kernel gives every measurement at some values: 1 an inlier, near 0 an outlier."""
+        kernel, s = self.kernel, self.chi2(values)
+        return np.ones(len(s)) if kernel is None else kernel.weight(s)
+
+    @property
+    def kernel(self) -> Kernel | None:
+        """The robust kernel of its noise."""
+        return self.noise.kernel if isinstance(self.noise, Robust) else None
+
+    def robust(self, kernel: Kernel) -> Factor:
+        """The same measurements under a robust kernel, instead of the one they may have."""
+        other = copy(self)
+        other.noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
+        other._model = None
+        return other
 
     @abstractmethod
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
@@ -198,7 +228,9 @@ class Factor(ABC):
         >>> graph.optimize(Values({p: (R(2), [-1.2, 1.0])})).values[p[0]].round(6)
         array([1., 1.])
         """
-        return _FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
+        from factors.function import FunctionFactor
+
+        return FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
 
 
 @dataclass(frozen=True)
@@ -335,45 +367,3 @@ def difference_steps(manifold: Manifold, X: Array) -> Array:
         t = manifold.position(X)
         size[:, : t.shape[1]] = np.maximum(1.0, np.abs(t).max(axis=1, keepdims=True, initial=0.0))
     return STEP * np.cbrt(size)
-
-
-class _FunctionFactor(Factor):
-    """A residual given as a function: h(X) = residual(X), z = 0."""
-
-    def __init__(
-        self,
-        residual: Callable[..., Array],
-        keys: Sequence[Keys],
-        dim: int,
-        noise: Noise | None,
-        jacobians: Callable[..., Sequence[Array]] | None,
-        relative: bool,
-    ) -> None:
-        self.dim, self.residual, self.jacobians = dim, residual, jacobians
-        super().__init__(keys, np.zeros(dim), noise or Isotropic())
-        self.slots, self.relative = (None,) * len(keys), relative  # type: ignore[misc]
-
-    @property
-    def name(self) -> str:
-        return getattr(self.residual, "__name__", "residual")
-
-    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        return R(self.dim)
-
-    def names(self, space: Manifold) -> tuple[str, ...]:
-        return tuple(f"r{k}" for k in range(self.dim))
-
-    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        (h,) = self._call(lambda *X: [self.residual(*X)], *X)
-        return h, None if self.jacobians is None else self._call(self.jacobians, *X)
-
-    def _call(self, function: Callable[..., Sequence[Array]], *X: Array) -> tuple[Array, ...]:
-        try:
-            found = function(*(np.array(stack, order="C") for stack in X))  # copies: it may change or keep them
-            return tuple(np.array(array, dtype=float) for array in found)
-        except LeadlineError:
-            raise  # it says its own name: a singular geometry, for example, is a place to avoid
-        except Exception as error:  # the user's code may raise anything; it comes through, named and chained
-            raise EvaluationError(
-                f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys
-            ) from error

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from factors.keys import Keys
+from factors.robust import reweighted
 from models.algebra import Array
 from nls.system import LinearSystem
 from nls.values import Values, take
@@ -87,19 +88,27 @@ class Pattern:
     def linearize(self, values: Values) -> LinearSystem:
         """Every whitened A_i and b_i at the values; one call per batch."""
         b = np.empty(self.m)
-        blocks = []
+        blocks, chi2 = [], 0.0
         for batch in self.batches:
             A, b_batch = batch.model.linearize(*self._gather(batch, values))
+            kernel = batch.model.factor.kernel
+            if kernel is None:
+                chi2 += float(np.square(b_batch).sum())  # not b @ b: BLAS would start threads, and round differently
+            else:
+                A, b_batch, rho = reweighted(kernel, A, b_batch)
+                chi2 += float(rho.sum())
             b[batch.rows] = b_batch.reshape(-1)
             blocks.append(A)
-        return LinearSystem(self, blocks, b)
+        return LinearSystem(self, blocks, b, chi2)
 
     @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:
-        """|b|^2 without any Jacobian."""
+        """Sum of rho(|b_i|^2) without any Jacobian; rho is the identity where there is no robust kernel."""
         total = 0.0
         for batch in self.batches:
-            total += float(np.square(batch.model.error(*self._gather(batch, values))).sum())
+            squares = np.square(batch.model.error(*self._gather(batch, values)))
+            kernel = batch.model.factor.kernel
+            total += float(squares.sum() if kernel is None else kernel.rho(squares.sum(axis=1)).sum())
         return total
 
     def _gather(self, batch: Batch, values: Values) -> list[Array]:
@@ -141,6 +150,15 @@ class Pattern:
     def restrict(self, full: Array) -> Array:
         """Entries of the free columns, from entries of the columns of all variables."""
         return full if self._free_columns is None else full[self._free_columns]
+
+    def by_kind(self, dx: Array) -> dict[str, Array]:
+        """Step (count, d) of all variables of every kind, zeros where held."""
+        full, begin, out = self.expand(dx), 0, {}
+        for kind, numbers in self.numbers.items():
+            d = self.manifolds[kind].dim
+            out[kind] = full[begin : begin + len(numbers) * d].reshape(len(numbers), d)
+            begin += len(numbers) * d
+        return out
 
     def key(self, variable: int) -> Keys:
         """Name of a variable from its place in the numbering."""

@@ -28,7 +28,7 @@ from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Array
 from models.errors import GraphWarning, OptionError
-from nls.assemble import Pattern, offsets
+from nls.assemble import Batch, Pattern, offsets
 from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.normal import NormalEquations
 from nls.system import LinearSystem
@@ -65,11 +65,20 @@ class Gauge:
     free: bool = False
 
 
+def _moved(batch: Batch) -> list[Index]:
+    """Variables (n,) of every slot of a batch that a common motion of everything moves."""
+    unmoved = batch.model.factor.unmoved
+    return [variables for slot, variables in enumerate(batch.variables) if slot not in unmoved]
+
+
 def component_labels(pattern: Pattern) -> npt.NDArray[np.int32]:
-    """Connected component (V,) of every variable, joined by factors."""
+    """Connected component (V,) of every variable, joined by the factors that see both move.
+
+    A calibration that two trajectories share does not join them: each has its own gauge.
+    """
     V = len(pattern.dims)
-    i = [batch.variables[0] for batch in pattern.batches for _ in batch.variables[1:]]
-    j = [v for batch in pattern.batches for v in batch.variables[1:]]
+    i = [slots[0] for slots in map(_moved, pattern.batches) for _ in slots[1:]]
+    j = [variables for slots in map(_moved, pattern.batches) for variables in slots[1:]]
     empty = [np.zeros(0, dtype=np.intp)]
     rows, cols = np.concatenate(i + empty), np.concatenate(j + empty)
     graph = sp.coo_array((np.ones(len(rows), dtype=np.int8), (rows, cols)), shape=(V, V))
@@ -107,15 +116,17 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
     label = component_labels(pattern)
     anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
     anchored[label[fixed]] = True
-    touched = touched_variables(pattern)
+    touched, moving = touched_variables(pattern), np.zeros(len(fixed), dtype=bool)
     for batch in pattern.batches:
+        for variables in _moved(batch):
+            moving[variables] = True
         if not batch.model.factor.relative:
             anchored[label[batch.variables[0]]] = True
     if not (touched | fixed).all():
         isolated = np.flatnonzero(~touched & ~fixed)
         warnings.warn(f"{_named(pattern, isolated)}: no measurement touches them; held", GraphWarning, stacklevel=3)
         fixed = fixed | ~touched
-    chosen = _first_of_components(label, pattern, touched, anchored)
+    chosen = _first_of_components(label, pattern, moving, anchored)
     if not len(chosen):
         return Gauge(fixed, fixed, said="fixed by the graph itself")
     keys, named = [pattern.key(int(v)) for v in chosen], _named(pattern, chosen)
@@ -136,10 +147,10 @@ def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
 
 
 def _first_of_components(
-    label: npt.NDArray[np.int32], pattern: Pattern, touched: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
+    label: npt.NDArray[np.int32], pattern: Pattern, moving: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.intp]:
     """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
-    candidates = np.flatnonzero(touched & ~anchored[label])
+    candidates = np.flatnonzero(moving & ~anchored[label])
     numbers = np.concatenate([*pattern.numbers.values(), np.zeros(0, dtype=np.int64)])[candidates]
     kind = np.repeat(np.arange(len(pattern.numbers)), [len(n) for n in pattern.numbers.values()])[candidates]
     order = np.lexsort((numbers, kind, -pattern.dims[candidates], label[candidates]))
@@ -180,7 +191,8 @@ class FreeGauge(LinearSolver):
     def seen(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)
 
-    def solve(self, analyzed: FreeState, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: FreeState, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+        assert damping is None, "a damped system has no free gauge"
         A, gauge, rest = system.A, analyzed.gauge, analyzed.rest
         step = self.solver.solve(analyzed.analyzed, self.seen(system))
         t0 = perf_counter()

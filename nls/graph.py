@@ -10,11 +10,13 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
+from factors.robust import Kernel
 from models.errors import GraphError, OptionError
 from nls.assemble import Pattern, measured_rows
+from nls.diagnose import underconstrained
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
-from nls.optimizers import GaussNewton, Result
+from nls.optimizers import GaussNewton, LevenbergMarquardt, Optimizer, Result
 from nls.optimizers.problem import Problem
 
 if TYPE_CHECKING:
@@ -85,8 +87,14 @@ class FactorGraph:
             Keys(k.kind, k.numbers[~np.isin(k.numbers, keys.numbers)]) if k.kind == keys.kind else k for k in self.fixed
         ]
 
+    def robust(self, kernel: Kernel) -> FactorGraph:
+        """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
+        other = FactorGraph([factor.robust(kernel) for factor in self.factors])
+        other.fixed = list(self.fixed)
+        return other
+
     def chi2(self, values: Values) -> float:
-        """|b|^2 at the values, without one-half."""
+        """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""
         return Pattern(self.factors, values).chi2(values)
 
     def linearize(self, values: Values) -> LinearSystem:
@@ -96,7 +104,7 @@ class FactorGraph:
     def optimize(
         self,
         values: Values,
-        optimizer: GaussNewton | None = None,
+        optimizer: Optimizer | None = None,
         linear_solver: LinearSolver | None = None,
         gauge: str = "first",
     ) -> Result:
@@ -105,7 +113,8 @@ class FactorGraph:
         Parameters
         ----------
         values : start; not changed. Every variable a factor touches must be there.
-        optimizer : `GaussNewton()` with its `Stop` when omitted.
+        optimizer : `GaussNewton`, `LevenbergMarquardt` or `Dogleg` with its `Stop`. When omitted Gauss-Newton, or
+            Levenberg-Marquardt where a factor says that undamped steps fail (`Factor.damped`); the result names it.
         linear_solver : `nls.linear`; the best one installed when omitted (the result names it).
         gauge : ``first``, ``prior``, ``free`` or ``none``, see `nls.gauge`.
 
@@ -125,10 +134,13 @@ class FactorGraph:
         started = perf_counter()
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
-        method = optimizer or GaussNewton()
+        damped = any(factor.damped for factor in self.factors)
+        method = optimizer or (LevenbergMarquardt() if damped else GaussNewton())
         solver = linear_solver or default_solver()
-        if not isinstance(method, GaussNewton):
+        if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
+        if gauge == "free" and isinstance(method, LevenbergMarquardt):
+            raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
         if not isinstance(solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, values)
@@ -139,8 +151,12 @@ class FactorGraph:
             solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, decided.fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
+        dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
+        if dof < 0 and isinstance(method, LevenbergMarquardt):  # it would not notice
+            raise underconstrained(pattern.linearize(values), values)
         watch = method.run(problem, values.copy())
         assert watch.status is not None
+        free = () if watch.free is None else underconstrained(watch.free).components
         return Result(
             values=watch.best,
             status=watch.status,
@@ -148,11 +164,12 @@ class FactorGraph:
             history=watch.history,
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,
-            dof=measured_rows(pattern) - int(pattern.dims[~decided.held].sum()),
+            dof=dof,
             linear_solver=solver.name,
             gauge=decided.said,
             timings=problem.timings,
             method=method.name,
+            underconstrained=free,
         )
 
     def summary(self) -> str:

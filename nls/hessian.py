@@ -129,6 +129,10 @@ class Hessian:
         """Diagonal of the matrix (n,)."""
         return np.take(S, self.source[self.indptr[:-1]])
 
+    def damp(self, S: Array, damping: Array) -> None:
+        """Add a diagonal (n,), in the given order of columns, to the flat blocks S."""
+        S[self.source[self.indptr[:-1]]] += damping[self.permutation]
+
     def symmetric(self, S: Array) -> sp.csc_array:
         """Both triangles as a sparse matrix; numbers that happen to be zero stay in its structure."""
         indptr, indices, place = self._mirrored

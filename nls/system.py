@@ -13,6 +13,7 @@ from models.algebra import Array, apply
 from nls.hessian import Blocks
 
 if TYPE_CHECKING:
+    from factors.keys import Keys
     from nls.assemble import Pattern
     from nls.linear import LinearSolver
 
@@ -28,16 +29,15 @@ class LinearSystem:
     ----------
     pattern : the numbering of rows and columns.
     blocks : per factor batch one (k, m, d) array per slot.
-    b : (m,) whitened errors.
-
-    Attributes
-    ----------
-    chi2 : |b|^2.
+    b : (m,) whitened errors, times the root of their weight where a kernel is robust.
+    chi2 : the cost at this point; |b|^2 when omitted, which it is without robust kernels.
     """
 
-    def __init__(self, pattern: Pattern, blocks: Sequence[tuple[Array, ...]], b: Array) -> None:
+    def __init__(
+        self, pattern: Pattern, blocks: Sequence[tuple[Array, ...]], b: Array, chi2: float | None = None
+    ) -> None:
         self.pattern, self.blocks, self.b = pattern, blocks, b
-        self.chi2 = float(np.square(b).sum())  # not b @ b: BLAS would start threads for it, and round differently
+        self.chi2 = float(np.square(b).sum()) if chi2 is None else chi2
 
     def __repr__(self) -> str:
         return f"LinearSystem({self.pattern.m} x {self.pattern.n}, chi2 {self.chi2:.6g})"
@@ -75,9 +75,22 @@ class LinearSystem:
     @property
     def scaled_gradient(self) -> float:
         """Largest cosine between b and a column of A: 0 at an optimum, whatever the units; at most 1."""
-        scale = self.column_norms * np.sqrt(self.chi2)
+        scale = self.column_norms * np.sqrt(np.square(self.b).sum())
         cosines = np.abs(self.gradient) / np.where(scale > 0, scale, 1.0)
         return float(cosines.max(initial=0.0))
+
+    def times(self, dx: Array) -> Array:
+        """A dx (m,) without forming A."""
+        pattern, out = self.pattern, np.empty(self.pattern.m)
+        X = pattern.by_kind(dx)
+        for batch, A in zip(pattern.batches, self.blocks, strict=True):
+            parts = [apply(A_k, X[kind][i]) for kind, i, A_k in zip(batch.kinds, batch.index, A, strict=True)]
+            out[batch.rows] = sum(parts[1:], parts[0]).reshape(-1)
+        return out
+
+    def promised(self, dx: Array) -> float:
+        """Fall of the linear model: |b|^2 - |A dx - b|^2 = 2 dx'A'b - |A dx|^2."""
+        return float(2 * (dx @ self.gradient) - np.square(self.times(dx)).sum())
 
     @cached_property
     def H(self) -> sp.csc_array:
@@ -115,6 +128,11 @@ class LinearSystem:
             for k in range(len(batch))
             for name in batch.model.names
         ]
+
+    def column(self, index: int) -> tuple[Keys, str]:
+        """The variable of one column of A, and the name of its component."""
+        variable, component = (int(owner[index]) for owner in self.pattern.column_owner())
+        return self.pattern.key(variable), self.pattern.component_names(variable)[component]
 
     @property
     def cols(self) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 
 from models.algebra import Array
 from models.errors import MissingSolverError
@@ -67,14 +68,28 @@ class LinearSolver(ABC):
         """What depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
 
     @abstractmethod
-    def solve(self, analyzed: Any, system: LinearSystem) -> LinearSolution:
-        """The Gauss-Newton step.
+    def solve(self, analyzed: Any, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+        """The step dx = argmin |A dx - b|^2 + sum damping_k dx_k^2.
+
+        Parameters
+        ----------
+        analyzed : what `analyze` returned.
+        system : one linearization.
+        damping : (n,) not negative, added to the diagonal of A'A; none for the Gauss-Newton step.
 
         Raises
         ------
         SingularSystemError
             A is rank deficient.
         """
+
+    @staticmethod
+    def damped(A: sp.csr_array, b: Array, damping: Array | None) -> tuple[sp.csr_array, Array]:
+        """A and b with the damping as further rows: the same step for solvers that work on A itself."""
+        if damping is None:
+            return A, b
+        rows = sp.diags_array(np.sqrt(damping))
+        return sp.csr_array(sp.vstack([A, rows])), np.concatenate([b, np.zeros(len(damping))])
 
     def seen(self, system: LinearSystem) -> LinearSystem:
         """The system whose singularity `solve` reports: the one given, unless the solver holds something itself."""

@@ -48,12 +48,13 @@ class _Dense(LinearSolver):
                 "dense system",
             )
 
-    def solve(self, analyzed: None, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         t0 = perf_counter()
-        A = system.A.toarray()
+        sparse, b = self.damped(system.A, system.b, damping)
+        A = sparse.toarray()
         t1 = perf_counter()
         with single_thread():
-            dx = self._solve(A, system.b) if A.size else np.zeros(A.shape[1])
+            dx = self._solve(A, b) if A.size else np.zeros(A.shape[1])
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
 
     def _solve(self, A: Array, b: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 
+from models.algebra import Array
 from nls.linear.base import INSTALL_SUITESPARSE, SINGULAR, LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.threads import single_thread
 
@@ -41,13 +42,13 @@ class QR(LinearSolver):
     def analyze(self, pattern: Pattern) -> None:
         self.require()
 
-    def solve(self, analyzed: None, system: LinearSystem) -> LinearSolution:
+    def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         module = spqr()
         assert module is not None
         t0 = perf_counter()
-        A, b = system
+        A, b = self.damped(system.A, system.b, damping)
         n = A.shape[1]
-        lengths = system.column_norms
+        lengths = system.column_norms if damping is None else np.sqrt(system.column_norms**2 + damping)
         if n == 0:
             return LinearSolution(np.zeros(0))
         if (lengths == 0).any() or A.shape[0] < n:

@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import Any
 
 from models.algebra import Array
+from models.errors import EvaluationError, SingularGeometryError
 from nls.assemble import Pattern
 from nls.linear.base import LinearSolver
 from nls.system import LinearSystem
@@ -15,7 +16,14 @@ __all__ = ["Problem"]
 
 
 class Problem:
-    """A graph made ready: linearize, solve, retract, each timed."""
+    """A graph made ready: linearize, solve, retract, each timed.
+
+    Attributes
+    ----------
+    latest : the system solved last.
+    """
+
+    latest: LinearSystem
 
     def __init__(self, pattern: Pattern, solver: LinearSolver) -> None:
         self.pattern, self.solver = pattern, solver
@@ -32,8 +40,9 @@ class Problem:
         self._add("linearize", perf_counter() - start)
         return system
 
-    def solve(self, system: LinearSystem) -> Array:
-        solution = self.solver.solve(self.state, system)
+    def solve(self, system: LinearSystem, damping: Array | None = None) -> Array:
+        self.latest = system
+        solution = self.solver.solve(self.state, system, damping)
         for part, seconds in solution.seconds.items():
             self._add(part, seconds)
         return solution.dx
@@ -43,6 +52,23 @@ class Problem:
         moved = values.retract(self.pattern.expand(dx))
         self._add("retract", perf_counter() - start)
         return moved
+
+    def attempt(self, values: Values, dx: Array) -> tuple[Values, LinearSystem | None, str]:
+        """Where a trial step leads: values, their linearization or None where there is none, and that in words.
+
+        Raises
+        ------
+        EvaluationError
+            A function of the user's raised an exception: a fault to see, not a place to avoid.
+        """
+        try:
+            moved = self.retract(values, dx)
+            system = self.linearize(moved)
+        except (EvaluationError, SingularGeometryError) as error:
+            if isinstance(error, EvaluationError) and error.__cause__ is not None:
+                raise
+            return values, None, f"where {error}"
+        return moved, system, f"to chi2 {system.chi2:.9g}"
 
     def lap(self) -> dict[str, float]:
         """Seconds by part since the last call."""

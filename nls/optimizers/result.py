@@ -54,6 +54,8 @@ class Result:
     linear_solver : the one that ran.
     gauge : what was done about the gauge, in words.
     timings : seconds by part, summed over the iterations.
+    method : the optimizer.
+    underconstrained : directions that stayed free under a damped method, in words: they are where the start had them.
     """
 
     values: Values
@@ -67,6 +69,7 @@ class Result:
     gauge: str
     timings: dict[str, float]
     method: str = "gauss-newton"
+    underconstrained: tuple[str, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -91,6 +94,8 @@ class Result:
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
+        if self.underconstrained:
+            lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
         if self.chi2_final > SUSPICIOUS * max(self.dof, 1):
             lines.append(
                 f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers, or a "

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from nls.optimizers.result import Iteration
 from nls.optimizers.stop import Status, Stop
 
 if TYPE_CHECKING:
     from models.algebra import Array
+    from nls.optimizers.undamped import Undamped
     from nls.system import LinearSystem
     from nls.values import Values
 
@@ -21,6 +24,7 @@ __all__ = ["Watch"]
 
 BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
+FARTHER = 10  # where chi2 levels off, an undamped step this much longer than the last ones sees no minimum
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
@@ -40,6 +44,7 @@ class Watch:
     best, lowest : values of lowest chi2 so far, and that chi2.
     status, reason : None and empty until it is over.
     history : one `Iteration` per step, the start first.
+    free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
     """
 
     def __init__(
@@ -53,8 +58,10 @@ class Watch:
         self.stop, self.callback, self.began = stop, callback, perf_counter()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest, self._since_best = values, chi2, 0
+        self._reacted: npt.NDArray[np.bool_] | None = None
         self.status: Status | None = None
         self.reason = ""
+        self.free: LinearSystem | None = None
         self._limits()
 
     def end(self, status: Status, reason: str) -> None:
@@ -64,30 +71,52 @@ class Watch:
     def flat(self, system: LinearSystem) -> bool:
         """Whether the gradient of the current point vanishes; it is over then, without another step."""
         self.history[-1] = replace(self.history[-1], gradient=system.scaled_gradient)
-        if system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol:
+        if not self._lost(system) and (system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol):
             self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
 
-    def step(self, values: Values, chi2: float, dx: Array, promised: float, seconds: dict[str, float]) -> None:
-        """Record a step that was taken and apply the rules to it; `promised` is the fall of the linear model's chi2."""
-        stop, old = self.stop, self.history[-1]
+    def step(
+        self,
+        values: Values,
+        system: LinearSystem,
+        dx: Array,
+        promised: float,
+        seconds: dict[str, float],
+        damping: float = 0.0,
+        undamped: Undamped | None = None,
+    ) -> None:
+        """Record a step that was taken, and apply the rules to it.
+
+        Parameters
+        ----------
+        values, system : where it led, and the linearization there.
+        dx, promised : the step, and the fall of the linear model's chi2.
+        seconds, damping : for the record.
+        undamped : for methods that shorten their steps: a short one proves nothing, this has to agree.
+        """
+        stop, old, chi2 = self.stop, self.history[-1], system.chi2
         fall, little = old.chi2 - chi2, stop.chi2_rtol * old.chi2
         update = float(np.abs(dx).max(initial=0.0))
-        new = Iteration(old.number + 1, chi2, update, seconds=seconds)
+        new = Iteration(old.number + 1, chi2, update, damping=damping, seconds=seconds)
         self.history.append(new)
         self._since_best += 1
         if chi2 < self.lowest:
             self.best, self.lowest, self._since_best = values, chi2, 0
-        missed = promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
-        if update < stop.update_tol and missed:
+        missed = undamped is None and promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
+        still, level = update < stop.update_tol, 0 <= fall <= little and not missed
+        if not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
+            self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
+        elif still and missed:
             said = f"an update of {update:.1e} promised to lower chi2 by {promised:.3g} and brought {fall:.3g}"
             self.end(Status.STALLED, f"{said}; check the Jacobians with factors.check_jacobians")
-        elif update < stop.update_tol:
+        elif (
+            still
+            and self._agreed(undamped, system)
+            and (undamped is None or undamped.reach <= FARTHER * stop.update_tol)
+        ):
             self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
-        elif not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
-            self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
-        elif 0 <= fall <= little and not missed:
-            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
+        elif level and self._agreed(undamped, system):
+            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}", undamped)
         elif self._cycles(chi2):
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
         else:
@@ -95,10 +124,49 @@ class Watch:
         if self.callback is not None and self.callback(new) and self.status is None:
             self.end(Status.STOPPED, f"after {new.number} iterations")
 
-    def _settled(self, rule: str) -> None:
-        """CONVERGED where the last point is the best one up to rounding; settling above it is not."""
+    def refuse(self, system: LinearSystem, promised: float, led: str, undamped: Undamped) -> None:
+        """A trial step was not taken: over when it promised nothing, or at a limit; `led` says where it led."""
+        little = self.stop.chi2_rtol * system.chi2
+        if promised <= little and self._agreed(undamped, system):
+            self._settled(f"no step promises to lower chi2 by more than {self.stop.chi2_rtol:g} of itself", undamped)
+        else:
+            self._limits()
+
+    def stall(self, led: str) -> None:
+        """No shorter step is left to try."""
+        self.end(
+            Status.STALLED,
+            f"every step was refused, the last one led {led}; check the Jacobians with factors.check_jacobians",
+        )
+
+    def _agreed(self, undamped: Undamped | None, system: LinearSystem) -> bool:
+        return undamped is None or (undamped.agrees(system, self.stop.chi2_rtol) and not self._lost(system))
+
+    def _lost(self, system: LinearSystem) -> bool:
+        """Whether an unknown that was measured has lost its last derivative; it is over then."""
+        reacts = system.column_norms > 0
+        self._reacted = reacts if self._reacted is None else self._reacted | reacts
+        lost = self._reacted & ~reacts
+        if lost.any():
+            key, name = system.column(int(np.argmax(lost)))
+            self.end(
+                Status.DIVERGED,
+                f"nothing reacts any more to {name} of {key}, which was measured at the start: the estimate went to a "
+                "plateau, where there is no minimum",
+            )
+        return bool(lost.any())
+
+    def _settled(self, rule: str, undamped: Undamped | None = None) -> None:
+        """CONVERGED where the last point is the best one up to rounding and the model sees its minimum nearby."""
         last = self.history[-1].chi2
-        if last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
+        recent = max((h.update for h in self.history[1:][-PATIENCE:]), default=math.inf)
+        if undamped is not None and undamped.reach > FARTHER * recent:
+            self.end(
+                Status.DIVERGED,
+                f"chi2 levels off at {last:.6g} and the undamped step still goes {undamped.reach:.3g} away: a plateau "
+                "that falls for ever, no minimum",
+            )
+        elif last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
             self.end(Status.CONVERGED, rule)
         else:
             above = f"{rule}, but at chi2 {last:.6g}, above the {self.lowest:.6g} met before, which is returned"
@@ -110,6 +178,8 @@ class Watch:
 
     def _limits(self) -> None:
         taken, seconds = self.history[-1].number, perf_counter() - self.began
+        if self.status is not None:
+            return
         if taken >= self.stop.max_iterations:
             self.end(Status.MAX_ITERATIONS, f"after {taken} iterations")
         elif seconds > self.stop.max_seconds:

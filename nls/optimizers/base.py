@@ -1,0 +1,66 @@
+"""What every optimizer is: settings, a loop of its own, and one way to end it that loses no estimate."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
+from models.errors import EvaluationError, SingularGeometryError
+from nls.diagnose import underconstrained
+from nls.linear.base import SingularSystemError
+from nls.optimizers.result import Iteration
+from nls.optimizers.stop import Status, Stop
+from nls.optimizers.watch import Watch
+
+if TYPE_CHECKING:
+    from nls.optimizers.problem import Problem
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["Optimizer"]
+
+
+@dataclass(frozen=True)
+class Optimizer(ABC):
+    """Settings of an optimizer; subclasses give `iterate`, their algorithm box.
+
+    Parameters
+    ----------
+    stop : thresholds.
+    callback : called with every `Iteration`; returning True stops.
+    """
+
+    stop: Stop = field(default_factory=Stop)
+    callback: Callable[[Iteration], bool | None] | None = None
+    name: ClassVar[str]
+
+    @abstractmethod
+    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        """Steps from X, linearized as `system`, until ``watch.status`` is set."""
+
+    def run(self, problem: Problem, values: Values) -> Watch:
+        """Iterate from the values until a rule ends it; Ctrl-C ends it too, with the best point so far.
+
+        Raises
+        ------
+        UnderconstrainedError
+            An undamped step of a singular system; carries the best values so far.
+        EvaluationError, SingularGeometryError
+            The start itself cannot be evaluated, or a function of the user's raised an exception.
+        """
+        system = problem.linearize(values)
+        watch = Watch(self.stop, self.callback, values, system.chi2, problem.lap())
+        try:
+            self.iterate(problem, values, system, watch)
+        except SingularSystemError as error:
+            raise underconstrained(problem.solver.seen(problem.latest), watch.best) from error
+        except (EvaluationError, SingularGeometryError) as error:
+            at_start = len(watch.history) == 1 and getattr(error, "where", "") == "A'A"
+            if error.__cause__ is not None or at_start:  # a fault to see, not a place the step should have avoided
+                raise
+            watch.end(Status.DIVERGED, f"the step of iteration {len(watch.history)} led where {error}")
+        except KeyboardInterrupt:
+            watch.end(Status.INTERRUPTED, f"after {len(watch.history) - 1} iterations")
+        return watch

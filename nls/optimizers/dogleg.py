@@ -1,0 +1,105 @@
+r"""Powell's dogleg: the Gauss-Newton step, shortened along a bent path where the linear model is not trusted.
+
+    A, b = linearization at X
+    gn   = argmin |A dx - b|                                             Gauss-Newton
+    c    = alpha D^-2 A'b,  alpha = |D^-1 A'b|^2 / |A D^-2 A'b|^2        Cauchy: lowest point downhill
+    dx   = gn                                    if |D gn| <= radius
+           radius c / |D c|                      if |D c| >= radius
+           c + beta (gn - c), |D dx| = radius    otherwise
+    if chi2(X retract dx) < chi2(X):  X = X retract dx;  radius follows how well the model foretold the fall
+
+D^2 is the diagonal of A'A, each entry the largest met so far (J. More, "The Levenberg-Marquardt algorithm", 1978). One
+factorization per linearization, however many steps are tried from it; a singular system has no Gauss-Newton step and is
+refused, as in Gauss-Newton. Sources: M. J. D. Powell, "A hybrid method for nonlinear equations", 1970; J. Nocedal,
+S. Wright, Numerical Optimization, 2006, section 4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nls.optimizers.base import Optimizer
+from nls.optimizers.levenberg_marquardt import SUFFICIENT
+from nls.optimizers.undamped import Undamped, diagonal
+
+if TYPE_CHECKING:
+    from models.algebra import Array
+    from nls.optimizers.problem import Problem
+    from nls.optimizers.watch import Watch
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["Dogleg"]
+
+GOOD, POOR = 0.75, 0.25  # parts of the promised fall between which the radius stays
+SMALLEST = 1e-16  # radius, as a part of |D gn|, at which no step is left to try
+
+
+@dataclass(frozen=True)
+class Dogleg(Optimizer):
+    """A trust region whose trials cost no further factorization: for starts far away from full-rank problems.
+
+    Parameters
+    ----------
+    stop : thresholds; ``max_iterations`` counts the steps that were taken.
+    callback : called with every `Iteration`; returning True stops.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import Dogleg, FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> rosenbrock = lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+    >>> graph = FactorGraph([Factor.from_function(rosenbrock, p[0], dim=2)])
+    >>> result = graph.optimize(Values({p: (R(2), [-1.2, 1.0])}), Dogleg())
+    >>> result.converged, result.values[p[0]].round(6)
+    (True, array([1., 1.]))
+    """
+
+    name = "dogleg"
+
+    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        radius, undamped, D = math.inf, Undamped(problem), np.zeros(problem.pattern.n)
+        while watch.status is None:
+            if watch.flat(system):
+                break
+            D, gn = np.maximum(D, np.sqrt(diagonal(system))), undamped.step(system)
+            dx = _dogleg(system, D, gn, radius)
+            length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
+            Y, trial, led = problem.attempt(X, dx)
+            fall = -math.inf if trial is None else system.chi2 - trial.chi2
+            if fall < POOR * promised:
+                radius = length / 4
+            elif fall > GOOD * promised and length > 0.99 * radius:
+                radius *= 2
+            if trial is not None and fall > SUFFICIENT * promised:
+                X, system = Y, trial
+                watch.step(X, system, dx, promised, problem.lap(), 0.0, undamped)
+            else:
+                watch.refuse(system, promised, led, undamped)
+                if radius < SMALLEST * np.linalg.norm(D * gn) and watch.status is None:
+                    watch.stall(led)
+
+
+def _dogleg(system: LinearSystem, D: Array, gn: Array, radius: float) -> Array:
+    """The point of the bent path 0 - c - gn at the distance radius, or its end."""
+    far = float(np.linalg.norm(D * gn))
+    if far <= radius:
+        return gn
+    downhill = system.gradient / D**2
+    alpha = float(system.gradient @ downhill) / float(np.square(system.times(downhill)).sum())
+    c = alpha * downhill
+    near = float(np.linalg.norm(D * c))
+    if near >= radius:
+        return c * (radius / near)
+    p, q = D * c, D * (gn - c)  # |p + beta q|^2 = radius^2, the root between 0 and 1, without cancellation
+    a, half, rest = float(q @ q), float(p @ q), radius**2 - float(p @ p)
+    root = math.sqrt(half * half + a * rest)
+    beta = rest / (half + root) if half > 0 else (root - half) / a
+    return np.asarray(c + beta * (gn - c))

@@ -1,0 +1,97 @@
+r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they lower chi2.
+
+    A, b = linearization at X
+    dx   = argmin |A dx - b|^2 + lambda |D dx|^2
+    if chi2(X retract dx) < chi2(X):  X = X retract dx, lambda = lambda / 10
+    else:                             lambda = 10 lambda
+
+D^2 is the diagonal of A'A, so that the damping does not depend on units, and 1 for an unknown that nothing reacts to,
+so that it is damped all the same. Sources: D. Marquardt, "An algorithm for least-squares estimation of nonlinear
+parameters", 1963; J. More, "The Levenberg-Marquardt algorithm: implementation and theory", 1978.
+
+A small damped step proves nothing: damping makes every step small. Before the method says converged it solves once
+more without damping, and the linear model must agree that chi2 cannot fall. Where that system is singular, something is
+free: the result then says so in `Result.underconstrained`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from models.errors import OptionError
+from nls.linear.base import SingularSystemError
+from nls.optimizers.base import Optimizer
+from nls.optimizers.undamped import Undamped, diagonal
+
+if TYPE_CHECKING:
+    from nls.optimizers.problem import Problem
+    from nls.optimizers.watch import Watch
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["LevenbergMarquardt"]
+
+SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
+FAINT, HOPELESS = 1e-10, 1e16  # the least damping, and the one at which no step is left to try
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt(Optimizer):
+    """The damped method: for starts far away, projections, residuals with kinks, and systems with free directions.
+
+    Parameters
+    ----------
+    stop : thresholds; ``max_iterations`` counts the steps that were taken.
+    callback : called with every `Iteration`; returning True stops.
+    damping : lambda of the first step, relative to the diagonal of A'A.
+
+    Raises
+    ------
+    OptionError
+        A damping that is no number above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import FactorGraph, LevenbergMarquardt, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> rosenbrock = lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+    >>> graph = FactorGraph([Factor.from_function(rosenbrock, p[0], dim=2)])
+    >>> result = graph.optimize(Values({p: (R(2), [-1.2, 1.0])}), LevenbergMarquardt())
+    >>> result.converged, result.values[p[0]].round(6)
+    (True, array([1., 1.]))
+    """
+
+    damping: float = 1e-4
+    name = "levenberg-marquardt"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.damping < HOPELESS:
+            raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
+
+    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        damping, undamped = self.damping, Undamped(problem)
+        while watch.status is None:
+            if watch.flat(system):
+                break
+            try:
+                dx = problem.solve(system, damping * diagonal(system))
+            except SingularSystemError as error:
+                trial, promised, led = None, math.inf, f"nowhere: {error}"
+            else:
+                promised = system.promised(dx)
+                Y, trial, led = problem.attempt(X, dx)
+            if trial is not None and system.chi2 - trial.chi2 > SUFFICIENT * promised:
+                X, system = Y, trial
+                watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
+                damping = max(damping / 10, FAINT)
+            else:
+                watch.refuse(system, promised, led, undamped)
+                damping *= 10
+                if damping > HOPELESS and watch.status is None:
+                    watch.stall(led)
+        watch.free = undamped.free
