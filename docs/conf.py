@@ -1,8 +1,12 @@
 """Configuration of the site; `make docs` builds it with every warning fatal."""
 
+import sys
 from importlib.metadata import version as installed_version
+from pathlib import Path
 
 from docutils.parsers.rst.states import Inliner
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "leadline"
 author = "the leadline developers"
@@ -16,6 +20,7 @@ extensions = [
     "sphinx.ext.mathjax",
     # MathJax and its fonts as an ordinary pip dependency, copied into the build: equations need no network and no npm.
     "sphinx-mathjax-offline",
+    "factor_table",  # docs/_ext
 ]
 exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]
 

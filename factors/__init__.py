@@ -1,20 +1,47 @@
 """Factors: one measurement kind per file; noise, measurement and spaces bound into whitened Jacobians and errors."""
 
 from factors.base import Factor
+from factors.bearing import Bearing
+from factors.bearing_range import BearingRange
 from factors.between import Between
+from factors.between_sensors import BetweenSensors
+from factors.bundle import BundleProjection
 from factors.check import check_jacobians
+from factors.heading import Heading
+from factors.landmark import Landmark
 from factors.noise import Covariance, Diagonal, Information, Isotropic, Noise, SqrtInformation
+from factors.position import Position
 from factors.prior import Prior
+from factors.range import Range
+from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
+from factors.seen import Seen
 
 __all__ = [
+    "DCS",
+    "Bearing",
+    "BearingRange",
     "Between",
+    "BetweenSensors",
+    "BundleProjection",
+    "Cauchy",
     "Covariance",
     "Diagonal",
     "Factor",
+    "GemanMcClure",
+    "Heading",
+    "Huber",
     "Information",
     "Isotropic",
+    "Kernel",
+    "Landmark",
     "Noise",
+    "Position",
     "Prior",
+    "Range",
+    "Robust",
+    "Seen",
     "SqrtInformation",
+    "Tukey",
+    "Welsch",
     "check_jacobians",
 ]

@@ -112,7 +112,7 @@ class Factor(ABC):
     def chi2(self, values: Any) -> Array:
         """Squared whitened length |b_i|^2 (n,) of every measurement at some values, before any robust kernel."""
         model, X = values.gather(self)
-        return np.square(model.error(*X)).sum(axis=1)
+        return np.asarray(np.square(model.error(*X)).sum(axis=1))
 
     def weights(self, values: Any) -> Array:
         """Weight (n,) the robust kernel gives every measurement at some values: 1 an inlier, near 0 an outlier."""

@@ -52,7 +52,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     """
     model, X = values.gather(factor)
     A, b = model.linearize(*X)
-    worst = 0.0
+    worst, largest = 0.0, max((float(np.abs(A_k).max(initial=0.0)) for A_k in A), default=0.0)
     for slot, A_k in enumerate(A):
         steps = difference_steps(model.manifolds[slot], X[slot])
         numeric = numerical(model, X, slot, steps)
@@ -62,7 +62,8 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
         coordinate = (steps / STEP) ** 3
         rounding = 10 * EPS / steps[:, None, :] * (np.abs(b)[:, :, None] + scale * coordinate[:, None, :])
         excess = np.maximum(difference - rounding, 0.0)
-        found = float(excess.max(initial=0.0)) / scale if scale else float(np.abs(A_k).max(initial=0.0))
+        size = max(scale, 1e-3 * largest)  # a Jacobian of zeros has no scale of its own
+        found = float(excess.max(initial=0.0)) / size if size else 0.0
         if found > rtol:
             n, row, column = (int(i) for i in np.unravel_index(np.argmax(excess), excess.shape))
             analytic, other = float(A_k[n, row, column]), float(numeric[n, row, column])

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
+from factors.mount import check_offset, fixed_offset
 from factors.noise import ALIASES, Noise
-from models import Manifold
+from models import LieGroup, Manifold
 from models.algebra import Array
 from models.errors import GraphError
 
@@ -22,6 +23,8 @@ class Prior(Factor):
 
     .. math:: h(x) = x, \quad H = I, \quad e = (z \ominus x)_{components}
 
+    With an offset O, a sensor on the vehicle is what is measured: :math:`h(x) = x \circ O, \; H = \mathrm{Ad}_O^{-1}`.
+
     Parameters
     ----------
     key : the variable(s), any space.
@@ -29,11 +32,12 @@ class Prior(Factor):
     noise : of the measured components, in the *body* frame of the variable (tangent space at the prediction).
     components : names of the measured tangent components, e.g. ``("x", "y")``; all when omitted.
     convention : residual of group elements, `factors.conventions`.
+    offset : fixed pose of the sensor on the vehicle, (size,) or (n, size); the noise is then in the sensor's frame.
 
     Raises
     ------
     GraphError
-        A component the space does not have.
+        A component the space does not have; an offset that is no element of the space.
 
     Notes
     -----
@@ -61,11 +65,18 @@ class Prior(Factor):
         noise: Noise,
         components: Sequence[str] | None = None,
         convention: str = "log",
+        offset: npt.ArrayLike | None = None,
     ) -> None:
         super().__init__([key], z, noise, convention)
         self.components = None if components is None else tuple(ALIASES.get(c, c) for c in components)
+        self.offset = None if offset is None else fixed_offset(self, offset)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        if self.offset is not None and not isinstance(manifolds[0], LieGroup):
+            raise GraphError(
+                f"{self!r}: {manifolds[0]} is no group, so nothing has an offset in it", self.keys, self.name
+            )
+        check_offset(self, self.offset, manifolds[0])
         return manifolds[0]
 
     def rows(self, space: Manifold) -> npt.NDArray[np.intp] | slice:
@@ -77,4 +88,7 @@ class Prior(Factor):
         return np.array([space.components.index(c) for c in self.components])
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
-        return X[0], (None,)
+        group = manifolds[0]
+        if self.offset is None or not isinstance(group, LieGroup):
+            return X[0], (None,)
+        return group.compose(X[0], self.offset), (group.adjoint_inverse(self.offset),)

@@ -59,6 +59,8 @@ class Kernel(ABC):
         c is not a finite number above 0.
     """
 
+    c: float
+
     def __init__(self, c: float) -> None:
         if isinstance(c, bool) or not isinstance(c, Real) or not math.isfinite(c) or c <= 0:
             raise OptionError(f"{type(self).__name__}(c)", c, "a finite number above 0, in sigmas")
@@ -73,7 +75,7 @@ class Kernel(ABC):
         """d rho / ds (n,), in [0, 1]."""
 
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and self.c == other.c  # type: ignore[attr-defined]
+        return type(self) is type(other) and self.c == other.c
 
     def __hash__(self) -> int:
         return hash((type(self), self.c))

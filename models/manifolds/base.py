@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, apply, product
-from models.errors import GraphError
+from models.errors import GraphError, OptionError
 
 __all__ = ["LieGroup", "Manifold"]
 
@@ -27,12 +27,14 @@ class Manifold(ABC):
     dim : dimension of the tangent space (degrees of freedom).
     size : numbers per stored element.
     components : names of the tangent components, in order.
+    body_axes : whether the tangent space has the axes of the body, so that a covariance has to say its frame.
     """
 
     name: str
     dim: int
     size: int
     components: tuple[str, ...]
+    body_axes: ClassVar[bool] = False
 
     @abstractmethod
     def retract(self, X: Array, delta: Array) -> Array:
@@ -49,6 +51,26 @@ class Manifold(ABC):
     @abstractmethod
     def position(self, X: Array) -> Array:
         """Where to draw X: a stack (..., 2 or 3) in meters, (..., 0) for a space without places."""
+
+    def world_axes(self, X: Array) -> Array:
+        """G (..., dim, dim): G delta is the step delta at X (..., size) by components along the axes of the world.
+
+        Position first, as in the tangent space: the first rows are the change of `position`, m, the others that of the
+        rotation, rad. The identity where the tangent space has the axes of the world already.
+        """
+        return np.broadcast_to(np.eye(self.dim), (*np.shape(X)[:-1], self.dim, self.dim))
+
+    def euler_axes(self, X: Array) -> Array:
+        """J (..., 6, dim): change of (roll, pitch, yaw, x, y, z) with the step delta at X (..., size), rad and m.
+
+        Raises
+        ------
+        OptionError
+            The elements of the space are no poses in space.
+        SingularGeometryError
+            Gimbal lock.
+        """
+        raise OptionError("view", "euler", f"'position' or none: {self.name} has no roll, pitch, yaw, x, y, z")
 
     def invalid(self, X: Array) -> tuple[int, str] | None:
         """First element of the stack (n, size) that is no element of the space, and why; None when all are."""

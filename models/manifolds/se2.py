@@ -34,6 +34,7 @@ class PosesOfThePlane(LieGroup):
     """
 
     name, dim, size, components, point_dim = "SE2", 3, 3, ("x", "y", "yaw"), 2
+    body_axes = True
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)
@@ -100,6 +101,8 @@ class PosesOfThePlane(LieGroup):
         theta = components(X)[2]
         c, s = np.cos(theta), np.sin(theta)
         return matrix([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    world_axes = vector_jr  # blkdiag(R, 1): the derivative of (t, theta)
 
     def rotation(self, X: npt.ArrayLike) -> Array:
         return rotation2(components(X)[2])

@@ -57,6 +57,7 @@ class PosesOfSpace(LieGroup):
 
     name, dim, size, point_dim = "SE3", 6, 7, 3
     components = ("x", "y", "z", "roll", "pitch", "yaw")
+    body_axes = True
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
@@ -113,6 +114,17 @@ class PosesOfSpace(LieGroup):
     def vector_jr(self, X: npt.ArrayLike) -> Array:
         _, q = split(X)
         return block_triangular(rotation3(q), _ZERO, quaternion_vector_jr(q))
+
+    def world_axes(self, X: Array) -> Array:
+        R = self.rotation(X)
+        return block_triangular(R, _ZERO, R)
+
+    def euler_axes(self, X: Array) -> Array:
+        from models.manifolds import euler  # which builds on this file
+
+        T_inv = euler.rate_matrix_inv(euler.angles_from_quaternion(split(X)[1]))
+        turned = block_triangular(self.rotation(X), _ZERO, T_inv)  # (x, y, z, roll, pitch, yaw)
+        return turned[..., [3, 4, 5, 0, 1, 2], :]
 
     def rotation(self, X: npt.ArrayLike) -> Array:
         return rotation3(split(X)[1])

@@ -112,6 +112,7 @@ class RotationsOfSpace(LieGroup):
     """
 
     name, dim, size, components, point_dim = "SO3", 3, 4, ("roll", "pitch", "yaw"), 3
+    body_axes = True
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         x, y, z = components(delta)
@@ -139,7 +140,7 @@ class RotationsOfSpace(LieGroup):
     def rotation(self, X: npt.ArrayLike) -> Array:
         return rotation3(np.asarray(X, dtype=float))
 
-    adjoint = rotation
+    adjoint = world_axes = rotation
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         w = np.asarray(delta, dtype=float)

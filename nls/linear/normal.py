@@ -13,6 +13,7 @@ from models.algebra import Array
 from models.errors import EvaluationError
 from nls.hessian import Blocks, Hessian
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.limits import checked_limit, default_limit, refuse_above
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
@@ -42,8 +43,13 @@ class Factorization(ABC):
         """Solution of H x = g for g (n,) or (n, k), in the order of the `Hessian`."""
 
     @abstractmethod
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        """Sparse lower triangular L and its order p, with H[p][:, p] = L L', H in the order of the `Hessian`."""
+
     def upper(self) -> tuple[sp.csc_array, Index]:
-        """Sparse upper triangular R and its order p, with H[p][:, p] = R'R, H in the order of the `Hessian`."""
+        """Sparse upper triangular R = L' and its order p, with H[p][:, p] = R'R, H in the order of the `Hessian`."""
+        L, p = self.lower()
+        return sp.csc_array(L.T), p
 
 
 class NormalState:
@@ -64,6 +70,11 @@ class NormalState:
         x = np.empty_like(g)
         x[self.hessian.permutation] = self.factorization.solve(g[self.hessian.permutation])
         return x
+
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        """L and p with H[p][:, p] = L L', H = A'A with the columns in the order of A."""
+        L, p = self.factorization.lower()
+        return L, self.hessian.permutation[p]
 
     def upper(self) -> tuple[sp.csc_array, Index]:
         """R and p with H[p][:, p] = R'R, H = A'A with the columns in the order of A."""
@@ -94,25 +105,51 @@ class NormalState:
 
 
 class NormalEquations(LinearSolver):
-    """A solver by factorization of A'A; subclasses name the factorization."""
+    """A solver by factorization of A'A; subclasses name the factorization.
+
+    Parameters
+    ----------
+    memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted,
+        `nls.linear.limits`.
+    """
 
     factorization: ClassVar[type[Factorization]]
+    per_number: ClassVar[float]  # bytes at the peak per number of R, measured: nls.linear.limits
+
+    def __init__(self, memory_limit: float | None = None) -> None:
+        self.memory_limit = checked_limit(memory_limit)
 
     def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
+        """Ordering and symbolic factorization.
+
+        Raises
+        ------
+        MissingSolverError
+        ResourceLimitError
+            R would take more than the limit.
+        """
         self.require()
         blocks = Blocks(pattern)
-        return blocks, NormalState(blocks.structure(self.factorization.order), self.factorization)
+        hessian = blocks.structure(self.factorization.order)
+        refuse_above(self.memory_limit or default_limit(), self.per_number, blocks, hessian, self.name)
+        return blocks, NormalState(hessian, self.factorization)
 
-    def solve(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution:
+    def solve(
+        self, analyzed: tuple[Blocks, NormalState], system: LinearSystem, damping: Array | None = None
+    ) -> LinearSolution:
         blocks, state = analyzed
         t0 = perf_counter()
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
             S = blocks.fill(system)
             gradient = system.gradient
+        if damping is not None:
+            state.hessian.damp(S, damping)
         t1 = perf_counter()
-        squared_norms = np.empty_like(gradient)
-        squared_norms[state.hessian.permutation] = state.factorize(S)
-        system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
+        diagonal = state.factorize(S)
+        if damping is None:
+            squared_norms = np.empty_like(gradient)
+            squared_norms[state.hessian.permutation] = diagonal
+            system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
         t2 = perf_counter()
         dx = state.solve(gradient)
         if not np.isfinite(dx.sum()):

@@ -17,12 +17,12 @@ from factors import Between, Factor, Noise, Prior, SqrtInformation
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import SE2, SE3, SO2, SO3, LieGroup, Manifold, R
+from models.manifolds.measured import ANGLES, MeasuredNumbers
 from nls import Values
 
 Array = npt.NDArray[np.float64]
 GROUPS: list[LieGroup] = [SO2, SE2, SO3, SE3, R(2), R(3)]
 CASES = ["truth", "large innovation", "near identity", "residual near pi", "state near pi"]
-ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class Sample:
     build : the factor of (keys, z, noise).
     truth : the measurement z (n, size) of the stacks of variables, not by way of the library's prediction.
     convention : of the residual.
+    around : where the variables are, one element (size,) each; about the identity when omitted. It keeps targets away
+        from the sensor, and puts bearings where they wrap.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Sample:
     build: Callable[[tuple[Keys, ...], Array, Noise], Factor]
     truth: Callable[..., Array]
     convention: str = "log"
+    around: tuple[Array, ...] | None = None
 
     def __str__(self) -> str:
         return self.name
@@ -62,7 +65,7 @@ class Sample:
 def turned(manifold: Manifold, n: int, angle: float, length: float, rng: np.random.Generator) -> Array:
     """Random tangent steps of given angle and length."""
     delta = np.zeros((n, manifold.dim))
-    angular = np.isin(manifold.components, ANGLES)
+    angular = np.isin(manifold.components, list(ANGLES))
     for part, size in ((angular, angle), (~angular, length)):
         if part.any():
             v = rng.normal(size=(n, int(part.sum())))
@@ -70,16 +73,18 @@ def turned(manifold: Manifold, n: int, angle: float, length: float, rng: np.rand
     return delta
 
 
-def states(manifold: Manifold, n: int, case: str, rng: np.random.Generator) -> Array:
+def states(manifold: Manifold, n: int, case: str, rng: np.random.Generator, around: Array | None = None) -> Array:
     """Variables of a case."""
+    centers = manifold.identity(n) if around is None else np.tile(around, (n, 1))
     angle, length = {"near identity": (1e-8, 1e-8), "state near pi": (np.pi - 1e-9, 3.0)}.get(case, (1.3, 3.0))
-    return manifold.retract(manifold.identity(n), turned(manifold, n, angle, length, rng))
+    return manifold.retract(centers, turned(manifold, n, angle, length, rng))
 
 
 def situation(sample: Sample, case: str, n: int, seed: int) -> tuple[tuple[Array, ...], Array]:
     """Stacks of variables and a measurement as far from the prediction as the case says."""
     rng = np.random.default_rng(seed)
-    X = tuple(states(manifold, n, case, rng) for manifold in sample.manifolds)
+    around = sample.around or (None,) * len(sample.manifolds)
+    X = tuple(states(m, n, case, rng, center) for m, center in zip(sample.manifolds, around, strict=True))
     angle, length = {
         "truth": (0.0, 0.0),
         "large innovation": (2.0, 5.0),
@@ -154,6 +159,9 @@ def logarithm(group: Manifold, M: Array) -> Array:
 
 def innovation_by_hand(group: Manifold, h: Array, z: Array, convention: str) -> Array:
     """z [-] h of one measurement, in the four conventions."""
+    if isinstance(group, MeasuredNumbers):
+        angular = np.isin(group.components, ["bearing", "azimuth", "elevation", "yaw"])
+        return np.where(angular, np.arctan2(np.sin(z - h), np.cos(z - h)), z - h)
     H, Z = homogeneous(group, h), homogeneous(group, z)
     if convention == "g2o":
         if group not in (SO2, SE2, SO3, SE3):

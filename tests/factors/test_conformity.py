@@ -21,7 +21,6 @@ from nls import Values, kinds
 from tests.factors.samples import (
     CASES,
     GROUPS,
-    SAMPLES,
     Sample,
     full_noise,
     innovation_by_hand,
@@ -30,8 +29,11 @@ from tests.factors.samples import (
     turned,
     whiteners,
 )
+from tests.factors.samples import SAMPLES as POSE_SAMPLES
+from tests.factors.samples_sensors import SENSOR_SAMPLES
 
 Array = npt.NDArray[np.float64]
+SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES]
 every_sample = pytest.mark.parametrize("sample", SAMPLES, ids=str)
 every_case = pytest.mark.parametrize("case", CASES)
 every_size = pytest.mark.parametrize("n", [1, 7])

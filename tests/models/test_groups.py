@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import models.manifolds
-from models import SE2, SE3, SO2, SO3, LieGroup, R
+from models import SE2, SE3, SO2, SO3, LieGroup, Measured, R
 from models.errors import GraphError, OptionError
 
 Array = npt.NDArray[np.float64]
@@ -26,15 +26,16 @@ MODULES = [
     importlib.import_module(m.name) for m in pkgutil.walk_packages(models.manifolds.__path__, "models.manifolds.")
 ]
 FOUND = [value for module in MODULES for value in vars(module).values() if isinstance(value, LieGroup)]
-GROUPS = list(dict.fromkeys([*FOUND, R(1), R(2), R(3), R(7)]))
+GROUPS = list(dict.fromkeys([*FOUND, R(1), R(2), R(3), R(7), Measured("range", "bearing")]))
 ANGLES = [0.0, 1e-9, 1e-7, 1e-4, 0.1, 1.0, 3.0, np.pi - 1e-7, np.pi - 1e-9]
-LENGTHS = ["x", "y", "z", *(f"c{k}" for k in range(7))]  # components that are lengths or plain numbers
-AXES = ["roll", "pitch", "yaw"]  # components that are angles, about x, y and z
+LENGTHS = ["x", "y", "z", *(f"c{k}" for k in range(7)), "range"]  # components that are lengths or plain numbers
+AXES = ["roll", "pitch", "yaw", "bearing"]  # components that are angles, about x, y and z
 SHAPES: list[tuple[int, ...]] = [(), (1,), (3, 1, 2)]
 STEP = 1e-5
 OTHER_FORMS: dict[str, list[Callable[[Array], Array]]] = {  # other stored numbers of the same element
     "SO2": [lambda X: X + 2 * np.pi, lambda X: X - 4 * np.pi],
     "SE2": [lambda X: X + np.array([0, 0, 2 * np.pi]), lambda X: X - np.array([0, 0, 4 * np.pi])],
+    "(range, bearing)": [lambda X: X + np.array([0, 2 * np.pi])],
     "SO3": [lambda X: -X, lambda X: 1.001 * X],
     "SE3": [lambda X: X * [1, 1, 1, -1, -1, -1, -1], lambda X: X * [1, 1, 1, *[-0.999] * 4]],
 }
@@ -70,7 +71,8 @@ def element(group: LieGroup, shape: tuple[int, ...], rng: np.random.Generator, l
 def form(group: LieGroup, X: Array) -> Array:
     """Elements as numbers that are the same for the same element: homogeneous matrices, or the stored vectors."""
     if not group.point_dim:
-        return X
+        k = turning(group)
+        return np.concatenate([np.delete(X, k, axis=-1), np.cos(X[..., k]), np.sin(X[..., k])], axis=-1)
     k = group.point_dim
     M = np.zeros((*X.shape[:-1], k + 1, k + 1))
     M[..., :k, :k] = group.rotation(X)
@@ -259,8 +261,8 @@ def test_vector_and_its_jacobians(group: LieGroup, shape: tuple[int, ...], angle
 def vector_by_hand(group: LieGroup, X: Array) -> Array:
     """Translation, then the wrapped angle or the vector part of the quaternion with w >= 0."""
     k = turning(group)
-    if not k:
-        return X
+    if not group.point_dim:  # plain numbers, angles among them
+        return np.concatenate([np.delete(X, k, axis=-1), np.angle(np.exp(1j * X[..., k]))], axis=-1)
     t = group.act(X, np.zeros(group.point_dim)) if group.dim > len(k) else X[..., :0]
     rotation = group.rotation(X)
     if group.point_dim == 2:

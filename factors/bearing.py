@@ -1,0 +1,58 @@
+"""A direction: camera ray, hydrophone pair, scanning sonar without range."""
+
+from __future__ import annotations
+
+from factors.seen import Seen
+from models import Manifold, Measured
+from models.algebra import Array
+from models.sensors import direction
+
+__all__ = ["Bearing"]
+
+
+class Bearing(Seen):
+    r"""Direction from the sensor to a target, relative to the sensor's axes: x ahead, y to starboard, z down.
+
+    .. math:: h(X, l) = \mathrm{atan2}(p_y, p_x) \quad [, \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2})], \quad
+              p = (X \circ O)^{-1} l
+
+    Parameters
+    ----------
+    pose : the vehicle(s), SE2 or SE3.
+    target : the point(s), R(2) for SE2, R(3) for SE3; or poses of the same group, of which the position is meant.
+    z : (n,) bearings in the plane, (n, 2) azimuth and elevation in space, rad.
+    noise : of ``bearing``, or of ``azimuth`` and ``elevation``, rad.
+    offset : pose of the sensor on the vehicle, (size,) or (n, size), or a variable of the group; None: no offset.
+
+    Raises
+    ------
+    GraphError
+        Spaces or shapes that do not fit.
+    SingularGeometryError
+        At evaluation: a target at the sensor (plane) or on its z axis (space), where the azimuth is not defined.
+
+    Notes
+    -----
+    The distance is not measured: a target needs two directions from positions not in line with it, and a map of
+    bearings alone has no scale. Across the line of sight a sigma of azimuth is worth that times the cosine of the
+    elevation. R. Hartley, A. Zisserman, Multiple View Geometry in Computer Vision, 2004, chapter 12.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Bearing, Diagonal
+    >>> from models import SE2, R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Bearing(x[[0, 1]], l[0], [np.pi / 4, 3 * np.pi / 4], Diagonal(bearing=0.01))])
+    >>> graph.fix(x[[0, 1]])
+    >>> values = Values({x: (SE2, [[0, 0, 0], [2, 0, 0]]), l: (R(2), [0.8, 0.7])})
+    >>> graph.optimize(values).values[l[0]].round(6)
+    array([1., 1.])
+    """
+
+    def measured(self, d: int) -> Manifold:
+        return Measured("bearing") if d == 2 else Measured("azimuth", "elevation")
+
+    def sense(self, p: Array) -> tuple[Array, Array]:
+        return direction(p)

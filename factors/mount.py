@@ -1,0 +1,101 @@
+"""Where a sensor sits on the vehicle: checks of poses, points and offsets that several factors share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.keys import Keys
+from models import SE2, SE3, LieGroup, Manifold
+from models.algebra import Array
+from models.errors import GraphError, SingularGeometryError
+from models.sensors import SingularAt
+
+__all__ = ["check_offset", "fixed_offset", "named_singularity", "pose_group"]
+
+
+def fixed_offset(factor: Factor, offset: npt.ArrayLike) -> Array:
+    """An offset as a read-only copy (n or 1, size); its size is checked when the factor is bound.
+
+    Raises
+    ------
+    GraphError
+        No array of numbers.
+    """
+    try:
+        if isinstance(offset, Keys):
+            raise TypeError("a variable; here it must be known")
+        array = np.array(offset, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise GraphError(
+            f"{factor!r}: its offset is not an array of numbers: {error}", factor.keys, factor.name
+        ) from error
+    array = np.atleast_2d(array)
+    array.setflags(write=False)
+    return array
+
+
+def check_offset(factor: Factor, offset: Array | Keys | None, space: Manifold, given: Manifold | None = None) -> None:
+    """Refuse an offset that is not an element of a space, one for all measurements or one for each.
+
+    Parameters
+    ----------
+    factor : for the message.
+    offset : fixed array, variable, or None.
+    space : what it has to be in.
+    given : the space of the variable.
+
+    Raises
+    ------
+    GraphError
+    """
+    if isinstance(offset, Keys):
+        if given is not space:
+            raise GraphError(
+                f"{factor!r}: the offset {offset[[0]]} is in {given}, expected {space} like the pose",
+                factor.keys,
+                factor.name,
+            )
+    elif offset is not None:
+        try:
+            space.stack(offset)
+        except GraphError as error:
+            raise GraphError(f"{factor!r}: offset: {error}", factor.keys, factor.name) from error
+        if len(offset) not in (1, len(factor)):
+            raise GraphError(
+                f"{factor!r}: {len(offset)} offsets for {len(factor)} measurements; give one, or one for each",
+                factor.keys,
+                factor.name,
+            )
+
+
+def pose_group(factor: Factor, manifold: Manifold, hint: str = "") -> LieGroup:
+    """The space of the first variable as a group of poses.
+
+    Raises
+    ------
+    GraphError
+        Neither SE2 nor SE3.
+    """
+    if manifold is not SE2 and manifold is not SE3:
+        raise GraphError(
+            f"{factor!r}: {factor.keys[0][[0]]} is in {manifold}, expected a pose, SE2 or SE3{hint}",
+            factor.keys,
+            factor.name,
+        )
+    assert isinstance(manifold, LieGroup)
+    return manifold
+
+
+@contextmanager
+def named_singularity(factor: Factor) -> Iterator[None]:
+    """Say which measurement of the factor a singular geometry belongs to."""
+    try:
+        yield
+    except SingularAt as error:
+        keys = [k[[error.index]] for k in factor.keys]
+        raise SingularGeometryError(f"{factor.describe(error.index)}: {error}", factor.name, keys) from error

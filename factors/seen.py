@@ -1,0 +1,119 @@
+r"""What landmark, range and bearing have in common: the target's position in the frame of the sensor, then g of it.
+
+S = X o O                        pose of the sensor: vehicle X, mounting O (sensor to vehicle)
+p = S^-1 l,   z = g(p)           l: the target, or the position of the target's pose L = (R_L, l)
+
+H_S = J_g [-I, [p]x]             J_g = dg/dp; in the plane [-I, (p_y, -p_x)']
+H_X = H_S Ad(O)^-1               X Exp(d) o O = S Exp(Ad(O)^-1 d)
+H_O = H_S
+H_l = J_g R_S'                   of a pose as target: J_g R_S' [R_L, 0]
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor, Jacobians
+from factors.keys import Keys
+from factors.mount import check_offset, fixed_offset, named_singularity, pose_group
+from factors.noise import Noise
+from models import LieGroup, Manifold, R
+from models.algebra import Array, product
+from models.errors import GraphError
+from models.sensors import point_in_frame
+
+__all__ = ["Seen"]
+
+
+class Seen(Factor):
+    r"""A target seen from a pose: the base class of `Landmark`, `Range`, `Bearing` and `BearingRange`.
+
+    .. math:: h(X, l) = g(p), \quad p = (X \circ O)^{-1} l
+
+    A subclass states `measured` and `sense`, and `point` where a single measurement says where the target is.
+
+    Parameters
+    ----------
+    pose : the vehicle(s), SE2 or SE3.
+    target : the point(s), R(2) or R(3), or other poses of the same group, of which the position is meant.
+    z : (n, size) measurements.
+    noise : of the measured numbers, by the names of `measured`.
+    offset : pose of the sensor on the vehicle in the stored form of the pose group, (size,) or (n, size); a variable of
+        that group, to be estimated; None where the sensor is the vehicle.
+
+    Attributes
+    ----------
+    offset : None, the fixed offsets (1 or n, size), or the `Keys` of the variable(s).
+    locates : whether one measurement is enough to say where its target is.
+    """
+
+    relative = True
+    locates: ClassVar[bool] = False
+
+    def __init__(
+        self, pose: Keys, target: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None
+    ) -> None:
+        keys = [pose, target, offset] if isinstance(offset, Keys) else [pose, target]
+        super().__init__(keys, z, noise)
+        self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))  # type: ignore[misc]
+        self.offset: Array | Keys | None = (
+            self.keys[2] if len(keys) == 3 else None if offset is None else fixed_offset(self, offset)  # type: ignore[arg-type]
+        )
+
+    @abstractmethod
+    def measured(self, d: int) -> Manifold:
+        """The space of z for points of d = 2 or 3 coordinates."""
+
+    @abstractmethod
+    def sense(self, p: Array) -> tuple[Array, Array | None]:
+        """g(p) and J_g for targets p (n, d) in the frame of the sensor, m; None for the identity."""
+
+    def point(self, z: Array) -> Array:
+        """The target p (n, d) in the frame of the sensor, m, from z (n, size): the inverse of g, where it has one."""
+        raise NotImplementedError(f"{self.name}: one measurement does not say where its target is")
+
+    def locate(self, group: LieGroup, S: Array, z: Array) -> Array:
+        """Targets l = S p (n, d) in the world, m, from measurements z (n, size) and poses S (n, size) of the sensor."""
+        return group.act(S, self.point(z))
+
+    def sensor_pose(self, group: LieGroup, X: Array, *O: Array) -> Array:
+        """S = X o O (n, size), the poses of the sensor, from the stacks of the pose and of a variable offset."""
+        if isinstance(self.offset, np.ndarray):
+            return group.compose(X, self.offset)
+        return group.compose(X, *O) if O else X
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        group = pose_group(self, manifolds[0])
+        points = R(group.point_dim)
+        if manifolds[1] is not points and manifolds[1] is not group:
+            raise GraphError(
+                f"{self!r}: the target {self.keys[1][[0]]} is in {manifolds[1]}; from a pose of {group} it must be in "
+                f"{points} or {group}",
+                self.keys,
+                self.name,
+            )
+        check_offset(self, self.offset, group, manifolds[-1])
+        return self.measured(group.point_dim)
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        group, target = manifolds[:2]
+        assert isinstance(group, LieGroup)
+        S = self.sensor_pose(group, X[0], *X[2:])  # X o O
+        p, (H_S, H_l) = point_in_frame(group, S, target.position(X[1]))  # S^-1 l
+        with named_singularity(self):
+            h, J_g = self.sense(p)
+        if J_g is not None:
+            H_S, H_l = product(J_g, H_S), product(J_g, H_l)
+        if target is group:
+            H_L = np.zeros((*H_l.shape[:-1], group.dim))
+            H_L[..., : group.point_dim] = product(H_l, group.rotation(X[1]))
+            H_l = H_L
+        if self.offset is None:
+            return h, (H_S, H_l)
+        O = X[2] if len(X) == 3 else np.asarray(self.offset)
+        H_X = product(H_S, group.adjoint_inverse(O))
+        return h, (H_X, H_l, H_S) if len(X) == 3 else (H_X, H_l)

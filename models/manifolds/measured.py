@@ -1,0 +1,81 @@
+"""Spaces of measured numbers with names, some of them angles: ("bearing", "range"), ("yaw",), ("x", "y")."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, wrap
+from models.errors import OptionError
+from models.manifolds.base import LieGroup
+
+__all__ = ["ANGLES", "Measured"]
+
+ANGLES = frozenset({"azimuth", "bearing", "elevation", "pitch", "roll", "yaw"})  # what is wrapped; the rest is not
+
+
+class MeasuredNumbers(LieGroup):
+    """Numbers that add up, angles among them wrapped to [-pi, pi): a vector space times circles."""
+
+    flat = True
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.name, self.components = f"({', '.join(names)})", names
+        self.dim = self.size = len(names)
+        self._angles = [k for k, name in enumerate(names) if name in ANGLES]
+
+    def exp(self, delta: npt.ArrayLike) -> Array:
+        X = np.array(delta, dtype=float)
+        for k in self._angles:
+            X[..., k] = wrap(X[..., k])
+        return X
+
+    log = vector = exp
+
+    def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
+        return self.exp(np.asarray(X, dtype=float) + np.asarray(Y, dtype=float))
+
+    def inverse(self, X: npt.ArrayLike) -> Array:
+        return self.exp(-np.asarray(X, dtype=float))
+
+    def _unit(self, X: npt.ArrayLike) -> Array:
+        return np.broadcast_to(np.eye(self.dim), (*np.shape(X)[:-1], self.dim, self.dim))
+
+    adjoint = jl = jl_inv = vector_jl = vector_jr = _unit
+
+    def identity(self, n: int = 1) -> Array:
+        return np.zeros((n, self.dim))
+
+    def position(self, X: Array) -> Array:
+        return X[..., :0]
+
+
+def Measured(*names: str) -> LieGroup:
+    """The space of measurements with these components; ``Measured("range") is Measured("range")``.
+
+    Parameters
+    ----------
+    *names : in the order of the numbers; they name the sigmas of a noise. azimuth, bearing, elevation, roll, pitch and
+        yaw are angles, rad, and wrap; every other name is a plain number.
+
+    Raises
+    ------
+    OptionError
+        No name, or one given twice.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Measured("bearing", "range").local(np.array([[3.0, 5.0]]), np.array([[-3.0, 6.0]])).round(4)
+    array([[0.2832, 1.    ]])
+    """
+    if not names or not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+        raise OptionError("Measured(*names)", names, "different names, at least one")
+    return _measured(names)
+
+
+@cache
+def _measured(names: tuple[str, ...]) -> LieGroup:
+    return MeasuredNumbers(names)

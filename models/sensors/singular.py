@@ -1,0 +1,32 @@
+"""Refusing a geometry in which a sensor's equation has no value, with the element of the batch it is in."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.errors import SingularGeometryError
+
+__all__ = ["CLOSE", "SingularAt", "refuse"]
+
+CLOSE = 1e-9  # m; coordinates of 1 km are rounded to 1e-13 m: nearer than this the digits of a direction are noise
+
+
+class SingularAt(SingularGeometryError):
+    """A singular geometry of one element of a stack; factors add which measurement and variables that is.
+
+    Parameters
+    ----------
+    message : what is singular and what to do.
+    index : the element of the stack.
+    """
+
+    def __init__(self, message: str, index: int) -> None:
+        self.index = index
+        super().__init__(message)
+
+
+def refuse(bad: npt.NDArray[np.bool_], message: str) -> None:
+    """Raise `SingularAt` for the first True of bad (n,)."""
+    if bad.any():
+        raise SingularAt(message, int(np.argmax(bad)))

@@ -1,0 +1,214 @@
+"""Samples of the factors that see something: by hand through homogeneous matrices, one measurement at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from factors import (
+    Bearing,
+    BearingRange,
+    BetweenSensors,
+    BundleProjection,
+    Factor,
+    Heading,
+    Landmark,
+    Noise,
+    Position,
+    Prior,
+    Range,
+)
+from factors.conventions import CONVENTIONS
+from factors.keys import Keys
+from models import SE2, SE3, SO3, LieGroup, Manifold, Measured, R
+from tests.factors.samples import Sample, homogeneous, stored
+
+Array = npt.NDArray[np.float64]
+
+MOUNT = {  # a sensor ahead of and below the vehicle, tilted
+    SE2: np.array([0.8, -0.3, 2.0]),
+    SE3: np.array([0.8, -0.3, 0.4, *Rotation.from_euler("ZYX", [2.0, -0.6, 0.3]).as_quat()]),
+}
+AHEAD = {2: np.array([8.0, 4.0]), 3: np.array([8.0, 4.0, -5.0])}
+ASTERN = {2: np.array([-9.0, 0.0]), 3: np.array([-9.0, 0.0, 2.0])}  # bearings near +-pi
+
+
+def in_sensor(group: Manifold, X: Array, target: Array, O: Array) -> Array:
+    """S^-1 l of one measurement; the target is a point, or the translation of a pose."""
+    d = len(homogeneous(group, X)) - 1
+    return np.linalg.solve(homogeneous(group, X) @ homogeneous(group, O), np.append(target[:d], 1.0))[:d]
+
+
+def azimuth(p: Array) -> float:
+    return float(np.angle(complex(p[0], p[1])))
+
+
+def elevation(p: Array) -> float:
+    return float(np.arcsin(p[2] / np.linalg.norm(p)))
+
+
+def bearing_of(p: Array) -> list[float]:
+    return [azimuth(p)] if len(p) == 2 else [azimuth(p), elevation(p)]
+
+
+BY_HAND: dict[type[Factor], Callable[[Array], Array]] = {
+    Landmark: lambda p: p,
+    Range: lambda p: np.array([np.sqrt(p @ p)]),
+    Bearing: lambda p: np.array(bearing_of(p)),
+    BearingRange: lambda p: np.array([*bearing_of(p), np.sqrt(p @ p)]),
+}
+
+
+def space_of(kind: type[Factor], d: int) -> Manifold:
+    angles = ("bearing",) if d == 2 else ("azimuth", "elevation")
+    return {
+        Landmark: R(d),
+        Range: Measured("range"),
+        Bearing: Measured(*angles),
+        BearingRange: Measured(*angles, "range"),
+    }[kind]
+
+
+def seen(kind: type[Factor], group: LieGroup, mode: str, target: str = "point", where: str = "ahead") -> Sample:
+    """mode: no offset, a fixed one, or a variable; target: point or pose; where it is."""
+    d = group.point_dim
+    space, by_hand = space_of(kind, d), BY_HAND[kind]
+    place = (AHEAD if where == "ahead" else ASTERN)[d]
+    manifolds: tuple[Manifold, ...] = (group, R(d) if target == "point" else group)
+    around = [group.identity()[0], place if target == "point" else np.concatenate([place, group.identity()[0][d:]])]
+    if mode == "variable":
+        manifolds, around = (*manifolds, group), [*around, group.identity()[0]]
+
+    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
+        offset = {"none": None, "fixed": MOUNT[group], "variable": keys[-1]}[mode]
+        return kind(keys[0], keys[1], z, noise, offset=offset)  # type: ignore[call-arg]
+
+    def truth(X: Array, L: Array, *O: Array) -> Array:
+        mounts = O[0] if O else np.tile(MOUNT[group] if mode == "fixed" else group.identity()[0], (len(X), 1))
+        return np.array([by_hand(in_sensor(group, x, l, o)) for x, l, o in zip(X, L, mounts, strict=True)])
+
+    name = f"{kind.__name__}-{group}-{target}-{where}-offset {mode}"
+    return Sample(name, manifolds, space, space.dim, build, truth, around=tuple(around))
+
+
+def position(group: LieGroup, components: tuple[str, ...] | None, arm: Array | None) -> Sample:
+    names = components or ("x", "y", "z")[: group.point_dim]
+    rows = ["xyz".index(name) for name in names]
+
+    def truth(X: Array) -> Array:
+        body = np.append(np.zeros(group.point_dim) if arm is None else arm, 1.0)
+        return np.array([(homogeneous(group, x) @ body)[rows] for x in X])
+
+    return Sample(
+        f"Position-{group}-{'+'.join(names)}" + ("" if arm is None else "-arm"),
+        (group,),
+        Measured(*names),
+        len(names),
+        lambda keys, z, noise: Position(keys[0], z, noise, components, offset=arm),
+        truth,
+    )
+
+
+def yaw_by_hand(group: Manifold, X: Array) -> Array:
+    if group is SE2:
+        return np.array([[np.angle(np.exp(1j * x[2]))] for x in X])
+    return np.array([[Rotation.from_quat(x[3:]).as_euler("ZYX")[0]] for x in X])
+
+
+def head(group: LieGroup, name: str, around: Array) -> Sample:
+    return Sample(
+        f"Heading-{group}-{name}",
+        (group,),
+        Measured("yaw"),
+        1,
+        lambda keys, z, noise: Heading(keys[0], z, noise),
+        lambda X: yaw_by_hand(group, X),
+        around=(around,),
+    )
+
+
+def prior_at(group: LieGroup, convention: str, components: tuple[str, ...] | None = None) -> Sample:
+    mount = MOUNT[group]
+    return Sample(
+        f"Prior-{group}-{convention}-offset" + (f"-{'+'.join(components)}" if components else ""),
+        (group,),
+        group,
+        len(components) if components else group.dim,
+        lambda keys, z, noise: Prior(keys[0], z, noise, components, convention, offset=mount),
+        lambda X: np.array([stored(group, homogeneous(group, x) @ homogeneous(group, mount)) for x in X]),
+        convention,
+    )
+
+
+def between_sensors(group: LieGroup, convention: str, variable: bool) -> Sample:
+    O_i = MOUNT.get(group, group.exp(np.full(group.dim, 0.4)))
+    O_j = group.inverse(group.compose(O_i, O_i))
+
+    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
+        return BetweenSensors(keys[0], keys[1], z, noise, keys[2] if variable else (O_i, O_j), convention)
+
+    def truth(X_i: Array, X_j: Array, *O: Array) -> Array:
+        out = []
+        for k in range(len(X_i)):
+            a, b = (O[0][k], O[0][k]) if O else (O_i, O_j)
+            S_i, S_j = (homogeneous(group, X[k]) @ homogeneous(group, o) for X, o in ((X_i, a), (X_j, b)))
+            out.append(stored(group, np.linalg.inv(S_i) @ S_j))
+        return np.array(out)
+
+    return Sample(
+        f"BetweenSensors-{group}-{convention}-offset {'variable' if variable else 'fixed'}",
+        (group,) * (3 if variable else 2),
+        group,
+        group.dim,
+        build,
+        truth,
+        convention,
+    )
+
+
+def pixels(camera: Array, intrinsics: Array, X: Array) -> Array:
+    out = []
+    for c, (f, k1, k2), point in zip(camera, intrinsics, X, strict=True):
+        P = Rotation.from_rotvec(c[:3]).apply(point) + c[3:]
+        p = P[:2] / -P[2]
+        out.append(f * (1 + k1 * (p @ p) + k2 * (p @ p) ** 2) * p)
+    return np.array(out)
+
+
+BUNDLE = Sample(
+    "BundleProjection",
+    (R(6), R(3), R(3)),
+    Measured("u", "v"),
+    2,
+    lambda keys, z, noise: BundleProjection(*keys, z, noise),
+    pixels,
+    around=(np.array([0.3, -0.2, 0.1, 0.5, 0.2, -15.0]), np.array([6.0, -0.1, 0.02]), np.array([1.0, -1.0, 0.5])),
+)
+
+KINDS: list[type[Factor]] = [Landmark, Range, Bearing, BearingRange]
+PLANE_AND_SPACE: list[LieGroup] = [SE2, SE3]
+TILTED = np.array([1.0, 2.0, 3.0, *Rotation.from_euler("ZYX", [-3.1, 0.2, -0.3]).as_quat()])
+
+SENSOR_SAMPLES = [
+    *(seen(kind, group, mode) for kind in KINDS for group in PLANE_AND_SPACE for mode in ("none", "fixed", "variable")),
+    *(seen(kind, group, mode, "pose") for kind in KINDS for group in PLANE_AND_SPACE for mode in ("none", "variable")),
+    *(seen(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
+    position(SE2, None, None),
+    position(SE2, ("y",), np.array([1.5, -0.5])),
+    position(SE3, None, None),
+    position(SE3, ("z",), None),
+    position(SE3, None, np.array([0.5, -0.2, 1.0])),
+    position(SE3, ("z", "x"), np.array([0.5, -0.2, 1.0])),
+    head(SE2, "level", np.array([1.0, 2.0, -3.0])),
+    head(SE3, "level", SE3.identity()[0]),
+    head(SE3, "tilted", TILTED),
+    *(prior_at(group, convention) for group in PLANE_AND_SPACE for convention in CONVENTIONS),
+    prior_at(SE3, "g2o", ("z", "roll")),
+    *(between_sensors(g, c, v) for g in PLANE_AND_SPACE for c in CONVENTIONS for v in (False, True)),
+    *(between_sensors(SO3, "log", variable) for variable in (False, True)),
+    between_sensors(R(2), "log", False),
+    BUNDLE,
+]

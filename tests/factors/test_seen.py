@@ -1,0 +1,260 @@
+"""Landmark, Range, Bearing and BearingRange: where the sensor sits, what is refused, what they are good for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from factors import Bearing, BearingRange, Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range, Seen
+from factors.keys import Keys
+from models import SE2, SE3, SO2, LieGroup, R
+from models.errors import GraphError, NoiseModelError, SingularGeometryError, UnderconstrainedError
+from nls import FactorGraph, Values, kinds
+
+Array = npt.NDArray[np.float64]
+same = np.testing.assert_allclose
+x, l, o = kinds("x", "l", "o")
+UNIT = Isotropic()
+QUARTER = [0.5, 0.0, pi / 2]  # half a meter ahead, looking to the vehicle's +y
+KINDS = [Landmark, Range, Bearing, BearingRange]
+NUMBERS = {Landmark: (2, 3), Range: (1, 1), Bearing: (1, 2), BearingRange: (2, 3)}
+
+
+def error(factor: Factor, values: Values) -> Array:
+    model, X = values.gather(factor)
+    return model.error(*X)
+
+
+def plane(**more: object) -> Values:
+    return Values({x: (SE2, [[1.0, 2.0, pi / 2], [0, 0, 0], [0, 0, 0]]), l: (R(2), [[1.0, 5.0], [4.0, 2.0]]), **more})
+
+
+def test_predictions_by_hand() -> None:
+    """The sensor is at (1, 2.5) and looks along -x: l0 is 2.5 m to its -y, l1 is 3 m behind it and 0.5 m to its +y."""
+    behind = np.arctan2(0.5, -3.0)
+    for factor, h in (
+        (Landmark(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[0.0, -2.5], [-3.0, 0.5]]),
+        (Range(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[2.5], [np.hypot(3.0, 0.5)]]),
+        (Bearing(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2], [behind]]),
+        (BearingRange(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2, 2.5], [behind, np.hypot(3.0, 0.5)]]),
+    ):
+        same(error(factor, plane()), -np.array(h), atol=1e-14)
+
+
+def test_every_measurement_may_have_its_own_offset() -> None:
+    rng = np.random.default_rng(1)
+    for group in (SE2, SE3):
+        X, L = group.exp(rng.normal(size=(5, group.dim))), rng.normal(size=(5, group.point_dim)) + 6
+        O = group.exp(rng.normal(size=(5, group.dim)))
+        values = Values({x: (group, X), l: (R(group.point_dim), L)})
+        for kind in KINDS:
+            z = np.zeros(NUMBERS[kind][group.point_dim - 2])
+            model, stacks = values.gather(kind(x[0:5], l[0:5], z, UNIT, offset=O))
+            A, b = model.linearize(*stacks)
+            for k in range(5):
+                one, one_X = values.gather(kind(x[k], l[k], z, UNIT, offset=O[k]))
+                A_one, b_one = one.linearize(*one_X)
+                same(b[[k]], b_one, atol=1e-14)
+                for A_k, A_k_one in zip(A, A_one, strict=True):
+                    same(A_k[[k]], A_k_one, atol=1e-14)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@pytest.mark.parametrize("kind", KINDS)
+def test_residuals_do_not_change_when_everything_is_moved(kind: type[Seen], group: LieGroup) -> None:
+    rng = np.random.default_rng(2)
+    X, Y = group.exp(rng.normal(size=(2, 4, group.dim)))
+    L, M = rng.normal(size=(4, group.point_dim)) + 5, group.exp(rng.normal(size=(1, group.dim)))
+    z = np.zeros(NUMBERS[kind][group.point_dim - 2])
+    factors = [kind(x[0:4], l[0:4], z, UNIT, group.exp(np.full(group.dim, 0.3))), kind(x[0:4], x[4:8], z, UNIT)]
+    here = Values({x: (group, np.concatenate([X, Y])), l: (R(group.point_dim), L)})
+    moved = Values({x: (group, group.compose(M, here[x])), l: (R(group.point_dim), group.act(M, L))})
+    for factor in factors:
+        assert factor.relative
+        same(error(factor, here), error(factor, moved), atol=1e-12)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@pytest.mark.parametrize("kind", [Landmark, BearingRange])
+def test_locate_is_the_inverse_of_the_prediction(kind: type[Seen], group: LieGroup) -> None:
+    rng = np.random.default_rng(3)
+    X, O = group.exp(rng.normal(size=(2, 6, group.dim)))
+    points = R(group.point_dim)
+    for offset, more in ((None, ()), (O, ()), (O[0], ()), (o[0:6], (O,))):
+        z = points.exp(rng.uniform(0.3, 1.2, size=(6, group.point_dim)))
+        factor = kind(x[0:6], l[0:6], z, UNIT, offset)
+        assert factor.locates
+        S = factor.sensor_pose(group, X, *more)
+        L = factor.locate(group, S, z)
+        assert L.shape == (6, group.point_dim)
+        same(error(factor, Values({x: (group, X), l: (points, L), o: (group, O)})), 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", [Range, Bearing])
+def test_one_number_locates_nothing(kind: type[Seen]) -> None:
+    factor = kind(x[0], l[0], 1.0, UNIT)
+    assert not factor.locates
+    with pytest.raises(NotImplementedError, match=f"{kind.__name__}: one measurement does not say where its target is"):
+        factor.locate(SE2, SE2.identity(), np.ones((1, 1)))
+
+
+ZERO = np.zeros((2, 3))
+SPACE = Values({x: (SE3, SE3.identity(2)), l: (R(3), [[0, 0, 5.0], [1, 2, 3]]), o: (SE2, ZERO)})
+
+
+@pytest.mark.parametrize(
+    ("factor", "values", "message"),
+    [
+        (
+            Landmark(x[0], l[0], [1, 2], UNIT),
+            SPACE,
+            r"Landmark\(x0, l0\): R\(3\): elements have shape \(2,\), expected",
+        ),
+        (Landmark(x[0], l[0], [1, 2, 3], UNIT), plane(), r"Landmark\(x0, l0\): R\(2\): elements have shape \(3,\)"),
+        (Range(x[0], l[0:2], [1, 2, 3], UNIT), plane(), r"Range\(.*: 3 measurements for 2 sets of variables"),
+        (
+            Range(x[0], l[0:2], [[1, 2]], UNIT),
+            plane(),
+            r"Range\(.*: \(range\): elements have shape \(1, 2\), exp.*n, 1",
+        ),
+        (Bearing(x[0], l[0], [1, 2], UNIT), plane(), r"2 measurements for 1 sets of variables"),
+        (Bearing(x[0], l[0], 1, UNIT), SPACE, r"\(azimuth, elevation\): elements have shape \(\), expected \(n, 2\)"),
+        (
+            BearingRange(x[0], l[0], 1, UNIT),
+            plane(),
+            r"\(bearing, range\): elements have shape \(\), expected \(n, 2\)",
+        ),
+        (Range(l[0], x[0], 1, UNIT), plane(), r"Range\(l0, x0\): l0 is in R\(2\), expected a pose, SE2 or SE3"),
+        (
+            Range(x[0], l[0], 1, UNIT),
+            Values({x: (SE2, ZERO), l: (R(3), ZERO)}),
+            r"Range\(x0, l0\): the target l0 is in R\(3\); from a pose of SE2 it must be in R\(2\) or SE2",
+        ),
+        (
+            Bearing(x[0], l[0], [1, 2], UNIT),
+            Values({x: (SE3, SE3.identity(1)), l: (SE2, ZERO)}),
+            r"the target l0 is in SE2; from a pose of SE3 it must be in R\(3\) or SE3",
+        ),
+        (Range(x[0], l[0], 1, UNIT, o[0]), SPACE, r"Range\(x0, l0, o0\): the offset o0 is in SE2, expected SE3"),
+        (
+            Range(x[0], l[0], 1, UNIT, [1, 2]),
+            plane(),
+            r"Range\(x0, l0\): offset: SE2: elements have shape \(1, 2\), exp",
+        ),
+        (Range(x[0], l[0], 1, UNIT, [1, np.nan, 2]), plane(), r"offset: SE2: element 0 is .* not finite"),
+        (Range(x[0], l[0], 1, UNIT, np.ones(7)), SPACE, r"offset: SE3: .*quaternion has length 2, expected 1"),
+        (Range(x[0], l[0], 1, UNIT, ZERO), plane(), r"Range\(x0, l0\): 2 offsets for 1 measurements; give one, or one"),
+        (Range(x[0:3], l[0], 1, UNIT, ZERO), plane(), r"2 offsets for 3 measurements; give one, or one for each"),
+    ],
+)
+def test_what_does_not_fit(factor: Factor, values: Values, message: str) -> None:
+    with pytest.raises(GraphError, match=message):
+        values.gather(factor)
+
+
+def test_offsets_that_are_no_numbers() -> None:
+    with pytest.raises(GraphError, match=r"Range\(x0, l0\): its offset is not an array of numbers"):
+        Range(x[0], l[0], 1, UNIT, offset=["bow", 0, 0])
+
+
+def test_the_offset_given_stays_the_offset() -> None:
+    given = np.array(QUARTER)
+    factor = Range(x[0], l[0], 2.5, UNIT, given)
+    given[:] = 9.0
+    same(error(factor, plane()), 0.0, atol=1e-15)
+    assert isinstance(factor.offset, np.ndarray)
+    with pytest.raises(ValueError, match="read-only"):
+        factor.offset[0, 0] = 1.0
+    assert Range(x[0], l[0], 1, UNIT).offset is None
+    assert Range(x[0:2], l[0], 1, UNIT, o[0]).offset == Keys("o", [0, 0])
+
+
+def test_noise_by_name() -> None:
+    for noise, factor in (
+        (Diagonal(range=0.5, bearing=0.1), BearingRange(x[0], l[0], [0.25, 2.0], UNIT)),
+        (Diagonal([0.1, 0.5]), BearingRange(x[0], l[0], [0.25, 2.0], UNIT)),
+    ):
+        named = BearingRange(x[0], l[0], factor.z, noise)
+        same(error(named, plane()), error(factor, plane()) / [[0.1, 0.5]])
+    with pytest.raises(NoiseModelError, match=r"the measurement's components are \['azimuth', 'elevation', 'range'\]"):
+        SPACE.gather(BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, range=0.5)))
+
+
+@pytest.mark.parametrize(
+    ("make", "values", "message"),
+    [
+        (lambda: Range(x[0:2], l[0:2], 1, UNIT), "plane", r"Range\(x1, l1\): the target is at the sensor itself"),
+        (lambda: Bearing(x[0:2], l[0:2], 1, UNIT), "plane", r"Bearing\(x1, l1\): the target is at the sensor itself"),
+        (lambda: BearingRange(x[0:2], l[0:2], [1, 1], UNIT), "plane", r"BearingRange\(x1, l1\): .*\(zero range\)"),
+        (lambda: Bearing(x[0:2], l[[1, 0]], [1, 1], UNIT), "space", r"Bearing\(x1, l0\): .* z axis of the sensor"),
+        (lambda: BearingRange(x[0:2], l[[1, 0]], [1, 1, 1], UNIT), "space", r"BearingRange\(x1, l0\): .* z axis of"),
+    ],
+)
+def test_singular_geometry_names_the_measurement(make: Callable[[], Factor], values: str, message: str) -> None:
+    here = SPACE if values == "space" else Values({x: (SE2, ZERO), l: (R(2), [[1.0, 0.0], [0.0, 0.0]])})
+    factor = make()
+    model, X = here.gather(factor)
+    for evaluate in (model.error, model.linearize):
+        with pytest.raises(SingularGeometryError, match=message) as caught:
+            evaluate(*X)
+        assert caught.value.factor == type(factor).__name__
+        assert caught.value.keys == tuple(k[[1]] for k in factor.keys)
+
+
+def test_a_landmark_at_the_sensor_is_no_problem() -> None:
+    values = Values({x: (SE2, [[1.0, 2.0, 0.3]]), l: (R(2), [[1.0, 2.0]])})
+    same(error(Landmark(x[0], l[0], [0, 0], UNIT), values), 0.0, atol=1e-15)
+
+
+def test_no_pose_of_another_kind() -> None:
+    with pytest.raises(GraphError, match=r"Range\(x0, l0\): x0 is in SO2, expected a pose, SE2 or SE3"):
+        Values({x: (SO2, [0.0]), l: (R(2), [[1, 1]])}).gather(Range(x[0], l[0], 1, UNIT))
+
+
+def surveyed(turns: Array) -> tuple[FactorGraph, Values, Array, Array]:
+    """A vehicle that steps 1 m and turns, and a sensor, mounted nobody knows how, that sees six points."""
+    rng, mount = np.random.default_rng(4), np.array([0.6, -0.2, 0.35])
+    steps = np.stack([np.ones(len(turns)), np.zeros(len(turns)), turns], axis=1)
+    path = [np.zeros(3)]
+    for step in steps:
+        path.append(SE2.compose(path[-1], step))
+    n, X, L = len(path), np.array(path), rng.uniform(-4, 8, size=(6, 2))
+    i, k = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(6)))
+    S = SE2.compose(X, mount)[i]
+    d = L[k] - S[:, :2]
+    z = np.stack([np.arctan2(d[:, 1], d[:, 0]) - S[:, 2], np.linalg.norm(d, axis=1)], axis=1)
+    odometry = Between(x[0 : n - 1], x[1:n], steps, Diagonal(x=0.01, y=0.01, yaw=0.01))
+    sightings = BearingRange(x[i], l[k], z, Diagonal(bearing=0.01, range=0.05), offset=o[0])
+    start = Values({x: (SE2, X), l: (R(2), L + rng.normal(scale=0.1, size=L.shape)), o: (SE2, [0.5, 0.0, 0.2])})
+    return FactorGraph([odometry, sightings]), start, L, mount
+
+
+def test_the_mounting_of_a_sensor_is_found() -> None:
+    graph, start, L, mount = surveyed(np.repeat([0.4, -0.6], 7))
+    graph.fix(x[0])
+    result = graph.optimize(start)
+    assert result.converged
+    same(result.values[o[0]], mount, atol=1e-6)
+    same(result.values[l], L, atol=1e-6)
+
+
+def test_on_one_circle_the_mounting_is_not_found() -> None:
+    """A turn of mounting and map about the center of the circle commutes with every step of the vehicle."""
+    graph, start, _, _ = surveyed(np.full(14, 0.4))
+    graph.fix(x[0])
+    with pytest.raises(UnderconstrainedError, match="leave 1 direction free"):
+        graph.optimize(start)
+
+
+def test_a_known_mounting_does_not_hold_the_map() -> None:
+    """A prior on the offset is no anchor: the gauge is still that of the poses and points, and one pose is held."""
+    graph, start, _, mount = surveyed(np.repeat([0.4, -0.6], 7))
+    graph.add(Prior(o[0], mount, Isotropic(0.01)))
+    result = graph.optimize(start)
+    assert result.converged
+    same(result.values[x[0]], start[x[0]], atol=0.0)
+    same(result.values[o[0]], mount, atol=1e-6)

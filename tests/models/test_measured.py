@@ -1,0 +1,65 @@
+"""Spaces of named measurements: what wraps, what does not, and that they are groups."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models import Measured
+from models.errors import GraphError, OptionError
+
+SPACE = Measured("bearing", "range", "yaw")
+
+
+def test_one_space_per_names() -> None:
+    assert Measured("bearing", "range") is Measured("bearing", "range")
+    assert Measured("bearing", "range") is not Measured("range", "bearing")
+    assert repr(SPACE) == "(bearing, range, yaw)"
+    assert (SPACE.dim, SPACE.size, SPACE.components, SPACE.flat) == (3, 3, ("bearing", "range", "yaw"), True)
+
+
+def test_angles_wrap_and_numbers_do_not() -> None:
+    Y = np.array([[-3.0, 9.0, 3.0], [3.0, -9.0, 1.0]])
+    X = np.array([[3.0, 1.0, -3.0], [-3.0, 1.0, 0.0]])
+    turn = 2 * np.pi
+    expected = np.array([[turn - 6.0, 8.0, 6.0 - turn], [6.0 - turn, -10.0, 1.0]])
+    np.testing.assert_allclose(SPACE.local(X, Y), expected, atol=1e-15)
+    np.testing.assert_allclose(SPACE.retract(X, expected), Y, atol=1e-15)
+    np.testing.assert_array_equal(SPACE.exp(np.array([np.pi, 4.0, -np.pi])), [-np.pi, 4.0, -np.pi])
+    for angle in ("azimuth", "elevation", "bearing", "roll", "pitch", "yaw"):
+        np.testing.assert_allclose(Measured(angle).local(np.array([[3.0]]), np.array([[-3.0]])), [[turn - 6.0]])
+    for plain in ("range", "x", "u"):
+        np.testing.assert_array_equal(Measured(plain).local(np.array([[3.0]]), np.array([[-3.0]])), [[-6.0]])
+
+
+def test_it_is_a_commutative_group() -> None:
+    rng = np.random.default_rng(1)
+    X, Y, Z = rng.uniform(-9, 9, size=(3, 5, 3))
+    same = np.testing.assert_allclose
+    e = SPACE.identity(5)
+    same(SPACE.compose(X, SPACE.compose(Y, Z)), SPACE.compose(SPACE.compose(X, Y), Z), atol=1e-14)
+    same(SPACE.compose(X, Y), SPACE.compose(Y, X), atol=1e-14)
+    same(SPACE.log(SPACE.compose(X, SPACE.inverse(X))), e, atol=1e-14)
+    same(SPACE.compose(X, e), SPACE.exp(X), atol=1e-14)
+    same(SPACE.between(X, SPACE.compose(X, Y)), SPACE.exp(Y), atol=1e-14)
+    for J in (SPACE.adjoint(X), SPACE.jl(X), SPACE.jl_inv(X), SPACE.vector_jl(X), SPACE.vector_jr(X)):
+        np.testing.assert_array_equal(J, np.tile(np.eye(3), (5, 1, 1)))
+    assert SPACE.position(X).shape == (5, 0)
+
+
+def test_arguments_stay_as_they_are() -> None:
+    X = np.array([[4.0, 4.0, 4.0]])
+    SPACE.exp(X)
+    np.testing.assert_array_equal(X, [[4.0, 4.0, 4.0]])
+
+
+@pytest.mark.parametrize("names", [(), ("x", "x"), ("",), (3,)])
+def test_names_that_make_no_space(names: tuple[str, ...]) -> None:
+    with pytest.raises(OptionError, match=r"Measured\(\*names\): .* expected different names, at least one"):
+        Measured(*names)
+
+
+def test_measurements_are_checked() -> None:
+    with pytest.raises(GraphError, match=r"\(bearing, range, yaw\): elements have shape \(2,\), expected \(n, 3\)"):
+        SPACE.stack([1.0, 2.0])
+    assert Measured("range").stack([1.0, 2.0]).shape == (2, 1)

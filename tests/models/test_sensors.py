@@ -1,0 +1,187 @@
+"""Sensor equations against numbers done by hand, and their derivatives against central differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import atan2, pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from models import SE2, SE3, LieGroup, euler
+from models.errors import SingularGeometryError
+from models.sensors import (
+    SingularAt,
+    direction,
+    distance,
+    heading,
+    point_from_direction_range,
+    point_in_frame,
+    point_on_body,
+    project,
+)
+from models.sensors.singular import CLOSE
+
+Array = npt.NDArray[np.float64]
+same = np.testing.assert_allclose
+HALF = sqrt(0.5)
+
+
+def difference(f: Callable[[Array], Array], x: Array, h: float = 1e-6) -> Array:
+    """Central differences (n, m, k) of f (n, k) to (n, m)."""
+    steps = h * np.eye(x.shape[1])
+    return np.stack([(f(x + s) - f(x - s)) / (2 * h) for s in steps], axis=-1)
+
+
+def on_group(group: LieGroup, f: Callable[[Array], Array], X: Array) -> Array:
+    return difference(lambda d: f(group.retract(X, d)), np.zeros((len(X), group.dim)))
+
+
+def test_distance_by_hand() -> None:
+    r, J = distance(np.array([[3.0, -4.0, 12.0], [0.0, 0.0, 2.0]]))
+    same(r, [[13.0], [2.0]])
+    same(J, [[[3 / 13, -4 / 13, 12 / 13]], [[0.0, 0.0, 1.0]]])
+
+
+def test_bearing_by_hand() -> None:
+    """Starboard is positive; astern is -pi, not pi."""
+    h, J = direction(np.array([[1.0, 1.0], [0.0, -2.0], [-3.0, 0.0], [-1.0, 1.0]]))
+    same(h, [[pi / 4], [-pi / 2], [-pi], [3 * pi / 4]])
+    same(J[:2], [[[-0.5, 0.5]], [[0.5, 0.0]]], atol=1e-16)
+
+
+def test_azimuth_and_elevation_by_hand() -> None:
+    """Down (z > 0) is positive elevation."""
+    h, J = direction(np.array([[1.0, 1.0, sqrt(2)], [-3.0, 4.0, -5.0]]))
+    same(h, [[pi / 4, pi / 4], [atan2(4, -3), -pi / 4]])
+    same(J[0], [[-0.5, 0.5, 0.0], [-0.25, -0.25, sqrt(2) / 4]])
+    same(J[1, 1], [-0.06, 0.08, 0.1])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_direction_and_range_invert(d: int) -> None:
+    p = np.random.default_rng(1).normal(size=(20, d)) * 7
+    same(point_from_direction_range(np.concatenate([direction(p)[0], distance(p)[0]], axis=1)), p, atol=1e-13)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("f", [distance, direction])
+def test_derivatives(f: Callable[[Array], tuple[Array, Array]], d: int) -> None:
+    p = np.random.default_rng(2).uniform(1, 6, size=(9, d)) * np.random.default_rng(3).choice([-1, 1], size=(9, d))
+    same(f(p)[1], difference(lambda q: f(q)[0], p), atol=1e-8)
+
+
+@pytest.mark.parametrize("scale", [2.0, 1e3, 1e6])
+def test_near_the_sensor_the_numbers_are_right(scale: float) -> None:
+    near = CLOSE * scale
+    for found, expected in (
+        (distance(np.array([[near, 0.0]])), (near, [1.0, 0.0])),
+        (direction(np.array([[near, 0.0]])), (0.0, [0.0, 1 / near])),
+    ):
+        same(found[0], [[expected[0]]])
+        same(found[1], [[expected[1]]])
+
+
+@pytest.mark.parametrize(
+    ("f", "p", "message"),
+    [
+        (distance, [0.0, 0.0], "at the sensor itself .zero range."),
+        (distance, [0.0, 0.0, 1e-10], "at the sensor itself .zero range."),
+        (distance, [1e-200, 1e-200, 0.0], "at the sensor itself .zero range."),
+        (direction, [0.0, 0.0], "at the sensor itself, where its bearing is not defined"),
+        (direction, [0.0, 0.0, 7.0], "on the z axis of the sensor, where its azimuth is not defined"),
+        (direction, [1e-10, 0.0, -7.0], "on the z axis of the sensor"),
+    ],
+)
+def test_singular_targets_are_named(f: Callable[[Array], object], p: list[float], message: str) -> None:
+    with pytest.raises(SingularAt, match=message) as caught:
+        f(np.array([np.ones(len(p)), p, p]))
+    assert caught.value.index == 1
+    assert isinstance(caught.value, SingularGeometryError)
+
+
+def test_a_point_in_the_frame_of_a_pose_by_hand() -> None:
+    """At (1, 2), looking along +y: the point (1, 5) is 3 m ahead; (4, 2) is 3 m on the right, -y in these axes."""
+    X = np.array([[1.0, 2.0, pi / 2]] * 2)
+    p, (H_S, H_l) = point_in_frame(SE2, X, np.array([[1.0, 5.0], [4.0, 2.0]]))
+    same(p, [[3.0, 0.0], [0.0, -3.0]], atol=1e-15)
+    same(H_S, [[[-1, 0, 0], [0, -1, -3]], [[-1, 0, -3], [0, -1, 0]]], atol=1e-15)
+    same(H_l, [[[0, 1], [-1, 0]]] * 2, atol=1e-15)
+    T = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, HALF, HALF]])
+    p, (H_T, H_l) = point_in_frame(SE3, T, np.array([[1.0, 5.0, 4.0]]))
+    same(p, [[3.0, 0.0, 1.0]], atol=1e-15)
+    same(H_T, [[[-1, 0, 0, 0, -1, 0], [0, -1, 0, 1, 0, -3], [0, 0, -1, 0, 3, 0]]], atol=1e-15)
+    same(H_l, [[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]], atol=1e-15)
+
+
+def test_a_point_on_the_body_by_hand() -> None:
+    q, H = point_on_body(SE2, np.array([[1.0, 2.0, pi / 2]]), np.array([[3.0, 0.0]]))
+    same(q, [[1.0, 5.0]])
+    same(H, [[[0, -1, -3], [1, 0, 0]]], atol=1e-15)
+    q, H = point_on_body(SE3, np.array([[1.0, 2.0, 3.0, 0.0, 0.0, HALF, HALF]]), np.array([[3.0, 0.0, 1.0]]))
+    same(q, [[1.0, 5.0, 4.0]])
+    same(H, [[[0, -1, 0, 1, 0, -3], [1, 0, 0, 0, 1, 0], [0, 0, 1, 0, -3, 0]]], atol=1e-15)
+
+
+def test_heading_by_hand() -> None:
+    """Rolled by 90 deg, a turn about the body's y axis is a turn about the vertical."""
+    yaw, H = heading(SE3, euler.to_se3(np.array([[pi / 2, 0.0, 0.4, 1, 2, 3], [0.0, pi / 3, -3.0, 0, 0, 0]])))
+    same(yaw, [[0.4], [-3.0]], atol=1e-14)
+    same(H, [[[0, 0, 0, 0, 1, 0]], [[0, 0, 0, 0, 0, 2]]], atol=1e-12)
+    yaw, H = heading(SE2, np.array([[1.0, 2.0, 4.0]]))
+    same(yaw, [[4.0 - 2 * pi]])
+    same(H, [[[0, 0, 1]]])
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_derivatives_for_poses(group: LieGroup) -> None:
+    rng = np.random.default_rng(5)
+    X = group.exp(rng.uniform(-1.1, 1.1, size=(8, group.dim)))
+    l, a = rng.normal(size=(2, 8, group.point_dim))
+    p, (H_S, H_l) = point_in_frame(group, X, l)
+    same(H_S, on_group(group, lambda Y: point_in_frame(group, Y, l)[0], X), atol=1e-8)
+    same(H_l, difference(lambda q: point_in_frame(group, X, q)[0], l), atol=1e-8)
+    same(point_on_body(group, X, p)[0], l, atol=1e-14)
+    same(point_on_body(group, X, a)[1], on_group(group, lambda Y: point_on_body(group, Y, a)[0], X), atol=1e-8)
+    H = np.broadcast_to(heading(group, X)[1], (8, 1, group.dim))
+    same(H, on_group(group, lambda Y: heading(group, Y)[0], X), atol=1e-8)
+
+
+@pytest.mark.parametrize("pitch", [pi / 2, -pi / 2])
+def test_no_heading_at_gimbal_lock(pitch: float) -> None:
+    with pytest.raises(SingularAt, match="gimbal lock") as caught:
+        heading(SE3, euler.to_se3(np.array([[0.0, 0.1, 0.4, 1, 2, 3], [0.0, pitch, 0.4, 1, 2, 3]])))
+    assert caught.value.index == 1
+
+
+def test_an_image_by_hand() -> None:
+    """Turned by 90 deg about y the point is ahead, at P = (0, 1, -2); h = 100 (1 + 0.1 / 4 + 0.2 / 16) (0, 1/2)."""
+    camera = np.array([[0.0, pi / 2, 0.0, 0.0, 0.0, -1.0]])
+    h, (H_c, H_f, H_X) = project(camera, np.array([[100.0, 0.1, 0.2]]), np.array([[1.0, 1.0, 0.0]]))
+    same(h, [[0.0, 51.875]], atol=1e-13)
+    same(H_f, [[[0, 0, 0], [0.51875, 12.5, 3.125]]], atol=1e-14)
+    r, g = 1.0375, 100 * (2 * 0.1 + 4 * 0.2 / 4)
+    along = (100 * r + g / 4) / 2
+    same(H_c[0, :, 3:], [[100 * r / 2, 0, 0], [0, along, along / 2]], atol=1e-12)
+    same(H_X[0], [[0, 0, 100 * r / 2], [-along / 2, along, 0]], atol=1e-12)
+
+
+def test_derivatives_of_an_image() -> None:
+    rng = np.random.default_rng(6)
+    camera = rng.normal([0, 0, 0, 0, 0, -9], size=(9, 6))
+    camera[0, :3], camera[1, :3] = 0.0, [3.14, 0.0, 0.0]
+    intrinsics, X = rng.normal([3, 0, 0], 0.1, size=(9, 3)), rng.normal(size=(9, 3))
+    h, (H_c, H_f, H_X) = project(camera, intrinsics, X)
+    assert h.shape == (9, 2)
+    same(H_c, difference(lambda c: project(c, intrinsics, X)[0], camera), atol=2e-8)
+    same(H_f, difference(lambda f: project(camera, f, X)[0], intrinsics), atol=2e-8)
+    same(H_X, difference(lambda x: project(camera, intrinsics, x)[0], X), atol=2e-8)
+
+
+def test_a_point_behind_the_camera_has_an_image_in_its_plane_it_has_none() -> None:
+    f, origin = np.array([[10.0, 0.0, 0.0]]), np.zeros((1, 6))
+    same(project(origin, f, np.array([[1.0, 2.0, 4.0]]))[0], [[-2.5, -5.0]])
+    for X in ([[1.0, 2.0, 0.0]], [[0.0, 0.0, 0.0]], [[1e6, 0.0, 1e-5]]):
+        with pytest.raises(SingularAt, match="in the plane of the camera"):
+            project(origin, f, np.array(X))
