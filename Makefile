@@ -2,7 +2,7 @@
 PYTHON ?= python3
 DEMO = .venv/bin/python -m sim sphere --out demo && \
        .venv/bin/nls solve demo/graph.g2o --plot demo/solved.png -o demo/solved.g2o
-BENCHMARK = .venv/bin/python benchmarks/pinv.py
+BENCHMARK = .venv/bin/python benchmarks/pinv.py && .venv/bin/python benchmarks/marginals.py
 EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 
 .PHONY: help demo test lint docs benchmark evidence

@@ -10,7 +10,7 @@ so that the step is argmin |A dx - b| for every factor, convention and noise. Se
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import combinations
@@ -19,10 +19,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from factors.differences import central_differences
 from factors.conventions import check_convention, innovation
 from factors.keys import Keys
 from factors.noise import Noise, whiten
 from factors.robust import Kernel, Robust
+from factors.slices import places, rows
 from models import Manifold
 from models.algebra import Array, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
@@ -56,6 +58,8 @@ class Factor(ABC):
         of a graph all of whose factors say so has a gauge that may be held.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor: they neither
         anchor a part of the graph nor join two parts.
+    each : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part of the batch
+        takes its rows of them.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     """
@@ -63,6 +67,7 @@ class Factor(ABC):
     slots: ClassVar[tuple[Manifold | None, ...]] = ()
     relative: ClassVar[bool] = False
     unmoved: ClassVar[tuple[int, ...]] = ()
+    each: ClassVar[tuple[str, ...]] = ()
     damped: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
@@ -91,6 +96,58 @@ class Factor(ABC):
 
     def __len__(self) -> int:
         return len(self.keys[0]) if self.keys else 0
+
+    def __getitem__(self, index: int | slice | npt.ArrayLike) -> Factor:
+        """The same kind of factor with some of the measurements, by number, slice, array of numbers or mask (n,).
+
+        What all measurements share stays shared; a robust kernel stays.
+
+        Raises
+        ------
+        GraphError
+            No such measurements; or z, not yet used, of shape (n,) that may be n measurements or one of n numbers.
+
+        Examples
+        --------
+        >>> from factors import Isotropic, Range
+        >>> from nls import kinds
+        >>> x, l = kinds("x", "l")
+        >>> ranges = Range(x[[3, 4, 5]], l[0], [10.0, 11.0, 99.0], Isotropic([0.1, 0.2, 0.3]))
+        >>> near = ranges[ranges.z < 50]
+        >>> near, near.z, near.noise.sigma
+        (Range(x[3, 4], l[0, 0]), array([10., 11.]), array([0.1, 0.2]))
+        """
+        n, index = len(self), places(index, len(self), self.name)
+        other = copy(self)
+        other.keys = tuple(k[index] for k in self.keys)
+        other._z = rows(self._z, index, n) if self._one_each() else self._z
+        other.noise = self.noise.take(index, n)
+        for name in self.each:
+            setattr(other, name, rows(getattr(self, name), index, n))
+        other._model = None
+        return other
+
+    def __iter__(self) -> Iterator[Factor]:
+        """The measurements one by one; without this Python would count up until an IndexError."""
+        return (self[k] for k in range(len(self)))
+
+    def sizes(self) -> tuple[int, ...]:
+        """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
+        return ()
+
+    def _one_each(self) -> bool:
+        """Whether z has a row per measurement: z of n numbers may also be one measurement that all share."""
+        n, z = len(self), self._z
+        if z.ndim != 1 or len(z) != n or n < 2:
+            return z.ndim > 0 and len(z) == n
+        sizes = self.sizes() if self._model is None else (self._model.space.size,)
+        if not sizes or {1, n} <= set(sizes):
+            raise GraphError(
+                f"{self!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
+                self.keys,
+                self.name,
+            )
+        return 1 in sizes
 
     @property
     def z(self) -> Array:
@@ -301,7 +358,7 @@ class Model:
         if not jacobians:
             return h, ()
         if H is None:
-            H = self._differences(X, h)
+            H = central_differences(self.space, self.manifolds, lambda *Y: self.factor.predict(self.manifolds, *Y)[0], X, h)
         if len(H) != len(self.manifolds):
             raise EvaluationError(
                 f"{self.factor!r}: {len(H)} Jacobians, expected {len(self.manifolds)}: one per slot",
@@ -317,24 +374,6 @@ class Model:
                     self.factor.keys,
                 )
         return h, H
-
-    def _differences(self, X: tuple[Array, ...], h: Array) -> tuple[Array, ...]:
-        """Central differences of h through retract, the whole batch at once."""
-
-        def moved(slot: int, delta: Array) -> Array:
-            Y = list(X)
-            Y[slot] = self.manifolds[slot].retract(X[slot], delta)
-            return self.space.local(h, self.factor.predict(self.manifolds, *Y)[0])
-
-        H = []
-        for slot, manifold in enumerate(self.manifolds):
-            H_k = np.empty((len(h), self.space.dim, manifold.dim))
-            for d in range(manifold.dim):
-                delta = np.zeros((len(h), manifold.dim))
-                delta[:, d] = difference_steps(manifold, X[slot])[:, d]
-                H_k[:, :, d] = (moved(slot, delta) - moved(slot, -delta)) / (2 * delta[:, d : d + 1])
-            H.append(H_k)
-        return tuple(H)
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""
@@ -352,18 +391,3 @@ class Model:
 
 
 SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2
-STEP = 6e-6  # cube root of the rounding unit: where truncation and rounding of a central difference balance
-
-
-def difference_steps(manifold: Manifold, X: Array) -> Array:
-    """Steps (n, dim) of central differences: larger for coordinates far from 0, which carry coarser rounding.
-
-    Rounding of x moves f by eps |x| and the step h divides it, truncation is of order h^2: h = (eps |x|)^(1/3).
-    """
-    size = np.ones((len(X), manifold.dim))
-    if manifold.dim == manifold.size and manifold.name.startswith("R"):
-        size = np.maximum(size, np.abs(X))
-    else:
-        t = manifold.position(X)
-        size[:, : t.shape[1]] = np.maximum(1.0, np.abs(t).max(axis=1, keepdims=True, initial=0.0))
-    return STEP * np.cbrt(size)

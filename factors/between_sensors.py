@@ -56,6 +56,7 @@ class BetweenSensors(Factor):
     """
 
     relative = True
+    each = ("offset",)
 
     def __init__(
         self,

@@ -12,7 +12,10 @@ from models import Manifold, Measured, R
 from models.algebra import Array
 from models.sensors import project
 
-__all__ = ["BundleProjection"]
+__all__ = ["CAMERA", "LENS", "BundleProjection"]
+
+CAMERA = Measured("wx", "wy", "wz", "tx", "ty", "tz")  # vectors, with names for messages
+LENS = Measured("f", "k1", "k2")
 
 
 class BundleProjection(Factor):
@@ -24,8 +27,8 @@ class BundleProjection(Factor):
 
     Parameters
     ----------
-    camera : R(6), rotation vector w and translation t, *world to camera*, as in the files; steps are added to it.
-    intrinsics : R(3), focal length f in pixels and radial distortion k1, k2.
+    camera : in `CAMERA`, rotation vector w and translation t, *world to camera*, as in the files; steps add up.
+    intrinsics : in `LENS`, focal length f in pixels and radial distortion k1, k2.
     point : R(3), the point in the world.
     z : (n, 2) pixels from the middle of the image, x to the right, y up.
     noise : of ``u`` and ``v``, pixels.
@@ -47,16 +50,17 @@ class BundleProjection(Factor):
     Examples
     --------
     >>> from factors import BundleProjection, Isotropic, check_jacobians
+    >>> from factors.bundle import CAMERA, LENS
     >>> from models import R
     >>> from nls import Values, kinds
     >>> c, f, l = kinds("c", "f", "l")
     >>> seen = BundleProjection(c[0], f[0], l[0], [60.0, 0.0], Isotropic(1.0))
-    >>> values = Values({c: (R(6), [0, 0, 0, 0, 0, -2.0]), f: (R(3), [100.0, 0.1, 0.0]), l: (R(3), [1.0, 0.0, 0.0])})
+    >>> values = Values({c: (CAMERA, [0, 0, 0, 0, 0, -2.0]), f: (LENS, [100.0, 0.1, 0.0]), l: (R(3), [1, 0, 0])})
     >>> seen.chi2(values), check_jacobians(seen, values) < 1e-6
     (array([76.5625]), True)
     """
 
-    slots = (R(6), R(3), R(3))
+    slots = (CAMERA, LENS, R(3))
     relative = True
     unmoved = (1,)
     damped = True

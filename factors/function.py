@@ -11,7 +11,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic, Noise
 from models import Manifold, R
 from models.algebra import Array
-from models.errors import EvaluationError, LeadlineError
+from models.errors import EvaluationError, GraphError, LeadlineError
 
 __all__ = ["FunctionFactor"]
 
@@ -31,6 +31,14 @@ class FunctionFactor(Factor):
         self.dim, self.residual, self.jacobians = dim, residual, jacobians
         super().__init__(keys, np.zeros(dim), noise or Isotropic())
         self.slots, self.relative = (None,) * len(keys), relative  # type: ignore[misc]
+
+    def __getitem__(self, index: object) -> Factor:
+        raise GraphError(
+            f"{self!r}: a factor from a function has no parts, only your function knows which measurement is which; make "
+            "one of the part",
+            self.keys,
+            self.name,
+        )
 
     @property
     def name(self) -> str:

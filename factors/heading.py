@@ -55,6 +55,9 @@ class Heading(Factor):
     def __init__(self, pose: Keys, z: npt.ArrayLike, noise: Noise) -> None:
         super().__init__([pose], z, noise)
 
+    def sizes(self) -> tuple[int, ...]:
+        return (1,)
+
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         pose_group(self, manifolds[0])
         return Measured("yaw")

@@ -10,10 +10,13 @@ directions, and W has rows of zeros there. A negative one is refused, with the m
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from copy import copy
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.slices import rows
 from models.algebra import Array, apply, matrix, product
 from models.errors import NoiseModelError
 
@@ -26,7 +29,10 @@ ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "ro
 
 
 class Noise(ABC):
-    """What is known about the error of a batch of measurements, shared by all or one per measurement."""
+    """What is known about the error of a batch of measurements, shared by all or one per measurement.
+
+    The arrays of a noise have the measurements as leading axis, n or 1: `take` relies on it.
+    """
 
     @abstractmethod
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
@@ -41,6 +47,21 @@ class Noise(ABC):
         NoiseModelError
             Not a valid noise for this many measurements or components; names the measurement.
         """
+
+    def take(self, index: npt.NDArray[np.intp], n: int) -> Self:
+        """The noise of some of n measurements; shared stays shared.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Isotropic([0.1, 0.2, 0.3]).take(np.array([2, 0]), 3).sigma, Isotropic(0.1).take(np.array([2, 0]), 3).sigma
+        (array([0.3, 0.1]), array([0.1]))
+        """
+        other = copy(self)
+        for name, value in vars(self).items():
+            part = value.take(index, n) if isinstance(value, Noise) else rows(value, index, n)
+            setattr(other, name, part)
+        return other
 
     def __repr__(self) -> str:
         return type(self).__name__

@@ -56,6 +56,7 @@ class Position(Factor):
     """
 
     slots = (None,)
+    each = ("offset",)
 
     def __init__(
         self,
@@ -68,6 +69,9 @@ class Position(Factor):
         super().__init__([pose], z, noise)
         self.components = None if components is None else tuple(ALIASES.get(c, c) for c in components)
         self.offset = None if offset is None else fixed_offset(self, offset)
+
+    def sizes(self) -> tuple[int, ...]:
+        return (2, 3) if self.components is None else (len(self.components),)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         group = pose_group(self, manifolds[0], "; a point is measured by a Prior")

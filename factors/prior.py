@@ -57,6 +57,7 @@ class Prior(Factor):
     """
 
     slots = (None,)
+    each = ("offset",)
 
     def __init__(
         self,

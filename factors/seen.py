@@ -52,6 +52,7 @@ class Seen(Factor):
     """
 
     relative = True
+    each = ("offset",)
     locates: ClassVar[bool] = False
 
     def __init__(
@@ -85,6 +86,9 @@ class Seen(Factor):
         if isinstance(self.offset, np.ndarray):
             return group.compose(X, self.offset)
         return group.compose(X, *O) if O else X
+
+    def sizes(self) -> tuple[int, ...]:
+        return self.measured(2).size, self.measured(3).size
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         group = pose_group(self, manifolds[0])

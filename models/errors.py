@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "ConvergenceWarning",
     "EvaluationError",
     "GraphError",
     "GraphFileError",
@@ -160,7 +159,3 @@ class OptionError(LeadlineError, ValueError):
 
 class GraphWarning(UserWarning):
     """Something in a graph or file deserves a look: ignored lines, isolated variables."""
-
-
-class ConvergenceWarning(UserWarning):
-    """An optimization ended without converging."""

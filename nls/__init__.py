@@ -2,7 +2,6 @@
 
 from factors.keys import Keys, Kind, kinds
 from models.errors import (
-    ConvergenceWarning,
     EvaluationError,
     GraphError,
     GraphFileError,
@@ -16,10 +15,11 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io import LoadReport, load, save
 from nls.linear import LU, QR, Cholesky, DenseCholesky, DenseQR, LinearSolver, Pinv, backends
-from nls.optimizers import GaussNewton, Iteration, Result, Status, Stop
+from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
 from nls.starts import initialize
 from nls.system import LinearSystem
 from nls.values import Values
@@ -30,9 +30,9 @@ __all__ = [
     "LU",
     "QR",
     "Cholesky",
-    "ConvergenceWarning",
     "DenseCholesky",
     "DenseQR",
+    "Dogleg",
     "EvaluationError",
     "FactorGraph",
     "GaussNewton",
@@ -44,11 +44,14 @@ __all__ = [
     "Keys",
     "Kind",
     "LeadlineError",
+    "LevenbergMarquardt",
     "LinearSolver",
     "LinearSystem",
     "LoadReport",
+    "Marginals",
     "MissingSolverError",
     "NoiseModelError",
+    "Optimizer",
     "OptionError",
     "Pinv",
     "ResourceLimitError",

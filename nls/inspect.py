@@ -25,7 +25,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
 
     Returns
     -------
-    dict of plain numbers and texts, in reading order.
+    dict of plain numbers and texts under plain identifiers, in reading order.
     """
     pattern = Pattern(graph.factors, values)
     labels = component_labels(pattern)
@@ -42,22 +42,22 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     fill = fill_in(pattern, gauge.held)
     sizes = np.sort(np.bincount(labels[touched]))[::-1]
     sizes = sizes[sizes > 0]
-    found: dict[str, Any] = {
+    return {
         "variables": len(values),
         "measurements": len(graph),
         "components": len(sizes),
-        "isolated variables": int((~touched).sum()),
+        "component_sizes": sizes[:10].tolist(),
+        "isolated_variables": int((~touched).sum()),
         "gauge": gauge.said,
-        "rows of A": pattern.m,
-        "columns of A": int(pattern.dims[~gauge.held].sum()),
-        "numbers in A": pattern.numbers_in_A,
-        "numbers in R": fill.nnz,
-        "factorization": f"{fill.flops / 1e6:.0f} Mflop, {fill.nnz * 8 / 1e6:.1f} MB, {default_solver().name}",
-        "sigma, smallest": float(1 / weights.max()) if len(weights) else None,
-        "sigma, largest": float(1 / weights.min()) if len(weights) else None,
-        "semi-definite": f"{semi_definite} measurements without information in some direction",
+        "rows_of_A": pattern.m,
+        "columns_of_A": int(pattern.dims[~gauge.held].sum()),
+        "numbers_in_A": pattern.numbers_in_A,
+        "numbers_in_R": fill.nnz,
+        "factorization_mflop": fill.flops / 1e6,
+        "factorization_mb": fill.nnz * 8 / 1e6,
+        "linear_solver": default_solver().name,
+        "sigma_smallest": float(1 / weights.max()) if len(weights) else None,
+        "sigma_largest": float(1 / weights.min()) if len(weights) else None,
+        "semi_definite_measurements": semi_definite,
         "chi2": pattern.chi2(values),
     }
-    if len(sizes) > 1:
-        found["component sizes"] = sizes[:10].tolist()
-    return found

@@ -46,6 +46,8 @@ def read_bytes(path: str | Path) -> bytes:
     data = data.removeprefix(b"\xef\xbb\xbf")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
+    if data.startswith(b"MATLAB 5.0 MAT-file"):
+        raise GraphFileError("is a MATLAB file; expected text (scipy.io.loadmat reads it)", name)
     if b"\x00" in data:
         line = data[: data.index(b"\x00")].count(b"\n") + 1
         raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)

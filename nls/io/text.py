@@ -92,6 +92,12 @@ class Text:
         found |= {tag: np.array(same, dtype=np.intp) for tag, same in rest.items()}
         return found
 
+    def characters(self, tokens: Index, width: int) -> npt.NDArray[np.uint8]:
+        """The first bytes of tokens, (n, width), zeros behind their ends."""
+        starts, ends = self.starts[tokens][:, None], self.ends[tokens][:, None]
+        places = starts + np.arange(width)
+        return np.where(places < ends, self._buffer[np.minimum(places, ends - 1)], np.uint8(0))
+
     def table(self, lines: Index, columns: int, what: str) -> Array:
         """The numbers after the first word of these lines, (n, columns).
 

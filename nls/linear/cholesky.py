@@ -12,7 +12,6 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
 
 from __future__ import annotations
 
-import warnings
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -66,10 +65,7 @@ class CholmodFactorization(Factorization):
     def factorize(self, S: Array) -> Array:
         self._H.data = self._hessian.data(S)
         try:
-            with single_thread(), warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore", self._module.CholmodWarning
-                )  # its word for a small pivot: checked below
+            with single_thread():
                 self._chol.cholesky_inplace(self._H)
         except self._module.CholmodNotPositiveDefiniteError as error:
             raise SingularSystemError(str(error)) from error
@@ -79,8 +75,8 @@ class CholmodFactorization(Factorization):
         with single_thread():
             return np.asarray(self._chol.solve_A(g))
 
-    def upper(self) -> tuple[sp.csc_array, Index]:
-        return sp.csc_array(self._chol.L().T), np.arange(self._hessian.n)
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        return sp.csc_array(self._chol.L()), np.arange(self._hessian.n)
 
 
 class Cholesky(NormalEquations):
@@ -88,6 +84,7 @@ class Cholesky(NormalEquations):
 
     name = "cholesky"
     factorization = CholmodFactorization
+    per_number = 17.0
 
     @classmethod
     def missing(cls) -> str | None:

@@ -50,9 +50,9 @@ class SuperLUFactorization(Factorization):
     def solve(self, g: Array) -> Array:
         return np.asarray(self._lu.solve(g))
 
-    def upper(self) -> tuple[sp.csc_array, Index]:
-        U = self._lu.U  # symmetric pivoting: U = D L', R = D^-1/2 U
-        return sp.csc_array(sp.diags_array(1 / np.sqrt(U.diagonal())) @ U), np.argsort(self._lu.perm_c)
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        lu = self._lu  # symmetric pivoting: L of ones on the diagonal, U = D L'
+        return sp.csc_array(lu.L @ sp.diags_array(np.sqrt(lu.U.diagonal()))), np.argsort(lu.perm_c)
 
 
 class LU(NormalEquations):
@@ -60,3 +60,4 @@ class LU(NormalEquations):
 
     name = "lu"
     factorization = SuperLUFactorization
+    per_number = 144.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
+from nls.hessian import Blocks
 from nls.linear.base import INSTALL_SUITESPARSE, SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.limits import always_fits, checked_limit, default_limit, refuse_above
 from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
@@ -18,6 +21,11 @@ if TYPE_CHECKING:
     from nls.system import LinearSystem
 
 __all__ = ["QR"]
+
+
+# sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside at
+# once end the process.
+ONE_AT_A_TIME = Lock()
 
 
 @cache
@@ -31,16 +39,40 @@ def spqr() -> Any | None:
 
 
 class QR(LinearSolver):
-    """A P = Q R by SPQR; R P'dx = Q'b. Slower than Cholesky, with half the digits lost on ill-conditioned systems."""
+    """A P = Q R by SPQR; R P'dx = Q'b. Slower than Cholesky, with half the digits lost on ill-conditioned systems.
+
+    Parameters
+    ----------
+    memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted,
+        `nls.linear.limits`.
+    """
 
     name = "qr"
+    per_number = 88.0  # bytes at the peak per number of R, measured: nls.linear.limits
+
+    def __init__(self, memory_limit: float | None = None) -> None:
+        self.memory_limit = checked_limit(memory_limit)
 
     @classmethod
     def missing(cls) -> str | None:
         return None if spqr() is not None else INSTALL_SUITESPARSE
 
     def analyze(self, pattern: Pattern) -> None:
+        """Nothing but the estimate of memory, for the elimination order of the default solver.
+
+        Raises
+        ------
+        MissingSolverError
+        ResourceLimitError
+            R would take more than the limit.
+        """
+        from nls.linear import best_factorization
+
         self.require()
+        limit = self.memory_limit or default_limit()
+        if not always_fits(limit, self.per_number, pattern.n):
+            blocks = Blocks(pattern)
+            refuse_above(limit, self.per_number, blocks, blocks.structure(best_factorization().order), self.name)
 
     def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         module = spqr()
@@ -55,7 +87,7 @@ class QR(LinearSolver):
             raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
         scaled = sp.coo_matrix(A @ sp.diags_array(1 / lengths))
         t1 = perf_counter()
-        with single_thread():
+        with single_thread(), ONE_AT_A_TIME:
             Z, R, E, _ = module.rz(scaled, b, tolerance=SINGULAR)
         t2 = perf_counter()
         R = sp.csr_array(R)[:n]

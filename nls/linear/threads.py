@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from threading import RLock, local
 from typing import Any
 
 __all__ = ["openmp", "single_thread"]
@@ -38,23 +39,86 @@ def _openmp(loaded: tuple[bool, bool]) -> ctypes.CDLL | None:
 
 
 @cache
-def _blas(loaded: tuple[bool, bool]) -> Any:
-    """Controller of the BLAS libraries in this process."""
+def _blas(loaded: tuple[bool, bool]) -> list[Any]:
+    """Controllers of the BLAS libraries in this process."""
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController().select(user_api="blas")
+    return list(ThreadpoolController().select(user_api="blas").lib_controllers)
+
+
+class _Setting:
+    """One number of one library that is taken down while any thread of the program is inside `single_thread`.
+
+    OpenBLAS with its own threads keeps it for the whole process, and so did OpenMP's runtime up to GCC 10; since then,
+    and in an OpenBLAS built on OpenMP, every thread has its own. A second thread that comes in tells which: it finds
+    what the first one has set, or not. What belongs to the process is put back by the last one out, in whatever order
+    they leave.
+    """
+
+    def __init__(self, get: Callable[[], int], put: Callable[[int], object], inside: int) -> None:
+        self._get, self._put, self._inside = get, put, inside
+        self._users, self._first, self._shared = 0, 0, False
+
+    def enter(self) -> int:
+        """Take it down; returns what this thread found."""
+        found = self._get()
+        if not self._users:
+            self._first, self._shared = found, False
+        elif found == self._inside:
+            self._shared = True
+        self._put(self._inside)
+        self._users += 1
+        return found
+
+    def leave(self, found: int) -> None:
+        """Put it back, unless somebody inside needs it as it is."""
+        self._users -= 1
+        if not self._shared:
+            self._put(found)
+        elif not self._users:
+            self._put(self._first)
+
+
+def _number_of_threads(blas: Any) -> _Setting:
+    # Since 3.7 threadpoolctl lets one Python thread alone set what belongs to the process, and ignores all others
+    # without a word. Here they agree on it: nobody owns it.
+    nobody = getattr(blas, "clear_controlling_thread", lambda force: None)
+
+    def put(number: int) -> None:
+        nobody(force=True)
+        blas.set_num_threads(number)
+        nobody(force=True)
+
+    return _Setting(blas.get_num_threads, put, 1)
+
+
+def _settings() -> list[_Setting]:
+    """Settings of all libraries loaded by now."""
+    runtime, loaded = openmp(), _suitesparse()
+    if runtime is not None and "openmp" not in _KNOWN:
+        _KNOWN["openmp"] = _Setting(runtime.omp_get_max_active_levels, runtime.omp_set_max_active_levels, 0)
+    for blas in _blas(loaded):
+        if blas.filepath not in _KNOWN:
+            _KNOWN[blas.filepath] = _number_of_threads(blas)
+    return list(_KNOWN.values())
+
+
+_LOCK = RLock()
+_KNOWN: dict[str, _Setting] = {}
+_HERE = local()
 
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """No OpenMP regions and one BLAS thread inside; both are restored."""
-    runtime = openmp()
-    levels = runtime.omp_get_max_active_levels() if runtime else 0
-    if runtime:
-        runtime.omp_set_max_active_levels(0)
+    """No OpenMP regions and one BLAS thread inside; both are restored. Threads of the program may be inside together."""
+    depth = getattr(_HERE, "depth", 0)
+    with _LOCK:
+        found = [] if depth else [(setting, setting.enter()) for setting in _settings()]
+    _HERE.depth = depth + 1
     try:
-        with _blas(_suitesparse()).limit(limits=1):
-            yield
+        yield
     finally:
-        if runtime:
-            runtime.omp_set_max_active_levels(levels)
+        _HERE.depth = depth
+        with _LOCK:
+            for setting, number in found:
+                setting.leave(number)

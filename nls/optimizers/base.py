@@ -50,13 +50,19 @@ class Optimizer(ABC):
         EvaluationError, SingularGeometryError
             The start itself cannot be evaluated, or a function of the user's raised an exception.
         """
-        system = problem.linearize(values)
+        try:
+            system = problem.linearize(values)
+        except EvaluationError as error:
+            error.iteration = 0
+            raise
         watch = Watch(self.stop, self.callback, values, system.chi2, problem.lap())
         try:
             self.iterate(problem, values, system, watch)
         except SingularSystemError as error:
             raise underconstrained(problem.solver.seen(problem.latest), watch.best) from error
         except (EvaluationError, SingularGeometryError) as error:
+            if isinstance(error, EvaluationError):
+                error.iteration = len(watch.history)
             at_start = len(watch.history) == 1 and getattr(error, "where", "") == "A'A"
             if error.__cause__ is not None or at_start:  # a fault to see, not a place the step should have avoided
                 raise

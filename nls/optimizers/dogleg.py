@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.optimizers.base import Optimizer
-from nls.optimizers.levenberg_marquardt import SUFFICIENT
+from nls.optimizers.levenberg_marquardt import GOOD, POOR, SUFFICIENT
 from nls.optimizers.undamped import Undamped, diagonal
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Dogleg"]
 
-GOOD, POOR = 0.75, 0.25  # parts of the promised fall between which the radius stays
 SMALLEST = 1e-16  # radius, as a part of |D gn|, at which no step is left to try
 
 
@@ -67,9 +66,9 @@ class Dogleg(Optimizer):
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
         radius, undamped, D = math.inf, Undamped(problem), np.zeros(problem.pattern.n)
         while watch.status is None:
+            D, gn = np.maximum(D, np.sqrt(diagonal(system))), undamped.step(system)
             if watch.flat(system):
                 break
-            D, gn = np.maximum(D, np.sqrt(diagonal(system))), undamped.step(system)
             dx = _dogleg(system, D, gn, radius)
             length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
             Y, trial, led = problem.attempt(X, dx)
@@ -84,7 +83,7 @@ class Dogleg(Optimizer):
             else:
                 watch.refuse(system, promised, led, undamped)
                 if radius < SMALLEST * np.linalg.norm(D * gn) and watch.status is None:
-                    watch.stall(led)
+                    watch.stall(system, led)
 
 
 def _dogleg(system: LinearSystem, D: Array, gn: Array, radius: float) -> Array:

@@ -24,9 +24,14 @@ __all__ = ["Watch"]
 
 BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
-FARTHER = 10  # where chi2 levels off, an undamped step this much longer than the last ones sees no minimum
+SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
+PLATEAU = 5  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
+FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
+CHECK = "check the Jacobians with factors.check_jacobians"
+EPS = 2.3e-16  # a promise below this part of chi2 cannot be seen in it
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
+STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
 ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
 
 
@@ -58,6 +63,7 @@ class Watch:
         self.stop, self.callback, self.began = stop, callback, perf_counter()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest, self._since_best = values, chi2, 0
+        self._fall, self._running = math.inf, 0  # of the last step; steps in a row that ran along a plateau
         self._reacted: npt.NDArray[np.bool_] | None = None
         self.status: Status | None = None
         self.reason = ""
@@ -68,10 +74,11 @@ class Watch:
         """It is over."""
         self.status, self.reason = status, reason
 
-    def flat(self, system: LinearSystem) -> bool:
+    def flat(self, system: LinearSystem, undamped: Undamped | None = None) -> bool:
         """Whether the gradient of the current point vanishes; it is over then, without another step."""
         self.history[-1] = replace(self.history[-1], gradient=system.scaled_gradient)
         if not self._lost(system) and (system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol):
+            self._agreed(undamped, system)  # notes what is free there
             self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
 
@@ -104,19 +111,21 @@ class Watch:
             self.best, self.lowest, self._since_best = values, chi2, 0
         missed = undamped is None and promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
         still, level = update < stop.update_tol, 0 <= fall <= little and not missed
+        shorter, longer = update < SHORTER * old.update, update >= SHORTER * old.update  # neither after the first step
+        arrives = shorter and (fall <= ROUNDING * chi2 or fall**2 <= little * (self._fall - fall))
+        self._running = self._running + 1 if level and longer and fall <= self._fall else 0
+        self._fall = fall
         if not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
             self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
         elif still and missed:
             said = f"an update of {update:.1e} promised to lower chi2 by {promised:.3g} and brought {fall:.3g}"
-            self.end(Status.STALLED, f"{said}; check the Jacobians with factors.check_jacobians")
-        elif (
-            still
-            and self._agreed(undamped, system)
-            and (undamped is None or undamped.reach <= FARTHER * stop.update_tol)
-        ):
+            self.end(Status.STALLED, f"{said}; {CHECK}")
+        elif still and self._agreed(undamped, system) and self._near(undamped):
             self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
-        elif level and self._agreed(undamped, system):
-            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}", undamped)
+        elif level and arrives and self._agreed(undamped, system):
+            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
+        elif self._running >= PLATEAU:
+            self._plateau()
         elif self._cycles(chi2):
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
         else:
@@ -128,16 +137,31 @@ class Watch:
         """A trial step was not taken: over when it promised nothing, or at a limit; `led` says where it led."""
         little = self.stop.chi2_rtol * system.chi2
         if promised <= little and self._agreed(undamped, system):
-            self._settled(f"no step promises to lower chi2 by more than {self.stop.chi2_rtol:g} of itself", undamped)
+            if self._running >= PLATEAU:
+                self._plateau()
+            else:
+                self._settled(f"no step promises to lower chi2 by more than {self.stop.chi2_rtol:g} of itself")
+        elif promised <= EPS * system.chi2:
+            self.stall(system, led)
         else:
             self._limits()
 
-    def stall(self, led: str) -> None:
-        """No shorter step is left to try."""
+    def stall(self, system: LinearSystem, led: str) -> None:
+        """No shorter step is left to try: at a minimum within rounding, or because something is wrong."""
+        if system.scaled_gradient <= STATIONARY:
+            self._settled(f"no step lowers chi2 within its 16 digits; scaled gradient {system.scaled_gradient:.1e}")
+        else:
+            self.end(Status.STALLED, f"every step was refused, the last one led {led}; {CHECK}")
+
+    def _plateau(self) -> None:
         self.end(
-            Status.STALLED,
-            f"every step was refused, the last one led {led}; check the Jacobians with factors.check_jacobians",
+            Status.DIVERGED,
+            f"chi2 levels off at {self.history[-1].chi2:.6g} while the steps do not get shorter, "
+            f"{self.history[-1].update:.3g} the last: a plateau that falls for ever, no minimum",
         )
+
+    def _near(self, undamped: Undamped | None) -> bool:
+        return undamped is None or undamped.reach <= FARTHER * self.stop.update_tol
 
     def _agreed(self, undamped: Undamped | None, system: LinearSystem) -> bool:
         return undamped is None or (undamped.agrees(system, self.stop.chi2_rtol) and not self._lost(system))
@@ -156,17 +180,10 @@ class Watch:
             )
         return bool(lost.any())
 
-    def _settled(self, rule: str, undamped: Undamped | None = None) -> None:
-        """CONVERGED where the last point is the best one up to rounding and the model sees its minimum nearby."""
+    def _settled(self, rule: str) -> None:
+        """CONVERGED where the last point is the best one up to rounding."""
         last = self.history[-1].chi2
-        recent = max((h.update for h in self.history[1:][-PATIENCE:]), default=math.inf)
-        if undamped is not None and undamped.reach > FARTHER * recent:
-            self.end(
-                Status.DIVERGED,
-                f"chi2 levels off at {last:.6g} and the undamped step still goes {undamped.reach:.3g} away: a plateau "
-                "that falls for ever, no minimum",
-            )
-        elif last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
+        if last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
             self.end(Status.CONVERGED, rule)
         else:
             above = f"{rule}, but at chi2 {last:.6g}, above the {self.lowest:.6g} met before, which is returned"

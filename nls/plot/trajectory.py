@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from models.algebra import Array
+    from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.optimizers import Result
     from nls.values import Values
@@ -55,19 +56,29 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     return figure
 
 
-def trajectory(graph: FactorGraph, values: Values, axes: Axes | None = None) -> Figure:
+def trajectory(
+    graph: FactorGraph,
+    values: Values,
+    axes: Axes | None = None,
+    marginals: Marginals | None = None,
+    every: int | None = None,
+) -> Figure:
     """Positions in the order of their numbers, and the measurements between positions that are not neighbors.
 
     Parameters
     ----------
     graph, values : what to draw; kinds without positions are left out.
     axes : where; a new figure when omitted. Space needs axes with ``projection="3d"``.
+    marginals : of the same values: positions get their 95 % ellipses, see `ellipses`.
+    every : an ellipse on every so many variables of a kind.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     from matplotlib.figure import Figure
+
+    from nls.plot.ellipses import ellipses
 
     dim = _points(values).shape[1]
     if axes is None:
@@ -85,6 +96,8 @@ def trajectory(graph: FactorGraph, values: Values, axes: Axes | None = None) -> 
             axes.plot(*X[:1].T, "o", color=PATH, markersize=5)
         else:
             axes.plot(*X.T, "*", color=POINT, markersize=5, label=stack.kind)
+    if marginals is not None:
+        ellipses(marginals, axes, every=every)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     if dim == 3:
@@ -93,7 +106,7 @@ def trajectory(graph: FactorGraph, values: Values, axes: Axes | None = None) -> 
         axes.tick_params(labelsize=7)
     else:
         axes.set_aspect("equal", adjustable="datalim")
-    if len(segments):
+    if len(segments) or (marginals is not None and axes.get_legend_handles_labels()[0]):
         shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
         axes.legend(loc="upper left", fontsize=8, title=shown.strip(", ") or None)
     figure = axes.get_figure()

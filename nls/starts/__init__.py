@@ -1,4 +1,4 @@
-"""Start values: poses composed along edges, or all at once by chordal relaxation."""
+"""Start values: poses composed along edges, or all at once by chordal relaxation; points where the poses saw them."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from collections.abc import Callable
 import numpy as np
 
 from models import SE2, SE3
-from models.errors import EvaluationError, LeadlineError, OptionError, UnderconstrainedError
+from models.errors import EvaluationError, LeadlineError, OptionError, SingularGeometryError, UnderconstrainedError
 from nls.graph import FactorGraph
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
 from nls.starts.edges import pose_edges
+from nls.starts.landmarks import locate_points
 from nls.values import Values
 
-__all__ = ["STARTS", "chain", "chordal", "initialize", "spanning_tree"]
+__all__ = ["STARTS", "chain", "chordal", "initialize", "locate_points", "spanning_tree"]
 
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "file": lambda graph, values: values,
-    "odometry": chain,
-    "spanning-tree": spanning_tree,
-    "chordal": chordal,
+    "odometry": lambda graph, values: locate_points(graph, chain(graph, values)),
+    "spanning-tree": lambda graph, values: locate_points(graph, spanning_tree(graph, values)),
+    "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
 }
 
 
@@ -30,8 +31,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     Parameters
     ----------
     graph, values : the graph and what the file, or the user, gave.
-    method : ``file`` keeps the values; ``odometry``, ``spanning-tree``, ``chordal``; ``auto`` takes the start of lowest
-        chi2 among the file's own, the odometry chain and chordal.
+    method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
+        to where these poses saw them; ``auto`` takes the start of lowest chi2 among the file's own, the odometry chain
+        and chordal.
 
     Returns
     -------
@@ -43,7 +45,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ------
     OptionError
         No such method.
-    EvaluationError, UnderconstrainedError
+    EvaluationError, SingularGeometryError, UnderconstrainedError
         The chosen start, or every start that ``auto`` tries, cannot be evaluated or does not exist.
 
     Examples
@@ -65,13 +67,14 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     chi2: dict[str, float] = {}
     best, name = values, ""
     refused: LeadlineError | None = None
-    relaxable = any(edges.group in (SE2, SE3) for edges in pose_edges(graph, values))
-    for candidate in ("file", "odometry", "chordal") if relaxable else ("file", "odometry"):
+    groups = [edges.group for edges in pose_edges(graph, values)]
+    candidates = ["file"] + ["odometry"] * bool(groups) + ["chordal"] * (SE2 in groups or SE3 in groups)
+    for candidate in candidates:
         try:
             start = STARTS[candidate](graph, values)
             chi2[candidate] = graph.chi2(start)
-        except (UnderconstrainedError, EvaluationError) as error:  # no start of this graph: not listed
-            refused = error
+        except (UnderconstrainedError, EvaluationError, SingularGeometryError) as error:
+            refused = error  # no start of this graph: not listed
             continue
         if chi2[candidate] < chi2.get(name, np.inf):
             best, name = start, candidate

@@ -21,6 +21,7 @@ from factors import (
     Prior,
     Range,
 )
+from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import SE2, SE3, SO3, LieGroup, Manifold, Measured, R
@@ -180,7 +181,7 @@ def pixels(camera: Array, intrinsics: Array, X: Array) -> Array:
 
 BUNDLE = Sample(
     "BundleProjection",
-    (R(6), R(3), R(3)),
+    (CAMERA, LENS, R(3)),
     Measured("u", "v"),
     2,
     lambda keys, z, noise: BundleProjection(*keys, z, noise),

@@ -22,6 +22,7 @@ from factors import (
     Prior,
     check_jacobians,
 )
+from factors.bundle import CAMERA, LENS
 from models import SE2, SE3, SO3, R, euler
 from models.errors import GraphError, NoiseModelError, SingularGeometryError
 from models.sensors import project
@@ -146,7 +147,7 @@ def test_hand_and_eye() -> None:
 
 
 BUNDLE = Values(
-    {c: (R(6), [[0, 0, 0, 0, 0, -2.0]] * 2), f: (R(3), [[100.0, 0.1, 0.0]]), l: (R(3), [[1.0, 0, 0], [1.0, 0, 2.0]])}
+    {c: (CAMERA, [[0, 0, 0, 0, 0, -2.0]] * 2), f: (LENS, [[100.0, 0.1, 0.0]]), l: (R(3), [[1.0, 0, 0], [1.0, 0, 2.0]])}
 )
 
 
@@ -180,7 +181,7 @@ BUNDLE = Values(
         ),
         (BetweenSensors(x[0], x[1], [1, 2, 3], UNIT, ([0, 0], [0, 0])), PLANE, r"offset: SE2: elements have shape"),
         (BetweenSensors(x[0], x[1], [1, 2, 3], UNIT, l[0]), PLANE, r"the offset l0 is in R\(2\), expected SE2"),
-        (BundleProjection(l[0], f[0], c[0], [1, 2], UNIT), BUNDLE, r"l0 is in R\(3\), this factor needs R\(6\)"),
+        (BundleProjection(l[0], f[0], c[0], [1, 2], UNIT), BUNDLE, r"l0 is in R\(3\), this factor needs \(wx, wy"),
         (BundleProjection(c[0], f[0], l[0], 1, UNIT), BUNDLE, r"\(u, v\): elements have shape \(\), expected \(n, 2\)"),
     ],
 )
@@ -231,8 +232,8 @@ def test_a_small_bundle() -> None:
     factor = BundleProjection(c[i], f[0], l[k], z, Isotropic(0.5))
     start = Values(
         {
-            c: (R(6), C + rng.normal(scale=0.01, size=C.shape)),
-            f: (R(3), F + np.array([5.0, 0.01, 0.0])),
+            c: (CAMERA, C + rng.normal(scale=0.01, size=C.shape)),
+            f: (LENS, F + np.array([5.0, 0.01, 0.0])),
             l: (R(3), L + rng.normal(scale=0.02, size=L.shape)),
         }
     )
@@ -253,7 +254,7 @@ def test_a_public_bundle_problem(data: Path) -> None:
     i, k, *z = seen.reshape(n, 4).T
     C = C.reshape(cameras, 9)
     factor = BundleProjection(c[i.astype(int)], f[i.astype(int)], l[k.astype(int)], np.stack(z, axis=1), UNIT)
-    values = Values({c: (R(6), C[:, :6]), f: (R(3), C[:, 6:]), l: (R(3), L.reshape(points, 3))})
+    values = Values({c: (CAMERA, C[:, :6]), f: (LENS, C[:, 6:]), l: (R(3), L.reshape(points, 3))})
     system = FactorGraph([factor]).linearize(values)
     assert system.b @ system.b / 2 == pytest.approx(850912.460680839605629, rel=1e-12)
     assert np.linalg.norm(system.A.T @ system.b) == pytest.approx(2.39615629098822921515e7, rel=1e-12)

@@ -47,7 +47,6 @@ def test_families() -> None:
     assert issubclass(errors.NoiseModelError, errors.GraphError)
     assert issubclass(errors.JacobianError, errors.EvaluationError)
     assert issubclass(errors.GraphWarning, UserWarning)
-    assert issubclass(errors.ConvergenceWarning, UserWarning)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(errors.GraphWarning, match="a look"):

@@ -345,7 +345,7 @@ def test_info(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert re.search(r"gauge +x0 held", out)
     report = json.loads(where.read_text())
     assert report["tags"] == {"VERTEX_SE2": 4, "EDGE_SE2": 4}
-    assert (report["rows of A"], report["columns of A"], report["components"]) == (12, 9, 1)
+    assert (report["rows_of_A"], report["columns_of_A"], report["components"]) == (12, 9, 1)
     assert math.isclose(report["chi2"], nls.load(file)[0].chi2(nls.load(file)[1]))
 
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nls import GraphFileError, GraphWarning, kinds
-from nls.io.g2o import read_g2o
+from nls.io.read import read_graph
 from tests.nls.g2o_files import PLANE, SPACE
 
 (x,) = kinds("x")
@@ -80,7 +80,7 @@ def read_or_refused(data: bytes) -> None:
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", GraphWarning)
         try:
-            graph, values, _ = read_g2o(data, "f.g2o")
+            graph, values, _ = read_graph(data, "f.g2o")
         except GraphFileError as caught:
             refused = caught
             graph, values = None, None

@@ -26,15 +26,15 @@ def test_numbers_in_R_are_those_of_a_factorization(name: str) -> None:
     sample = SAMPLES[name]()
     system = sample.graph.linearize(sample.values)
     found = inspect(sample.graph, sample.values)
-    assert found["columns of A"] == system.A.shape[1]
-    assert found["rows of A"] == system.A.shape[0]
+    assert found["columns_of_A"] == system.A.shape[1]
+    assert found["rows_of_A"] == system.A.shape[0]
     blocks, kind = Blocks(system.pattern), best_factorization()
     if kind is SuperLUFactorization:
         pytest.skip("SuperLU orders scalars itself; its fill is another")
     state = NormalState(blocks.structure(kind.order), kind)
     state.factorize(blocks.fill(system))
     R_, order = state.upper()
-    assert found["numbers in R"] == eliminated(system.A, order) <= R_.nnz  # supernodes are stored with zeros in them
+    assert found["numbers_in_R"] == eliminated(system.A, order) <= R_.nnz  # supernodes are stored with zeros in them
 
 
 def eliminated(A: sp.csr_array, order: np.ndarray) -> int:
@@ -81,15 +81,15 @@ def test_counts() -> None:
     assert found["variables"] == 9
     assert found["measurements"] == 6
     assert found["components"] == 3
-    assert found["component sizes"] == [3, 2, 1]
-    assert found["isolated variables"] == 3
+    assert found["component_sizes"] == [3, 2, 1]
+    assert found["isolated_variables"] == 3
     assert found["gauge"] == "x0, x4 held"
-    assert found["rows of A"] == 18
-    assert found["columns of A"] == (3 + 2 + 1) * 3 - 2 * 3
-    assert found["numbers in A"] == 5 * 3 * 6 + 3 * 3
-    assert found["sigma, smallest"] == pytest.approx(0.05)
-    assert found["sigma, largest"] == pytest.approx(2.0)
-    assert found["semi-definite"] == "2 measurements without information in some direction"
+    assert found["rows_of_A"] == 18
+    assert found["columns_of_A"] == (3 + 2 + 1) * 3 - 2 * 3
+    assert found["numbers_in_A"] == 5 * 3 * 6 + 3 * 3
+    assert found["sigma_smallest"] == pytest.approx(0.05)
+    assert found["sigma_largest"] == pytest.approx(2.0)
+    assert found["semi_definite_measurements"] == 2
     assert found["chi2"] == pytest.approx(3 * 100 + 2 * 4 * 4)
 
 
@@ -97,13 +97,13 @@ def test_a_whitener_per_measurement_is_counted_by_measurement() -> None:
     Omega = np.array([np.diag([1.0, 1.0, 0.0]), np.eye(3), [[1.0, 1.0, 0], [1.0, 1.0, 0.0], [0, 0, 1.0]]])
     graph = FactorGraph([Between(x[[0, 1, 2]], x[[1, 2, 3]], [1.0, 0.0, 0.0], Information(Omega))])
     found = inspect(graph, Values({x: (SE2, np.zeros((4, 3)))}))
-    assert found["semi-definite"].startswith("2 measurements")
+    assert found["semi_definite_measurements"] == 2
 
 
 def test_numbers_in_A_are_stored() -> None:
     sample = pose_graph(SE3)
     found = inspect(sample.graph, sample.values)
-    assert found["numbers in A"] == sample.graph.linearize(sample.values).A.nnz
+    assert found["numbers_in_A"] == sample.graph.linearize(sample.values).A.nnz
     assert found["chi2"] == sample.graph.chi2(sample.values)
 
 
@@ -112,5 +112,5 @@ def test_an_empty_graph() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)
         found = inspect(FactorGraph(), values)
-    assert (found["components"], found["isolated variables"], found["chi2"]) == (0, 2, 0.0)
-    assert found["sigma, smallest"] is None
+    assert (found["components"], found["isolated_variables"], found["chi2"]) == (0, 2, 0.0)
+    assert found["sigma_smallest"] is None

@@ -1,0 +1,143 @@
+"""What all marginal covariances cost: one pass over the Cholesky factor, against solving for columns of the inverse.
+
+    python benchmarks/marginals.py [--quick] [--out DIR]
+
+Both use the same factorization, one thread, and give the same numbers: the table says how far they differ. Column
+solves take 60 columns at a time, of as many poses as that is, until every pose is done (the columns of one pose at a
+time take twice as long). The public sets sphere2500, city10000 and
+torus3D are taken from the folder that LEADLINE_DATA names; without it, simulated worlds of those sizes. --quick: one
+small world.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from pinv import machine  # the script beside this one
+
+RUNS, COLUMNS = 5, 60  # columns: a multiple of 3 and of 6
+RESULTS = Path(__file__).parent / "results"
+SETS = {
+    "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
+    "city10000": "pose-graphs-2d/city10000.g2o.gz",
+    "torus3D": "pose-graphs-3d/torus3D.g2o.gz",
+}
+
+
+def problems(quick: bool) -> dict[str, Callable[[], Any]]:
+    """Names and what gives graph and values."""
+    import nls
+    import sim
+
+    def simulated(make: Callable[..., Any], **sizes: int) -> Callable[[], Any]:
+        def world() -> Any:
+            made = make(np.random.default_rng(1), **sizes)
+            return made.graph, made.truth
+
+        return world
+
+    if quick:
+        return {"sphere of 500 (simulated)": simulated(sim.sphere, rings=20, per_ring=25)}
+    folder = os.environ.get("LEADLINE_DATA")
+    if folder:
+        return {name: lambda path=path: nls.load(Path(folder) / path)[:2] for name, path in SETS.items()}
+    return {
+        "sphere of 2,500 (simulated)": simulated(sim.sphere, rings=50, per_ring=50),
+        "city of 10,000 (simulated)": simulated(sim.manhattan, n_poses=10_000),
+    }
+
+
+def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
+    """Median processor time of some runs, s, and the last result."""
+    seconds, found = [], None
+    for _ in range(runs):
+        began = process_time()
+        found = what()
+        seconds.append(process_time() - began)
+    return float(np.median(seconds)), found
+
+
+def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> str:
+    """Measure one problem with one factorization."""
+    from nls.assemble import Pattern
+    from nls.gauge import choose_gauge, fixed_variables
+    from nls.linear.takahashi import diagonal_blocks
+    from nls.linear.threads import single_thread
+
+    gauge = choose_gauge("first", graph.factors, values, fixed_variables(graph.fixed, values))
+    pattern = Pattern(graph.factors, values, gauge.held)
+    blocks, state = solver.analyze(pattern)
+    S = blocks.fill(pattern.linearize(values))
+    with single_thread():
+        factorize, _ = timed(lambda: state.factorize(S))
+        ours, flat = timed(lambda: diagonal_blocks(blocks, state, np.inf))
+    n, d = pattern.n, int(blocks.dims[0])
+    cells = [name, solver.name, f"{len(values):,}", f"{n:,}", f"{state.lower()[0].nnz:,}"]
+    cells += [f"{1e3 * factorize:.0f}", f"{ours:.3f}"]
+    if solve_columns:
+
+        def columns() -> Any:
+            out = np.empty((n // d, d, d))
+            for begin in range(0, n, COLUMNS):
+                block = np.arange(begin, min(begin + COLUMNS, n))
+                E = np.zeros((n, len(block)))
+                E[block, np.arange(len(block))] = 1.0
+                square = state.solve(E)[block].reshape(len(block) // d, d, len(block) // d, d)
+                k = np.arange(len(block) // d)
+                out[begin // d + k] = square[k, :, k, :]
+            return out
+
+        with single_thread():
+            seconds, expected = timed(columns, 1)
+        scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+        off = np.abs((flat.reshape(-1, d, d) - expected) / scale).max()
+        cells += [f"{seconds:.1f}", f"{seconds / ours:.0f}", f"{off:.0e}"]
+    else:
+        cells += ["", "", ""]
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for marginals.md")
+    parser.add_argument("--quick", action="store_true", help="one small simulated world")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    from nls.linear import LU, Cholesky
+
+    lines = [
+        "# All marginal covariances: one pass against column solves",
+        "",
+        *machine()[:3],
+        f"- processor time with one thread; median of {RUNS} runs, the column solves once",
+        "- one pass: from the factor to the diagonal block of every variable; column solves: the same factor, "
+        f"{COLUMNS} columns at a time, the blocks of every pose kept",
+        "- linearized at the values of the file, first pose held; difference of the two relative to the largest number "
+        "of each block",
+        "",
+        "| graph | factor | poses | unknowns | numbers in L | factorize, ms | one pass, s | column solves, s | times "
+        "| difference |",
+        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for name, load in problems(options.quick).items():
+        graph, values = load()
+        for solver in (Cholesky(), LU()):
+            if solver.missing() is not None:
+                lines.append(f"| {name} | {solver.name} | not installed | | | | | | | |")
+                continue
+            lines.append(row(name, graph, values, solver, solver.name == "cholesky" or Cholesky.missing() is not None))
+            print(lines[-1], flush=True)
+    (options.out / "marginals.md").write_text("\n".join(lines) + "\n")
+    print("\n" + "\n".join(lines))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

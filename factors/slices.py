@@ -1,0 +1,67 @@
+"""Parts of a batch: which measurements an index means, and the rows of what a factor holds for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import Keys
+from models.errors import GraphError
+
+__all__ = ["places", "rows"]
+
+Index = npt.NDArray[np.intp]
+
+
+def places(index: Any, n: int, what: str) -> Index:
+    """Places (k,) in a batch of n that a whole number, a slice, an array of whole numbers or a mask (n,) means.
+
+    Raises
+    ------
+    GraphError
+        None of these, a mask of another length, or a place the batch does not have.
+
+    Examples
+    --------
+    >>> places(-1, 3, "Range"), places(slice(1, None), 3, "Range"), places([True, False, True], 3, "Range")
+    (array([2]), array([1, 2]), array([0, 2]))
+    """
+    if isinstance(index, slice):
+        try:
+            return np.arange(n)[index]
+        except TypeError as error:
+            raise GraphError(f"{what}: index {index}: {error}") from error
+    try:
+        array = np.asarray(index)
+    except ValueError as error:
+        raise GraphError(f"{what}: index {index!r:.60}: {error}") from error
+    if array.dtype == bool and array.ndim == 1:
+        if len(array) != n:
+            raise GraphError(f"{what}: a mask of {len(array)} for {n} measurements; expected one entry for each")
+        return np.flatnonzero(array)
+    if array.ndim > 1 or (array.size and array.dtype.kind not in "iu"):
+        raise GraphError(
+            f"{what}: index {index!r:.60} has type {array.dtype} and shape {array.shape}; expected a whole number, a "
+            "slice, an array of whole numbers or a mask"
+        )
+    array = np.atleast_1d(array)
+    if (wrong := (array < -n) | (array >= n)).any():
+        raise GraphError(f"{what}: there is no measurement {array[wrong][0]}; the batch has {n}, counted from 0")
+    return np.where(array < 0, array + n, array).astype(np.intp)
+
+
+def rows(value: Any, index: Index, n: int) -> Any:
+    """The rows of keys and arrays with one for each of n measurements; what all share, and anything else, as it is."""
+    if isinstance(value, Keys):
+        return value[index]
+    if isinstance(value, np.ndarray) and value.ndim and len(value) == n:
+        part = value[index]
+        part.setflags(write=value.flags.writeable)
+        return part
+    if isinstance(value, tuple):
+        return tuple(rows(each, index, n) for each in value)
+    if isinstance(value, dict):
+        return {name: rows(each, index, n) for name, each in value.items()}
+    return value

@@ -1,0 +1,30 @@
+"""``nls info``: what is in a file, what holds it, what a solve would cost."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from nls.cli.outputs import refuse_unwritable, write_json
+
+__all__ = ["info"]
+
+
+def info(options: argparse.Namespace) -> int:
+    """Read, inspect, print; returns the exit status."""
+    from nls.cli.formats import read
+    from nls.inspect import inspect
+
+    refuse_unwritable(options.json)
+    graph, values, report = read(options)
+    found = inspect(graph, values)
+    head = {"input": options.file, "format": report.format, "dimension": report.dimension}
+    write_json(head | {"tags": report.tags, "notes": report.notes} | found, options.json)
+    if options.json != "-":
+        print(report)
+        print("\n".join(f"  {name.replace('_', ' '):26s} {_shown(value)}" for name, value in found.items()))
+    return 0
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

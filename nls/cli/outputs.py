@@ -1,0 +1,69 @@
+"""What the commands write: files that can be written, reports for programs, pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+__all__ = ["refuse_no_picture", "refuse_unwritable", "write_json"]
+
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def refuse_unwritable(*names: str | None) -> None:
+    """Find out before the work, not after it, that an output cannot be written.
+
+    Raises
+    ------
+    OptionError
+    """
+    from models.errors import OptionError
+
+    for name in names:
+        if not name or name == "-":
+            continue
+        path = Path(name)
+        folder = Path(os.path.realpath(name)).parent
+        if path.is_dir() or not folder.is_dir():
+            raise OptionError("output file", name, "a file in a folder that exists")
+        special = path.exists() and not path.is_file()  # a pipe or device is written to, a file is replaced
+        if not os.access(path if special else folder, os.W_OK):
+            raise OptionError("output file", name, "a file in a folder you may write to")
+
+
+def refuse_no_picture(option: str, name: str | None) -> None:
+    """Refuse a picture in a format nobody draws.
+
+    Raises
+    ------
+    OptionError
+    """
+    from models.errors import OptionError
+
+    if name and Path(name).suffix.lower() not in PICTURES:
+        raise OptionError(option, name, "a file name ending in " + ", ".join(PICTURES))
+
+
+def write_json(report: dict[str, Any], where: str | None) -> None:
+    """The report for programs, to a file or (``-``) standard output."""
+    from nls.io.files import write_bytes
+
+    if where is None:
+        return
+    text = json.dumps(_finite(report), indent=1, allow_nan=False)
+    if where == "-":
+        print(text)
+    else:
+        write_bytes(where, (text + "\n").encode())
+
+
+def _finite(item: Any) -> Any:
+    """A report with null for every number that is not finite: JSON has no other word for it."""
+    if isinstance(item, dict):
+        return {name: _finite(value) for name, value in item.items()}
+    if isinstance(item, list):
+        return [_finite(value) for value in item]
+    return None if isinstance(item, float) and not math.isfinite(item) else item

@@ -1,0 +1,122 @@
+"""All commands and options of ``nls``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+__all__ = ["parser"]
+
+EXAMPLES = """examples:
+  nls solve survey.g2o                                 the table and the sentence
+  nls solve survey.g2o -o solved.g2o --plot solved.png
+  nls solve survey.g2o --init odometry --verbose
+  nls solve survey.g2o --robust huber:1.0              outliers count less
+  nls solve bundle.txt --hold k                        cameras and points, the lenses held
+  nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
+  nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
+  nls plot survey.g2o survey.png                       the graph as it was read
+
+exit status: 0 converged; 1 not converged or under-constrained; 2 bad input or usage
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"nls: {message}; see '{self.prog} --help'", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def parser() -> Parser:
+    """All commands and options."""
+    from nls.cli.formats import formats
+    from nls.gauge import GAUGES
+    from nls.linear import SOLVERS
+    from nls.optimizers import OPTIMIZERS
+    from nls.starts import STARTS
+
+    top = Parser("nls", description="Least squares on factor graphs: solve, inspect, convert, draw.", epilog=EXAMPLES)
+    top.formatter_class = argparse.RawDescriptionHelpFormatter
+    top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
+
+    def command(name: str, what: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=what, epilog=EXAMPLES, formatter_class=top.formatter_class)
+        added.set_defaults(run=run)
+        _input(added)
+        return added
+
+    solve = command("solve", "find the optimum", _solve)
+    solve.add_argument("-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format")
+    solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
+    solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
+    solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
+    solve.add_argument("--robust", metavar="KERNEL:SIGMAS", help="robust kernel on every factor, such as huber:1.0")
+    solve.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
+    solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
+    solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")
+    solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
+    solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
+    _json(solve)
+    solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
+    solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    how = solve.add_mutually_exclusive_group()
+    how.add_argument("--quiet", action="store_true", help="print nothing")
+    how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
+
+    _json(command("info", "what is in a file", _info))
+
+    convert = command("convert", "write a graph in another format", _convert)
+    convert.add_argument("output", metavar="OUT", help="the file to write")
+    convert.add_argument("--to", choices=formats(), help="format of OUT (default: by its suffix)")
+
+    plot = command("plot", "draw the graph as it was read", _plot)
+    plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+    return top
+
+
+def _input(command: argparse.ArgumentParser) -> None:
+    """The file every command reads, and how it is read."""
+    from factors.conventions import CONVENTIONS
+    from nls.io import DIALECTS
+
+    command.add_argument("file", metavar="FILE", help="graph file, also gzip-compressed (*.gz)")
+    command.add_argument("--dialect", default="auto", choices=DIALECTS, help="how its lines read (default: auto)")
+    command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
+    command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")
+    command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _json(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--json", metavar="REPORT.json", help="write the report for programs ('-': standard output)")
+
+
+# Each command is imported when it runs, so that none pays for the others at start-up.
+
+
+def _solve(options: argparse.Namespace) -> int:
+    from nls.cli.solve import solve
+
+    return solve(options)
+
+
+def _info(options: argparse.Namespace) -> int:
+    from nls.cli.info import info
+
+    return info(options)
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from nls.cli.convert import convert
+
+    return convert(options)
+
+
+def _plot(options: argparse.Namespace) -> int:
+    from nls.cli.plot import plot
+
+    return plot(options)

@@ -1,0 +1,25 @@
+"""``nls plot``: the graph as it was read."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from nls.cli.outputs import refuse_no_picture, refuse_unwritable
+
+__all__ = ["plot"]
+
+
+def plot(options: argparse.Namespace) -> int:
+    """Read, draw, write; returns the exit status."""
+    from nls.cli.formats import read
+    from nls.plot import trajectory
+
+    refuse_unwritable(options.output)
+    refuse_no_picture("output file", options.output)
+    graph, values, _ = read(options)
+    figure = trajectory(graph, values)
+    figure.suptitle(Path(options.file).name)
+    figure.savefig(options.output, dpi=150)
+    print(f"written     {options.output}")
+    return 0

@@ -1,0 +1,94 @@
+r"""The covariance of a free gauge: the pseudo-inverse of A'A, from the covariance with one variable held.
+
+    Sigma = P Sigma_held P',   P = I - Q Q',   Q an orthonormal basis of the gauge, (N, k)
+          = Sigma_held - Q B' - B Q' + Q (Q'B) Q',   B = Sigma_held Q
+
+so a block costs no more than the held one, once the k columns of B are solved for. The gauge is the null space of A:
+with A = [A_f A_h], f the free columns and h the held ones, it is spanned by [-(A_f'A_f)^-1 A_f'A_h; I].
+
+P S P' of *any* symmetric generalized inverse S of A'A is its pseudo-inverse: C. R. Rao, S. K. Mitra, Generalized
+Inverse of Matrices and its Applications, 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import GraphError, ResourceLimitError
+from nls.assemble import Index, Pattern
+from nls.linear.normal import NormalState
+from nls.values import Values
+
+__all__ = ["FreePart", "free_part"]
+
+
+@dataclass(frozen=True)
+class FreePart:
+    """What takes the covariance from a held gauge to the free one.
+
+    Parameters
+    ----------
+    Q : (N, k) basis of the gauge, a row per column of all variables; zero in the fixed ones.
+    B : (N, k) Sigma_held Q.
+    """
+
+    Q: Array
+    B: Array
+
+    def moved(self, Sigma: Array, rows: Index, columns: Index) -> Array:
+        """Blocks (..., r, c) of the covariance with the free gauge.
+
+        Parameters
+        ----------
+        Sigma : (..., r, c) the same blocks with the gauge held.
+        rows, columns : (..., r) and (..., c) where they are.
+        """
+        M = self.Q.T @ self.B
+        Q_r, Q_c, B_r, B_c = self.Q[rows], self.Q[columns], self.B[rows], self.B[columns]
+        return np.asarray(Sigma - Q_r @ B_c.mT - B_r @ Q_c.mT + Q_r @ ((M + M.T) / 2) @ Q_c.mT)
+
+
+def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, memory_limit: float) -> FreePart:
+    """The basis of the gauge and Sigma_held times it.
+
+    Parameters
+    ----------
+    held, free : the graph with the gauge held, and without.
+    state : the factorization of A'A of `held`.
+    values : the linearization point.
+    memory_limit : bytes of the dense columns.
+
+    Raises
+    ------
+    GraphError
+        The held variable is no free direction: a factor calls itself relative and is not.
+    ResourceLimitError
+        There are so many components that the columns would not fit.
+    """
+    gauge = np.flatnonzero(np.repeat(held.held & ~free.held, np.where(free.held, 0, free.dims)))
+    rest = np.setdiff1d(np.arange(free.n), gauge)
+    needed = 6 * 8.0 * free.n * len(gauge)
+    if needed > memory_limit:
+        raise ResourceLimitError(
+            f"gauge 'free': {len(gauge)} free directions of {free.n} unknowns need {needed / 1e9:.1f} GB, the limit is "
+            f"{memory_limit / 1e9:.1f} GB; use gauge 'first'",
+            needed,
+            memory_limit,
+            "free gauge",
+        )
+    A = free.linearize(values).A
+    N = np.zeros((free.n, len(gauge)))
+    N[rest], N[gauge] = -state.solve((A[:, rest].T @ A[:, gauge]).toarray()), np.eye(len(gauge))
+    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+        raise GraphError(
+            "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
+            "relative=True and is not"
+        )
+    of_all = np.flatnonzero(np.repeat(~free.held, free.dims))
+    Q, B = np.zeros((2, int(free.dims.sum()), len(gauge)))
+    Q[of_all] = np.linalg.qr(N)[0]
+    B[of_all[rest]] = state.solve(Q[of_all[rest]])
+    return FreePart(Q, B)

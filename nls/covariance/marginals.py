@@ -1,0 +1,294 @@
+r"""Covariances of the estimate, (A'A)^-1 at the linearization point and parts of it.
+
+    X = X_hat Exp(delta),   delta ~ N(0, Sigma),   Sigma = (A'A)^-1
+
+A few columns of Sigma are solved for with the factor of A'A; the diagonal blocks of all variables come out of one pass
+over that factor (`nls.linear.takahashi`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.keys import Keys, Kind
+from models.algebra import Array
+from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
+from nls.assemble import Index, Pattern
+from nls.covariance.frames import axes, turned
+from nls.covariance.free import FreePart, free_part
+from nls.covariance.joint import Joint
+from nls.diagnose import underconstrained
+from nls.gauge import choose_gauge, fixed_variables
+from nls.hessian import Blocks
+from nls.linear import LinearSolver, best_factorization
+from nls.linear.base import SingularSystemError
+from nls.linear.normal import NormalEquations, NormalState
+from nls.linear.takahashi import diagonal_blocks
+
+if TYPE_CHECKING:
+    from nls.graph import FactorGraph
+    from nls.values import Values
+
+__all__ = ["Marginals"]
+
+ONE_BLOCK = 64  # columns solved for together; more marginals than that come out of the pass over all
+
+
+class Marginals:
+    """Covariances at the values of a graph, usually the optimum, ``Marginals(graph, result.values)``.
+
+    Parameters
+    ----------
+    graph : the factors; A'A must be of full rank once the gauge is held.
+    values : where it is linearized. Factors with a robust kernel count with their weight there, as in the last step of
+        the optimizer: an outlier that was switched off adds no information.
+    linear_solver : its factorization of A'A is used; a solver that keeps none (QR, the dense ones) and none at all mean
+        the best factorization installed. The covariance is the same.
+    gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
+        `gauge` below is the sentence that says which. ``free``: the pseudo-inverse, where nobody is held.
+    memory_limit : bytes; what would take more is refused beforehand.
+
+    Attributes
+    ----------
+    values : a copy of the linearization point.
+    gauge : what holds the graph, in words.
+
+    Raises
+    ------
+    UnderconstrainedError
+        The measurements leave something free: named, with cures.
+
+    Notes
+    -----
+    Poses have a covariance along the axes of the body and one along those of the world, so `frame` must be given:
+
+    - ``body``: of the tangent step, delta = (rho, phi) in X Exp(delta). What a factor on this pose would take as noise.
+    - ``world``: of (R rho, R phi), in the plane (R rho, phi): the errors of position and rotation along the axes of the
+      world. Not the adjoint-transported Ad_X Sigma Ad_X', whose translation part is the error of the point of the
+      *body* that is at the origin of the world: it grows with the distance from the origin.
+
+    Vectors, and rotations of the plane, have one frame only and need none. See the theory page on covariances.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls import Marginals, kinds
+    >>> (x,) = kinds("x")
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    >>> marginals = Marginals(world.graph, world.truth)
+    >>> marginals.gauge
+    'x0 held'
+    >>> marginals.covariance(x[10], frame="world").shape, marginals.covariance(x[10], view="position").shape
+    ((3, 3), (2, 2))
+    >>> marginals.all(x, frame="body").shape
+    (40, 3, 3)
+    """
+
+    def __init__(
+        self,
+        graph: FactorGraph,
+        values: Values,
+        linear_solver: LinearSolver | None = None,
+        gauge: str = "first",
+        memory_limit: float = 4e9,
+    ) -> None:
+        if not len(graph):
+            raise GraphError("the graph has no factors: nothing has a covariance")
+        if not isinstance(linear_solver, LinearSolver | None):
+            raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.LU()")
+        self.values, self.memory_limit = values.copy(), memory_limit
+        fixed = fixed_variables(graph.fixed, values)
+        decided = choose_gauge(gauge, graph.factors, values, fixed)
+        factors = [*graph.factors, *decided.priors]
+        pattern = self._pattern = Pattern(factors, values, decided.held)
+        factorization = best_factorization()
+        if isinstance(linear_solver, NormalEquations):
+            linear_solver.require()
+            factorization = linear_solver.factorization
+        self._blocks = Blocks(pattern)
+        self._state = NormalState(self._blocks.structure(factorization.order), factorization)
+        system = pattern.linearize(values)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
+                self._state.factorize(self._blocks.fill(system))
+        except SingularSystemError as error:
+            raise underconstrained(system) from error
+        self.gauge = decided.said
+        self._free: FreePart | None = None
+        if decided.free:
+            without = Pattern(factors, values, decided.fixed)
+            self._free = free_part(pattern, without, self._state, values, memory_limit)
+        zero = decided.fixed if decided.free else decided.held
+        self._status = np.select(
+            [fixed, decided.fixed, zero], ["fixed", "unmeasured", "gauge"], "estimated"
+        )  # the first that holds
+        self._first = np.cumsum(pattern.dims) - pattern.dims  # column of every variable, held or not
+        self._column = np.full(int(pattern.dims.sum()), -1)  # column of A of each of these
+        self._column[pattern.expand(np.ones(pattern.n)) > 0] = np.arange(pattern.n)
+
+    def covariance(self, keys: Keys, frame: str | None = None, view: str | None = None) -> Array:
+        """Covariance (d, d) of one variable, or (n, d, d) of each of several.
+
+        Parameters
+        ----------
+        keys : ``x[3]`` or ``x[[1, 2, 3]]``.
+        frame : ``body`` or ``world``, required for poses and rotations in space.
+        view : ``position``, (2, 2) or (3, 3) along the axes of the world; ``euler``, (6, 6) of (roll, pitch, yaw, x, y,
+            z) of a pose in space, rad and m; both need no frame.
+
+        Returns
+        -------
+        array, symmetric, m and rad as the components of the variable.
+
+        Raises
+        ------
+        OptionError
+            A pose without a frame; a view the variable does not have.
+        UnderconstrainedError
+            A variable no measurement touches: it has no covariance.
+        SingularGeometryError
+            Euler angles at gimbal lock.
+        """
+        J, _ = self._axes(keys, frame, view)
+        columns = self._columns(keys)  # (n, d)
+        n, d = columns.shape
+        if n * d <= ONE_BLOCK:
+            Sigma = self._dense(columns.reshape(-1)).reshape(n, d, n, d)[np.arange(n), :, np.arange(n), :]
+        else:
+            Sigma = self._diagonal[keys.kind][self.values.stack(keys.kind).index(keys)]
+        Sigma = turned(J, Sigma)
+        return Sigma[0] if keys.single else Sigma
+
+    def all(self, kind: Kind, frame: str | None = None, view: str | None = None) -> Array:
+        """Covariances (n, d, d) of all variables of a kind, in the order of the values; one pass for all kinds.
+
+        Parameters
+        ----------
+        kind : ``x``.
+        frame, view : as in `covariance`.
+        """
+        if not isinstance(kind, Kind):
+            raise GraphError(f"Marginals.all: expected a kind such as x, got {kind!r:.60}; covariance takes variables")
+        keys = Keys(kind.name, self.values.stack(kind.name).numbers)
+        J, _ = self._axes(keys, frame, view)
+        return turned(J, self._diagonal[kind.name].copy())
+
+    def joint(self, keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
+        """Joint covariance of any set of variables, of one kind or several, with names on its rows.
+
+        Parameters
+        ----------
+        keys : ``x[[1, 2, 3]]`` or ``[x[3], l[7]]``.
+        frame, view : as in `covariance`, for all of them.
+
+        Raises
+        ------
+        ResourceLimitError
+            The dense matrix would need more than the memory limit.
+        GraphError
+            No variable is given, or one twice.
+        """
+        batches = [keys] if isinstance(keys, Keys) else list(keys)
+        shown = [self._axes(batch, frame, view) for batch in batches]
+        single = tuple(key for batch in batches for key in batch)
+        if not single:
+            raise GraphError("joint covariance: no variable is given")
+        if len(twice := dict.fromkeys(single)) < len(single):
+            again = next(key for key in twice if single.count(key) > 1)
+            raise GraphError(f"joint covariance: {again!r} is given twice", [again])
+        columns = [self._columns(batch) for batch in batches]
+        Sigma = self._dense(np.concatenate([c.reshape(-1) for c in columns]))
+        for _ in range(2):  # J Sigma, then J (J Sigma)' = J Sigma J'
+            ends = np.cumsum([c.size for c in columns])[:-1]
+            rows = [
+                part if J is None else (J @ part.reshape(*c.shape, -1)).reshape(-1, part.shape[1])
+                for part, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
+            ]
+            Sigma = np.concatenate(rows).T
+        widths = [len(names) for batch, (_, names) in zip(batches, shown, strict=True) for _ in batch]
+        ends = np.cumsum(widths, dtype=np.intp)
+        names = [f"{k!r}: {name}" for b, (_, names) in zip(batches, shown, strict=True) for k in b for name in names]
+        parts = [slice(int(end) - width, int(end)) for end, width in zip(ends, widths, strict=True)]
+        return Joint((Sigma + Sigma.T) / 2, tuple(names), single, parts)
+
+    def status(self, kind: Kind | str) -> list[str]:
+        """What is known of every variable of a kind, in the order of the values.
+
+        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has no covariance.
+        """
+        name = kind.name if isinstance(kind, Kind) else kind
+        size, start = len(self.values.stack(name)), self._pattern.offsets[name]
+        return [str(word) for word in self._status[start : start + size]]
+
+    @cached_property
+    def _diagonal(self) -> dict[str, Array]:
+        """Diagonal blocks (n, d, d) of every kind, axes of the tangent space."""
+        flat = diagonal_blocks(self._blocks, self._state, self.memory_limit)
+        out, begin = {}, 0
+        for kind, stack in self.values.stacks.items():
+            n, d = len(stack), stack.manifold.dim
+            variables = self._pattern.offsets[kind] + np.arange(n)
+            free = ~self._pattern.held[variables]
+            Sigma, end = np.zeros((n, d, d)), begin + int(free.sum()) * d * d
+            Sigma[free] = flat[begin:end].reshape(-1, d, d)
+            begin = end
+            if self._free is not None:
+                columns = self._first[variables][:, None] + np.arange(d)
+                Sigma = self._free.moved(Sigma, columns, columns)
+                Sigma = (Sigma + Sigma.mT) / 2
+            out[kind] = Sigma
+        return out
+
+    def _dense(self, columns: Index) -> Array:
+        """Rows and columns (k,) of Sigma, axes of the tangent spaces: a few columns of it are solved for at a time."""
+        k, n = len(columns), self._pattern.n
+        needed = 8.0 * (4 * k * k + 3 * n * min(k, ONE_BLOCK))
+        if needed > self.memory_limit:
+            raise ResourceLimitError(
+                f"the joint covariance of {k} unknowns needs {needed / 1e9:.1f} GB, the limit is "
+                f"{self.memory_limit / 1e9:.1f} GB; ask for fewer variables, or for marginals with all()",
+                needed,
+                self.memory_limit,
+                "joint covariance",
+            )
+        Sigma, a = np.zeros((k, k)), self._column[columns]
+        free = np.flatnonzero(a >= 0)
+        for begin in range(0, len(free), ONE_BLOCK):
+            part = free[begin : begin + ONE_BLOCK]
+            E = np.zeros((n, len(part)))
+            E[a[part], np.arange(len(part))] = 1.0
+            Sigma[free[:, None], part] = self._state.solve(E)[a[free]]
+        if self._free is not None:
+            Sigma = self._free.moved(Sigma, columns, columns)
+        return (Sigma + Sigma.T) / 2
+
+    def _columns(self, keys: Keys) -> Index:
+        """Columns (n, d) of variables among those of all variables; refuses what no measurement touches."""
+        stack = self.values.stack(keys.kind)
+        variables = self._pattern.offsets[keys.kind] + stack.index(keys)
+        self._measured(keys, variables)
+        return np.asarray(self._first[variables][:, None] + np.arange(stack.manifold.dim))
+
+    def _axes(self, keys: Keys, frame: str | None, view: str | None) -> tuple[Array | None, tuple[str, ...]]:
+        if not isinstance(keys, Keys):
+            raise GraphError(f"Marginals: {keys!r:.60} names no variable; expected x[0], x[[1, 2]], or all(x) for all")
+        stack = self.values.stack(keys.kind)
+        variables = stack.index(keys)
+        self._measured(keys, self._pattern.offsets[keys.kind] + variables)
+        return axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
+
+    def _measured(self, keys: Keys, variables: Index) -> None:
+        unmeasured = self._status[variables] == "unmeasured"
+        if unmeasured.any():
+            named = list(keys[unmeasured])
+            listed = ", ".join(map(repr, named[:5])) + (f" and {len(named) - 5} more" if len(named) > 5 else "")
+            raise UnderconstrainedError(
+                f"{listed}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no covariance; "
+                "ask for the other variables by number, remove these, or add the factors that are missing",
+                named,
+            )

@@ -1,0 +1,179 @@
+"""Bundle adjustment in the large: cameras, points and the pixels where they meet.
+
+    cameras points observations
+    camera point x y                 one line per observation: pixels, origin at the image center, y up
+    R1 R2 R3 t1 t2 t3 f k1 k2        nine numbers per camera, usually one a line: rotation vector, translation, lens
+    X Y Z                            three per point, meters (or the unit of the reconstruction)
+
+Cameras and points are counted from 0 and have no names. A camera becomes two variables of its number, so that its lens
+can be held: `c`, the rotation vector and translation that take the world into the camera, and `k`, the
+focal length and two distortions. Points are `l`. The file states no noise: one pixel is taken.
+
+Source: S. Agarwal, N. Snavely, S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010, and its data sets.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.bundle import CAMERA, LENS, BundleProjection
+from factors.keys import Keys
+from factors.noise import Isotropic
+from models import R
+from models.errors import GraphError
+from nls.graph import FactorGraph
+from nls.io.files import write_bytes
+from nls.io.report import LoadReport
+from nls.io.text import Text
+from nls.values import Stack, Values
+
+__all__ = ["read_bal", "write_bal"]
+
+CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
+PIXEL = Isotropic(1.0)
+
+
+def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
+    """Graph, start values and report of the bytes of a bundle-adjustment file.
+
+    Raises
+    ------
+    GraphFileError
+        With the line, for anything that cannot be right.
+
+    Examples
+    --------
+    >>> text = b"1 1 1  0 0 10.5 -3  0 0 0  0 0 0  500 0 0  0.1 0.2 -5".replace(b"  ", b"\\n")
+    >>> graph, values, report = read_bal(text, "one.txt")
+    >>> graph.factors[0], graph.factors[0].z.tolist(), report.tags
+    (BundleProjection(c0, k0, l0), [[10.5, -3.0]], {'cameras': 1, 'points': 1, 'observations': 1})
+    """
+    text = Text(data, path)
+    count = np.diff(text.first)
+    lines = np.flatnonzero(count)
+    if not len(lines):
+        raise text.error("is empty; expected a line 'cameras points observations'", 0)
+    if count[lines[0]] != 3:
+        raise text.error("expected three counts: cameras points observations", int(lines[0]))
+    cameras, points, observations = text.whole(np.repeat(lines[:1], 3), np.arange(3)).tolist()
+    if min(cameras, points, observations) < 1:
+        raise text.error("expected at least one camera, one point and one observation", int(lines[0]))
+
+    seen = lines[1 : 1 + min(observations, len(lines))]
+    if (wrong := count[seen] != 4).any():
+        k = int(np.argmax(wrong))
+        raise text.error(
+            f"observation {k} of {observations} has {count[seen[k]]} numbers, expected 4: camera point x y",
+            int(seen[k]),
+        )
+    if len(seen) < observations:
+        raise text.error(
+            f"the file ends after {len(seen)} observations, its first line announces {observations}", int(lines[-1])
+        )
+    i = _index(text, seen, 0, cameras, "camera")
+    j = _index(text, seen, 1, points, "point")
+    z = text.numbers((text.first[seen][:, None] + np.array([2, 3])).reshape(-1), seen, 2).reshape(-1, 2)
+
+    first, last = int(text.first[seen[-1] + 1]), len(text.starts)
+    needed = 9 * cameras + 3 * points
+    if last - first != needed:
+        said = f"{last - first} numbers follow the observations, expected 9 x {cameras} + 3 x {points} = {needed}"
+        missing = last - first < needed
+        raise text.error(
+            f"{said}; the file is cut off here" if missing else f"{said}; this is the first too many",
+            _line(text, np.array([last - 1 if missing else first + needed]))[0],
+        )
+    tokens = np.arange(first, last)
+    numbers = text.numbers(tokens, _line(text, tokens), 1)
+    camera, point = numbers[: 9 * cameras].reshape(-1, 9), numbers[9 * cameras :].reshape(-1, 3)
+
+    values = Values({"c": (CAMERA, camera[:, :6]), "k": (LENS, camera[:, 6:]), "l": (R(3), point)})
+    graph = FactorGraph([BundleProjection(Keys("c", i), Keys("k", i), Keys("l", j), z, PIXEL)])
+    report = LoadReport(path, "bal", "3-D", "none")
+    report.tags = {"cameras": cameras, "points": points, "observations": observations}
+    report.notes.append("the file states no noise: 1 pixel is taken")
+    return graph, values, report
+
+
+def _index(text: Text, lines: npt.NDArray[np.intp], column: int, count: int, what: str) -> npt.NDArray[np.int64]:
+    """Cameras or points of the observations, each counted from 0."""
+    index = text.whole(lines, column)
+    if (outside := (index < 0) | (index >= count)).any():
+        k = int(np.argmax(outside))
+        raise text.error(f"{what} {index[k]} is none of the {count}, which are counted from 0", int(lines[k]))
+    return index
+
+
+def _line(text: Text, tokens: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """The line (counted from 0) that holds each token."""
+    return np.searchsorted(text.first, tokens, side="right") - 1
+
+
+def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
+    """Write a bundle-adjustment file, gzip-compressed where the name ends in ``.gz``.
+
+    Reading, writing and reading again gives the same numbers bit for bit.
+
+    Raises
+    ------
+    GraphError
+        Something the format has no line for: other factors or kinds, variables not counted from 0, a lens that is not
+        that of its camera, a noise other than one pixel, variables held fixed.
+    GraphFileError
+        The file cannot be written.
+    """
+    for factor in graph.factors:
+        if not isinstance(factor, BundleProjection):
+            raise GraphError(
+                f"{path}: {factor!r} cannot be written to a bundle-adjustment file", factor.keys, factor.name
+            )
+    if missing := {"c", "k", "l"} - set(values.stacks):
+        raise GraphError(f"{path}: a bundle-adjustment file needs the kinds c, k and l; there is no {min(missing)}")
+    stacks = [_counted(str(path), values, *kind) for kind in (CAMERAS, LENSES, POINTS)]
+    if extra := set(values.stacks) - {"c", "k", "l"}:
+        raise GraphError(f"{path}: a bundle-adjustment file holds the kinds c, k and l, not {', '.join(sorted(extra))}")
+    if len(stacks[0]) != len(stacks[1]):
+        raise GraphError(f"{path}: {len(stacks[0])} cameras c and {len(stacks[1])} lenses k, expected one for each")
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a bundle-adjustment file has no line for", held)
+    rows = [row for factor in graph.factors for row in _observations(str(path), factor, values)]
+    cameras, lenses, points = (stack.X for stack in stacks)
+    numbers = [*np.hstack([cameras, lenses]).reshape(-1).tolist(), *np.ascontiguousarray(points).reshape(-1).tolist()]
+    out = [f"{len(cameras)} {len(points)} {len(rows)}", *rows, *map(repr, numbers)]
+    write_bytes(path, ("\n".join(out) + "\n").encode())
+
+
+def _counted(path: str, values: Values, kind: str, manifold: object) -> Stack:
+    """The stack of a kind whose variables are 0, 1, 2 ... in order."""
+    stack = values.stack(kind)
+    if stack.manifold is not manifold:
+        raise GraphError(f"{path}: kind {kind} is in {stack.manifold}, a bundle-adjustment file holds {manifold}")
+    if not np.array_equal(stack.numbers, np.arange(len(stack))):
+        raise GraphError(
+            f"{path}: a bundle-adjustment file counts the variables {kind} from 0, these have other numbers"
+        )
+    return stack
+
+
+def _observations(path: str, factor: Factor, values: Values) -> list[str]:
+    """One line per measurement."""
+    if factor.kernel is not None:
+        raise GraphError(
+            f"{path}: {factor!r} is robust, {factor.kernel!r}, which the file has no place for", factor.keys
+        )
+    camera, lens, point = factor.keys
+    if not np.array_equal(camera.numbers, lens.numbers):
+        raise GraphError(
+            f"{path}: {factor!r}: a camera and its lens must have the same number", factor.keys, factor.name
+        )
+    model, _ = values.gather(factor)
+    if model.W.ndim == 3 or not (model.W == 1).all():
+        raise GraphError(
+            f"{path}: {factor!r}: the noise is not one pixel, and the file has no place for it", factor.keys
+        )
+    rows = zip(camera.numbers.tolist(), point.numbers.tolist(), model.z.tolist(), strict=True)
+    return [f"{i} {j} {x!r} {y!r}" for i, j, (x, y) in rows]

@@ -1,0 +1,163 @@
+"""The dialects of graph text files, and which one a file is in.
+
+    TORO      VERTEX2 id x y theta           EDGE2 i j dx dy dtheta I11 I12 I22 I33 I13 I23         (mind the order)
+              VERTEX3 id x y z roll pitch yaw    EDGE3 i j x y z roll pitch yaw and 21 entries of the information
+    iSAM      ODOMETRY, EDGE2 or Constraint2 i j dx dy dtheta R11 R12 R13 R22 R23 R33
+              LANDMARK i l x y R11 R12 R22       EDGE3 i j x y z roll pitch yaw and 21       POINT3 i l x y z and 6
+    graph     VERTEX2, EDGE2 as TORO, the entries a *covariance* in the same order
+    isam-covariance    ODOMETRY, EDGE2, LANDMARK as iSAM, the entries a *covariance*, upper triangle row by row
+
+R is the upper square root of the information, I = R'R, row by row. In space rotation is roll, pitch, yaw (see
+`models.manifolds.euler`), and the entries are about those angles: nls.io.weights turns them. An EDGE2 line therefore
+has four readings, and nothing in its numbers says which. Other tags may; where they do not, the file is refused with
+the choices.
+
+Sources: G. Grisetti, C. Stachniss, W. Burgard, "Nonlinear constraint network optimization for efficient map learning",
+T-ITS 2009, and TORO's description of its files; M. Kaess et al., "iSAM: incremental smoothing and mapping", T-RO 2008,
+and the loader of its example program; for the covariance readings the noise formats of GTSAM's 2-D reader.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.between import Between
+from factors.landmark import Landmark
+from models import SE2, SE3
+from models.errors import GraphFileError, OptionError
+from nls.io.g2o import G2O, POINT2, POINT3, POSE2, STEP2
+from nls.io.records import Element, Format, Record
+from nls.io.text import Text, printable
+
+__all__ = ["FORMATS", "check_dialect", "choose"]
+
+POSES = ("pose", "pose")
+SEEN = ("pose", "point")
+ANGLES = Element(SE3, "x y z roll pitch yaw", angles=True)
+TORO_ORDER = "11 12 22 33 13 23"
+
+TORO_PLANE = (
+    Record(b"VERTEX2", SE2, ("pose",), POSE2),
+    Record(b"EDGE2", SE2, POSES, STEP2, Between, entries=TORO_ORDER),
+)
+TORO = Format(
+    "toro",
+    (
+        *TORO_PLANE,
+        Record(b"VERTEX3", SE3, ("pose",), ANGLES),
+        Record(b"EDGE3", SE3, POSES, ANGLES, Between),
+    ),
+    "information",
+    "information, in the plane in the order I11 I12 I22 I33 I13 I23",
+)
+GRAPH = Format("graph", TORO_PLANE, "covariance", "covariance in the order of TORO")
+ISAM_PLANE = (
+    Record(b"EDGE2", SE2, POSES, STEP2, Between),
+    Record(b"LANDMARK", SE2, SEEN, POINT2, Landmark),
+)
+ISAM = Format(
+    "isam",
+    (
+        *ISAM_PLANE,
+        Record(b"EDGE3", SE3, POSES, ANGLES, Between),
+        Record(b"POINT3", SE3, SEEN, POINT3, Landmark),
+    ),
+    "square root",
+    "upper square root of the information, row by row",
+    aliases=((b"ODOMETRY", b"EDGE2"), (b"Constraint2", b"EDGE2")),
+    others=(b"SOLVE", b"VERTEX", b"POSE3D_TRUE", b"EDGE3_TRUE", b"EDGE2_TRUE", b"POSE3D_INIT", b"EDGE3_INIT"),
+)
+ISAM_COVARIANCE = Format(
+    "isam-covariance", ISAM_PLANE, "covariance", "covariance, row by row", aliases=((b"ODOMETRY", b"EDGE2"),)
+)
+FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
+READINGS = {  # dialects by tag
+    tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.others}
+    for known in FORMATS.values()
+    for tag in (*known.tags, *known.others)
+}
+EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
+
+Tags = dict[bytes, npt.NDArray[np.intp]]
+
+
+def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
+    """The name itself when it is one of these.
+
+    Raises
+    ------
+    OptionError
+    """
+    if name not in allowed:
+        raise OptionError("dialect", name, "one of " + ", ".join(allowed))
+    return name
+
+
+def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str = "auto") -> tuple[Format, str]:
+    """The dialect of a file by its tags, and why.
+
+    Raises
+    ------
+    GraphFileError
+        No tag of a graph, tags of several dialects, or tags that leave several readings: with the choices.
+    """
+    if dialect != "auto":
+        format = FORMATS[dialect]
+        if not any(tag in format.tags for tag in tags):
+            raise _no_graph(text, tags, comments, [format])
+        return format, "as asked for"
+    candidates = {tag: READINGS[tag] for tag in tags if tag in READINGS}
+    if all(tag in ISAM.others for tag in candidates):
+        raise _no_graph(text, tags, comments, list(FORMATS.values()))
+    left = set(FORMATS)
+    for tag, names in candidates.items():
+        if not left & names:
+            raise text.error(
+                f"{tag.decode()} is a tag of {_listed(names)}, the lines before are of {_listed(left)}; expected one "
+                "dialect in a file, or name the dialect, and the tags of others are kept as text",
+                int(tags[tag][0]),
+            )
+        left &= names
+    vertices = [tag.decode() for tag in (b"VERTEX2", b"VERTEX3") if tag in tags]
+    if vertices and left == {"toro", "graph"}:
+        return TORO, f"{vertices[0]} lines are TORO's; name the dialect graph if its numbers are covariances"
+    if len(left) == 1:
+        (name,) = left
+        deciding = min(candidates, key=lambda tag: len(candidates[tag])).decode()
+        return FORMATS[name], f"by its tag {deciding}" if name != "g2o" else "by its tags"
+    first = min(candidates, key=lambda tag: int(tags[tag][0]))
+    choices = "; ".join(f"{name}: {format.says}" for name, format in FORMATS.items() if name in left)
+    raise text.error(
+        f"{first.decode()} lines have several readings, and no other tag of the file tells which; name the dialect "
+        f"({choices})",
+        int(tags[first][0]),
+    )
+
+
+def _listed(names: set[str]) -> str:
+    return " or ".join(name for name in FORMATS if name in names)
+
+
+def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: list[Format]) -> GraphFileError:
+    """The error for a file without any line of a graph."""
+    unknown = [tag for tag in tags if tag != b"FIX"]
+    if unknown:
+        line, word = int(tags[unknown[0]][0]), unknown[0]
+        if b"," in text.line(line):
+            what = "is no graph but a table, its numbers separated by commas"
+        elif word.lstrip(b"+-.")[:1].isdigit():
+            what = f"is no graph but a table of numbers: a line begins with {printable(word)[:30]!r} instead of a tag"
+        else:
+            what = f"is no graph: {printable(word)[:30]!r} is no tag of a graph"
+    elif tags:
+        line, what = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
+    elif len(comments):
+        line, what = int(comments.min()), "has nothing but comments"
+    else:
+        line, what = 0, "is empty"
+    wanted = EXAMPLES
+    if len(formats) == 1:
+        named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None)
+        wanted = f"{named} (dialect {formats[0].name})"
+    return text.error(f"{what}; expected lines such as {wanted}", line)

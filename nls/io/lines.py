@@ -1,0 +1,99 @@
+"""From the lines of one tag to arrays: ids, parameter ids, elements and matrices, each checked with its line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE3
+from models.algebra import Array
+from nls.io.records import Record
+from nls.io.text import Text
+
+__all__ = ["Lines", "Numbers", "by_number", "read_lines"]
+
+Index = npt.NDArray[np.intp]
+Numbers = npt.NDArray[np.int64]
+UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
+GIMBAL_LOCK = 1e-6  # cos(pitch) below this: roll and yaw are one number, as in `models.manifolds.euler`
+
+
+@dataclass
+class Lines:
+    """The lines of one record.
+
+    Attributes
+    ----------
+    at : (n,) lines, counted from 0.
+    ids : (n,) per slot, for a parameter its own; parameters : (n, k) ids.
+    X : (n, size) elements.
+    numbers : (n, columns) everything after the ids.
+    """
+
+    record: Record
+    at: Index
+    ids: list[Numbers]
+    parameters: Numbers
+    X: Array
+    numbers: Array
+
+    @property
+    def rounded(self) -> Index:
+        """Lines whose quaternion has a length that is not 1 up to the rounding of six digits."""
+        if self.record.element.space is not SE3 or self.record.element.angles:
+            return self.at[:0]
+        off: npt.NDArray[np.bool_] = np.abs(np.linalg.norm(self.X[:, 3:], axis=1) - 1) > UNIT_ROUNDED
+        return self.at[off]
+
+
+def read_lines(text: Text, record: Record, at: Index) -> Lines:
+    """The lines of a record.
+
+    Raises
+    ------
+    GraphFileError
+        A count of numbers, a word or an element that cannot be right; an edge from a vertex to itself.
+    """
+    lead, width, m = record.lead, record.element.width, len(record.places[0])
+    columns = lead + width + m
+    count = text.first[at + 1] - text.first[at] - 1
+    if m and (wrong := (count != columns) & (count >= lead + width)).any():
+        k = int(np.argmax(wrong))
+        raise text.error(
+            f"{count[k]} numbers after the tag, expected {columns}: {record.columns}; these are "
+            f"{count[k] - lead - width} entries for {m}",
+            int(at[k]),
+        )
+    table = text.table(at, columns, record.columns)
+    ids = [text.whole(at, 1 + k) for k in range(max(len(record.slots), 1))]
+    parameters = np.stack([text.whole(at, 1 + len(ids) + k) for k in range(record.parameters)] or [ids[0][:0]], axis=-1)
+    numbers = table[:, lead:]
+    if record.element.angles and (locked := np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK).any():
+        raise text.error("the pitch is +-90 deg (gimbal lock): roll and yaw are one number", int(at[np.argmax(locked)]))
+    X = record.element.decode(numbers[:, :width])
+    if (found := record.element.space.invalid(X)) is not None:
+        raise text.error(found[1], int(at[found[0]]))
+    if len(ids) > 1 and record.slots[0] == record.slots[1] and (same := ids[0] == ids[1]).any():
+        k = int(np.argmax(same))
+        raise text.error(f"the edge joins vertex {ids[0][k]} to itself", int(at[k]))
+    return Lines(record, at, ids, parameters, X, numbers)
+
+
+def by_number(text: Text, lines: list[Lines], what: str) -> tuple[Numbers, Index]:
+    """Ids of vertices or parameters, rising, and the place of each in these lines taken together.
+
+    Raises
+    ------
+    GraphFileError
+        An id given twice.
+    """
+    ids = np.concatenate([np.zeros(0, dtype=np.int64), *(part.ids[0] for part in lines)])
+    at = np.concatenate([np.zeros(0, dtype=np.intp), *(part.at for part in lines)])
+    order = np.lexsort((at, ids))
+    again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
+    if len(again):
+        k, first = order[again[0] + 1], order[again[0]]
+        raise text.error(f"{what} {ids[k]} was given before, on line {at[first] + 1}", int(at[k]))
+    return ids[order], order

@@ -1,0 +1,375 @@
+"""Range-aided pose graphs in PyFactorGraph text files: poses and points with names, time stamps, covariances.
+
+    VERTEX_SE2 time name x y theta            VERTEX_SE3:QUAT time name x y z qx qy qz qw
+    VERTEX_XY name x y                        VERTEX_XYZ name x y z
+    VERTEX_SE2:PRIOR time name ...            VERTEX_SE3:QUAT:PRIOR, VERTEX_XY:PRIOR, VERTEX_XYZ:PRIOR, with covariance
+    EDGE_SE2 time a b dx dy dtheta            EDGE_SE3:QUAT time a b x y z qx qy qz qw, with covariance
+    EDGE_SE2_XY time a b x y                  EDGE_SE3_XYZ time a b x y z, with covariance; the point in the frame of a
+    EDGE_RANGE time a b range variance
+
+A *covariance* is its upper triangle, row by row, of (translation, rotation); its rotation part in space is that of the
+rotation vector: readers of the format turn it into a precision 3 / (2 trace), which is the one of the chordal distance
+for it. For the conventions ``g2o`` and ``graphslam``, whose residual is half a rotation vector, it is converted (block
+/ 4, mixed / 2: exact in binary). A name is letters and a number: ``A17`` is number 17 of kind ``A``, one kind per
+vehicle, usually ``L`` for points.
+
+Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_graph/io/pyfg_text.py; A. Papalia et al.,
+"Certifiably correct range-aided SLAM", IEEE T-RO 2024.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.between import Between
+from factors.conventions import check_convention
+from factors.keys import Keys
+from factors.landmark import Landmark
+from factors.noise import Covariance
+from factors.prior import Prior
+from factors.range import Range
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError, GraphWarning, NoiseModelError
+from nls.graph import FactorGraph
+from nls.io.files import write_bytes
+from nls.io.report import LoadReport
+from nls.io.text import Text, printable
+from nls.values import Values
+
+__all__ = ["PyfgReport", "read_pyfg", "write_pyfg"]
+
+Index = npt.NDArray[np.intp]
+LONGEST = 40  # characters of a name
+HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
+
+
+@dataclass(frozen=True)
+class Tag:
+    """One kind of line: its measurement, and how many names stand before it."""
+
+    factor: Callable[..., Factor] | None  # None for a vertex
+    space: LieGroup  # of the vertex or the measured value
+    names: int
+    timed: bool = True
+
+    @property
+    def noise(self) -> int:
+        """Numbers of covariance."""
+        return 0 if self.factor is None else self.space.dim * (self.space.dim + 1) // 2
+
+    @property
+    def columns(self) -> str:
+        """What stands after the tag, in words."""
+        what = ["time"] * self.timed + ["name", "name"][: self.names] + [f"{self.space.size} numbers"]
+        return " ".join(what + [f"{self.noise} of covariance"] * (self.factor is not None))
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
+
+    kinds: tuple[str, ...]
+    numbers: list[npt.NDArray[np.int64]]
+    lines: Index
+    times: Array
+    table: Array
+
+
+PLANE = {
+    "VERTEX_SE2": Tag(None, SE2, 1),
+    "VERTEX_XY": Tag(None, R(2), 1, timed=False),
+    "VERTEX_SE2:PRIOR": Tag(Prior, SE2, 1),
+    "VERTEX_XY:PRIOR": Tag(Prior, R(2), 1),
+    "EDGE_SE2": Tag(Between, SE2, 2),
+    "EDGE_SE2_XY": Tag(Landmark, R(2), 2),
+    "EDGE_RANGE": Tag(Range, R(1), 2),
+}
+SPACE = {
+    "VERTEX_SE3:QUAT": Tag(None, SE3, 1),
+    "VERTEX_XYZ": Tag(None, R(3), 1, timed=False),
+    "VERTEX_SE3:QUAT:PRIOR": Tag(Prior, SE3, 1),
+    "VERTEX_XYZ:PRIOR": Tag(Prior, R(3), 1),
+    "EDGE_SE3:QUAT": Tag(Between, SE3, 2),
+    "EDGE_SE3_XYZ": Tag(Landmark, R(3), 2),
+    "EDGE_RANGE": Tag(Range, R(1), 2),
+}
+
+
+@dataclass
+class PyfgReport(LoadReport):
+    """The report of a PyFactorGraph file, with its time stamps: `write_pyfg` writes them again.
+
+    Attributes
+    ----------
+    vertex_times : (n,) per kind of pose, s, in the order of `Values`.
+    factor_times : pairs of a factor and its times (n,), s.
+    """
+
+    vertex_times: dict[str, Array] = field(default_factory=dict)
+    factor_times: list[tuple[Factor, Array]] = field(default_factory=list)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
+def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, PyfgReport]:
+    """Graph, values of the vertices and report of the bytes of a PyFactorGraph text file.
+
+    The vertices of published files are the *true* values, not a start.
+
+    Raises
+    ------
+    GraphFileError
+        With the line, for anything that cannot be right.
+
+    Examples
+    --------
+    >>> text = b"VERTEX_SE2 0.5 A0 1 2 0\\nVERTEX_XY L3 4 6\\nEDGE_RANGE 0.5 A0 L3 5.1 0.04\\n"
+    >>> graph, values, report = read_pyfg(text, "one.pyfg")
+    >>> graph.factors, values, report.vertex_times["A"].tolist(), graph.chi2(values)
+    ([Range(A0, L3)], Values(A: 1 x SE2, L: 1 x R(2)), [0.5], 0.25)
+    """
+    check_convention(convention)
+    text = Text(data, path)
+    tags = {printable(tag): lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
+    dialect = _dialect(text, tags)
+    report = PyfgReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
+    report.tags = {tag: len(lines) for tag, lines in tags.items()}
+    _unknown(text, {tag: lines for tag, lines in tags.items() if tag not in dialect}, report)
+
+    found: dict[str, list[tuple[LieGroup, Batch]]] = {}
+    for name, tag in dialect.items():
+        if tag.factor is None and name in tags:
+            for batch in _batches(text, name, tag, tags[name]):
+                found.setdefault(batch.kinds[0], []).append((tag.space, batch))
+    values = Values()
+    for kind, parts in found.items():
+        space, batch = parts[0]
+        if len(parts) > 1:
+            line = max(int(part.lines[0]) for _, part in parts)
+            raise text.error(f"kind {kind} is in {space} and in {parts[1][0]}, expected one", line)
+        number = batch.numbers[0]
+        _once(text, kind, number, batch.lines)
+        values.stacks |= Values({kind: (space, batch.table, number)}).stacks
+        if space in (SE2, SE3):
+            report.vertex_times[kind] = batch.times
+
+    graph = FactorGraph()
+    for name, tag in dialect.items():
+        if tag.factor is not None and name in tags:
+            for batch in _batches(text, name, tag, tags[name]):
+                factor = _factor(text, tag, batch, values, convention)
+                report.factor_times.append((graph.add(factor), batch.times))
+    return graph, values, report
+
+
+def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
+    """The tags of the dimension of a file."""
+    found = [d for d in (PLANE, SPACE) if any(tag in tags and tag != "EDGE_RANGE" for tag in d)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        expected = ", ".join(list(PLANE)[:2] + list(SPACE)[:2])
+        raise text.error(f"no vertices; expected lines such as {expected}", int(next(iter(tags.values()), [0])[0]))
+    line = max(min(int(tags[tag][0]) for tag in d if tag in tags and tag != "EDGE_RANGE") for d in found)
+    raise text.error("mixes the plane and space; expected one dimension in a file", line)
+
+
+def _unknown(text: Text, tags: dict[str, Index], report: LoadReport) -> None:
+    """Keep the lines nobody knows, and say so."""
+    if not tags:
+        return
+    named = ", ".join(f"{tag[:30]} ({len(n)}, first on line {n[0] + 1})" for tag, n in list(tags.items())[:9])
+    report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
+    lines = np.sort(np.concatenate(list(tags.values())))
+    report.ignored = [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
+    warnings.warn(f"{report.path}: {report.notes[-1]}", GraphWarning, stacklevel=4)
+
+
+def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
+    """Lines of a tag, one batch per combination of kinds."""
+    lead = 1 + tag.timed + tag.names
+    wide = tag.space.size + tag.noise
+    count = text.first[lines + 1] - text.first[lines]
+    if (wrong := count != lead + wide).any():
+        k = int(np.argmax(wrong))
+        raise text.error(f"{count[k] - 1} words after {name}, expected {lead + wide - 1}: {tag.columns}", int(lines[k]))
+    first = text.first[lines]
+    times = text.numbers(first + 1, lines, 1) if tag.timed else np.zeros(len(lines))
+    names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
+    table = text.numbers((first[:, None] + lead + np.arange(wide)).reshape(-1), lines, wide).reshape(-1, wide)
+    if (found := tag.space.invalid(table[:, : tag.space.size])) is not None:
+        raise text.error(found[1], int(lines[found[0]]))
+    pairs, which = np.unique(np.stack([kind for kind, _ in names], axis=1), axis=0, return_inverse=True)
+    for k, pair in enumerate(pairs):
+        mine = np.flatnonzero(which.reshape(-1) == k)
+        kinds = tuple(word.decode() for word in pair.tolist())
+        yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
+
+
+def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], npt.NDArray[np.int64]]:
+    """Names such as A17 as their letters (n,) and numbers (n,)."""
+    tokens = text.first[lines] + column
+    lengths = text.ends[tokens] - text.starts[tokens]
+    C = text.characters(tokens, min(int(lengths.max(initial=1)), LONGEST))
+    letter = ((C | 32) >= ord("a")) & ((C | 32) <= ord("z"))
+    digit = (C >= ord("0")) & (C <= ord("9"))
+    head = np.argmin(np.column_stack([letter, np.zeros(len(C), dtype=bool)]), axis=1)  # letters in front
+    digits = lengths - head
+    leading_zero = np.take_along_axis(C, np.minimum(head, C.shape[1] - 1)[:, None], axis=1)[:, 0] == ord("0")
+    column_of = np.arange(C.shape[1])
+    tail = (column_of >= head[:, None]) & (column_of < lengths[:, None])
+    bad = (head < 1) | (digits < 1) | (digits > 18) | (lengths > LONGEST) | (leading_zero & (digits > 1))
+    bad |= (tail & ~digit).any(axis=1)
+    if bad.any():
+        k = int(np.argmax(bad))
+        word = printable(text.token(int(tokens[k])))[:LONGEST]
+        raise text.error(
+            f"name {word!r}: expected letters and a number of at most 18 digits, such as A17", int(lines[k])
+        )
+    number = np.zeros(len(C), dtype=np.int64)
+    for k in range(C.shape[1]):
+        number = np.where(tail[:, k], 10 * number + C[:, k] - ord("0"), number)
+    kind = np.ascontiguousarray(np.where(letter & ~tail, C, np.uint8(0))).view(f"S{C.shape[1]}")[:, 0]
+    return kind, number
+
+
+def _once(text: Text, kind: str, numbers: npt.NDArray[np.int64], lines: Index) -> None:
+    """Refuse a vertex that is given twice."""
+    order = np.lexsort((lines, numbers))
+    again = np.flatnonzero(numbers[order][1:] == numbers[order][:-1])
+    if len(again):
+        first, k = order[again[0]], order[again[0] + 1]
+        raise text.error(f"vertex {kind}{numbers[k]} was given before, on line {lines[first] + 1}", int(lines[k]))
+
+
+def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str) -> Factor:
+    """One batch of measurements between variables of these kinds."""
+    assert tag.factor is not None
+    lines, table = batch.lines, batch.table
+    keys = [Keys(kind, number) for kind, number in zip(batch.kinds, batch.numbers, strict=True)]
+    for k in keys:
+        known = values.stacks[k.kind].numbers if k.kind in values.stacks else np.zeros(0, dtype=np.int64)
+        if (missing := ~np.isin(k.numbers, known)).any():
+            at = int(np.argmax(missing))
+            raise text.error(f"{k[[at]]!r} is measured, but no vertex line gives it", int(lines[at]))
+    if tag.names == 2 and keys[0].kind == keys[1].kind and (same := keys[0].numbers == keys[1].numbers).any():
+        raise text.error(f"joins {keys[0][[int(np.argmax(same))]]!r} to itself", int(lines[np.argmax(same)]))
+    size, d = tag.space.size, tag.space.dim
+    Sigma = np.empty((len(lines), d, d))
+    upper = np.triu_indices(d)
+    Sigma[:, upper[0], upper[1]] = Sigma[:, upper[1], upper[0]] = table[:, size:]
+    if _halved(tag.space, convention):
+        Sigma /= HALF[:, None] * HALF
+    options = {"convention": convention} if tag.factor in (Between, Prior) else {}
+    z = table[:, :size] if size > 1 else table[:, 0]
+    factor = tag.factor(*keys, z, Covariance(Sigma), **options)
+    try:
+        values.gather(factor)
+    except NoiseModelError as error:
+        raise text.error(str(error).split(": ", 1)[1], int(lines[error.index])) from error
+    except GraphError as error:
+        raise text.error(str(error), int(lines[0])) from error
+    return factor
+
+
+def _halved(space: LieGroup, convention: str) -> bool:
+    """Whether the residual is that of half a rotation vector."""
+    return space is SE3 and convention in ("g2o", "graphslam")
+
+
+def write_pyfg(
+    path: str | Path,
+    graph: FactorGraph,
+    values: Values,
+    ignored: list[str] | None = None,
+    report: LoadReport | None = None,
+) -> None:
+    """Write a PyFactorGraph text file, gzip-compressed where the name ends in ``.gz``.
+
+    Reading, writing and reading again gives the same numbers, bit for bit.
+
+    Parameters
+    ----------
+    path : the file.
+    graph, values : what to write; kinds are letters, the names in the file are kind and number.
+    ignored : lines to append verbatim.
+    report : the report the graph was read with, for its time stamps; without one, and for factors it does not know, the
+        time 0 is written.
+
+    Raises
+    ------
+    GraphError
+        A factor, space or name the format has no line for; variables held fixed.
+    GraphFileError
+        The file cannot be written.
+    """
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a PyFactorGraph file has no line for", held)
+    known = report if isinstance(report, PyfgReport) else PyfgReport(str(path), "pyfg", "", "")
+    factor_times = {id(factor): times for factor, times in known.factor_times}
+    space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}
+    dialect = SPACE if space else PLANE
+    out = []
+    for stack in values.stacks.values():
+        name = next((n for n, tag in dialect.items() if tag.factor is None and tag.space is stack.manifold), None)
+        if name is None or not (stack.kind.isascii() and stack.kind.isalpha()):
+            raise GraphError(f"{path}: variables {stack.kind} in {stack.manifold} have no line in a PyFactorGraph file")
+        numbers = stack.numbers
+        if len(numbers) and numbers.min() < 0:
+            raise GraphError(
+                f"{path}: {stack.kind}{numbers.min()} is no name of a PyFactorGraph file, the number is negative"
+            )
+        times = known.vertex_times.get(stack.kind, np.zeros(len(numbers)))
+        if len(times) != len(numbers):
+            raise GraphError(f"{path}: the report has {len(times)} times for the {len(numbers)} variables {stack.kind}")
+        out += _rows(name, times if dialect[name].timed else None, [Keys(stack.kind, numbers)], stack.X)
+    for factor in graph.factors:
+        name, table = _measured(str(path), factor, values, dialect)
+        times = factor_times.get(id(factor), np.zeros(len(factor)))
+        out += _rows(name, times, list(factor.keys), table)
+    write_bytes(path, ("\n".join([*out, *(ignored or [])]) + "\n").encode("utf-8", "surrogateescape"))
+
+
+def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:
+    """Tag and table (n, columns) of a factor: measured value and covariance."""
+    model, _ = values.gather(factor)
+    name = next((n for n, t in dialect.items() if t.factor is type(factor) and t.space.size == model.space.size), None)
+    plain = getattr(factor, "components", None) is None and getattr(factor, "offset", None) is None
+    if name is None or not plain or len(factor.keys) != dialect[name].names:
+        raise GraphError(f"{path}: {factor!r} has no line in a PyFactorGraph file", factor.keys, factor.name)
+    if factor.kernel is not None:
+        raise GraphError(
+            f"{path}: {factor!r} is robust, {factor.kernel!r}, which the file has no place for", factor.keys
+        )
+    d = model.space.dim
+    if isinstance(factor.noise, Covariance):
+        Sigma = factor.noise.matrix
+    else:
+        W = model.W if model.W.ndim == 3 else model.W[..., None] * np.eye(d)
+        if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
+            raise GraphError(
+                f"{path}: {factor!r} has no covariance: it measures nothing in some direction", factor.keys
+            )
+        W_inv = np.linalg.inv(W)
+        Sigma = W_inv @ W_inv.mT
+    if _halved(dialect[name].space, factor.convention):
+        Sigma = Sigma * (HALF[:, None] * HALF)
+    upper = np.triu_indices(d)
+    return name, np.hstack([model.z, np.broadcast_to(Sigma, (len(factor), d, d))[:, upper[0], upper[1]]])
+
+
+def _rows(tag: str, times: Array | None, keys: list[Keys], table: Array) -> list[str]:
+    """Text lines; the shortest digits that read back as the same number."""
+    stamps = [""] * len(table) if times is None else [f" {time!r}" for time in times.tolist()]
+    names = zip(*([f"{k.kind}{number}" for number in k.numbers.tolist()] for k in keys), strict=True)
+    return [
+        f"{tag}{stamp} {' '.join(name)} {' '.join(map(repr, row))}"
+        for stamp, name, row in zip(stamps, names, table.tolist(), strict=True)
+    ]

@@ -1,0 +1,245 @@
+"""The reader of graph text files of every dialect: from its records to a graph, start values and a report.
+
+Vertices may stand anywhere, in any order, or not at all: then poses are chained along the edges and points placed where
+they were first seen. Nothing is repaired unless asked for: what cannot be right is an error with its line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.conventions import check_convention
+from factors.keys import Keys
+from models import LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError, NoiseModelError
+from nls.graph import FactorGraph
+from nls.io.dialects import choose
+from nls.io.lines import UNIT_ROUNDED, Lines, Numbers, by_number, read_lines
+from nls.io.records import KINDS, Format, Record
+from nls.io.report import LoadReport
+from nls.io.roles import Roles
+from nls.io.start import started
+from nls.io.text import Text, printable
+from nls.io.weights import AsRead, matrix, noise_of, repaired
+from nls.values import Values
+
+__all__ = ["read_graph"]
+
+Index = npt.NDArray[np.intp]
+NONE = np.zeros(0, dtype=np.intp)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
+def read_graph(
+    data: bytes, path: str, convention: str = "g2o", dialect: str = "auto", repair_information: bool = False
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """Graph, start values and report of the bytes of a graph text file.
+
+    Parameters
+    ----------
+    data, path : the bytes, and their name for messages.
+    convention : residual of pose measurements.
+    dialect : one of `nls.io.dialects.FORMATS`, or ``auto``.
+    repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
+
+    Raises
+    ------
+    GraphFileError
+        With the line, for anything that cannot be right.
+    """
+    check_convention(convention)
+    text = Text(data, path)
+    tags = dict(text.tags)
+    comments = np.concatenate([NONE, *(tags.pop(tag) for tag in list(tags) if tag.startswith(b"#"))])
+    format, reason = choose(text, tags, comments, dialect)
+    records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
+    group = _dimension(text, tags, records)
+    report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
+    report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
+    _keep_unknown(text, format, tags, report)
+    if len(comments):
+        report.notes.append(f"{len(comments)} comment lines")
+
+    lines: dict[bytes, list[Index]] = {}
+    for tag, record in records.items():
+        lines.setdefault(record.tag, []).append(tags[tag])
+    read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
+    edges = [part for part in read if part.record.factor is not None]
+    vertices = [part for part in read if part.record.factor is None and part.record.slots]
+    offsets = _Offsets(text, [part for part in read if not part.record.slots], group)
+    roles = Roles(text, vertices, edges)
+    bound: list[tuple[Factor, Lines]] = []
+    for part in edges:
+        if not part.record.used:
+            name = part.record.tag.decode()
+            report.notes.append(f"{name} lines name a parameter that their error does not use: kept for writing")
+        noises = _matrices(text, part, format, repair_information, report)
+        for mine in roles.kinds_of(part):
+            bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
+    graph = FactorGraph([factor for factor, _ in bound])
+    if len(roles.given):
+        values = _given(vertices, roles, group)
+    else:
+        report.vertices_given = False
+        values = started(text, bound, roles, group, report)
+    _note_rounded(read, report)
+    offsets.keep_unused(report)
+    if format.fix and b"FIX" in tags:
+        graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
+    return graph, values, report
+
+
+def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record]) -> LieGroup:
+    """SE2 or SE3, whichever the file is about."""
+    first = {
+        group: min(int(tags[tag][0]) for tag, record in records.items() if record.group is group)
+        for group in {record.group for record in records.values()}
+    }
+    if len(first) == 2:
+        line = max(first.values())
+        raise text.error("mixes poses of the plane and of space; expected one dimension in a file", line)
+    return next(iter(first))
+
+
+def _keep_unknown(text: Text, format: Format, tags: dict[bytes, Index], report: LoadReport) -> None:
+    """Note the lines that are not used, and keep them as text."""
+    unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
+    if not unknown:
+        return
+    named = ", ".join(f"{printable(t)[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in list(unknown.items())[:9])
+    more = f" and {len(unknown) - 9} other tags" if len(unknown) > 9 else ""
+    aside = "" if all(t in format.others for t in unknown) else "with unknown tags "
+    report.warn(f"lines {aside}were not used, and are kept as text: {named}{more}")
+    lines = np.sort(np.concatenate(list(unknown.values())))
+    report.ignored += [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
+
+
+class _Offsets:
+    """The parameters of a file: fixed poses of sensors on the vehicle."""
+
+    def __init__(self, text: Text, lines: list[Lines], group: LieGroup) -> None:
+        self.text, self.group = text, group
+        self.tag = f"PARAMS_{group.name}OFFSET"
+        self.ids, order = by_number(text, lines, "parameter")
+        self.X = np.concatenate([group.identity(0), *(part.X for part in lines)])[order]
+        self.at = np.concatenate([NONE, *(part.at for part in lines)])[order]
+        self.unused = np.ones(len(self.ids), dtype=bool)
+
+    def of(self, part: Lines) -> Array:
+        """Offsets (n, k, size) the lines of an edge name."""
+        wanted = part.parameters
+        if (missing := ~np.isin(wanted, self.ids)).any():
+            k = int(np.argmax(missing.any(axis=1)))
+            number = wanted[k][missing[k]][0]
+            raise self.text.error(f"the edge needs parameter {number}, which no {self.tag} line has", int(part.at[k]))
+        index = np.searchsorted(self.ids, wanted)
+        self.unused[index] = False
+        return self.X[index]
+
+    def keep_unused(self, report: LoadReport) -> None:
+        """Keep the parameters no edge names as text: a graph has no place for them."""
+        if self.unused.any():
+            lines = self.at[self.unused]
+            report.notes.append(f"{len(lines)} parameters that no edge uses are kept as text")
+            report.ignored += [self.text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
+
+
+def _matrices(text: Text, part: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
+    """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
+    M = matrix(part.record, part.numbers[:, part.record.element.width :], format.matrix)
+    if repair and format.matrix == "information":
+        M, changed = repaired(M)
+        if changed.any():
+            report.warn(
+                f"{int(changed.sum())} information matrices of {part.record.tag.decode()} had negative eigenvalues, "
+                f"first on line {part.at[np.argmax(changed)] + 1}, and were replaced by the nearest semi-definite ones"
+            )
+            rows, columns = part.record.places
+            part.numbers[:, part.record.element.width :] = M[:, rows, columns]
+    return M
+
+
+def _factor(
+    text: Text,
+    part: Lines,
+    mine: Index | slice,
+    matrices: Array,
+    offsets: _Offsets,
+    roles: Roles,
+    format: Format,
+    convention: str,
+    group: LieGroup,
+) -> Factor:
+    """One batch of measurements of these lines."""
+    record, at = part.record, part.at[mine]
+    keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, part.ids, strict=True)]
+    z, numbers = part.X[mine], part.numbers[mine]
+    try:
+        noise = noise_of(record, format.matrix, matrices[mine], numbers[:, : record.element.width], convention)
+        shared: list[Array] = []
+        if record.parameters or record.element.angles:
+            given = offsets.of(part)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+            noise = AsRead(noise, format.name, record.tag, convention, z, numbers, part.parameters[mine], given)
+            each = [given[:, k] for k in range(record.parameters)]
+            shared = [O[:1] if (O == O[0]).all() else O for O in each]
+        factor = record.build(keys, z, noise, shared, convention)
+        spaces = {"point": R(group.point_dim)}
+        factor.bind(*(spaces.get(slot, group) for slot in record.slots))
+    except NoiseModelError as error:
+        raise text.error(str(error).split(": ", 1)[-1], int(at[error.index])) from error
+    except GraphError as error:
+        raise text.error(str(error), int(at[0])) from error
+    return factor
+
+
+def _given(vertices: list[Lines], roles: Roles, group: LieGroup) -> Values:
+    """The file's vertices as values, in the order of the file."""
+    stacks: dict[str, tuple[LieGroup, list[Array], list[Numbers]]] = {}
+    for part in vertices:
+        mount = np.isin(part.ids[0], roles.mounts) if len(roles.mounts) else np.zeros(len(part.at), dtype=bool)
+        (slot,) = part.record.slots
+        for kind, mine in ((KINDS[slot], ~mount), (KINDS["mount"], mount)):
+            if mine.any():
+                _, X, ids = stacks.setdefault(kind, (part.record.element.space, [], []))
+                X.append(part.X[mine])
+                ids.append(part.ids[0][mine])
+    return Values(
+        {
+            kind: (stacks[kind][0], np.concatenate(stacks[kind][1]), np.concatenate(stacks[kind][2]))
+            for kind in KINDS.values()
+            if kind in stacks
+        }
+    )
+
+
+def _note_rounded(read: list[Lines], report: LoadReport) -> None:
+    rounded = np.concatenate([NONE, *(part.rounded for part in read)])
+    if len(rounded):
+        report.warn(
+            f"the length of {len(rounded)} quaternions is off by more than {UNIT_ROUNDED:g}, first on line "
+            f"{rounded.min() + 1}: kept as written, and used as rotations; write more digits"
+        )
+
+
+def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record]) -> list[Keys]:
+    """The variables of all FIX lines, each once."""
+    count = text.first[lines + 1] - text.first[lines] - 1
+    if (count == 0).any():
+        raise text.error("FIX without a vertex; expected FIX id [id ...]", int(lines[np.argmin(count)]))
+    owner = np.repeat(lines, count)
+    numbers = text.whole(owner, 1 + np.concatenate([np.arange(n) for n in count]))
+    kinds = roles.all_ids()
+    missing = ~np.isin(numbers, np.concatenate(list(kinds.values())))
+    if missing.any():
+        k = int(np.argmax(missing))
+        given = len(roles.given) > 0
+        named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == given and r.slots)
+        raise text.error(
+            f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
+            int(owner[k]),
+        )
+    found = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]
+    return [keys for keys in found if len(keys)]

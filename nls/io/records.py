@@ -1,0 +1,177 @@
+"""What a graph text format is made of: one `Record` per tag, from which both reader and writer follow.
+
+A line is a tag, the ids of the vertices concerned, the ids of parameters, the numbers of one element of a space, and
+for a measurement the entries of a symmetric matrix (or of an upper square root). A new sensor is one more record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.between import Between
+from factors.between_sensors import BetweenSensors
+from factors.keys import Keys
+from factors.noise import Noise
+from factors.prior import Prior
+from models import LieGroup, Manifold, R
+from models.algebra import Array
+from models.manifolds.euler import from_se3, to_se3
+
+__all__ = ["KINDS", "Element", "Format", "Record"]
+
+KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by what measurements use them as
+ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
+
+
+@dataclass(frozen=True)
+class Element:
+    """How an element of a space stands in a line; ``angles``: the rotation as roll, pitch and yaw."""
+
+    space: LieGroup
+    columns: str
+    angles: bool = False
+
+    @property
+    def width(self) -> int:
+        """Numbers in the line."""
+        return len(self.columns.split())
+
+    def decode(self, numbers: Array) -> Array:
+        """Stored form (n, size) of the numbers (n, width) of lines."""
+        return to_se3(numbers[:, ANGLES_FIRST]) if self.angles else numbers
+
+    def encode(self, X: Array) -> Array:
+        """Numbers (n, width) of elements (n, size).
+
+        Raises
+        ------
+        SingularGeometryError
+            Roll and yaw at gimbal lock.
+        """
+        return from_se3(X)[:, ANGLES_FIRST] if self.angles else X
+
+
+@dataclass(frozen=True)
+class Record:
+    """One tag.
+
+    Attributes
+    ----------
+    tag : the first word of its lines.
+    group : SE2 or SE3, the poses of its dimension.
+    slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount`` (a pose of a sensor
+        on the vehicle that is a variable), ``either`` (pose or mount).
+    element : the value of a vertex or parameter, the measured value.
+    factor : the measurement; None for a vertex or parameter.
+    parameters : ids of fixed poses of sensors, the offsets of the factor.
+    used : False where the error of the measurement ignores its parameter.
+    entries : places of the matrix entries, ``"11 12 22 33 13 23"``; the upper triangle row by row when omitted.
+    """
+
+    tag: bytes
+    group: LieGroup
+    slots: tuple[str, ...]
+    element: Element
+    factor: type[Factor] | None = None
+    parameters: int = 0
+    used: bool = True
+    entries: str = ""
+
+    @property
+    def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Rows and columns of the matrix entries."""
+        if self.factor is None:
+            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+        if not self.entries:
+            return np.triu_indices(self.element.space.dim)
+        pairs = np.array([[int(c) - 1 for c in pair] for pair in self.entries.split()])
+        return pairs[:, 0], pairs[:, 1]
+
+    @property
+    def lead(self) -> int:
+        """Numbers of a line before those of the element."""
+        return (len(self.slots) or 1) + self.parameters
+
+    @property
+    def columns(self) -> str:
+        """What stands after the tag, in words."""
+        names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]
+        if "point" in self.slots[1:] or "mount" in self.slots:
+            names = [f"{slot}{'_j' if k == 1 and slot == 'pose' else ''}" for k, slot in enumerate(self.slots)]
+        names += {0: [], 1: ["parameter"], 2: ["parameter_i", "parameter_j"]}[self.parameters]
+        n = len(self.places[0])
+        return " ".join([*names, self.element.columns]) + (f" and {n} entr{'ies' if n > 1 else 'y'}" if n else "")
+
+    @property
+    def chart(self) -> str:
+        """What the entries of the matrix are about: ``plain``, ``quaternion`` (its vector part) or ``angles``."""
+        return "angles" if self.element.angles else "quaternion" if self.element.space.dim == 6 else "plain"
+
+    def build(self, keys: list[Keys], z: Array, noise: Noise, offsets: list[Array], convention: str) -> Factor:
+        """The factor of lines with these variables, values and offsets."""
+        options: dict[str, object] = {}
+        if self.factor in (Between, BetweenSensors, Prior):
+            options["convention"] = convention
+        if "mount" in self.slots:
+            options["offset"] = keys.pop()
+        elif self.parameters and self.used:
+            options["offset"] = offsets[0] if len(offsets) == 1 else tuple(offsets)
+        assert self.factor is not None
+        return self.factor(*keys, z, noise, **options)  # type: ignore[arg-type, call-arg]
+
+    def holds(self, factor: Factor, manifolds: tuple[Manifold, ...], offsets: int) -> bool:
+        """Whether its lines can say this factor, bound to these spaces, with so many fixed offsets."""
+        spaces = {"point": R(self.group.point_dim)}
+        return (
+            type(factor) is self.factor
+            and tuple(spaces.get(slot, self.group) for slot in self.slots) == manifolds
+            and (self.parameters if self.used else 0) == offsets
+            and getattr(factor, "components", None) is None
+        )
+
+
+@dataclass(frozen=True)
+class Format:
+    """A dialect of graph text files.
+
+    Attributes
+    ----------
+    name : of the dialect.
+    records : its tags.
+    matrix : what the entries of a measurement are: ``information``, ``covariance``, or the upper ``square root`` of the
+        information.
+    says : what tells it from the others, for the refusal of a file that could be several.
+    fix : whether lines ``FIX id [id ...]`` hold vertices.
+    others : tags that belong to it and are not used.
+    aliases : other names of tags, which are read and not written.
+    """
+
+    name: str
+    records: tuple[Record, ...]
+    matrix: str
+    says: str
+    fix: bool = False
+    others: tuple[bytes, ...] = ()
+    aliases: tuple[tuple[bytes, bytes], ...] = ()
+
+    @cached_property
+    def tags(self) -> dict[bytes, Record]:
+        """Records by tag and alias."""
+        found = {record.tag: record for record in self.records}
+        return found | {alias: found[tag] for alias, tag in self.aliases}
+
+    def vertex(self, role: str, group: LieGroup) -> Record | None:
+        """The record of vertices of a role in the plane or in space; None where the format has none."""
+        wanted = "pose" if role == "mount" else role
+        found = [r for r in self.records if r.factor is None and r.slots == (wanted,) and r.group is group]
+        return found[0] if found else None
+
+    def offset(self, group: LieGroup) -> Record | None:
+        """The record of parameters."""
+        found = [r for r in self.records if r.factor is None and not r.slots and r.group is group]
+        return found[0] if found else None

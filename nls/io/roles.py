@@ -1,0 +1,121 @@
+"""What the vertices of a file are, poses, points or places of sensors: by vertex lines and by the slots of edges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from nls.io.lines import Lines, Numbers, by_number
+from nls.io.records import KINDS
+from nls.io.text import Text
+
+__all__ = ["Roles"]
+
+Index = npt.NDArray[np.intp]
+SAID = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
+
+
+class Roles:
+    """The vertices of a file by what they are, checked against every edge.
+
+    Attributes
+    ----------
+    given : ids of all vertex lines; empty when the file has none.
+    poses, points, mounts : ids of each role.
+
+    Raises
+    ------
+    GraphFileError
+        A vertex given twice, used as two things, or missing while others are there.
+    """
+
+    def __init__(self, text: Text, vertices: list[Lines], edges: list[Lines]) -> None:
+        self.text, self.edges = text, edges
+        self.given, _ = by_number(text, vertices, "vertex")
+        self.mounts = np.unique(self._used("mount"))
+        if len(self.given):
+            lines = {part.record.slots[0]: part for part in vertices}
+            self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.given[:0]
+            self.poses = np.sort(lines["pose"].ids[0]) if "pose" in lines else self.given[:0]
+            self._refuse_missing(lines)
+            self._refuse_clash("pose", self.mounts, "mount")
+            self.poses = self.poses[~np.isin(self.poses, self.mounts)] if len(self.mounts) else self.poses
+        else:
+            self.points = np.unique(self._used("point"))
+            either = self._used("either")
+            self.poses = np.unique(np.concatenate([self._used("pose"), either[~np.isin(either, self.mounts)]]))
+            self._refuse_clash("pose", self.mounts, "mount")
+            self._refuse_clash("pose", self.points, "point")
+            self._refuse_clash("mount", self.points, "point")
+            self._refuse_clash("either", self.points, "point")
+
+    def all_ids(self) -> dict[str, Numbers]:
+        """Ids by kind of variable."""
+        return {KINDS["pose"]: self.poses, KINDS["point"]: self.points, KINDS["mount"]: self.mounts}
+
+    def kind(self, slot: str, ids: Numbers) -> str:
+        """Kind of the variables of a slot whose ids are all of one role."""
+        if slot == "either":
+            slot = "mount" if len(self.mounts) and np.isin(ids[0], self.mounts) else "pose"
+        return KINDS[slot]
+
+    def kinds_of(self, part: Lines) -> Iterator[Index | slice]:
+        """The lines of an edge, apart where one of its slots holds variables of two kinds."""
+        if "either" not in part.record.slots or not len(self.mounts):
+            yield slice(None)
+            return
+        mount = np.isin(part.ids[part.record.slots.index("either")], self.mounts)
+        for mine in (np.flatnonzero(~mount), np.flatnonzero(mount)):
+            if len(mine):
+                yield mine
+
+    def _used(self, slot: str) -> Numbers:
+        """Ids in all slots of this name."""
+        ids = [i for part in self.edges for s, i in zip(part.record.slots, part.ids, strict=True) if s == slot]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *ids])
+
+    def first_line(self, slots: tuple[str, ...], number: int) -> int:
+        """First line (from 0) that uses a vertex in one of these slots; -1 when none does."""
+        found = [
+            int(part.at[np.argmax(ids == number)])
+            for part in self.edges
+            for slot, ids in zip(part.record.slots, part.ids, strict=True)
+            if slot in slots and (ids == number).any()
+        ]
+        return min(found, default=-1)
+
+    def _refuse_clash(self, slot: str, others: Numbers, role: str) -> None:
+        """Refuse vertices in slots of this name that are something else in other lines."""
+        if not len(others):
+            return
+        used = self._used(slot)
+        clash = used[np.isin(used, others)]
+        if len(clash):
+            number = int(clash[0])
+            here, there = self.first_line((slot,), number), self.first_line((role,), number)
+            one, other = SAID.get(slot, "pose"), SAID[role]
+            if here < there:
+                here, there, one, other = there, here, other, one
+            raise self.text.error(f"vertex {number} is used as {one} here, and as {other} on line {there + 1}", here)
+
+    def _refuse_missing(self, lines: dict[str, Lines]) -> None:
+        """Refuse an edge to a vertex that no line gives, or that is of another role."""
+        for part in self.edges:
+            for slot, ids in zip(part.record.slots, part.ids, strict=True):
+                role = "point" if slot == "point" else "pose"
+                known, other = (self.points, "pose") if role == "point" else (self.poses, "point")
+                if not (missing := ~np.isin(ids, known)).any():
+                    continue
+                k = int(np.argmax(missing))
+                if other in lines and (ids[k] == lines[other].ids[0]).any():
+                    line = int(lines[other].at[np.argmax(lines[other].ids[0] == ids[k])])
+                    message = f"the edge needs a {role}, vertex {ids[k]} is a {other} (line {line + 1})"
+                    raise self.text.error(message, int(part.at[k]))
+                tag = lines[role].record.tag.decode() if role in lines else f"{role} vertex"
+                raise self.text.error(
+                    f"the edge needs vertex {ids[k]}, which no {tag} line has (others are there); add it, or take out "
+                    "all vertices to have poses chained along the edges",
+                    int(part.at[k]),
+                )

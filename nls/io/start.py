@@ -1,0 +1,102 @@
+"""Start values for a file without vertices: poses chained along its edges, points where they were first seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors.base import Factor
+from factors.between import Between
+from factors.between_sensors import BetweenSensors
+from factors.keys import Keys
+from factors.noise import Isotropic
+from factors.prior import Prior
+from factors.seen import Seen
+from models import LieGroup, R
+from nls.graph import FactorGraph
+from nls.io.lines import Lines
+from nls.io.records import KINDS
+from nls.io.report import LoadReport
+from nls.io.roles import Roles
+from nls.io.text import Text
+from nls.starts.chain import chain
+from nls.starts.landmarks import locate_points
+from nls.values import Values
+
+__all__ = ["started"]
+
+POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
+
+
+def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: LieGroup, report: LoadReport) -> Values:
+    """Values of every vertex the edges name.
+
+    Raises
+    ------
+    GraphFileError
+        A point that its measurements do not place; poses beyond the largest number.
+    """
+    ids = roles.all_ids()
+    spaces = {POSE: group, POINT: R(group.point_dim), MOUNT: group}
+    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in ids.items() if len(n)})
+    for factor, _ in bound:
+        if isinstance(factor, Prior):  # a pose, place or point that is known
+            X = spaces[factor.keys[0].kind]
+            values[factor.keys[0]] = (
+                factor.z if factor.offset is None else X.compose(factor.z, X.inverse(factor.offset))
+            )
+    if len(roles.poses):
+        values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
+        report.notes.append(f"no vertices in the file: {len(roles.poses)} poses chained along the edges")
+    if len(roles.points):
+        values = _placed(text, bound, roles, values)
+        report.notes.append(f"no vertices in the file: {len(roles.points)} points placed where they were seen")
+    if len(roles.mounts):
+        report.notes.append(
+            f"no vertices in the file: {len(roles.mounts)} places of sensors begin at the vehicle's own"
+        )
+    if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
+        line = int(min(part.at.min() for _, part in bound))
+        raise text.error("the poses chained along the edges grow beyond the largest number", line)
+    return values
+
+
+def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Between]:
+    """A measured difference of poses as one of the vehicles: z, or O_i z O_j^-1 where sensors measured it."""
+    if isinstance(factor, Between) and factor.keys[0].kind == POSE:
+        return [factor]
+    if not isinstance(factor, BetweenSensors):
+        return []
+    O = factor.offset
+    O_i, O_j = (values[O], values[O]) if isinstance(O, Keys) else O
+    z = group.compose(group.compose(O_i, factor.z), group.inverse(O_j))
+    return [Between(factor.keys[0], factor.keys[1], z, Isotropic())]
+
+
+def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values) -> Values:
+    """Points from a prior, else from where they were seen, else along measured differences of points."""
+    before = values.stack(POINT)
+    prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
+    seen = FactorGraph([f for f, _ in bound if isinstance(f, Seen)])
+    joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
+    for numbers in prior:
+        seen.fix(Keys(POINT, numbers))
+    try:
+        values = locate_points(seen, values)
+    except np.linalg.LinAlgError as error:
+        line = int(min(part.at.min() for _, part in bound))
+        raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
+    moved = (values.stack(POINT).X != before.X).any(axis=1)
+    complete = [f.keys[1].numbers for f in seen.factors if isinstance(f, Seen) and f.locates]
+    found = np.concatenate([before.numbers[moved], *prior, *complete])
+    if joined.factors:
+        if len(found):
+            joined.fix(Keys(POINT, np.unique(found)))
+        values = chain(joined, values)
+        found = np.concatenate([found, *(keys.numbers for f in joined.factors for keys in f.keys)])
+    lost = roles.points[~np.isin(roles.points, found)]
+    if len(lost):
+        raise text.error(
+            f"the file has no vertices, and its measurements do not say where point {lost[0]} is; add vertices",
+            roles.first_line(("point",), int(lost[0])),
+        )
+    return values

@@ -1,0 +1,149 @@
+"""Trajectories alone, as evaluation tools exchange them: TUM and KITTI text files, poses of space.
+
+    TUM      timestamp tx ty tz qx qy qz qw        seconds; lines that begin with # are comments
+    KITTI    r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz      the upper 3 x 4 of the pose, row by row
+
+Body to world, meters. Poses of the plane are written in the plane z = 0. Sources: J. Sturm et al., "A benchmark for the
+evaluation of RGB-D SLAM systems", IROS 2012; A. Geiger, P. Lenz, R. Urtasun, "Are we ready for autonomous driving?",
+CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2, SE3
+from models.algebra import Array
+from models.errors import GraphError
+from models.manifolds.so3 import quaternion_from_matrix, rotation3
+from nls.io.files import read_bytes, write_bytes
+from nls.io.text import Text
+
+__all__ = ["lifted", "read_kitti", "read_tum", "write_kitti", "write_tum"]
+
+Index = npt.NDArray[np.intp]
+ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
+
+
+def read_tum(path: str | Path) -> tuple[Array, Array]:
+    """Times and poses of a TUM trajectory.
+
+    Returns
+    -------
+    times : (n,) array, s, rising.
+    poses : (n, 7) array, SE3 as x y z qx qy qz qw, m.
+
+    Raises
+    ------
+    GraphFileError
+        With the line: another count of numbers, a word that is no number, a quaternion that is not of length 1, a time
+        that does not rise.
+    """
+    text, lines, table = _table(path, 8, "timestamp tx ty tz qx qy qz qw")
+    times, poses = table[:, 0], table[:, 1:]
+    if (found := SE3.invalid(poses)) is not None:
+        raise text.error(found[1], int(lines[found[0]]))
+    late = np.flatnonzero(times[1:] <= times[:-1])
+    if len(late):
+        k = int(late[0]) + 1
+        raise text.error(
+            f"time {float(times[k])!r} does not rise over {float(times[k - 1])!r} before it", int(lines[k])
+        )
+    return times, poses
+
+
+def write_tum(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> None:
+    """Write a TUM trajectory; it reads back bit for bit.
+
+    Parameters
+    ----------
+    path : the file; gzip-compressed where the name ends in ``.gz``.
+    times : (n,), s, rising.
+    poses : (n, 7) SE3, or (n, 3) SE2, which are lifted to z = 0.
+
+    Raises
+    ------
+    GraphError
+        Not one rising time per pose, or no poses.
+    GraphFileError
+        The file cannot be written.
+    """
+    t, X = np.array(times, dtype=float), lifted(poses)
+    if t.shape != (len(X),):
+        raise GraphError(f"{path}: times have shape {t.shape}, expected ({len(X)},): one per pose")
+    if not (np.isfinite(t).all() and (t[1:] > t[:-1]).all()):
+        raise GraphError(f"{path}: the times of a trajectory must be finite and rise")
+    _write(path, np.column_stack([t, X]))
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation, and is refused
+def read_kitti(path: str | Path) -> Array:
+    """Poses (n, 7) of a KITTI trajectory, SE3 as x y z qx qy qz qw, m.
+
+    Raises
+    ------
+    GraphFileError
+        With the line: another count of numbers, a word that is no number, a matrix that is no rotation.
+    """
+    text, lines, table = _table(path, 12, "the upper 3 x 4 of a pose, row by row")
+    T = table.reshape(-1, 3, 4)
+    R = T[:, :, :3]
+    off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    if (bad := ~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0)).any():
+        k = int(np.argmax(bad))
+        what = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
+        raise text.error(f"no rotation matrix: {what}", int(lines[k]))
+    return np.hstack([T[:, :, 3], quaternion_from_matrix(R)])
+
+
+def write_kitti(path: str | Path, poses: npt.ArrayLike) -> None:
+    """Write a KITTI trajectory; poses and errors as for `write_tum`. Rotations read back up to rounding."""
+    X = lifted(poses)
+    T = np.concatenate([rotation3(X[:, 3:]), X[:, :3, None]], axis=2)
+    _write(path, T.reshape(-1, 12))
+
+
+def lifted(poses: npt.ArrayLike) -> Array:
+    """Poses of space (n, 7) from SE2 (n, 3) in the plane z = 0, or SE3 (n, 7) as they are.
+
+    Raises
+    ------
+    GraphError
+        Neither.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> lifted([[1.0, 2.0, np.pi]]).round(6)
+    array([[1., 2., 0., 0., 0., 1., 0.]])
+    """
+    X = np.atleast_2d(np.asarray(poses, dtype=float))
+    if X.ndim != 2 or X.shape[1] not in (3, 7):
+        raise GraphError(f"poses have shape {X.shape}, expected (n, 7): SE3, or (n, 3): SE2")
+    if X.shape[1] == 7:
+        return SE3.stack(X)
+    x, y, theta = SE2.stack(X).T
+    zero = np.zeros(len(X))
+    return np.column_stack([x, y, zero, zero, zero, np.sin(theta / 2), np.cos(theta / 2)])
+
+
+def _table(path: str | Path, columns: int, what: str) -> tuple[Text, Index, Array]:
+    """The text, its lines that are neither blank nor comments, and their numbers (n, columns)."""
+    text = Text(read_bytes(path), str(path))
+    count = np.diff(text.first)
+    lines = np.flatnonzero(count)
+    lines = lines[text.characters(text.first[lines], 1)[:, 0] != ord("#")]
+    if not len(lines):
+        raise text.error(f"has no pose; expected lines of {columns} numbers: {what}", 0)
+    if (wrong := count[lines] != columns).any():
+        k = int(np.argmax(wrong))
+        raise text.error(f"{count[lines[k]]} numbers, expected {columns}: {what}", int(lines[k]))
+    tokens = text.first[lines][:, None] + np.arange(columns)
+    return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns)
+
+
+def _write(path: str | Path, table: Array) -> None:
+    write_bytes(path, "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode())

@@ -1,0 +1,178 @@
+r"""The matrix of a measurement, between the numbers of a file and the noise of a factor.
+
+The entries of a file are about the error e_f of the numbers it measures, those of a noise about the residual e of the
+factor's convention. Where they differ, e_f = S e to first order:
+
+    chart         e_f                            S for log (gtsam)         S for g2o, graphslam
+    plain         as the residual                I                         I
+    quaternion    (t, vector part)               diag(I, I/2) (gtsam: I)   I
+    angles        (t, roll, pitch, yaw)          diag(I, T^-1)             diag(I, 2 T^-1)
+
+with T of `models.manifolds.euler` at the measured angles, phi = T d(roll, pitch, yaw) and v = phi / 2. Then
+
+    information I_e = S' I S,    square root R_e = R S
+
+so that all conventions agree to first order (`gtsam` reads a quaternion's information as GTSAM does). No format here
+has a covariance of poses in space. A translation stays as it is: like other readers of these files, this one does not
+apply the difference between the axes of the two poses to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation
+from factors.robust import Robust
+from models.algebra import Array
+from models.errors import GraphError
+from models.manifolds.euler import rate_matrix, rate_matrix_inv
+from nls.io.records import Format, Record
+
+__all__ = ["NOISES", "AsRead", "entries", "matrix", "noise_of", "repaired"]
+
+NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
+    "information": Information,
+    "square root": SqrtInformation,
+    "covariance": Covariance,
+}
+HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
+
+
+class AsRead(Noise):
+    """A noise, and the numbers of the lines it was read from, which writing gives back as they were.
+
+    Attributes
+    ----------
+    noise : the noise itself.
+    format, tag, convention : how the lines were read.
+    z : (n, size) the measured elements they became.
+    numbers : (n, columns) the numbers after the ids.
+    parameters : (n, k) ids of parameters; offsets : (n, k, size) their values.
+    """
+
+    def __init__(
+        self,
+        noise: Noise,
+        format: str,
+        tag: bytes,
+        convention: str,
+        z: Array,
+        numbers: Array,
+        parameters: npt.NDArray[np.int64],
+        offsets: Array,
+    ) -> None:
+        self.noise, self.format, self.tag, self.convention = noise, format, tag, convention
+        self.z, self.numbers, self.parameters, self.offsets = z, numbers, parameters, offsets
+
+    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
+        return self.noise.sqrt_information(n, names)
+
+    def __repr__(self) -> str:
+        return repr(self.noise)
+
+    def numbers_of(self, factor: Factor, format: str, tag: bytes) -> Array | None:
+        """The numbers of the lines of this factor, where they still say what it says."""
+        same = (self.format, self.tag, self.convention) == (format, tag, factor.convention)
+        return self.numbers if same and np.array_equal(self.z, factor.z) else None
+
+
+def matrix(record: Record, numbers: Array, kind: str) -> Array:
+    """Matrices (n, m, m) of the entries (n, k) of lines: symmetric, or upper triangular for a square root."""
+    m = record.element.space.dim
+    rows, columns = record.places
+    M = np.zeros((len(numbers), m, m))
+    M[:, rows, columns] = numbers
+    if kind != "square root":
+        M[:, columns, rows] = numbers
+    return M
+
+
+def noise_of(record: Record, kind: str, M: Array, measured: Array, convention: str) -> Noise:
+    """The noise of a factor from matrices (n, m, m) of a kind and the measured numbers (n, width) of the lines."""
+    if record.chart == "quaternion" and convention == "log":
+        M = M / (HALF[:, None] * HALF)
+    elif record.chart == "angles":
+        S, _ = _turn(measured[:, 3:], convention)
+        M = M @ S if kind == "square root" else _symmetric(S.mT @ M @ S)
+    return NOISES[kind](M)
+
+
+def entries(record: Record, format: Format, factor: Factor, W: Array, measured: Array) -> Array:
+    """Matrix entries (n, k) of the lines of a factor with the whitener W; the inverse of `noise_of`.
+
+    Raises
+    ------
+    GraphError
+        A robust kernel, or a covariance that does not exist.
+    """
+    kind, m, noise = format.matrix, record.element.space.dim, factor.noise
+    if isinstance(noise, Robust):
+        raise GraphError(
+            f"{factor!r} has a robust kernel, which files of this kind have no place for; save the graph without it",
+            factor.keys,
+            factor.name,
+        )
+    noise = noise.noise if isinstance(noise, AsRead) else noise
+    W = W if W.ndim == 3 else W[..., None] * np.eye(m)
+    M: Array
+    if type(noise) is NOISES[kind] and not (kind == "square root" and np.tril(noise.matrix, -1).any()):
+        M = noise.matrix
+    elif kind == "information":
+        M = W.mT @ W
+    elif kind == "square root":
+        M = _upper(W)
+    else:
+        if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
+            raise GraphError(
+                f"{factor!r} has no covariance: it measures nothing in some direction", factor.keys, factor.name
+            )
+        W_inv = np.linalg.inv(W)
+        M = W_inv @ W_inv.mT
+    if record.chart == "quaternion" and factor.convention == "log":
+        M = M * (HALF[:, None] * HALF)
+    elif record.chart == "angles":
+        _, S_inv = _turn(measured[:, 3:], factor.convention)
+        M = _upper(M @ S_inv) if kind == "square root" else _symmetric(S_inv.mT @ M @ S_inv)
+    rows, columns = record.places
+    return np.broadcast_to(M, (len(factor), m, m))[:, rows, columns]
+
+
+def repaired(Omega: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Information matrices (n, m, m) with negative eigenvalues set to 0, and which had some.
+
+    The matrices are scaled to a diagonal of ones for it, as they are when they are judged: units do not decide.
+    """
+    d = np.sqrt(np.abs(np.diagonal(Omega, axis1=1, axis2=2)))
+    d = np.where(d > 0, d, 1.0)
+    scaled = Omega / d[:, :, None] / d[:, None, :]
+    finite = np.flatnonzero(np.isfinite(scaled).all(axis=(1, 2)))
+    values, V = np.linalg.eigh(scaled[finite])
+    negative = values[:, 0] < -NEGATIVE
+    bad, V = finite[negative], V[negative]
+    nearest = (V * np.maximum(values[negative], 0.0)[:, None, :]) @ V.mT
+    out, changed = np.array(Omega), np.zeros(len(Omega), dtype=bool)
+    out[bad] = _symmetric(nearest * d[bad][:, :, None] * d[bad][:, None, :])
+    changed[bad] = True
+    return out, changed
+
+
+def _turn(angles: Array, convention: str) -> tuple[Array, Array]:
+    """S and S^-1 (n, 6, 6) of the chart ``angles`` at measured angles (n, 3)."""
+    k = 2.0 if convention in ("g2o", "graphslam") else 1.0
+    S, S_inv = np.tile(np.eye(6), (2, len(angles), 1, 1))
+    S[:, 3:, 3:], S_inv[:, 3:, 3:] = k * rate_matrix_inv(angles), rate_matrix(angles) / k
+    return S, S_inv
+
+
+def _upper(W: Array) -> Array:
+    """R upper triangular with R'R = W'W and no negative diagonal; W itself where it is."""
+    if not np.tril(W, -1).any():
+        return W
+    R = np.linalg.qr(W, mode="r")
+    return np.asarray(R * np.where(np.diagonal(R, axis1=-2, axis2=-1) < 0, -1.0, 1.0)[..., None])
+
+
+def _symmetric(M: Array) -> Array:
+    return np.asarray(M / 2 + M.mT / 2)  # the sum of the largest numbers would overflow

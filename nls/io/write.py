@@ -1,0 +1,246 @@
+"""The writer of graph text files of every dialect: from a graph and values to the lines of its records.
+
+Read, write, read with one dialect and one convention gives the same graph bit for bit. Comments are never written:
+widely used readers lose a file's edges over one.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from factors.base import Factor
+from factors.keys import Keys
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError, GraphWarning, SingularGeometryError
+from nls.gauge import fixed_variables
+from nls.graph import FactorGraph
+from nls.io.files import write_bytes
+from nls.io.lines import Numbers
+from nls.io.records import KINDS, Format, Record
+from nls.io.weights import AsRead, entries
+from nls.values import Values
+
+__all__ = ["write_graph"]
+
+ROLES = {kind: role for role, kind in KINDS.items()}
+PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
+
+
+def write_graph(
+    path: str | Path, graph: FactorGraph, values: Values, ignored: list[str] | None, format: Format, stacklevel: int = 3
+) -> None:
+    """Write a graph text file, gzip-compressed where the name ends in ``.gz``.
+
+    A graph made in Python is read back with its information as a full matrix: its chi2 may differ by rounding.
+
+    Parameters
+    ----------
+    path : the file.
+    graph, values : what to write: poses of kind x, points l, places of sensors o.
+    ignored : lines to append verbatim.
+    format : the dialect.
+    stacklevel : whose line a warning points at.
+
+    Raises
+    ------
+    GraphError
+        Something this dialect has no line for, or that would be read back as something else.
+    GraphFileError
+        The file cannot be written.
+    """
+    name = str(path)
+    group = _dimension(name, values, format)
+    fixed = _fixed(name, graph, values, format)
+    offsets = _Offsets(ignored or [], group)
+    tables = [_edge_lines(name, factor, values, group, format, offsets) for factor in graph.factors]
+    _refuse_conventions(name, graph, values)
+    _refuse_mounts(name, graph, values)
+    out = offsets.lines(format)
+    start, unwritten = 0, 0
+    for kind, stack in values.stacks.items():
+        held = fixed[start : start + len(stack)]
+        start += len(stack)
+        record = format.vertex(ROLES[kind], group)
+        if record is None:
+            unwritten += len(stack)
+            continue
+        try:
+            rows = _rows(record.tag, [stack.numbers], record.element.encode(stack.X))
+        except SingularGeometryError as error:
+            raise GraphError(f"{name}: variables {kind}: {error}") from error
+        if held.any():
+            numbers = zip(rows, stack.numbers.tolist(), held.tolist(), strict=True)
+            rows = [line for row, n, h in numbers for line in ([row, f"FIX {n}"] if h else [row])]
+        out += rows
+    if unwritten:
+        warnings.warn(
+            f"{name}: {format.name} files hold measurements only: the values of {unwritten} variables are not in it",
+            GraphWarning,
+            stacklevel=stacklevel,
+        )
+    text = "\n".join([*out, *(line for table in tables for line in table), *(ignored or [])]) + "\n"
+    write_bytes(path, text.encode("utf-8", "surrogateescape"))
+
+
+def _dimension(path: str, values: Values, format: Format) -> LieGroup:
+    """SE2 or SE3, and every kind in the space the format has for it; each number for one vertex only."""
+    kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
+    group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
+    wanted = {KINDS["pose"]: group, KINDS["point"]: R(group.point_dim), KINDS["mount"]: group}
+    for kind, manifold in kinds.items():
+        if wanted.get(kind) is not manifold:
+            said = ", ".join(f"{k} in {space}" for k, space in wanted.items())
+            raise GraphError(
+                f"{path}: variables {kind} in {manifold} have no line in a {format.name} file, which holds poses, "
+                f"points and places of sensors of one dimension: here {said}"
+            )
+    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
+    unique, count = np.unique(numbers, return_counts=True)
+    if (count > 1).any():
+        number = int(unique[np.argmax(count > 1)])
+        both = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
+        raise GraphError(
+            f"{path}: {both[0]!r} and {both[1]!r} have one number, the vertices of a {format.name} file share one "
+            "numbering; give points numbers of their own, such as those of the poses and above",
+            both,
+        )
+    return group
+
+
+def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.ndarray:
+    for keys in graph.fixed:
+        values.stack(keys.kind)  # refuses a kind without values
+    fixed = fixed_variables(graph.fixed, values)
+    if fixed.any() and not format.fix:
+        held = [keys for keys in graph.fixed if len(keys)]
+        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a {format.name} file has no line for", held)
+    return fixed
+
+
+def _refuse_conventions(path: str, graph: FactorGraph, values: Values) -> None:
+    """A file is read with one convention, so it can hold no two; vectors have only one residual."""
+    conventions = {f.convention for f in graph.factors if values.gather(f)[0].space in (SE2, SE3)}
+    if len(conventions) > 1:
+        raise GraphError(
+            f"{path}: a graph file is read with one convention, these factors have {', '.join(sorted(conventions))}; "
+            "give all the same one"
+        )
+
+
+def _refuse_mounts(path: str, graph: FactorGraph, values: Values) -> None:
+    """A place of a sensor that no measurement uses as one would be read back as a pose."""
+    if KINDS["mount"] not in values.stacks:
+        return
+    used = [k.numbers for f in graph.factors for k in f.keys[1:] if k.kind == KINDS["mount"]]
+    numbers = values.stacks[KINDS["mount"]].numbers
+    if not np.isin(numbers, np.concatenate([numbers[:0], *used])).all():
+        lost = Keys(KINDS["mount"], numbers)[~np.isin(numbers, np.concatenate([numbers[:0], *used]))]
+        raise GraphError(
+            f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose", [lost]
+        )
+
+
+class _Offsets:
+    """Parameters of a file being written: an id for every different offset, the one it had where it was read."""
+
+    def __init__(self, ignored: list[str], group: LieGroup) -> None:
+        self.group = group
+        found = [PARAMETER.match(line) for line in ignored]
+        self.taken = {int(m[1]) for m in found if m}
+        self.rows: dict[int, bytes] = {}
+
+    def ids(self, offsets: Array, wanted: Numbers) -> Numbers:
+        """Ids (n,) of offsets (n, size), the wanted ones (n,) where they are free or say the same; -1: any."""
+        pairs = np.column_stack([offsets.view(np.int64), wanted])  # equal bits, not equal numbers: -0.0 stays
+        unique, which = np.unique(pairs, axis=0, return_inverse=True)
+        number = [self._id(row[:-1].tobytes(), int(row[-1])) for row in unique]
+        return np.array(number, dtype=np.int64)[which.reshape(-1)]
+
+    def _id(self, row: bytes, wanted: int) -> int:
+        if wanted >= 0 and wanted not in self.taken and self.rows.get(wanted, row) == row:
+            self.rows[wanted] = row
+            return wanted
+        for known, other in self.rows.items():
+            if other == row:
+                return known
+        free = max([-1, *self.rows, *self.taken]) + 1
+        self.rows[free] = row
+        return free
+
+    def lines(self, format: Format) -> list[str]:
+        """The parameter lines."""
+        if not self.rows:
+            return []
+        record = format.offset(self.group)
+        assert record is not None
+        X = np.frombuffer(b"".join(self.rows.values())).reshape(-1, self.group.size)
+        return _rows(record.tag, [np.array(list(self.rows), dtype=np.int64)], X)
+
+
+def _edge_lines(
+    path: str, factor: Factor, values: Values, group: LieGroup, format: Format, offsets: _Offsets
+) -> list[str]:
+    """The lines of one factor."""
+    model, _ = values.gather(factor)
+    fixed = _fixed_offsets(factor)
+    n, any_ = len(factor), [group.identity()]
+    record = _record(factor, model.manifolds, format, fixed)
+    if record is None:
+        raise GraphError(f"{path}: {factor!r} cannot be written to a {format.name} file", factor.keys, factor.name)
+    noise = factor.noise
+    known = noise.numbers_of(factor, format.name, record.tag) if isinstance(noise, AsRead) else None
+    if known is not None:
+        numbers = known
+    else:
+        try:
+            measured = record.element.encode(model.z)
+            numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
+        except SingularGeometryError as error:
+            raise GraphError(f"{path}: {factor!r}: {error}", factor.keys, factor.name) from error
+        except GraphError as error:
+            raise GraphError(f"{path}: {error}", factor.keys, factor.name) from error
+    ids = [keys.numbers for keys in factor.keys]
+    wanted = np.full((n, record.parameters), -1, dtype=np.int64)
+    rows = [np.broadcast_to(O, (n, group.size)) for O in (fixed or any_ * record.parameters)]
+    if isinstance(noise, AsRead) and noise.parameters.shape == wanted.shape:
+        wanted = noise.parameters
+        rows = rows if record.used else [noise.offsets[:, k] for k in range(record.parameters)]
+    for k in range(record.parameters):
+        ids.append(offsets.ids(np.ascontiguousarray(rows[k]), wanted[:, k]))
+    return _rows(record.tag, ids, numbers)
+
+
+def _fixed_offsets(factor: Factor) -> list[Array]:
+    """The fixed offsets of a factor, none, one or two."""
+    offset = getattr(factor, "offset", None)
+    if isinstance(offset, tuple):
+        return list(offset)
+    return [offset] if isinstance(offset, np.ndarray) else []
+
+
+def _record(factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array]) -> Record | None:
+    """The record whose lines can say this factor; one with a parameter where it has no offset, if that is the only."""
+    kinds = [keys.kind for keys in factor.keys]
+    for offsets in (len(fixed), 1 if not fixed else -1):
+        for record in format.records:
+            if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
+                ROLES[kind] in (("pose", "mount") if slot == "either" else (slot,))
+                for kind, slot in zip(kinds, record.slots, strict=True)
+            ):
+                return record
+    return None
+
+
+def _rows(tag: bytes, ids: list[Numbers], numbers: Array) -> list[str]:
+    """Text lines; the shortest digits that read back as the same number."""
+    head = tag.decode()
+    names = zip(*(i.tolist() for i in ids), strict=True)
+    return [
+        f"{head} {' '.join(map(str, name))} {' '.join(repr(v).removesuffix('.0') for v in row)}"
+        for name, row in zip(names, numbers.tolist(), strict=True)
+    ]

@@ -1,0 +1,139 @@
+r"""Ellipses that hold a position with a given probability.
+
+    {t + r U sqrt(s) (cos a, sin a)'},   Sigma = U diag(s) U',   r^2 = -2 ln(1 - p)
+
+r^2 is the quantile p of a chi-square variable with two degrees of freedom, in closed form: 5.99 for 95 %. Sigma is the
+covariance of x and y along the axes of the world. In space it is that of the projection on the x-y plane, and the
+ellipse is drawn level, at the height of the position.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from factors.keys import Keys
+from models.errors import OptionError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from models.algebra import Array
+    from nls.covariance import Marginals
+
+__all__ = ["ellipses"]
+
+POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
+MOST = 120  # of one kind, where it is not said how many
+CORNERS = 48
+
+
+def ellipses(
+    marginals: Marginals,
+    axes: Axes | None = None,
+    probability: float = 0.95,
+    every: int | None = None,
+    scale: float = 1.0,
+) -> Figure:
+    """Where the positions are, each with the ellipse that holds it with the given probability.
+
+    Parameters
+    ----------
+    marginals : covariances of a graph; what is held has no ellipse.
+    axes : where; a new figure, with the positions as dots, when omitted. On axes with ``projection="3d"`` the ellipses
+        lie level.
+    probability : between 0 and 1.
+    every : draw that of every so many variables of a kind, in the order of their numbers; as many as can be told apart
+        (120) when omitted.
+    scale : ellipses are drawn so many times as large as they are, and the legend says so.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    OptionError
+        A probability that is not between 0 and 1, an `every` below 1, a scale that is not above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls import Marginals
+    >>> from nls.plot import ellipses
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    >>> ellipses(Marginals(world.graph, world.truth), every=4).axes[0].get_legend().get_texts()[0].get_text()
+    '95 % ellipse of every 4th x'
+    """
+    from matplotlib.figure import Figure
+
+    if not 0 < probability < 1:
+        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.95")
+    if every is not None and every < 1:
+        raise OptionError("every", every, "a whole number of at least 1")
+    if not scale > 0:
+        raise OptionError("scale", scale, "a number above 0")
+    alone = axes is None
+    if axes is None:
+        axes = Figure(figsize=(6, 6), layout="constrained").add_subplot()
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+    radius = scale * np.sqrt(-2 * np.log1p(-probability))
+    for stack in marginals.values.stacks.values():
+        position = np.asarray(stack.manifold.position(stack.X))
+        chosen = np.flatnonzero(np.array(marginals.status(stack.kind)) == "estimated")
+        if not position.shape[1] or not len(chosen):
+            continue
+        chosen = chosen[np.argsort(stack.numbers[chosen])]
+        step = every or -(-len(chosen) // MOST)
+        chosen = chosen[::step]
+        Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[chosen]), view="position")[:, :2, :2]
+        pose = stack.manifold.dim > position.shape[1]
+        style = {"color": POSE if pose else POINT, "linewidth": 0.8}
+        label = f"{100 * probability:g} % ellipse of {_which(step)}{stack.kind}"
+        label += "" if scale == 1 else f", {scale:g} times as large"
+        _outlines(axes, position[chosen], _around(Sigma, radius), label=label, **style)
+        if alone:
+            axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
+    if alone:
+        axes.set_aspect("equal", adjustable="datalim")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="upper left", fontsize=8)
+    figure = axes.get_figure()
+    assert figure is not None
+    return figure  # type: ignore[return-value]
+
+
+def _around(Sigma: Array, radius: float) -> Array:
+    """Outlines (n, CORNERS, 2) around the origin of covariances (n, 2, 2)."""
+    a = np.linspace(0, 2 * np.pi, CORNERS)
+    U, s, _ = np.linalg.svd(Sigma)  # of a covariance: its eigenvectors and eigenvalues
+    axes_of_ellipse = radius * U * np.sqrt(s)[:, None, :]
+    return np.asarray((axes_of_ellipse @ np.stack([np.cos(a), np.sin(a)])).mT)
+
+
+def _outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:
+    if axes.name == "3d":
+        from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]
+
+        level = np.zeros((len(center), 1, 3))
+        level[:, 0, : center.shape[1]] = center
+        flat = np.concatenate([around, np.zeros((*around.shape[:2], 1))], axis=2)
+        axes.add_collection3d(Line3DCollection(level + flat, **style))  # type: ignore[attr-defined]
+    else:
+        from matplotlib.collections import PolyCollection
+        from matplotlib.colors import to_rgba
+
+        color = style.pop("color")
+        outlines = center[:, None, :2] + around
+        shape = PolyCollection(list(outlines), facecolors=to_rgba(color, 0.18), edgecolors=to_rgba(color, 0.9), **style)
+        axes.add_collection(shape)
+
+
+def _which(step: int) -> str:
+    if step == 1:
+        return "every "
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(step % 10, "th") if step % 100 not in (11, 12, 13) else "th"
+    return f"every {step}{ending} "

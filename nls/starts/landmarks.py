@@ -1,0 +1,172 @@
+r"""Start values of points from the poses that saw them, all points at once.
+
+A point with a measurement that gives direction and distance is put where the first of them (by the number of the pose)
+has it, l = S p. The others follow from sums over all their measurements, from sensors at s_i:
+
+    ranges      M = sum u_i u_i',        v = sum u_i (|u_i|^2 - r_i^2) / 2,   u_i = s_i - c,  c = mean of s_i
+    directions  M = sum (I - d_i d_i'),  v = sum (I - d_i d_i') u_i           d_i the unit vector of the ray
+
+and l = c + M^-1 v. The first subtracts squared ranges, |l - s_i|^2 = r_i^2, from their mean, which leaves a linear
+system; the second is the point nearest to all rays. Where M says nothing in some direction (ranges from fewer than
+three places not in line, in space four not in one plane; rays that are parallel), or where the value given fits the
+measurements better, the value given stays. So do fixed points.
+
+Source: W. Murphy, W. Hereman, "Determination of a position in three dimensions using trilateration and approximate
+distances", Colorado School of Mines, 1995 (the squared ranges).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.bearing import Bearing
+from factors.range import Range
+from factors.seen import Seen
+from models import LieGroup
+from models.algebra import Array, apply
+from models.sensors import point_from_direction_range
+from nls.graph import FactorGraph
+from nls.values import Stack, Values
+
+__all__ = ["locate_points"]
+
+Index = npt.NDArray[np.intp]
+DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value."""
+
+    factor: Seen
+    group: LieGroup
+    point: Index
+    number: npt.NDArray[np.int64]
+    S: Array
+    z: Array
+
+
+def locate_points(graph: FactorGraph, values: Values) -> Values:
+    """Points where the poses saw them; poses, fixed points and points nothing locates keep their values.
+
+    Parameters
+    ----------
+    graph : its `Landmark`, `BearingRange`, `Range` and `Bearing` factors are used, equally weighted.
+    values : every variable.
+
+    Returns
+    -------
+    Values
+
+    Examples
+    --------
+    >>> from factors import Isotropic, Range
+    >>> from models import SE2, R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Range(x[[0, 1, 2]], l[0], [5.0, 4.0, 3.0], Isotropic(0.1))])
+    >>> values = Values({x: (SE2, [[0, 0, 0], [3, 0, 0], [0, 4, 0]]), l: (R(2), [0.0, 0.0])})
+    >>> locate_points(graph, values)[l[0]].round(6)
+    array([3., 4.])
+    """
+    seen: dict[str, list[Sightings]] = {}
+    for factor in graph.factors:
+        if isinstance(factor, Seen) and len(factor):
+            model, X = values.gather(factor)
+            group, target = model.manifolds[:2]
+            assert isinstance(group, LieGroup)
+            if target is not group:
+                S = factor.sensor_pose(group, X[0], *X[2:])
+                point = values.stack(factor.keys[1].kind).index(factor.keys[1])
+                sighting = Sightings(factor, group, point, factor.keys[0].numbers, S, model.z)
+                seen.setdefault(factor.keys[1].kind, []).append(sighting)
+    return values.replaced({kind: _located(values.stack(kind), each, graph) for kind, each in seen.items()})
+
+
+def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Array:
+    """The points (n, d) of one kind."""
+    X = np.array(stack.X)
+    todo = np.ones(len(X), dtype=bool)
+    for keys in graph.fixed:
+        if keys.kind == stack.kind:
+            todo[stack.index(keys)] = False
+
+    complete = [s for s in sightings if s.factor.locates]
+    if complete:
+        point, number = (np.concatenate([getattr(s, name) for s in complete]) for name in ("point", "number"))
+        at = np.concatenate([s.factor.locate(s.group, s.S, s.z) for s in complete])
+        first = np.lexsort((number, point))
+        which, place = np.unique(point[first], return_index=True)
+        rows = first[place][todo[which]]
+        X[point[rows]] = at[rows]
+        todo[point] = False
+    for kind, system, misfit in ((Range, _ranges, _range_misfit), (Bearing, _rays, _ray_misfit)):
+        found = [s for s in sightings if isinstance(s.factor, kind)]
+        if found:
+            point = np.concatenate([s.point for s in found])
+            s_i = np.concatenate([s.group.position(s.S) for s in found])
+            z = np.concatenate([s.z[:, 0] if kind is Range else _directions(s) for s in found])
+            todo &= ~_solve(X, todo, point, s_i, z, system, misfit)
+    return X
+
+
+def _solve(
+    X: Array,
+    todo: npt.NDArray[np.bool_],
+    point: Index,
+    s: Array,
+    z: Array,
+    system: Callable[[Array, Array], tuple[Array, Array]],
+    misfit: Callable[[Array, Array], Array],
+) -> npt.NDArray[np.bool_]:
+    """Put the points of X that are still to do where M and v say; returns which were (n,)."""
+    n, d = X.shape
+    count = np.maximum(np.bincount(point, minlength=n), 1)
+    c = _sums(point, s, n) / count[:, None]
+    M_i, v_i = system(s - c[point], z)
+    M, v = _sums(point, M_i.reshape(-1, d * d), n).reshape(n, d, d), _sums(point, v_i, n)
+    eigenvalues = np.linalg.eigvalsh(M)
+    good = todo & (eigenvalues[:, 0] > DETERMINED * np.maximum(eigenvalues[:, -1], np.finfo(float).tiny))
+    Y = X.copy()
+    Y[good] = c[good] + np.linalg.solve(M[good], v[good][..., None])[..., 0]
+    before, after = (np.bincount(point, misfit(at[point] - s, z), minlength=n) for at in (X, Y))
+    better: npt.NDArray[np.bool_] = good & (after < before)
+    X[better] = Y[better]
+    return better
+
+
+def _ranges(u: Array, r: Array) -> tuple[Array, Array]:
+    """u u' and u (|u|^2 - r^2) / 2."""
+    return u[:, :, None] * u[:, None, :], u * ((np.sum(u * u, axis=1) - r * r) / 2)[:, None]
+
+
+def _rays(u: Array, direction: Array) -> tuple[Array, Array]:
+    """I - d d' and its product with u."""
+    across = np.eye(u.shape[1]) - direction[:, :, None] * direction[:, None, :]
+    return across, apply(across, u)
+
+
+def _range_misfit(p: Array, r: Array) -> Array:
+    """(|p| - r)^2."""
+    return np.asarray(np.square(np.linalg.norm(p, axis=1) - r))
+
+
+def _ray_misfit(p: Array, direction: Array) -> Array:
+    """1 - cos of the angle between the ray and where the point is; 2 for a point behind, 1 for one at the sensor."""
+    length = np.linalg.norm(p, axis=1)
+    return np.asarray(1 - np.sum(p * direction, axis=1) / np.where(length > 0, length, 1.0))
+
+
+def _directions(sighting: Sightings) -> Array:
+    """Unit vectors (m, d) of bearings, in world axes."""
+    unit = point_from_direction_range(np.column_stack([sighting.z, np.ones(len(sighting.z))]))
+    return apply(sighting.group.rotation(sighting.S), unit)
+
+
+def _sums(point: Index, x: Array, n: int) -> Array:
+    """Rows of x (m, k) summed by point, (n, k)."""
+    return np.stack([np.bincount(point, column, minlength=n) for column in x.T], axis=1)

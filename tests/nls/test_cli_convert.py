@@ -1,0 +1,143 @@
+"""``nls convert`` and ``nls plot``: every format by its suffix, and what a format has no place for."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from models import SE2
+from nls.cli import main
+from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
+from tests.nls.g2o_files import PLANE, SPACE, write
+
+Captured = pytest.CaptureFixture[str]
+PYFG = """VERTEX_SE2 5.5 A0 1 2 0.1
+VERTEX_SE2 4.5 A1 2 2.5 0.2
+VERTEX_XY L3 4 6
+EDGE_SE2 5.5 A0 A1 1 0.4 0.1 0.01 0 0 0.02 0 0.03
+EDGE_RANGE 5.5 A0 L3 5.1 0.04
+"""
+BAL = "1 1 1\n0 0 10.5 -3\n0 0 0 0 0 0 500 0 0\n0.1 0.2 -5\n"
+
+
+@pytest.mark.parametrize("text", [PLANE, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize("name", ["out.g2o", "out.g2o.gz", "out.toro", "out.pyfg", "out.pyfg.gz"])
+@pytest.mark.parametrize("convention", ["g2o", "log"])
+def test_a_graph_has_the_same_chi2_in_every_format(
+    text: str, name: str, convention: str, tmp_path: Path, capsys: Captured
+) -> None:
+    file, out = write(tmp_path, text), tmp_path / name
+    assert main(["convert", str(file), str(out), "--convention", convention]) == 0
+    assert f"written     {out}" in capsys.readouterr().out
+    graph, values, _ = nls.load(file, convention)
+    dialect = "toro" if "toro" in name else "auto"
+    again, found, _ = nls.load(out, convention, dialect)
+    assert found[nls.Kind("x")] == pytest.approx(values[nls.Kind("x")], abs=1e-12)
+    assert again.chi2(found) == pytest.approx(graph.chi2(values), rel=1e-9)
+
+
+def test_a_name_may_say_anything_when_the_format_is_named(tmp_path: Path) -> None:
+    file, out = write(tmp_path, PLANE), tmp_path / "out.data"
+    assert main(["convert", str(file), str(out), "--to", "tum"]) == 0
+    assert len(read_tum(out)[0]) == 4
+
+
+def test_trajectories_of_graphs(tmp_path: Path, capsys: Captured) -> None:
+    file = write(tmp_path, PLANE)
+    values = nls.load(file)[1]
+    assert main(["convert", str(file), str(tmp_path / "a.tum")]) == 0
+    out = capsys.readouterr().out
+    assert "note        the file has no times: the numbers of the poses stand for them" in out
+    assert "note        a trajectory file holds no measurements: 4 are not in it" in out
+    times, X = read_tum(tmp_path / "a.tum")
+    assert times.tolist() == [0, 1, 2, 3]
+    assert np.array_equal(X, lifted(values[nls.Kind("x")]))
+    assert main(["convert", str(file), str(tmp_path / "a.kitti")]) == 0
+    assert read_kitti(tmp_path / "a.kitti")[:, :3] == pytest.approx(X[:, :3])
+
+
+def test_a_trajectory_takes_the_times_of_its_file(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["convert", str(write(tmp_path, PYFG, "a.pyfg")), str(tmp_path / "a.tum")]) == 0
+    assert "note        a trajectory file holds no 1 variables of other kinds" in capsys.readouterr().out
+    times, X = read_tum(tmp_path / "a.tum")
+    assert times.tolist() == [4.5, 5.5]
+    assert X[:, :2].tolist() == [[2, 2.5], [1, 2]]
+
+
+def test_times_and_unknown_lines_stay(tmp_path: Path) -> None:
+    file = write(tmp_path, PYFG + "EDGE_BEARING 1 A0 L3 2\n", "a.pyfg")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", nls.GraphWarning)
+        assert main(["convert", str(file), str(tmp_path / "b.pyfg")]) == 0
+    lines = (tmp_path / "b.pyfg").read_text().splitlines()
+    assert lines[0] == "VERTEX_SE2 5.5 A0 1.0 2.0 0.1"
+    assert lines[-2:] == ["EDGE_RANGE 5.5 A0 L3 5.1 0.04", "EDGE_BEARING 1 A0 L3 2"]
+
+
+def test_a_trajectory_is_a_graph_without_measurements(tmp_path: Path, capsys: Captured) -> None:
+    X = SE2.exp(np.random.default_rng(0).normal(size=(3, 3)))
+    write_tum(tmp_path / "a.tum", [1, 2, 4], X)
+    assert main(["convert", str(tmp_path / "a.tum"), str(tmp_path / "a.g2o")]) == 0
+    found = nls.load(tmp_path / "a.g2o")[1][nls.Kind("x")]
+    assert np.array_equal(found, lifted(X))
+    capsys.readouterr()
+    assert main(["solve", str(tmp_path / "a.tum")]) == 2
+    assert "no factors: nothing to optimize" in capsys.readouterr().err
+
+
+def test_bundle_adjustment(tmp_path: Path) -> None:
+    file = write(tmp_path, BAL, "a.txt")
+    assert main(["convert", str(file), str(tmp_path / "b.bal")]) == 0
+    assert (tmp_path / "b.bal").read_text().split() == [
+        word if k < 5 else repr(float(word)) for k, word in enumerate(BAL.split())
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "out", "message"),
+    [
+        (PLANE, "out.bal", r"Between\(.*cannot be written to a bundle-adjustment file"),
+        (PLANE + "FIX 1\n", "out.pyfg", "x1 is held fixed, which a PyFactorGraph file has no line for"),
+        (BAL, "out.g2o", "out.g2o: "),
+        (BAL, "out.pyfg", "variables c in R.6. have no line in a PyFactorGraph file"),
+        (BAL, "out.tum", "a trajectory file holds the poses of one kind, this graph has none"),
+        (PYFG.replace("A1", "B1"), "out.tum", "poses of one kind, this graph has A, B"),
+        (PYFG, "out.kity", "expected a name ending in .g2o, .toro, .isam, .pyfg, .bal, .tum, .kitti, or --to FORMAT"),
+        (PYFG, "nowhere/out.tum", "expected a file in a folder that exists"),
+        ("", "out.tum", "in:1: is empty"),
+        ("0 1 2 3 0 0 0 2\n", "out.g2o", "is no graph"),
+    ],
+)
+def test_what_cannot_be_converted(text: str, out: str, message: str, tmp_path: Path, capsys: Captured) -> None:
+    file = write(tmp_path, text, "in")
+    assert main(["convert", str(file), str(tmp_path / out)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "internal error" not in said.err
+    assert re.search(message, said.err)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("name", ["out.png", "out.pdf", "out.svg"])
+def test_pictures(name: str, tmp_path: Path, capsys: Captured) -> None:
+    begins = {"out.png": b"\x89PNG", "out.pdf": b"%PDF", "out.svg": b"<?xml"}
+    for text in (PLANE, SPACE, PYFG):
+        out = tmp_path / name
+        assert main(["plot", str(write(tmp_path, text)), str(out)]) == 0
+        assert capsys.readouterr().out == f"written     {out}\n"
+        assert out.read_bytes().startswith(begins[name])
+        assert out.stat().st_size > 5_000
+        out.unlink()
+
+
+def test_no_picture(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["plot", str(write(tmp_path, PLANE)), str(tmp_path / "out.xyz")]) == 2
+    assert "expected a file name ending in .png, .pdf, .svg" in capsys.readouterr().err
+    assert main(["plot", str(tmp_path / "none.g2o"), str(tmp_path / "out.png")]) == 2
+    assert "none.g2o: cannot be read" in capsys.readouterr().err

@@ -1,0 +1,275 @@
+"""Marginals and joints against dense inverses; gauges; what is held, what is refused."""
+
+from __future__ import annotations
+
+import importlib
+
+import numpy as np
+import pytest
+
+import nls
+from factors import Between, Factor, Huber, Isotropic, Prior, Robust
+from models import SE2, SE3, R
+from models.algebra import Array
+from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
+from nls import FactorGraph, Kind, Marginals, Values
+from nls.covariance import marginals as module
+from nls.linear import SOLVERS, LinearSolver
+from tests.nls.graphs import ODD, SAMPLES, Sample, l, mixed, pose_graph, x, y
+
+
+def solver(name: str) -> LinearSolver:
+    found = SOLVERS[name]()
+    if (why := found.missing()) is not None:
+        pytest.skip(why)
+    return found
+
+
+def dense(sample: Sample) -> tuple[Array, list[str]]:
+    """(A'A)^-1 with zeros for what is fixed, and the names of its rows, over all variables in order."""
+    system = sample.graph.linearize(sample.values)
+    every = FactorGraph(sample.graph.factors).linearize(sample.values)
+    inverse = np.linalg.inv((system.A.T @ system.A).toarray())
+    free = np.isin(every.cols, system.cols)
+    Sigma = np.zeros((len(free), len(free)))
+    Sigma[np.ix_(free, free)] = inverse
+    return Sigma, every.cols
+
+
+def close(found: Array, expected: Array, tolerance: float = 1e-10) -> None:
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max(initial=1e-300))
+    assert np.array_equal(found, found.mT)
+    assert np.linalg.eigvalsh(found).min(initial=0.0) >= -1e-13 * np.abs(found).max(initial=0.0)
+
+
+@pytest.mark.parametrize("name", ["cholesky", "lu", "qr"])
+@pytest.mark.parametrize("graph", SAMPLES)
+def test_every_marginal_and_the_joint_of_all(graph: str, name: str) -> None:
+    sample = SAMPLES[graph]()
+    marginals = Marginals(sample.graph, sample.values, solver(name))
+    Sigma, names = dense(sample)
+    joint = marginals.joint([nls.Keys(s.kind, s.numbers) for s in sample.values.stacks.values()], frame="body")
+    close(joint.matrix, Sigma)
+    assert list(joint.names) == names
+    begin = 0
+    for stack in sample.values.stacks.values():
+        n, d = len(stack), stack.manifold.dim
+        blocks = np.array([Sigma[k : k + d, k : k + d] for k in range(begin, begin + n * d, d)])
+        begin += n * d
+        every = marginals.all(Kind(stack.kind), frame="body")
+        assert every.shape == (n, d, d)
+        for k, expected in enumerate(blocks):
+            close(every[k], expected)
+            close(marginals.covariance(nls.Keys(stack.kind, int(stack.numbers[k])), frame="body"), expected)
+        close(marginals.covariance(nls.Keys(stack.kind, stack.numbers[::-1]), frame="body"), blocks[::-1])
+
+
+def test_many_variables_come_out_of_the_pass_over_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = pose_graph(SE2, numbers=ODD)
+    some = x[[7, 1000, -3]]
+    solved = Marginals(sample.graph, sample.values).covariance(some, frame="world")
+    monkeypatch.setattr(module, "ONE_BLOCK", 4)
+    passed = Marginals(sample.graph, sample.values)
+    np.testing.assert_allclose(passed.covariance(some, frame="world"), solved, rtol=1e-11)
+    assert "_diagonal" in vars(passed)
+    close(passed.joint(some, frame="body").matrix, Marginals(sample.graph, sample.values).joint(some, "body").matrix)
+
+
+def test_blocks_of_a_joint() -> None:
+    sample = mixed(0)
+    joint = Marginals(sample.graph, sample.values).joint([x[40], l[[5, -1]], y[3]], frame="body")
+    Sigma, names = dense(sample)
+    at = [names.index(name) for name in joint.names]
+    close(joint.matrix, Sigma[np.ix_(at, at)])
+    assert joint.names[:5] == ("x40: x", "x40: y", "x40: yaw", "l5: x", "l5: y")
+    assert joint.keys == (x[40], l[5], l[-1], y[3])
+    np.testing.assert_array_equal(joint.block(l[-1], x[40]), joint.matrix[5:7, :3])
+    with pytest.raises(GraphError, match="x7 is not in this joint covariance of 4 variables"):
+        joint.block(x[40], x[7])
+    with pytest.raises(GraphError, match="x7 is given twice"):
+        Marginals(sample.graph, sample.values).joint([x[[7, 8]], x[7]], frame="body")
+
+
+def test_the_order_of_variables_and_factors_does_not_matter() -> None:
+    sample = mixed(2)
+    marginals = Marginals(sample.graph, sample.values)
+    shuffled = Values(
+        {name: (s.manifold, s.X[::-1], s.numbers[::-1]) for name, s in reversed(sample.values.stacks.items())}
+    )
+    other = Marginals(FactorGraph(sample.graph.factors[::-1]), shuffled)
+    np.testing.assert_allclose(other.all(x, "world")[::-1], marginals.all(x, "world"), rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(other.all(l)[::-1], marginals.all(l), rtol=1e-10, atol=1e-15)
+
+
+def test_covariance_is_what_the_estimate_scatters_by() -> None:
+    """Linear problem: estimates from 4,000 noisy copies of the measurements have this covariance, within 4 sigma."""
+    rng, n = np.random.default_rng(0), 4000
+    sigma = np.array([0.1, 0.3, 0.2])
+    graph = FactorGraph(
+        [
+            Prior(x[0], [0.0], Isotropic(sigma[0])),
+            Between(x[0], x[1], [1.0], Isotropic(sigma[1])),
+            Between(x[0], x[1], [1.0], Isotropic(sigma[2])),
+        ]
+    )
+    Sigma = Marginals(graph, Values({x: (R(1), [0.0, 1.0])})).joint(x[[0, 1]]).matrix
+    system = graph.linearize(Values({x: (R(1), [0.0, 1.0])}))
+    estimates = np.linalg.pinv(system.A.toarray()) @ rng.normal(size=(3, n))
+    np.testing.assert_allclose(np.cov(estimates), Sigma, atol=4 * Sigma.max() * np.sqrt(2 / n))
+
+
+def two_components() -> Sample:
+    first, second = pose_graph(SE2, seed=5, anchored=False), pose_graph(SE2, seed=6, anchored=False)
+    shifted = [f for f in second.graph.factors if isinstance(f, Between)]
+    graph = FactorGraph(first.graph.factors)
+    for f in shifted:
+        i, j = f.keys
+        graph.add(Between(x[i.numbers + 50], x[j.numbers + 50], f.z, f.noise))
+    X = np.concatenate([first.values[x], second.values[x]])
+    values = Values({x: (SE2, X, [*range(8), *range(50, 58)])})
+    return Sample(graph, values, values)
+
+
+@pytest.mark.parametrize("case", ["one", "two", "space", "points"])
+def test_gauges(case: str) -> None:
+    sample = {
+        "one": lambda: pose_graph(SE2, anchored=False),
+        "two": two_components,
+        "space": lambda: pose_graph(SE3, anchored=False, numbers=ODD),
+        "points": lambda: pose_graph(R(2), anchored=False),
+    }[case]()
+    A = FactorGraph(sample.graph.factors).linearize(sample.values).A.toarray()
+    keys = nls.Keys("x", sample.values.stack("x").numbers)
+    first = Marginals(sample.graph, sample.values)
+    lowest = [repr(x[int(n)]) for n in ([0, 50] if case == "two" else [keys.numbers.min()])]
+    assert first.gauge == ", ".join(lowest) + " held"
+    status = first.status(x)
+    assert [repr(x[int(n)]) for n, s in zip(keys.numbers, status, strict=True) if s == "gauge"] == lowest
+    held = np.array([s == "gauge" for s in status])
+    assert not first.all(x, "body")[held].any()
+    assert first.all(x, "body")[~held].any(axis=(1, 2)).all()
+
+    free = Marginals(sample.graph, sample.values, gauge="free")
+    assert free.status(x) == ["estimated"] * len(keys)
+    pinv = np.linalg.pinv(A.T @ A, rcond=1e-11, hermitian=True)
+    close(free.joint(keys, "body").matrix, pinv, 1e-9)
+    d = sample.values.stack("x").manifold.dim
+    for k, block in enumerate(free.all(x, "body")):
+        close(block, pinv[k * d : k * d + d, k * d : k * d + d], 1e-9)
+
+    prior = Marginals(sample.graph, sample.values, gauge="prior")
+    assert prior.gauge.startswith("a prior of unit information on")
+    np.testing.assert_allclose(prior.all(x, "body")[held], np.broadcast_to(np.eye(d), (held.sum(), d, d)), atol=1e-8)
+
+    with pytest.raises(UnderconstrainedError, match="directions free"):
+        Marginals(sample.graph, sample.values, gauge="none")
+
+
+def test_the_same_diagnosis_as_the_optimizer() -> None:
+    sample = mixed(0)
+    sample.graph.add(Between(x[[40, 7]], x[[7, 8]], [[1.0, 0, 0]] * 2, Isotropic(1.0)))
+    once = Factor.from_function(lambda X, L: (L - X[:, :2])[:, :1], [x[40], l[200]], 1)
+    sample.graph.add(once)
+    values = Values(
+        {
+            name: (s.manifold, np.vstack([s.X, [[3.0, 1.0]]]) if name == "l" else s.X)
+            + ((np.append(s.numbers, 200),) if name == "l" else (s.numbers,))
+            for name, s in sample.values.stacks.items()
+        }
+    )
+    with pytest.raises(UnderconstrainedError, match="l200: y") as caught:
+        Marginals(sample.graph, values)
+    assert caught.value.keys == (l[200],)
+    with pytest.raises(UnderconstrainedError, match="l200: y"):
+        sample.graph.optimize(values)
+
+
+def test_what_no_measurement_touches_has_no_covariance() -> None:
+    sample = pose_graph(SE2)
+    values = Values({x: (SE2, np.vstack([sample.values[x], np.zeros((2, 3))]), [*range(8), 90, 91])})
+    with pytest.warns(nls.GraphWarning, match="x90, x91: no measurement touches them"):
+        marginals = Marginals(sample.graph, values)
+    assert marginals.status(x) == ["estimated"] * 8 + ["unmeasured"] * 2
+    for ask in (
+        lambda: marginals.covariance(x[90], "body"),
+        lambda: marginals.joint([x[3], x[90]], "body"),
+        lambda: marginals.all(x, "body"),
+    ):
+        with pytest.raises(UnderconstrainedError, match=r"no measurement touches") as caught:
+            ask()
+        assert x[90] in caught.value.keys
+    expected = Marginals(sample.graph, sample.values).all(x, "body")
+    np.testing.assert_allclose(marginals.covariance(x[0:8], "body"), expected, rtol=1e-11)
+    sample.graph.fix(x[[90, 91]])
+    fixed = Marginals(sample.graph, values)
+    assert fixed.status(x)[8:] == ["fixed", "fixed"]
+    assert not fixed.covariance(x[[90, 91]], "world").any()
+
+
+def test_a_robust_kernel_counts_with_its_weight() -> None:
+    """Residual 10 sigma, Huber at 1: the weight is 1/10, and the variance is that of ten such measurements."""
+    noise = Robust(Isotropic(0.5), Huber(1.0))
+    graph = FactorGraph([Prior(x[0], [5.0], noise)])
+    assert Marginals(graph, Values({x: (R(1), [0.0])})).covariance(x[0])[0, 0] == pytest.approx(10 * 0.25)
+    assert Marginals(graph, Values({x: (R(1), [4.9])})).covariance(x[0])[0, 0] == pytest.approx(0.25)
+
+
+def test_memory_is_bounded() -> None:
+    sample = pose_graph(SE2)
+    marginals = Marginals(sample.graph, sample.values, memory_limit=8e3)
+    with pytest.raises(ResourceLimitError, match="the joint covariance of 24 unknowns needs") as caught:
+        marginals.joint(x[0:8], frame="body")
+    assert caught.value.needed > caught.value.limit == 8e3
+    with pytest.raises(ResourceLimitError, match="marginal covariances of 8 variables"):
+        marginals.all(x, frame="body")
+    assert marginals.covariance(x[3], frame="body").shape == (3, 3)
+    loose = pose_graph(SE2, anchored=False)
+    with pytest.raises(ResourceLimitError, match=r"gauge 'free': 3 free directions of 24 unknowns"):
+        Marginals(loose.graph, loose.values, gauge="free", memory_limit=1e3)
+
+
+@pytest.mark.parametrize("frame", ["body", "world"])
+def test_the_values_may_change_afterwards(frame: str) -> None:
+    sample = pose_graph(SE2)
+    marginals = Marginals(sample.graph, sample.values)
+    before = marginals.all(x, frame)
+    sample.values[x[3]] = [9.0, 9.0, 2.0]
+    before[0] = 7.0
+    again = marginals.all(x, frame)
+    np.testing.assert_array_equal(again[1:], before[1:])
+    assert not (again[0] == 7.0).any()
+
+
+def test_wrong_uses() -> None:
+    sample = pose_graph(SE2)
+    marginals = Marginals(sample.graph, sample.values)
+    with pytest.raises(GraphError, match="the graph has no factors"):
+        Marginals(FactorGraph(), sample.values)
+    with pytest.raises(OptionError, match="linear_solver: 'lu' is not possible"):
+        Marginals(sample.graph, sample.values, "lu")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="gauge: 'last' is not possible"):
+        Marginals(sample.graph, sample.values, gauge="last")
+    with pytest.raises(GraphError, match="names no variable"):
+        marginals.covariance(3)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match="expected a kind such as x"):
+        marginals.all(x[[1, 2]], "body")  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match="x77 has no value"):
+        marginals.covariance(x[77], "body")
+    assert marginals.covariance(x[[]], "body").shape == (0, 3, 3)
+    with pytest.raises(GraphError, match="no variable is given"):
+        marginals.joint([], "body")
+
+
+def test_without_suitesparse(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
+    sample = pose_graph(SE2)
+    with pytest.raises(nls.MissingSolverError, match=r"linear solver 'cholesky': .*pip install"):
+        Marginals(sample.graph, sample.values, nls.Cholesky())
+    close(Marginals(sample.graph, sample.values).joint(x[0:8], "body").matrix, dense(sample)[0])
+
+
+def test_a_relative_factor_that_is_not() -> None:
+    graph = FactorGraph([Factor.from_function(lambda X: X - 1.0, x[0], 2, relative=True)])
+    with pytest.raises(GraphError, match="says relative=True and is not"):
+        Marginals(graph, Values({x: (R(2), [0.0, 0.0])}), gauge="free")

@@ -1,0 +1,94 @@
+"""Absolute trajectory error: by hand, invariant to what the alignment removes, refused where it is not unique."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models import SE2, SE3, LieGroup
+from models.algebra import Array
+from nls import GraphError, OptionError, SingularGeometryError
+from nls.metrics import ate
+from tests.nls.graphs import moved, walk
+
+GROUPS = [SE2, SE3]
+
+
+def test_by_hand() -> None:
+    truth = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    estimate = np.array([[0.0, 0, 0], [1, 3, 0], [2, 4, 0]])
+    found = ate(estimate, truth)
+    assert (found.rmse, found.mean, found.largest) == pytest.approx((np.sqrt(25 / 3), 7 / 3, 4))
+    assert found.distances.tolist() == [0, 3, 4]
+    assert str(found) == "ATE 2.887 m rmse, 2.333 m mean, 4 m at most over 3 poses (alignment: none)"
+
+
+def test_first_is_the_first_pose_with_its_heading() -> None:
+    truth = np.array([[5.0, 5, np.pi / 2], [5, 7, np.pi / 2]])
+    estimate = np.array([[0.0, 0, 0], [2, 1, 0]])
+    found = ate(estimate, truth, "first")
+    assert found.T == pytest.approx([5, 5, np.pi / 2])
+    assert found.distances == pytest.approx([0, 1])
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_a_motion_of_the_whole_is_found(group: LieGroup) -> None:
+    rng = np.random.default_rng(1)
+    truth, motion = walk(group, 20, rng), group.exp(2 * rng.normal(size=(1, group.dim)))
+    estimate = group.compose(group.inverse(motion), truth)
+    assert ate(estimate, truth).rmse > 1
+    for align in ("first", "rigid"):
+        found = ate(estimate, truth, align)
+        assert found.rmse < 1e-13
+        assert np.abs(group.local(motion[0], found.T)).max() < 1e-13
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_rigid_is_the_least(group: LieGroup) -> None:
+    rng = np.random.default_rng(2)
+    truth = walk(group, 20, rng)
+    estimate = moved(group, truth, 0.3, rng)
+    least(group, estimate, truth)
+    for align in ("none", "first"):
+        assert ate(estimate, truth, "rigid").rmse < ate(estimate, truth, align).rmse
+
+
+def least(group: LieGroup, estimate: Array, truth: Array) -> None:
+    """No motion near the rigid alignment, and none of many others, brings the positions closer."""
+    best, rng = ate(estimate, truth, "rigid"), np.random.default_rng(6)
+    p, q = (group.position(X) for X in (estimate, truth))
+    for size in 50 * [1e-3, 0.05, 2.0]:
+        T = group.compose(best.T, group.exp(size * rng.normal(size=group.dim)))
+        assert np.sqrt(np.mean(np.sum((q - group.act(T, p)) ** 2, axis=1))) > best.rmse
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_a_mirror_image_is_not_turned_into_its_original(group: LieGroup) -> None:
+    truth = walk(group, 20, np.random.default_rng(3))
+    mirrored = truth.copy()
+    mirrored[:, 0] *= -1
+    assert ate(mirrored, truth, "rigid").rmse > 0.1
+    least(group, mirrored, truth)
+
+
+def test_what_does_not_determine_the_rotation() -> None:
+    X = walk(SE3, 10, np.random.default_rng(4))
+    X[:, :3] = np.linspace(0, 3, 10)[:, None] * [1.0, 2, -1] + [4, 5, 6]
+    with pytest.raises(SingularGeometryError, match="10 positions on one line"):
+        ate(X, X, "rigid")
+    assert ate(X, X, "first").rmse < 1e-13
+    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])  # of the plane: unique there
+    assert ate(line + np.array([0, 1, 0]), line, "rigid").rmse < 1e-13
+    with pytest.raises(SingularGeometryError, match="3 positions on one spot"):
+        ate(np.zeros((3, 3)), np.zeros((3, 3)), "rigid")
+
+
+def test_mistakes() -> None:
+    X = walk(SE3, 3, np.random.default_rng(5))
+    for estimate, truth in ((X, X[:2]), (X[:, :3], X), (X[:0], X[:0]), (X[:, :2], X[:, :2])):
+        with pytest.raises(GraphError, match="expected the same"):
+            ate(estimate, truth)
+    with pytest.raises(GraphError, match="not finite"):
+        ate(X * np.nan, X)
+    with pytest.raises(OptionError, match="one of none, first, rigid"):
+        ate(X, X, "umeyama")

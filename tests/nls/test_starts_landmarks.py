@@ -1,0 +1,172 @@
+"""Points put where the poses saw them: exact for exact measurements, kept where nothing says where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from factors import Bearing, BearingRange, Between, Factor, Isotropic, Landmark, Range, Seen
+from factors.keys import Keys
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array
+from nls import FactorGraph, Values, initialize, kinds
+from nls.starts import STARTS, locate_points
+from tests.nls.graphs import moved, walk
+
+x, l, m, o = kinds("x", "l", "m", "o")
+GROUPS = [SE2, SE3]
+SENSORS: list[type[Seen]] = [Landmark, BearingRange, Range, Bearing]
+ONE = Isotropic(1.0)
+
+
+def exact(kind: Callable[..., Seen], values: Values, pose: Keys, point: Keys, offset: object = None) -> Seen:
+    """A factor whose measurements are what the values predict."""
+    empty = kind(pose, point, 0.0, ONE, offset=offset)
+    space = empty.space(tuple(values.stack(k.kind).manifold for k in empty.keys))
+    blank = kind(pose, point, np.zeros((len(pose), space.size)), ONE, offset=offset)
+    model, X = values.gather(blank)
+    return kind(pose, point, blank.predict(model.manifolds, *X)[0], ONE, offset=offset)
+
+
+def scene(group: LieGroup, seed: int = 0, n: int = 30, k: int = 7) -> tuple[Values, Keys, Keys]:
+    """Scattered poses and points under odd numbers, and who sees whom."""
+    rng, d = np.random.default_rng(seed), group.point_dim
+    X = group.exp(rng.normal(size=(n, group.dim)) * ([4.0] * d + [1.0] * (group.dim - d)))
+    values = Values(
+        {
+            l: (R(d), 10 * rng.normal(size=(k, d)), 100 - 3 * np.arange(k)),
+            x: (group, X, 7 * np.arange(n) - 50),
+            o: (group, group.exp(rng.normal(size=(1, group.dim)))),
+        }
+    )
+    i, j = rng.integers(0, n, 120), np.arange(120) % k
+    return values, Keys("x", 7 * i - 50), Keys("l", 100 - 3 * j)
+
+
+def forgotten(values: Values) -> Values:
+    """The points at one place."""
+    return values.replaced({"l": np.zeros_like(values.stacks["l"].X) + 0.5})
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+@pytest.mark.parametrize("kind", SENSORS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("offset", ["none", "fixed", "variable"])
+def test_exact_measurements_give_exact_points(group: LieGroup, kind: type[Seen], offset: str) -> None:
+    truth, pose, point = scene(group)
+    given = {"none": None, "fixed": truth[o[0]], "variable": o[np.zeros(120, dtype=int)]}[offset]
+    found = locate_points(FactorGraph([exact(kind, truth, pose, point, given)]), forgotten(truth))
+    assert found[l] == pytest.approx(truth[l], abs=1e-10)
+    assert np.array_equal(found[x], truth[x])
+    assert np.array_equal(found[o], truth[o])
+
+
+@pytest.mark.parametrize("kind", [Landmark, BearingRange], ids=lambda kind: kind.__name__)
+def test_the_first_pose_in_number_decides(kind: type[Seen]) -> None:
+    truth = Values({x: (SE2, [[0, 0, 0], [3, 0, 1], [5, 1, 2]], [9, -4, 2]), l: (R(2), [[4.0, 4.0]])})
+    elsewhere = Values({x: (SE2, truth[x], [9, -4, 2]), l: (R(2), [[7.0, 7.0]])})
+    first, later = exact(kind, truth, x[-4], l[0]), exact(kind, elsewhere, x[[2, 9]], l[[0, 0]])
+    for factors in ([first, later], [later, first]):
+        assert locate_points(FactorGraph(factors), elsewhere)[l[0]] == pytest.approx([4, 4])
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_a_point_is_located_by_the_best_it_has(group: LieGroup) -> None:
+    """One kind of points seen by every sensor; a direction with a distance beats sums of others."""
+    truth, pose, point = scene(group)
+    wrong = truth.replaced({"l": truth.stacks["l"].X + 3.0})
+    factors: list[Factor] = [exact(kind, wrong, pose, point) for kind in (Bearing, Range)]
+    both = FactorGraph([*factors, exact(Landmark, truth, pose[range(21)], point[range(21)])])
+    assert locate_points(both, forgotten(truth))[l] == pytest.approx(truth[l], abs=1e-10)
+    assert locate_points(FactorGraph(factors), forgotten(truth))[l] == pytest.approx(wrong[l], abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("kind", "poses", "kept"),
+    [
+        (Range, [[0, 0, 0], [3, 1, 0]], True),  # two places
+        (Range, [[0, 0, 0], [1, 1, 2], [2, 2, 0], [3, 3, 1]], True),  # in line
+        (Range, [[0, 0, 0], [1, 1, 2], [2, 2, 0], [3, 2.5, 1]], False),
+        (Range, [[1, 1, 0], [1, 1, 1]], True),  # one place
+        (Bearing, [[0, 0, 0]], True),
+        (Bearing, [[0, 0, 0], [2.5, 1.5, 1]], True),  # along the ray
+        (Bearing, [[0, 0, 0], [2.5, 1.4, 1]], False),
+        (Landmark, [[0, 0, 0]], False),
+    ],
+)
+def test_what_nothing_locates_keeps_its_value(kind: type[Seen], poses: list[list[float]], kept: bool) -> None:
+    n = len(poses)
+    truth = Values({x: (SE2, np.array(poses, dtype=float)), l: (R(2), [[5.0, 3.0]])})
+    factor = exact(kind, truth, x[0:n], l[np.zeros(n, dtype=int)])
+    given = truth.replaced({"l": np.array([[6.0, 2.0]])})
+    found = locate_points(FactorGraph([factor]), given)[l[0]]
+    assert found.tolist() == [6, 2] if kept else found == pytest.approx([5, 3])
+
+
+def test_fixed_and_unseen_points_and_seen_poses_stay() -> None:
+    truth, pose, point = scene(SE2)
+    start = forgotten(truth)
+    graph = FactorGraph([exact(kind, truth, pose[range(70)], point[range(70)]) for kind in SENSORS])
+    graph.fix(l[[100, 94]])
+    graph.add(exact(Range, truth, x[[-50, -43, -36]], x[[-29, -29, -29]]))
+    found = locate_points(graph, start)
+    assert found[l[[100, 94]]].tolist() == [[0.5, 0.5]] * 2
+    assert found[l[[97, 91]]] == pytest.approx(truth[l[[97, 91]]])
+    assert np.array_equal(found[x], truth[x])
+    assert np.array_equal(start[l], forgotten(truth)[l])  # what was given is not changed
+
+
+def test_noisy_ranges_never_fit_worse_than_what_was_given() -> None:
+    rng = np.random.default_rng(8)
+    for seed in range(20):
+        truth, pose, point = scene(SE3, seed, n=6)
+        clean = exact(Range, truth, pose, point)
+        noisy = Range(pose, point, np.abs(clean.z[:, 0] + rng.normal(size=120)), ONE)
+        graph = FactorGraph([noisy])
+        assert graph.chi2(locate_points(graph, truth)) <= graph.chi2(truth) * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+@pytest.mark.parametrize("name", [name for name in STARTS if name != "file"])
+def test_every_start_that_moves_poses_takes_the_points_along(group: LieGroup, name: str) -> None:
+    truth, graph, start = survey(group)
+    found, _, chi2 = initialize(graph, start, name)
+    assert chi2[name] < 1e-18
+    assert np.abs(group.local(truth[x], found[x])).max() < 1e-10
+    assert found[l] == pytest.approx(truth[l], abs=1e-9)
+    assert initialize(graph, start, "file")[2]["file"] > 10
+
+
+def survey(group: LieGroup) -> tuple[Values, FactorGraph, Values]:
+    rng, d, n, k = np.random.default_rng(5), group.point_dim, 20, 5
+    X = walk(group, n, rng)
+    truth = Values({x: (group, X), l: (R(d), group.position(X)[:k] + rng.normal(size=(k, d)))})
+    odometry = Between(x[0 : n - 1], x[1:n], group.between(X[:-1], X[1:]), ONE)
+    i, j = x[np.repeat(np.arange(n), k)], l[np.tile(np.arange(k), n)]
+    graph = FactorGraph([odometry, exact(BearingRange, truth, i, j)])
+    drifted = np.concatenate([X[:1], moved(group, X[1:], 0.5, rng)])
+    return truth, graph, Values({x: (group, drifted), l: (R(d), np.zeros((k, d)) + 9.0)})
+
+
+def test_auto_compares_starts_with_their_points() -> None:
+    truth, graph, start = survey(SE2)
+    found, name, chi2 = initialize(graph, start)
+    assert set(chi2) == {"file", "odometry", "chordal"}
+    assert name != "file"
+    assert found[l] == pytest.approx(truth[l], abs=1e-9)
+    _, name, chi2 = initialize(graph, truth)
+    assert chi2["file"] < 1e-18
+
+
+def test_a_start_where_a_sensor_is_on_its_point_is_no_start() -> None:
+    """All zeros: ranges have no value there, so the file's own start is left out."""
+    truth, graph, _ = survey(SE2)
+    ranges = exact(Range, truth, x[np.repeat(np.arange(20), 5)], l[np.tile(np.arange(5), 20)])
+    zero: Array = np.zeros((20, 3))
+    zeros = Values({x: (SE2, zero), l: (R(2), np.zeros((5, 2)))})
+    zeros[x[0]] = truth[x[0]]
+    zeros[l[0]] = zeros[x[3]][:2]
+    _, name, chi2 = initialize(FactorGraph([*graph.factors, ranges]), zeros)
+    assert "file" not in chi2
+    assert chi2[name] < 1e-15

@@ -1,0 +1,181 @@
+"""Diagonal blocks of an inverse from a Cholesky factor, and the supernodes they are computed with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sim
+from factors import Between, Isotropic, Prior
+from models import SE2, R
+from models.algebra import Array
+from models.errors import ResourceLimitError
+from nls import FactorGraph, LinearSystem, Values
+from nls.assemble import Pattern
+from nls.hessian import Blocks, Index
+from nls.linear import SOLVERS, supernodes
+from nls.linear.cholesky import CholmodFactorization
+from nls.linear.lu import SuperLUFactorization
+from nls.linear.normal import Factorization, NormalState
+from nls.linear.supernodes import Supernodes
+from nls.linear.takahashi import diagonal_blocks
+from tests.nls.graphs import SAMPLES, mixed, pose_graph, x
+
+FACTORIZATIONS: tuple[type[Factorization], ...] = (CholmodFactorization, SuperLUFactorization)
+every_factorization = pytest.mark.parametrize("kind", FACTORIZATIONS)
+
+
+def factorized(kind: type[Factorization], system: LinearSystem) -> tuple[Blocks, NormalState]:
+    if kind is CholmodFactorization and (why := SOLVERS["cholesky"].missing()) is not None:
+        pytest.skip(why)
+    blocks = Blocks(system.pattern)
+    state = NormalState(blocks.structure(kind.order), kind)
+    state.factorize(blocks.fill(system))
+    return blocks, state
+
+
+def split(flat: Array, dims: Index) -> list[Array]:
+    """The blocks of a flat array."""
+    parts = np.split(flat, np.cumsum(dims**2)[:-1])
+    return [part.reshape(d, d) for part, d in zip(parts, dims, strict=True)]
+
+
+def agrees(found: Array, system: LinearSystem, dims: Index, tolerance: float = 1e-10) -> None:
+    """Every block against the dense inverse, relative to the largest number of the block; exactly symmetric."""
+    inverse = np.linalg.inv((system.A.T @ system.A).toarray())
+    ends = np.cumsum(dims)
+    assert len(found) == int((dims**2).sum())
+    for block, end, d in zip(split(found, dims), ends, dims, strict=True):
+        expected = inverse[end - d : end, end - d : end]
+        np.testing.assert_allclose(block, expected, rtol=0, atol=tolerance * np.abs(expected).max())
+        assert np.array_equal(block, block.T)
+
+
+def dense_world(seed: int) -> LinearSystem:
+    """A city with many loops: fronts of every size."""
+    world = sim.manhattan(np.random.default_rng(seed), n_poses=240)
+    world.graph.fix(x[0])
+    return world.graph.linearize(world.truth)
+
+
+@pytest.mark.parametrize("graph", SAMPLES)
+@every_factorization
+def test_every_graph_against_the_dense_inverse(kind: type[Factorization], graph: str) -> None:
+    sample = SAMPLES[graph]()
+    system = sample.graph.linearize(sample.values)
+    blocks, state = factorized(kind, system)
+    agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+
+
+@pytest.mark.parametrize("step", [0.0, 60e-6, 1e9], ids=["nothing merged", "as it is", "all in one"])
+@every_factorization
+def test_merging_changes_nothing(kind: type[Factorization], step: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supernodes, "STEP", step)
+    if step == 0.0:
+        monkeypatch.setattr(supernodes, "GATHER", 0.0)
+    for system in (dense_world(1), mixed(3).graph.linearize(mixed(3).values)):
+        blocks, state = factorized(kind, system)
+        agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+
+
+@every_factorization
+def test_space_against_column_solves(kind: type[Factorization]) -> None:
+    world = sim.sphere(np.random.default_rng(2), rings=8, per_ring=20)
+    world.graph.fix(x[0])
+    system = world.graph.linearize(world.truth)
+    blocks, state = factorized(kind, system)
+    inverse = state.solve(np.eye(system.pattern.n))
+    found = diagonal_blocks(blocks, state, 4e9).reshape(-1, 6, 6)
+    for k, block in enumerate(found):
+        expected = inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        np.testing.assert_allclose(block, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+@every_factorization
+def test_a_long_loop(kind: type[Factorization]) -> None:
+    """Variances on a ring of resistances, by hand: 1/s = 1/k + 1/(n - k) between places k apart."""
+    n = 3000
+    graph = FactorGraph([Between(x[np.arange(n)], x[(np.arange(n) + 1) % n], np.zeros((n, 1)), Isotropic(1.0))])
+    graph.fix(x[0])
+    system = graph.linearize(Values({x: (R(1), np.zeros((n, 1)))}))
+    blocks, state = factorized(kind, system)
+    k = np.arange(1, n)
+    np.testing.assert_allclose(diagonal_blocks(blocks, state, 4e9), k * (n - k) / n, rtol=1e-9)
+
+
+@every_factorization
+def test_numbers_that_happen_to_be_zero(kind: type[Factorization]) -> None:
+    """At heading 0 and unit steps whole parts of A'A vanish; the structure has them all the same."""
+    X = np.zeros((30, 3))
+    X[:, 0] = np.arange(30)
+    graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1))])
+    graph.add(Between(x[0:29], x[1:30], np.tile([1.0, 0, 0], (29, 1)), Isotropic(0.1)))
+    graph.add(Between(x[[0, 3, 9]], x[[20, 17, 28]], SE2.between(X[[0, 3, 9]], X[[20, 17, 28]]), Isotropic(0.1)))
+    system = graph.linearize(Values({x: (SE2, X)}))
+    blocks, state = factorized(kind, system)
+    agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_supernodes_cover_the_factor(seed: int) -> None:
+    """Every column once, children before parents, and the rows below a supernode lie in the front of its parent."""
+    rng = np.random.default_rng(seed)
+    V = 60
+    widths = rng.integers(1, 5, V)
+    a, b = rng.integers(0, V, (2, 90))
+    a, b = a[a != b], b[a != b]
+    row, column = np.maximum(a, b), np.minimum(a, b)
+    nodes = Supernodes(widths, row, column)
+    n = int(widths.sum())
+    assert np.array_equal(np.sort(nodes.columns), np.arange(n))
+    assert nodes.width.sum() == n
+    start = np.cumsum(widths) - widths
+    filled = np.zeros((n, n), dtype=bool)  # the factor's pattern, by elimination
+    for i, j in zip(row, column, strict=True):
+        filled[start[i] : start[i] + widths[i], start[j] : start[j] + widths[j]] = True
+    for j in range(V):
+        filled[start[j] : start[j] + widths[j], start[j] : start[j] + widths[j]] = True
+    for k in range(n):
+        below = np.flatnonzero(filled[k + 1 :, k]) + k + 1
+        filled[np.ix_(below, below)] = True
+    for k in range(len(nodes)):
+        rows, w, parent = nodes.rows(k), nodes.width[k], nodes.parent[k]
+        assert np.array_equal(nodes.columns[nodes.first[k] : nodes.first[k + 1]], rows[:w])
+        assert (nodes.node[rows[:w]] == k).all()
+        assert np.array_equal(nodes.local[rows[:w]], np.arange(w))
+        for c in rows[:w]:
+            assert np.isin(np.flatnonzero(np.tril(filled)[:, c]), rows).all()
+        if parent < 0:
+            assert len(rows) == w
+        else:
+            assert parent > k
+            assert np.array_equal(nodes.rows(parent)[nodes.below(k)], rows[w:])
+    assert np.array_equal(nodes.children, [(nodes.parent == k).sum() for k in range(len(nodes))])
+
+
+def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two leaves of a star, never together; of a chain a front and its parent's."""
+    tall = np.full(3, 200, dtype=np.intp)
+    star = Supernodes(tall, np.array([2, 2]), np.array([0, 1]))
+    assert (len(star), star.numbers) == (3, 200**2 + 400**2)
+    monkeypatch.setattr(supernodes, "STEP", 0.0)
+    monkeypatch.setattr(supernodes, "GATHER", 0.0)
+    chain = Supernodes(tall, np.array([1, 2]), np.array([0, 1]))
+    assert (len(chain), chain.numbers) == (3, 2 * 400**2)
+
+
+def test_what_would_not_fit_is_refused() -> None:
+    sample = pose_graph(SE2)
+    blocks, state = factorized(SuperLUFactorization, sample.graph.linearize(sample.values))
+    with pytest.raises(ResourceLimitError, match=r"the marginal covariances of 8 variables need .* GB") as caught:
+        diagonal_blocks(blocks, state, 1000.0)
+    assert caught.value.needed > caught.value.limit == 1000.0
+    diagonal_blocks(blocks, state, caught.value.needed)
+
+
+@every_factorization
+def test_nothing_free_has_no_blocks(kind: type[Factorization]) -> None:
+    sample = pose_graph(SE2)
+    held = np.ones(8, dtype=bool)
+    blocks, state = factorized(kind, Pattern(sample.graph.factors, sample.values, held).linearize(sample.values))
+    assert diagonal_blocks(blocks, state, 4e9).shape == (0,)

@@ -1,0 +1,240 @@
+"""Threads of one program may solve at once: the same bits as one after the other, and every setting put back."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+
+from factors import Factor, Isotropic
+from models import SE2, SE3, LieGroup, R
+from nls import FactorGraph, Marginals, Values
+from nls.linear import SOLVERS, threads
+from nls.linear.threads import single_thread
+from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
+
+WORKERS = 4
+
+
+def bits(values: Values) -> bytes:
+    return b"".join(stack.X.tobytes("C") for stack in values.stacks.values())
+
+
+def together(jobs: list[Callable[[], bytes]]) -> list[bytes]:
+    """All jobs at once, started together."""
+    gate = threading.Barrier(WORKERS, timeout=60)
+
+    def run(job: Callable[[], bytes]) -> bytes:
+        gate.wait()
+        return job()
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return list(pool.map(run, jobs))
+
+
+def solved(sample: Sample, solver: str) -> bytes:
+    result = sample.graph.optimize(sample.values, linear_solver=SOLVERS[solver]())
+    return bits(result.values) + repr([it.chi2 for it in result.history]).encode()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_different_graphs_at_once(solver: str) -> None:
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(why)
+    names = list(SAMPLES)
+    names = names[: len(names) // WORKERS * WORKERS]
+    alone = [solved(SAMPLES[name](), solver) for name in names]
+    samples = [SAMPLES[name]() for name in names]
+    assert together([lambda s=s: solved(s, solver) for s in samples]) == alone  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_one_graph_by_many_at_once(group: LieGroup, solver: str) -> None:
+    if (why := SOLVERS[solver].missing()) is not None:
+        pytest.skip(why)
+    alone = solved(pose_graph(group, n=30), solver)
+    sample = pose_graph(group, n=30)  # nothing of it has been bound yet
+    assert together([lambda: solved(sample, solver)] * 3 * WORKERS) == [alone] * 3 * WORKERS
+
+
+def test_one_factor_bound_to_two_spaces_at_once() -> None:
+    """A factor remembers its last model: it must hand out the one asked for, whoever asks at the same time."""
+    factor = Factor.from_function(lambda X: X - 1.0, p[0], 1, Isotropic(0.1))
+    wrong: list[Any] = []
+
+    def bind(space: LieGroup) -> bytes:
+        for _ in range(3000):
+            model = factor.bind(space)
+            if model.manifolds != (space,):
+                wrong.append(model.manifolds)
+        return b""
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        together([lambda s=s: bind(s) for s in (R(1), R(2), R(3), SE2)])  # type: ignore[misc]
+    finally:
+        sys.setswitchinterval(interval)
+    assert wrong == []
+
+
+def test_a_thread_beside_the_main_one_is_kept_to_one_thread_too() -> None:
+    """The main thread has set numbers of threads before, as threadpoolctl's owner of them."""
+    from threadpoolctl import ThreadpoolController
+
+    controller = ThreadpoolController().select(user_api="blas")
+
+    def seen() -> list[int]:
+        with single_thread():
+            return [blas.num_threads for blas in controller.lib_controllers]
+
+    before = [blas.num_threads for blas in controller.lib_controllers]
+    with controller.limit(limits=2), ThreadPoolExecutor(1) as pool:
+        assert pool.submit(seen).result() == [1] * len(before)
+    assert [blas.num_threads for blas in controller.lib_controllers] == before
+
+
+def test_marginals_at_once() -> None:
+    sample = pose_graph(SE3, n=30)
+    alone = Marginals(sample.graph, sample.truth).all(x, frame="body").tobytes()
+    job = lambda: Marginals(sample.graph, sample.truth).all(x, frame="body").tobytes()  # noqa: E731
+    assert together([job] * WORKERS) == [alone] * WORKERS
+
+
+def test_warnings_of_the_program_are_left_alone() -> None:
+    """Filters are shared by all threads: a solver that changed them for a moment could leave them changed."""
+    sample = pose_graph(SE2, n=30)
+    before, show = list(warnings.filters), warnings.showwarning
+    together([lambda: solved(sample, "lu"), lambda: solved(sample, next(iter(SOLVERS)))] * (WORKERS // 2))
+    assert list(warnings.filters) == before
+    assert warnings.showwarning is show
+
+
+class Runtime:
+    """An OpenMP runtime: its levels belong to the process (up to GCC 10) or to every thread (since)."""
+
+    def __init__(self, of_process: bool, levels: int) -> None:
+        self._store: Any = type("Process", (), {})() if of_process else threading.local()
+        self._default = levels
+
+    def omp_get_max_active_levels(self) -> int:
+        return getattr(self._store, "levels", self._default)
+
+    def omp_set_max_active_levels(self, levels: int) -> None:
+        self._store.levels = levels
+
+
+class Blas:
+    """A BLAS library with a number of threads for the process, which only one Python thread may set at a time."""
+
+    def __init__(self, number: int, filepath: str = "blas") -> None:
+        self.number, self.filepath = number, filepath
+        self._owner: threading.Thread | None = None
+
+    def get_num_threads(self) -> int:
+        return self.number
+
+    def set_num_threads(self, number: int) -> None:
+        self._owner = self._owner or threading.current_thread()
+        if self._owner is threading.current_thread():
+            self.number = number
+
+    def clear_controlling_thread(self, force: bool) -> None:
+        assert force
+        self._owner = None
+
+
+def pretend(monkeypatch: pytest.MonkeyPatch, runtime: Runtime, blas: Blas) -> None:
+    """Put libraries of ours in the place of the real ones."""
+    monkeypatch.setattr(threads, "openmp", lambda: runtime)
+    monkeypatch.setattr(threads, "_blas", lambda loaded: [blas])
+    monkeypatch.setattr(threads, "_KNOWN", {})
+
+
+@pytest.mark.parametrize("of_process", [True, False])
+@pytest.mark.parametrize("first_out", [0, 1])
+def test_settings_come_back_in_whatever_order_threads_leave(
+    of_process: bool, first_out: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two threads inside at once: whoever is still inside keeps one thread, and in the end all is as it was."""
+    runtime, blas = Runtime(of_process, 3), Blas(8)
+    pretend(monkeypatch, runtime, blas)
+    said: list[tuple[str, int, int]] = []
+    both = threading.Barrier(2, timeout=60)
+    gone = threading.Event()
+
+    def look(where: str) -> None:
+        said.append((where, runtime.omp_get_max_active_levels(), blas.number))
+
+    def work(number: int) -> None:
+        with single_thread():
+            both.wait()
+            if number != first_out:
+                assert gone.wait(60)
+                look("still inside")
+        if number == first_out:
+            if not of_process:
+                look("first out")
+            gone.set()
+        both.wait()
+        look("after")
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(work, range(2)))
+    after = [entry[1:] for entry in said if entry[0] == "after"]
+    assert ("still inside", 0, 1) in said
+    assert after == [(3, 8)] * 2
+    assert of_process or ("first out", 3, 1) in said  # its own OpenMP is its own again, BLAS is still shared
+
+
+def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
+    runtime, blas = Runtime(True, 3), Blas(8)
+    pretend(monkeypatch, runtime, blas)
+    with pytest.raises(ZeroDivisionError), single_thread(), single_thread():
+        assert (runtime.omp_get_max_active_levels(), blas.number) == (0, 1)
+        raise ZeroDivisionError
+    assert (runtime.omp_get_max_active_levels(), blas.number) == (3, 8)
+
+
+def test_libraries_that_another_thread_loads_are_kept_to_one_thread_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread imports CHOLMOD, with its own BLAS and OpenMP, while another one is inside."""
+    numpy_only, suitesparse = Blas(4, "first"), Blas(6, "second")
+    runtime = Runtime(True, 2)
+    loaded = (False, False)
+    monkeypatch.setattr(threads, "_suitesparse", lambda: loaded)
+    monkeypatch.setattr(threads, "_blas", lambda which: [numpy_only, suitesparse] if which[0] else [numpy_only])
+    monkeypatch.setattr(threads, "openmp", lambda: runtime if loaded[0] else None)
+    monkeypatch.setattr(threads, "_KNOWN", {})
+
+    def other() -> None:
+        with single_thread():
+            assert (numpy_only.number, suitesparse.number) == (1, 1)
+            assert runtime.omp_get_max_active_levels() == 0
+
+    with single_thread(), ThreadPoolExecutor(1) as pool:
+        loaded = (True, False)
+        pool.submit(other).result()
+        assert (numpy_only.number, suitesparse.number) == (1, 6)
+    assert (numpy_only.number, suitesparse.number) == (4, 6)
+    assert runtime.omp_get_max_active_levels() == 2
+
+
+def test_a_user_function_may_solve_a_graph_itself() -> None:
+    """Inside a residual another graph is solved, in several threads at once."""
+
+    def inner(X: np.ndarray) -> np.ndarray:
+        sample = pose_graph(R(1))
+        return X - sample.graph.optimize(sample.values).chi2_final
+
+    def job() -> bytes:
+        graph = FactorGraph([Factor.from_function(inner, p[0], 1)])
+        return bits(graph.optimize(Values({p: (R(1), [[3.0]])})).values)
+
+    assert len(set(together([job] * WORKERS))) == 1
