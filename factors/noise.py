@@ -191,7 +191,9 @@ class Information(_Matrix):
         """W = diag(sqrt(lambda)) V' D, D^2 = diag(Omega), D^-1 Omega D^-1 = V diag(lambda) V'; zeros for lambda = 0."""
         d = np.sqrt(np.abs(np.diagonal(Omega, axis1=1, axis2=2)))
         D = 1 / np.where(d > 0, d, 1.0)
-        eigenvalues, V = np.linalg.eigh(D[:, :, None] * Omega * D[:, None, :])
+        scaled = D[:, :, None] * Omega * D[:, None, :]
+        beyond = ~np.isfinite(scaled).all(axis=(1, 2), keepdims=True)  # far larger than their diagonal allows
+        eigenvalues, V = np.linalg.eigh(np.where(beyond, -np.eye(Omega.shape[-1]), scaled))
         negative = eigenvalues[:, 0] < -NEGATIVE
         if negative.any():
             k = int(np.argmax(negative))

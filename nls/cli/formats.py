@@ -46,14 +46,10 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 def write(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> list[str]:
     """Write in a format; returns remarks about what the file does not hold."""
     import nls
-    from nls.io.pyfg import write_pyfg
 
     if form in TRAJECTORIES:
         return _write_trajectory(path, form, graph, values, report)
-    if form == "pyfg":
-        write_pyfg(path, graph, values, report.ignored, report)
-    else:
-        nls.save(path, graph, values, report.ignored, form)
+    nls.save(path, graph, values, report, form)
     return []
 
 

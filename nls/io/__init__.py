@@ -12,14 +12,16 @@ from nls.io.dialects import FORMATS, check_dialect
 from nls.io.files import read_bytes
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
+from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
 from nls.io.write import write_graph
 from nls.values import Values
 
-__all__ = ["DIALECTS", "LoadReport", "load", "save"]
+__all__ = ["DIALECTS", "LoadReport", "load", "read_kitti", "read_tum", "save", "write_kitti", "write_tum"]
 
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
-PYFG = re.compile(rb"^[ \t]*VERTEX_SE[23]\S*[ \t]+\S+[ \t]+[A-Za-z]", re.MULTILINE)  # a time, then a name
+POSE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
+NAME = re.compile(rb"[A-Za-z]+[0-9]+")
 
 
 def load(
@@ -77,7 +79,10 @@ def load(
 
 def _foreign(data: bytes, path: str) -> str:
     """The formats that are no list of tagged lines with ids: ``bal``, ``pyfg``; else ``auto``."""
-    if path.lower().removesuffix(".gz").endswith(".pyfg") or PYFG.search(data, 0, 1 << 16):
+    first = POSE.search(data, 0, 1 << 16)
+    if path.lower().removesuffix(".gz").endswith(".pyfg") or (
+        first and NAME.fullmatch(first[1])
+    ):  # a time, then a name
         return "pyfg"
     return "bal" if BAL.match(data) else "auto"
 
@@ -86,7 +91,7 @@ def save(
     path: str | Path,
     graph: FactorGraph,
     values: Values,
-    ignored: list[str] | None = None,
+    report: LoadReport | None = None,
     dialect: str | None = None,
 ) -> None:
     """Write a graph file, replaced whole or not at all.
@@ -95,7 +100,7 @@ def save(
     ----------
     path : the file; compressed where the name ends in ``.gz``.
     graph, values : what to write.
-    ignored : lines to append verbatim, ``LoadReport.ignored``.
+    report : the report the graph was read with: its unused lines are appended as they were, and its times kept.
     dialect : as for `load`; when omitted ``pyfg`` for a name that ends so, else ``g2o``.
 
     Raises
@@ -116,12 +121,12 @@ def save(
     if dialect == "bal":
         from nls.io.bal import write_bal
 
-        if ignored:
-            raise OptionError("ignored", ignored[0], "no lines: a bundle-adjustment file holds no others")
+        if report is not None and report.ignored:
+            raise OptionError("report", report.ignored[0], "no unused lines: a bundle-adjustment file holds no others")
         write_bal(path, graph, values)
     elif dialect == "pyfg":
         from nls.io.pyfg import write_pyfg
 
-        write_pyfg(path, graph, values, ignored)
+        write_pyfg(path, graph, values, report)
     else:
-        write_graph(path, graph, values, ignored, FORMATS[dialect])
+        write_graph(path, graph, values, report.ignored if report else [], FORMATS[dialect])

@@ -288,7 +288,6 @@ def write_pyfg(
     path: str | Path,
     graph: FactorGraph,
     values: Values,
-    ignored: list[str] | None = None,
     report: LoadReport | None = None,
 ) -> None:
     """Write a PyFactorGraph text file, gzip-compressed where the name ends in ``.gz``.
@@ -299,9 +298,8 @@ def write_pyfg(
     ----------
     path : the file.
     graph, values : what to write; kinds are letters, the names in the file are kind and number.
-    ignored : lines to append verbatim.
-    report : the report the graph was read with, for its time stamps; without one, and for factors it does not know, the
-        time 0 is written.
+    report : the report the graph was read with, for its time stamps and its unused lines; without one, and for factors
+        it does not know, the time 0 is written.
 
     Raises
     ------
@@ -334,7 +332,8 @@ def write_pyfg(
         name, table = _measured(str(path), factor, values, dialect)
         times = factor_times.get(id(factor), np.zeros(len(factor)))
         out += _rows(name, times, list(factor.keys), table)
-    write_bytes(path, ("\n".join([*out, *(ignored or [])]) + "\n").encode("utf-8", "surrogateescape"))
+    out += report.ignored if report else []
+    write_bytes(path, ("\n".join(out) + "\n").encode("utf-8", "surrogateescape"))
 
 
 def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:

@@ -82,10 +82,12 @@ def matrix(record: Record, numbers: Array, kind: str) -> Array:
     """Matrices (n, m, m) of the entries (n, k) of lines: symmetric, or upper triangular for a square root."""
     m = record.element.space.dim
     rows, columns = record.places
-    M = np.zeros((len(numbers), m, m))
-    M[:, rows, columns] = numbers
-    if kind != "square root":
+    if kind == "square root":
+        M = np.zeros((len(numbers), m, m))
+    else:
+        M = np.empty((len(numbers), m, m))
         M[:, columns, rows] = numbers
+    M[:, rows, columns] = numbers
     return M
 
 

@@ -32,7 +32,7 @@ PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
 def write_graph(
-    path: str | Path, graph: FactorGraph, values: Values, ignored: list[str] | None, format: Format, stacklevel: int = 3
+    path: str | Path, graph: FactorGraph, values: Values, ignored: list[str], format: Format, stacklevel: int = 3
 ) -> None:
     """Write a graph text file, gzip-compressed where the name ends in ``.gz``.
 
@@ -56,7 +56,7 @@ def write_graph(
     name = str(path)
     group = _dimension(name, values, format)
     fixed = _fixed(name, graph, values, format)
-    offsets = _Offsets(ignored or [], group)
+    offsets = _Offsets(ignored, group)
     tables = [_edge_lines(name, factor, values, group, format, offsets) for factor in graph.factors]
     _refuse_conventions(name, graph, values)
     _refuse_mounts(name, graph, values)
@@ -83,7 +83,7 @@ def write_graph(
             GraphWarning,
             stacklevel=stacklevel,
         )
-    text = "\n".join([*out, *(line for table in tables for line in table), *(ignored or [])]) + "\n"
+    text = "\n".join([*out, *(line for table in tables for line in table), *ignored]) + "\n"
     write_bytes(path, text.encode("utf-8", "surrogateescape"))
 
 

@@ -86,5 +86,5 @@ def same_factors(one: Loaded, other: Loaded) -> None:
 def again(loaded: Loaded, folder: Path, convention: str = "g2o", dialect: str = "g2o") -> Loaded:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)
-        save(folder / "again.g2o", loaded[0], loaded[1], loaded[2].ignored, dialect)
+        save(folder / "again.g2o", loaded[0], loaded[1], loaded[2], dialect)
         return load(folder / "again.g2o", convention, dialect)

@@ -104,7 +104,7 @@ def test_bundle_adjustment(tmp_path: Path) -> None:
         (PLANE, "out.bal", r"Between\(.*cannot be written to a bundle-adjustment file"),
         (PLANE + "FIX 1\n", "out.pyfg", "x1 is held fixed, which a PyFactorGraph file has no line for"),
         (BAL, "out.g2o", "out.g2o: "),
-        (BAL, "out.pyfg", "variables c in R.6. have no line in a PyFactorGraph file"),
+        (BAL, "out.pyfg", "variables c in .wx.* have no line in a PyFactorGraph file"),
         (BAL, "out.tum", "a trajectory file holds the poses of one kind, this graph has none"),
         (PYFG.replace("A1", "B1"), "out.tum", "poses of one kind, this graph has A, B"),
         (PYFG, "out.kity", "expected a name ending in .g2o, .toro, .isam, .pyfg, .bal, .tum, .kitti, or --to FORMAT"),

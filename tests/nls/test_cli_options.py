@@ -11,6 +11,7 @@ import pytest
 
 import nls
 from factors import Huber
+from factors.bundle import CAMERA, LENS
 from nls.cli import main
 from nls.optimizers import OPTIMIZERS
 from tests.nls.g2o_files import INFORMATION_2, PLANE, write
@@ -34,7 +35,7 @@ def bundle(folder: Path) -> Path:
     camera = np.column_stack([0.1 * rng.normal(size=(3, 3)), [[0, 0, -10], [1, 0, -10], [0, 1, -11]]])
     lens, point = np.tile([500.0, 0.0, 0.0], (3, 1)), 2 * rng.normal(size=(5, 3))
     c, k, l = nls.kinds("c", "k", "l")
-    values = nls.Values({c: (R(6), camera), k: (R(3), lens), l: (R(3), point)})
+    values = nls.Values({c: (CAMERA, camera), k: (LENS, lens), l: (R(3), point)})
     i, j = np.repeat(np.arange(3), 5), np.tile(np.arange(5), 3)
     blank = BundleProjection(c[i], k[i], l[j], np.zeros((15, 2)), Isotropic(1))
     model, X = values.gather(blank)

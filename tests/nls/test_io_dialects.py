@@ -187,6 +187,11 @@ def test_load_goes_by_the_content(text: str, format: str, packed: bool, tmp_path
     assert load(path, dialect=format)[2].format == format
 
 
+def test_a_damaged_vertex_is_no_name(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"graph\.g2o:1: 'nan' is not a number"):
+        load(write(tmp_path, "VERTEX_SE2 0 nan 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"))
+
+
 MATLAB = b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + struct.pack("<4xI", 7)
 
 

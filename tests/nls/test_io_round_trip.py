@@ -139,7 +139,7 @@ def test_parameters_keep_their_ids_and_equal_offsets_share_one(tmp_path: Path) -
     offset = [0.5, 0.25, 0.1]
     graph.add(Landmark(x[[1, 2]], l[[10, 10]], [[1.0, 2.0], [1.0, 2.0]], Isotropic(1), offset))
     graph.add(Landmark(x[2], l[11], [1.0, 2.0], Isotropic(1), [9.0, 0.0, 0.0]))
-    save(tmp_path / "out.g2o", graph, values, report.ignored)
+    save(tmp_path / "out.g2o", graph, values, report)
     lines = (tmp_path / "out.g2o").read_text().splitlines()
     assert [line for line in lines if line.startswith("PARAMS")] == [
         "PARAMS_SE2OFFSET 3 0.5 0.25 0.1",

@@ -52,7 +52,7 @@ def read(text: str, convention: str = "g2o") -> Loaded:
 
 def again(loaded: Loaded, folder: Path, convention: str = "g2o") -> Loaded:
     graph, values, report = loaded
-    write_pyfg(folder / "out.pyfg", graph, values, report.ignored, report)
+    write_pyfg(folder / "out.pyfg", graph, values, report)
     return read_pyfg(read_bytes(folder / "out.pyfg"), "out.pyfg", convention)
 
 
@@ -237,5 +237,5 @@ def test_the_public_file_comes_back_byte_for_byte(data: Path, tmp_path: Path) ->
     graph, values, report = read_pyfg(read_bytes(path), str(path))
     assert (len(values), len(graph)) == (4095, 5897)
     assert [len(f) for f in graph.factors] == [4090, 1807]
-    write_pyfg(tmp_path / "out.pyfg", graph, values, report.ignored, report)
+    write_pyfg(tmp_path / "out.pyfg", graph, values, report)
     assert (tmp_path / "out.pyfg").read_bytes() == gzip.decompress(path.read_bytes())
