@@ -21,6 +21,7 @@ extensions = [
     # MathJax and its fonts as an ordinary pip dependency, copied into the build: equations need no network and no npm.
     "sphinx-mathjax-offline",
     "factor_table",  # docs/_ext
+    "gallery",
 ]
 exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]
 

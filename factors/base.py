@@ -19,12 +19,12 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from factors.differences import central_differences
 from factors.conventions import check_convention, innovation
+from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import Noise, whiten
 from factors.robust import Kernel, Robust
-from factors.slices import places, rows
+from factors.slices import one_each, places, rows
 from models import Manifold
 from models.algebra import Array, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
@@ -87,7 +87,7 @@ class Factor(ABC):
                 raise GraphError(f"{name}: measurement {int(np.argmax(same))} joins {twice} to itself", [twice], name)
         try:
             self._z = np.array(z, dtype=float)  # a copy, and read-only: what was added stays what it was
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise GraphError(f"{name}: z is not an array of numbers: {error}", keys, name) from error
         self._z.setflags(write=False)
         self.noise = noise
@@ -118,9 +118,16 @@ class Factor(ABC):
         (Range(x[3, 4], l[0, 0]), array([10., 11.]), array([0.1, 0.2]))
         """
         n, index = len(self), places(index, len(self), self.name)
+        sizes = self.sizes() if self._model is None else (self._model.space.size,)
+        if (each := one_each(self._z, n, sizes)) is None:
+            raise GraphError(
+                f"{self!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
+                self.keys,
+                self.name,
+            )
         other = copy(self)
         other.keys = tuple(k[index] for k in self.keys)
-        other._z = rows(self._z, index, n) if self._one_each() else self._z
+        other._z = rows(self._z, index, n) if each else self._z
         other.noise = self.noise.take(index, n)
         for name in self.each:
             setattr(other, name, rows(getattr(self, name), index, n))
@@ -134,20 +141,6 @@ class Factor(ABC):
     def sizes(self) -> tuple[int, ...]:
         """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
         return ()
-
-    def _one_each(self) -> bool:
-        """Whether z has a row per measurement: z of n numbers may also be one measurement that all share."""
-        n, z = len(self), self._z
-        if z.ndim != 1 or len(z) != n or n < 2:
-            return z.ndim > 0 and len(z) == n
-        sizes = self.sizes() if self._model is None else (self._model.space.size,)
-        if not sizes or {1, n} <= set(sizes):
-            raise GraphError(
-                f"{self!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
-                self.keys,
-                self.name,
-            )
-        return 1 in sizes
 
     @property
     def z(self) -> Array:
@@ -216,7 +209,8 @@ class Factor(ABC):
         GraphError, NoiseModelError
             A slot that does not accept its space; a measurement or noise of the wrong shape.
         """
-        if self._model is None or self._model.manifolds != manifolds:
+        model = self._model  # read once, and what is returned is never read back: threads may bind one factor at once
+        if model is None or model.manifolds != manifolds:
             name = self.name
             for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
                 if wanted is not None and wanted is not manifold:
@@ -239,8 +233,8 @@ class Factor(ABC):
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
             if W.shape[-1] <= 3:  # components first, as `product` wants small matrices
                 W = np.moveaxis(np.ascontiguousarray(np.moveaxis(W, 0, -1)), -1, 0)
-            self._model = Model(self, manifolds, space, z, W, rows, names)
-        return self._model
+            model = self._model = Model(self, manifolds, space, z, W, rows, names)
+        return model
 
     @staticmethod
     def from_function(
@@ -358,7 +352,8 @@ class Model:
         if not jacobians:
             return h, ()
         if H is None:
-            H = central_differences(self.space, self.manifolds, lambda *Y: self.factor.predict(self.manifolds, *Y)[0], X, h)
+            predict = self.factor.predict
+            H = central_differences(self.space, self.manifolds, lambda *Y: predict(self.manifolds, *Y)[0], X, h)
         if len(H) != len(self.manifolds):
             raise EvaluationError(
                 f"{self.factor!r}: {len(H)} Jacobians, expected {len(self.manifolds)}: one per slot",

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from factors.base import STEP, Factor, Model, difference_steps
+from factors.base import Factor, Model
+from factors.differences import STEP, difference_steps
 from models.algebra import Array
 from models.errors import JacobianError
 

@@ -32,7 +32,7 @@ def check_convention(name: str) -> str:
     ------
     OptionError
     """
-    if name not in CONVENTIONS:
+    if not isinstance(name, str) or name not in CONVENTIONS:
         raise OptionError("convention", name, "one of " + ", ".join(CONVENTIONS))
     return name
 

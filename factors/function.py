@@ -11,7 +11,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic, Noise
 from models import Manifold, R
 from models.algebra import Array
-from models.errors import EvaluationError, GraphError, LeadlineError
+from models.errors import EvaluationError, GraphError, LeadlineError, OptionError
 
 __all__ = ["FunctionFactor"]
 
@@ -28,14 +28,18 @@ class FunctionFactor(Factor):
         jacobians: Callable[..., Sequence[Array]] | None,
         relative: bool,
     ) -> None:
-        self.dim, self.residual, self.jacobians = dim, residual, jacobians
-        super().__init__(keys, np.zeros(dim), noise or Isotropic())
+        if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or not 0 < dim < 10**6:
+            raise OptionError("Factor.from_function(dim)", dim, "numbers per residual, a whole number of at least 1")
+        if not isinstance(keys, Sequence) or not keys:
+            raise GraphError(f"Factor.from_function: expected variables such as x[0] or [x[0], x[1]], got {keys!r:.80}")
+        self.dim, self.residual, self.jacobians = int(dim), residual, jacobians
+        super().__init__(keys, np.zeros(dim), Isotropic() if noise is None else noise)
         self.slots, self.relative = (None,) * len(keys), relative  # type: ignore[misc]
 
     def __getitem__(self, index: object) -> Factor:
         raise GraphError(
-            f"{self!r}: a factor from a function has no parts, only your function knows which measurement is which; make "
-            "one of the part",
+            f"{self!r}: a factor from a function cannot be sliced: only your function knows its data; make "
+            "one of the part you want",
             self.keys,
             self.name,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,12 @@ class Keys:
     __slots__ = ("kind", "numbers", "single")
 
     def __init__(self, kind: str, numbers: npt.ArrayLike) -> None:
-        array = np.asarray(numbers)
+        if not isinstance(kind, str):
+            raise GraphError(f"Keys: expected the name of a kind such as 'x', got {kind!r:.60}")
+        try:
+            array = np.asarray(numbers)
+        except ValueError as error:  # lists of different lengths
+            raise GraphError(f"{kind}[...]: variable numbers must be one list of whole numbers; {error}") from error
         if array.dtype.kind not in "iu" and array.size:
             raise GraphError(f"{kind}[...]: variable numbers must be whole numbers, got {array.dtype} {array!r:.60}")
         if array.dtype.kind == "u" and array.size and array.max() > np.iinfo(np.int64).max:
@@ -42,7 +48,10 @@ class Keys:
         return (Keys(self.kind, int(number)) for number in self.numbers)
 
     def __getitem__(self, index: npt.ArrayLike) -> Keys:
-        return Keys(self.kind, self.numbers[np.asarray(index)])
+        try:
+            return Keys(self.kind, self.numbers[np.asarray(index)])
+        except (IndexError, ValueError, OverflowError) as error:
+            raise GraphError(f"{self!r}[{index!r:.60}]: takes places 0 to {len(self) - 1}; {error}", [self]) from error
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Keys) and self.kind == other.kind and np.array_equal(self.numbers, other.numbers)
@@ -77,14 +86,24 @@ class Kind:
 
     def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:
         if isinstance(numbers, slice):
-            start, stop = numbers.start or 0, numbers.stop
+            given = (numbers.start, numbers.stop, numbers.step)
+            if not all(end is None or (isinstance(end, int | np.integer) and abs(int(end)) < 2**63) for end in given):
+                shown = ":".join(f"{end!r:.30}" for end in given if end is not None)
+                raise GraphError(f"{self.name}[{shown}]: expected whole numbers below 2^63, as in {self.name}[0:10]")
+            start, stop, step = numbers.start or 0, numbers.stop, numbers.step or 1
             if stop is None or stop < start or start < 0:
                 raise GraphError(
                     f"{self.name}[{start}:{'' if stop is None else stop}]: a kind has no end to count from; give both "
                     f"ends, {self.name}[0:10]"
                 )
-            return Keys(self.name, np.arange(start, stop, numbers.step or 1))
+            try:
+                return Keys(self.name, np.arange(start, stop, step))
+            except (ValueError, MemoryError) as error:
+                raise GraphError(f"{self.name}[{start}:{stop}]: so many variables fit in no memory") from error
         return Keys(self.name, numbers)
+
+    def __iter__(self) -> NoReturn:
+        raise GraphError(f"{self.name} is a kind of variables without an end; name those you mean, {self.name}[0:10]")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Kind) and self.name == other.name

@@ -10,6 +10,7 @@ directions, and W has rows of zeros there. A negative one is refused, with the m
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from copy import copy
 from typing import Self
 
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from factors.slices import rows
 from models.algebra import Array, apply, matrix, product
-from models.errors import NoiseModelError
+from models.errors import GraphError, NoiseModelError
 
 __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "whiten"]
 
@@ -26,6 +27,20 @@ __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtI
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
 NOTHING = 1e-14  # an eigenvalue or squared pivot below 1e-14 is rounding of 0: no information in that direction
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
+
+
+def component_names(names: Sequence[str] | str) -> tuple[str, ...]:
+    """Names of components without their aliases; one may stand alone.
+
+    Raises
+    ------
+    GraphError
+        Not names.
+    """
+    given = (names,) if isinstance(names, str) else names
+    if not isinstance(given, Sequence) or not all(isinstance(name, str) for name in given):
+        raise GraphError(f"components: expected names such as ('x', 'y'), got {names!r:.60}")
+    return tuple(ALIASES.get(name, name) for name in given)
 
 
 class Noise(ABC):
@@ -226,7 +241,7 @@ def whiten(W: Array, x: Array) -> Array:
 def _numbers(value: npt.ArrayLike, what: str, ndim: int) -> Array:
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise NoiseModelError(f"{what}: expected numbers, got {value!r:.60}", what) from error
     if array.ndim > ndim:
         raise NoiseModelError(f"{what} has shape {array.shape}, expected at most {ndim} axes", what)

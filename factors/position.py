@@ -10,7 +10,7 @@ import numpy.typing as npt
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset, pose_group
-from factors.noise import ALIASES, Noise
+from factors.noise import Noise, component_names
 from models import LieGroup, Manifold, Measured, R
 from models.algebra import Array
 from models.errors import GraphError
@@ -67,7 +67,7 @@ class Position(Factor):
         offset: npt.ArrayLike | None = None,
     ) -> None:
         super().__init__([pose], z, noise)
-        self.components = None if components is None else tuple(ALIASES.get(c, c) for c in components)
+        self.components = None if components is None else component_names(components)
         self.offset = None if offset is None else fixed_offset(self, offset)
 
     def sizes(self) -> tuple[int, ...]:

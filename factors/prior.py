@@ -10,7 +10,7 @@ import numpy.typing as npt
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset
-from factors.noise import ALIASES, Noise
+from factors.noise import Noise, component_names
 from models import LieGroup, Manifold
 from models.algebra import Array
 from models.errors import GraphError
@@ -69,7 +69,7 @@ class Prior(Factor):
         offset: npt.ArrayLike | None = None,
     ) -> None:
         super().__init__([key], z, noise, convention)
-        self.components = None if components is None else tuple(ALIASES.get(c, c) for c in components)
+        self.components = None if components is None else component_names(components)
         self.offset = None if offset is None else fixed_offset(self, offset)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:

@@ -56,14 +56,14 @@ class Kernel(ABC):
     Raises
     ------
     OptionError
-        c is not a finite number above 0.
+        c is no number above 0, or its square overflows or vanishes.
     """
 
     c: float
 
     def __init__(self, c: float) -> None:
-        if isinstance(c, bool) or not isinstance(c, Real) or not math.isfinite(c) or c <= 0:
-            raise OptionError(f"{type(self).__name__}(c)", c, "a finite number above 0, in sigmas")
+        if isinstance(c, bool) or not isinstance(c, Real) or not c > 0 or not 0 < float(c) * float(c) < math.inf:
+            raise OptionError(f"{type(self).__name__}(c)", c, "a number above 0 whose square is finite, in sigmas")
         self.c = float(c)
 
     @abstractmethod
@@ -109,17 +109,17 @@ class Cauchy(Kernel):
         return np.asarray(self.c**2 * np.log1p(s / self.c**2))
 
     def weight(self, s: Array) -> Array:
-        return 1 / (1 + s / self.c**2)
+        return self.c**2 / (self.c**2 + s)
 
 
 class GemanMcClure(Kernel):
     """Bounded by c^2."""
 
     def rho(self, s: Array) -> Array:
-        return s / (1 + s / self.c**2)
+        return s * (self.c**2 / (self.c**2 + s))
 
     def weight(self, s: Array) -> Array:
-        return 1 / (1 + s / self.c**2) ** 2
+        return (self.c**2 / (self.c**2 + s)) ** 2
 
 
 class Welsch(Kernel):

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys
+from models.algebra import Array
 from models.errors import GraphError
 
-__all__ = ["places", "rows"]
+__all__ = ["one_each", "places", "rows"]
 
 Index = npt.NDArray[np.intp]
 
@@ -65,3 +66,25 @@ def rows(value: Any, index: Index, n: int) -> Any:
     if isinstance(value, dict):
         return {name: rows(each, index, n) for name, each in value.items()}
     return value
+
+
+def one_each(z: Array, n: int, sizes: tuple[int, ...]) -> bool | None:
+    """Whether z has a row for each of n measurements, or is one that all share; None where it may be either.
+
+    Parameters
+    ----------
+    z : as given: (n, size), (1, size), (size,), or (n,) where a measurement is one number.
+    n : measurements.
+    sizes : how many numbers a measurement may have, () for any.
+
+    Examples
+    --------
+    >>> z = np.zeros(3)
+    >>> one_each(z, 3, (1,)), one_each(z, 3, (2, 3)), one_each(z, 3, ()), one_each(z[:, None], 3, ())
+    (True, False, None, True)
+    """
+    if z.ndim != 1 or len(z) != n or n < 2:
+        return z.ndim > 0 and len(z) == n
+    if not sizes or {1, n} <= set(sizes):
+        return None
+    return 1 in sizes

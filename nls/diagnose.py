@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from models.algebra import Array
 from models.errors import EvaluationError, UnderconstrainedError
 from nls.gauge import component_labels, touched_variables
+from nls.linear.base import NULL
 
 if TYPE_CHECKING:
     from factors.keys import Keys
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["null_space", "underconstrained"]
 
 MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
-NULL = 1e-9  # |A v| below this for a unit v (columns of A scaled to length 1) is a free direction
 EXACT = 1e-12  # above this the direction may be a weak prior, or the rounding of a numerical Jacobian
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one
 INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas

@@ -108,7 +108,7 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
     OptionError
         No such gauge.
     """
-    if name not in GAUGES:
+    if not isinstance(name, str) or name not in GAUGES:
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
         return Gauge(fixed, fixed, said="nothing is held")
@@ -124,7 +124,13 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
             anchored[label[batch.variables[0]]] = True
     if not (touched | fixed).all():
         isolated = np.flatnonzero(~touched & ~fixed)
-        warnings.warn(f"{_named(pattern, isolated)}: no measurement touches them; held", GraphWarning, stacklevel=3)
+        them = "it" if len(isolated) == 1 else "them"
+        warnings.warn(
+            f"{_named(pattern, isolated)}: no measurement touches {them}; held at the start value. Add the factors "
+            f"that are missing, or leave {them} out of the values",
+            GraphWarning,
+            stacklevel=3,
+        )
         fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, moving, anchored)
     if not len(chosen):
@@ -192,9 +198,9 @@ class FreeGauge(LinearSolver):
         return LinearSystem(self.held, system.blocks, system.b)
 
     def solve(self, analyzed: FreeState, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
-        assert damping is None, "a damped system has no free gauge"
         A, gauge, rest = system.A, analyzed.gauge, analyzed.rest
-        step = self.solver.solve(analyzed.analyzed, self.seen(system))
+        held = None if damping is None else damping[rest]
+        step = self.solver.solve(analyzed.analyzed, self.seen(system), held)
         t0 = perf_counter()
         x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(gauge)))
         x[rest] = step.dx

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -18,10 +18,10 @@ from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
 from nls.optimizers import GaussNewton, LevenbergMarquardt, Optimizer, Result
 from nls.optimizers.problem import Problem
+from nls.values import Values
 
 if TYPE_CHECKING:
     from nls.system import LinearSystem
-    from nls.values import Values
 
 __all__ = ["FactorGraph"]
 
@@ -46,6 +46,8 @@ class FactorGraph:
     def __init__(self, factors: Sequence[Factor] = ()) -> None:
         self.factors: list[Factor] = []
         self.fixed: list[Keys] = []
+        if not isinstance(factors, Iterable):
+            raise GraphError(f"FactorGraph: expected a list of factors, got {factors!r:.80}")
         for factor in factors:
             self.add(factor)
 
@@ -70,7 +72,8 @@ class FactorGraph:
         """
         place = [k for k, f in enumerate(self.factors) if f is factor]
         if not place:
-            raise GraphError(f"FactorGraph.remove: {factor!r} is not in this graph", factor.keys)
+            keys = factor.keys if isinstance(factor, Factor) else ()
+            raise GraphError(f"FactorGraph.remove: {factor!r:.80} is not in this graph", keys)
         del self.factors[place[0]]
 
     def fix(self, keys: Keys) -> None:
@@ -95,11 +98,11 @@ class FactorGraph:
 
     def chi2(self, values: Values) -> float:
         """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""
-        return Pattern(self.factors, values).chi2(values)
+        return Pattern(self.factors, _values(values)).chi2(values)
 
     def linearize(self, values: Values) -> LinearSystem:
         """A and b at the values, with labels; no gauge is held, only what was fixed."""
-        return Pattern(self.factors, values, fixed_variables(self.fixed, values)).linearize(values)
+        return Pattern(self.factors, _values(values), fixed_variables(self.fixed, values)).linearize(values)
 
     def optimize(
         self,
@@ -135,15 +138,16 @@ class FactorGraph:
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
         damped = any(factor.damped for factor in self.factors)
-        method = optimizer or (LevenbergMarquardt() if damped else GaussNewton())
-        solver = linear_solver or default_solver()
+        method: Optimizer = LevenbergMarquardt() if damped else GaussNewton()
+        method = method if optimizer is None else optimizer
+        solver = default_solver() if linear_solver is None else linear_solver
         if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
             raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
         if not isinstance(solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
-        fixed = fixed_variables(self.fixed, values)
+        fixed = fixed_variables(self.fixed, _values(values))
         decided = choose_gauge(gauge, self.factors, values, fixed)
         factors = [*self.factors, *decided.priors]
         pattern = Pattern(factors, values, decided.held)
@@ -164,7 +168,7 @@ class FactorGraph:
             history=watch.history,
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,
-            dof=dof,
+            dof=dof + len(free),
             linear_solver=solver.name,
             gauge=decided.said,
             timings=problem.timings,
@@ -187,3 +191,9 @@ class FactorGraph:
 
     def __repr__(self) -> str:
         return f"FactorGraph({len(self.factors)} factors, {len(self)} measurements)"
+
+
+def _values(values: object) -> Values:
+    if not isinstance(values, Values):
+        raise GraphError(f"expected Values such as Values({{x: (SE2, X0)}}), got {values!r:.80}")
+    return values

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, apply
+from models.errors import OptionError
 from nls.hessian import Blocks
 
 if TYPE_CHECKING:
@@ -109,10 +110,12 @@ class LinearSystem:
             Squares of weights or Jacobians overflow.
         """
         from nls.diagnose import underconstrained
-        from nls.linear import default_solver
+        from nls.linear import LinearSolver, default_solver
         from nls.linear.base import SingularSystemError
 
-        solver = linear_solver or default_solver()
+        solver = default_solver() if linear_solver is None else linear_solver
+        if not isinstance(solver, LinearSolver):
+            raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         state = solver.analyze(self.pattern)
         try:
             return solver.solve(state, self).dx

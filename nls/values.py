@@ -66,7 +66,8 @@ class Stack:
             missing = keys[~found]
             raise GraphError(
                 f"{missing[[0]]} has no value ({len(missing)} such of kind {self.kind}); Values hold {len(self)} "
-                f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}",
+                f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}. Add a start value, or "
+                "leave out the factors that need it",
                 [missing],
             )
         return index
@@ -101,7 +102,9 @@ class Values:
 
     def __init__(self, stacks: Mapping[Any, tuple[Any, ...]] | None = None) -> None:
         self.stacks: dict[str, Stack] = {}
-        for kind, entry in (stacks or {}).items():
+        if not isinstance(stacks, Mapping | None):
+            raise GraphError(f"Values: expected a dictionary such as {{x: (SE2, X0)}}, got {stacks!r:.60}")
+        for kind, entry in ({} if stacks is None else stacks).items():
             name = kind.name if isinstance(kind, Kind) else Kind(str(kind)).name
             if not isinstance(entry, tuple) or len(entry) not in (2, 3):
                 raise GraphError(f"Values: {name}: expected (manifold, X) or (manifold, X, numbers)")
@@ -121,8 +124,11 @@ class Values:
         GraphError
             There is none.
         """
-        if kind not in self.stacks:
-            raise GraphError(f"no variable of kind {kind!r} has a value; Values hold kinds {list(self.stacks)}")
+        if not isinstance(kind, str) or kind not in self.stacks:
+            raise GraphError(
+                f"no variable of kind {kind!r:.60} has a value; Values hold kinds {list(self.stacks)}. Add start "
+                "values, or leave out the factors that need them"
+            )
         return self.stacks[kind]
 
     def __getitem__(self, key: Kind | Keys) -> Array:
@@ -174,7 +180,14 @@ class Values:
         Parameters
         ----------
         delta : (dim,) array, kind by kind, variable by variable: the columns of A with nothing held.
+
+        Raises
+        ------
+        GraphError
+            Another shape.
         """
+        if not isinstance(delta, np.ndarray) or delta.shape != (self.dim,):
+            raise GraphError(f"retract: expected an array of shape ({self.dim},), got {delta!r:.60}")
         moved, start = {}, 0
         for name, stack in self.stacks.items():
             end = start + len(stack) * stack.manifold.dim

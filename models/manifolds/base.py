@@ -87,7 +87,7 @@ class Manifold(ABC):
         """
         try:
             Y = np.array(X, dtype=float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise GraphError(f"{self.name}: expected numbers of shape (n, {self.size}); {error}") from error
         if Y.ndim == 0 and self.size == 1:
             Y = Y[None]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import numpy.typing as npt
 
@@ -73,9 +71,7 @@ def Measured(*names: str) -> LieGroup:
     """
     if not names or not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
         raise OptionError("Measured(*names)", names, "different names, at least one")
-    return _measured(names)
+    return _KNOWN.get(names) or _KNOWN.setdefault(names, MeasuredNumbers(names))
 
 
-@cache
-def _measured(names: tuple[str, ...]) -> LieGroup:
-    return MeasuredNumbers(names)
+_KNOWN: dict[tuple[str, ...], LieGroup] = {}  # setdefault and not @cache: see `models.manifolds.rn`

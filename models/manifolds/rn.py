@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import numpy.typing as npt
 
@@ -60,11 +58,9 @@ def R(n: int) -> LieGroup:
     >>> R(2).retract(np.array([[1.0, 2.0]]), np.array([[0.5, 0.0]]))
     array([[1.5, 2. ]])
     """
-    if not isinstance(n, int | np.integer) or n < 1:
-        raise OptionError("R(n)", n, "a whole number of at least 1")
-    return _vectors(int(n))
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n < 10**6:
+        raise OptionError("R(n)", n, "a whole number from 1 to 999,999")
+    return _KNOWN.get(int(n)) or _KNOWN.setdefault(int(n), Vectors(int(n)))
 
 
-@cache
-def _vectors(n: int) -> LieGroup:
-    return Vectors(n)
+_KNOWN: dict[int, LieGroup] = {}  # setdefault and not @cache: two threads that ask first at once get the same space

@@ -36,9 +36,9 @@ def axes(
     SingularGeometryError
         Euler angles at gimbal lock.
     """
-    if frame not in (None, "body", "world"):
+    if not (frame is None or (isinstance(frame, str) and frame in ("body", "world"))):
         raise OptionError("frame", frame, "'body' or 'world'")
-    if view not in (None, "position", "euler"):
+    if not (view is None or (isinstance(view, str) and view in ("position", "euler"))):
         raise OptionError("view", view, "'position', 'euler' or none")
     if view is not None and frame == "body":
         raise OptionError("frame", frame, f"'world' or none: the view {view!r} has the axes of the world")

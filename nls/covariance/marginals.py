@@ -23,15 +23,14 @@ from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
 from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
-from nls.hessian import Blocks
-from nls.linear import LinearSolver, best_factorization
+from nls.linear import LinearSolver, default_solver
 from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalEquations, NormalState
+from nls.linear.normal import NormalEquations
 from nls.linear.takahashi import diagonal_blocks
+from nls.values import Values
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
-    from nls.values import Values
 
 __all__ = ["Marginals"]
 
@@ -97,6 +96,8 @@ class Marginals:
         gauge: str = "first",
         memory_limit: float = 4e9,
     ) -> None:
+        if not hasattr(graph, "factors") or not isinstance(values, Values):
+            raise GraphError(f"Marginals: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
         if not len(graph):
             raise GraphError("the graph has no factors: nothing has a covariance")
         if not isinstance(linear_solver, LinearSolver | None):
@@ -106,16 +107,14 @@ class Marginals:
         decided = choose_gauge(gauge, graph.factors, values, fixed)
         factors = [*graph.factors, *decided.priors]
         pattern = self._pattern = Pattern(factors, values, decided.held)
-        factorization = best_factorization()
-        if isinstance(linear_solver, NormalEquations):
-            linear_solver.require()
-            factorization = linear_solver.factorization
-        self._blocks = Blocks(pattern)
-        self._state = NormalState(self._blocks.structure(factorization.order), factorization)
+        solver = linear_solver if isinstance(linear_solver, NormalEquations) else default_solver()
+        assert isinstance(solver, NormalEquations)
+        self._blocks, self._state = solver.analyze(pattern)  # refuses what would not fit
         system = pattern.linearize(values)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
                 self._state.factorize(self._blocks.fill(system))
+                self._state.refuse_free(system)
         except SingularSystemError as error:
             raise underconstrained(system) from error
         self.gauge = decided.said

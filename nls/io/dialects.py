@@ -89,7 +89,7 @@ def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
     ------
     OptionError
     """
-    if name not in allowed:
+    if not isinstance(name, str) or name not in allowed:
         raise OptionError("dialect", name, "one of " + ", ".join(allowed))
     return name
 

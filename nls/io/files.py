@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 from typing import BinaryIO
 
-from models.errors import GraphFileError, ResourceLimitError
+from models.errors import GraphFileError, OptionError, ResourceLimitError
 
 __all__ = ["read_bytes", "write_bytes"]
 
@@ -29,7 +29,7 @@ def read_bytes(path: str | Path) -> bytes:
     ResourceLimitError
         It has more than `MAX_BYTES`, or unpacks to more.
     """
-    name = str(path)
+    name = _name(path)
     try:
         with open(path, "rb") as file:
             data = _bounded(file, f"{name}: has", os.fstat(file.fileno()).st_size)
@@ -52,6 +52,13 @@ def read_bytes(path: str | Path) -> bytes:
         line = data[: data.index(b"\x00")].count(b"\n") + 1
         raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
     return data
+
+
+def _name(path: object) -> str:
+    """The path as text; numbers, which `open` takes for open files of the process, are none."""
+    if not isinstance(path, str | os.PathLike):
+        raise OptionError("path", path, "a file name")
+    return os.fsdecode(path)
 
 
 def _bounded(file: BinaryIO | gzip.GzipFile, what: str, size: int = 0) -> bytes:
@@ -83,7 +90,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     GraphFileError
         It cannot be written.
     """
-    name = os.fspath(path)
+    name = _name(path)
     if name.lower().endswith(".gz"):
         data = gzip.compress(data, mtime=0)
     try:

@@ -16,11 +16,16 @@ if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["INSTALL_SUITESPARSE", "SINGULAR", "LinearSolution", "LinearSolver", "SingularSystemError"]
+__all__ = ["INSTALL_SUITESPARSE", "NULL", "SINGULAR", "WEAK", "LinearSolution", "LinearSolver", "SingularSystemError"]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
 digits of the column were cancelled by the columns before it, and the direction counts as free."""
+
+
+WEAK, NULL = 1e-6, 1e-9
+"""Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is one
+when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
 
 
 INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"

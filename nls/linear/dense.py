@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,9 @@ import numpy as np
 import scipy.linalg
 
 from models.algebra import Array
-from models.errors import ResourceLimitError
+from models.errors import OptionError, ResourceLimitError
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.limits import checked_limit, default_limit
 from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ class _Dense(LinearSolver):
     copies: float  # dense (m, n) arrays alive at once at the peak, as measured in benchmarks/results/pinv.md
 
     def __init__(self, memory_limit: float = 4e9) -> None:
-        self.memory_limit = memory_limit
+        self.memory_limit = checked_limit(memory_limit) or default_limit()
 
     def needed(self, m: int, n: int) -> float:
         """Bytes a solve of an (m, n) system takes."""
@@ -114,7 +116,9 @@ class Pinv(_Dense):
 
     def __init__(self, rtol: float = 1e-12, memory_limit: float = 4e9) -> None:
         super().__init__(memory_limit)
-        self.rtol = rtol
+        if isinstance(rtol, bool) or not isinstance(rtol, Real) or not 0 <= rtol < 1:
+            raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
+        self.rtol: float = float(rtol)
 
     def _solve(self, A: Array, b: Array) -> Array:
         return np.asarray(np.linalg.pinv(A, rcond=self.rtol) @ b)

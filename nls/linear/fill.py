@@ -7,8 +7,8 @@ elimination tree to i. So column j is counted by summing over its subtree
     - w_i  where the ways of two neighbors, next to each other in postorder, meet
     - w_i  at the parent of i
 
-with w_i the rows of block row i. The tree takes one loop over the pairs of variables, the rest is arrays: 0.1 s for
-100,000 poses with 160,000 measurements, a quarter of what ordering and analyzing them takes.
+with w_i the rows of block row i. The tree takes one loop over the pairs of variables, the rest is arrays: 0.2 s for
+100,000 poses in the plane with 160,000 measurements, where ordering and analyzing take 0.46 s.
 
 Sources: J. Liu, "A compact row storage scheme for Cholesky factors using elimination trees", ACM TOMS 12 (1986);
 J. Gilbert, E. Ng, B. Peyton, "An efficient algorithm to compute row and column counts for sparse Cholesky
@@ -107,7 +107,10 @@ def rows_below(widths: Index, row: Index, column: Index) -> Index:
     change -= np.bincount(meet, weights=weight[r[along]], minlength=V + 1)
     change -= np.bincount(up, weights=weight, minlength=V + 1)
     total = np.concatenate([[0.0], np.cumsum(change[:V])])
-    return (total[post + 1] - total[post + 1 - size]).astype(np.intp) - widths  # a subtree is contiguous in postorder
+    below: Index = (total[post + 1] - total[post + 1 - size]).astype(
+        np.intp
+    ) - widths  # of postorder, a subtree is a run
+    return below
 
 
 def _tree(row: Index, column: Index, V: int) -> Index:

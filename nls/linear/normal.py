@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from models.algebra import Array
 from models.errors import EvaluationError
 from nls.hessian import Blocks, Hessian
-from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.base import NULL, SINGULAR, WEAK, LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.limits import checked_limit, default_limit, refuse_above
 
 if TYPE_CHECKING:
@@ -101,7 +101,29 @@ class NormalState:
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
             raise SingularSystemError("a pivot of A'A vanishes")
+        self._weakest = float((pivots / diagonal).min(initial=1.0))
         return diagonal
+
+    def refuse_free(self, system: LinearSystem) -> None:
+        """Look for a free direction that rounding has hidden from the pivots of the latest factorization.
+
+        A'A squares the condition of A: a pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
+        where another one is small. Inverse iteration, three solves, finds the direction, and A itself, which keeps
+        twice the digits, tells whether it is free.
+
+        Raises
+        ------
+        SingularSystemError
+        """
+        if self._weakest > WEAK:
+            return
+        D = 1 / system.column_norms
+        v = np.random.default_rng(0).normal(size=len(D))
+        for _ in range(3):
+            v = self.solve(v / D) / D
+            v /= np.linalg.norm(v)
+        if np.linalg.norm(system.times(D * v)) <= NULL:
+            raise SingularSystemError("A'A has a null direction that its pivots do not show")
 
 
 class NormalEquations(LinearSolver):
@@ -150,6 +172,7 @@ class NormalEquations(LinearSolver):
             squared_norms = np.empty_like(gradient)
             squared_norms[state.hessian.permutation] = diagonal
             system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
+            state.refuse_free(system)
         t2 = perf_counter()
         dx = state.solve(gradient)
         if not np.isfinite(dx.sum()):

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["QR"]
 
 
-# sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside at
-# once end the process.
+# sparseqr keeps one CHOLMOD workspace for the process and lets other Python threads run meanwhile: two of them inside
+# at once end the process.
 ONE_AT_A_TIME = Lock()
 
 

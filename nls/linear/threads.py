@@ -110,7 +110,7 @@ _HERE = local()
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """No OpenMP regions and one BLAS thread inside; both are restored. Threads of the program may be inside together."""
+    """No OpenMP regions and one BLAS thread inside; both are restored. Several threads of a program may be inside."""
     depth = getattr(_HERE, "depth", 0)
     with _LOCK:
         found = [] if depth else [(setting, setting.enter()) for setting in _settings()]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
-from models.errors import EvaluationError, SingularGeometryError
+from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.diagnose import underconstrained
 from nls.linear.base import SingularSystemError
 from nls.optimizers.result import Iteration
@@ -35,6 +35,12 @@ class Optimizer(ABC):
     stop: Stop = field(default_factory=Stop)
     callback: Callable[[Iteration], bool | None] | None = None
     name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.stop, Stop):
+            raise OptionError("stop", self.stop, "thresholds such as Stop(max_iterations=20)")
+        if not (self.callback is None or callable(self.callback)):
+            raise OptionError("callback", self.callback, "a function of an Iteration, or None")
 
     @abstractmethod
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
@@ -64,7 +70,8 @@ class Optimizer(ABC):
             if isinstance(error, EvaluationError):
                 error.iteration = len(watch.history)
             at_start = len(watch.history) == 1 and getattr(error, "where", "") == "A'A"
-            if error.__cause__ is not None or at_start:  # a fault to see, not a place the step should have avoided
+            raised = isinstance(error, EvaluationError) and error.__cause__ is not None  # by a function of the user's
+            if raised or at_start:  # a fault to see, not a place the step should have avoided
                 raise
             watch.end(Status.DIVERGED, f"the step of iteration {len(watch.history)} led where {error}")
         except KeyboardInterrupt:

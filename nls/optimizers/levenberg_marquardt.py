@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,7 +78,8 @@ class LevenbergMarquardt(Optimizer):
     name = "levenberg-marquardt"
 
     def __post_init__(self) -> None:
-        if not 0 < self.damping < HOPELESS:
+        super().__post_init__()
+        if isinstance(self.damping, bool) or not isinstance(self.damping, Real) or not 0 < self.damping < HOPELESS:
             raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:

@@ -98,7 +98,8 @@ class Result:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
         if self.chi2_final > SUSPICIOUS * max(self.dof, 1):
             lines.append(
-                f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers, or a "
-                "point that is stationary but no minimum; try another start, nls.initialize(graph, values)"
+                f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers (try "
+                "graph.robust(Cauchy(1))), or a point that is stationary but no minimum (try another start, "
+                "nls.initialize(graph, values))"
             )
         return "\n".join(lines)

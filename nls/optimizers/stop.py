@@ -32,8 +32,9 @@ class Stop:
     Parameters
     ----------
     update_tol : converged when max |dx| < update_tol (meters, radians).
-    chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2, and promised to lower it
-        by no more than ten times that.
+    chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2, promised to lower it by no
+        more than ten times that, and was shorter than the one before; and when the falls, continued as the geometric
+        series of the last two, add up to no more than chi2_rtol * chi2 either.
     gradient_tol : converged when the largest cosine between b and a column of A is below it.
     max_iterations : at most so many steps.
     max_seconds : no further step after so many seconds.
@@ -53,7 +54,7 @@ class Stop:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if not isinstance(value, Real) or math.isnan(value) or value < 0:
+            if not isinstance(value, Real) or value != value or value < 0:
                 raise OptionError(f.name, value, "a number of at least 0")
         if not isinstance(self.max_iterations, Integral):
             raise OptionError("max_iterations", self.max_iterations, "a whole number")

@@ -25,11 +25,10 @@ __all__ = ["Watch"]
 BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
-PLATEAU = 5  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
+PLATEAU = 6  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
 CHECK = "check the Jacobians with factors.check_jacobians"
-EPS = 2.3e-16  # a promise below this part of chi2 cannot be seen in it
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
 ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
@@ -111,9 +110,9 @@ class Watch:
             self.best, self.lowest, self._since_best = values, chi2, 0
         missed = undamped is None and promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
         still, level = update < stop.update_tol, 0 <= fall <= little and not missed
+        ending = level and (fall <= ROUNDING * chi2 or fall**2 <= little * (self._fall - fall))  # geometric series
         shorter, longer = update < SHORTER * old.update, update >= SHORTER * old.update  # neither after the first step
-        arrives = shorter and (fall <= ROUNDING * chi2 or fall**2 <= little * (self._fall - fall))
-        self._running = self._running + 1 if level and longer and fall <= self._fall else 0
+        self._running = self._running + 1 if ending and longer else 0
         self._fall = fall
         if not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
             self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
@@ -122,7 +121,7 @@ class Watch:
             self.end(Status.STALLED, f"{said}; {CHECK}")
         elif still and self._agreed(undamped, system) and self._near(undamped):
             self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
-        elif level and arrives and self._agreed(undamped, system):
+        elif ending and shorter and self._agreed(undamped, system):
             self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
         elif self._running >= PLATEAU:
             self._plateau()
@@ -141,8 +140,6 @@ class Watch:
                 self._plateau()
             else:
                 self._settled(f"no step promises to lower chi2 by more than {self.stop.chi2_rtol:g} of itself")
-        elif promised <= EPS * system.chi2:
-            self.stall(system, led)
         else:
             self._limits()
 

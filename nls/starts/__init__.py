@@ -8,21 +8,25 @@ import numpy as np
 
 from models import SE2, SE3
 from models.errors import EvaluationError, LeadlineError, OptionError, SingularGeometryError, UnderconstrainedError
+from nls.assemble import Pattern, measured_rows
 from nls.graph import FactorGraph
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
 from nls.starts.edges import pose_edges
+from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
 from nls.values import Values
 
-__all__ = ["STARTS", "chain", "chordal", "initialize", "locate_points", "spanning_tree"]
+__all__ = ["STARTS", "chain", "chordal", "incremental", "initialize", "locate_points", "spanning_tree"]
 
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "file": lambda graph, values: values,
     "odometry": lambda graph, values: locate_points(graph, chain(graph, values)),
     "spanning-tree": lambda graph, values: locate_points(graph, spanning_tree(graph, values)),
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
+    "incremental": incremental,
 }
+POOR = 100.0  # chi2 per measured row; noise gives 1, a start from which Gauss-Newton converges seldom more than 10
 
 
 def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tuple[Values, str, dict[str, float]]:
@@ -32,8 +36,10 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ----------
     graph, values : the graph and what the file, or the user, gave.
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
-        to where these poses saw them; ``auto`` takes the start of lowest chi2 among the file's own, the odometry chain
-        and chordal.
+        to where these poses saw them; ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest
+        chi2 among the file's own, the odometry chain and chordal. Where the graph has measurements between poses and
+        points, and that chi2 is still above 100 per measured row, it tries ``incremental`` too, which costs several
+        solves.
 
     Returns
     -------
@@ -69,7 +75,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     refused: LeadlineError | None = None
     groups = [edges.group for edges in pose_edges(graph, values)]
     candidates = ["file"] + ["odometry"] * bool(groups) + ["chordal"] * (SE2 in groups or SE3 in groups)
-    for candidate in candidates:
+    for candidate in [*candidates, "incremental"]:
+        if candidate == "incremental" and not (groups and _far(graph, values, chi2)):
+            continue
         try:
             start = STARTS[candidate](graph, values)
             chi2[candidate] = graph.chi2(start)
@@ -81,3 +89,10 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     if refused is not None and not chi2:
         raise refused
     return best, name, chi2
+
+
+def _far(graph: FactorGraph, values: Values, chi2: dict[str, float]) -> bool:
+    """Whether points are seen from poses, and no start is near."""
+    return sees_points(graph, values) and min(chi2.values(), default=np.inf) > POOR * measured_rows(
+        Pattern(graph.factors, values)
+    )

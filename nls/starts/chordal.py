@@ -71,6 +71,8 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
 
 
 def _relax(edges: PoseEdges, X: Array) -> Array:
+    if edges.fixed.all():
+        return X
     plane = edges.group is SE2
     d = 2 if plane else 3
     system = _Laplacian(edges)

@@ -40,8 +40,8 @@ CASES = [(q, m) for q in PROBLEMS for m in MULTIPLES if m == 1 or any(q.start)]
 
 @cache
 def outcome(name: str, problem: Problem, multiple: int, exact: bool = True) -> Result | LeadlineError:
-    """What came out, result or error; 200 iterations."""
-    optimizer = OPTIMIZERS[name](Stop(max_iterations=200))
+    """What came out, result or error; 300 iterations."""
+    optimizer = OPTIMIZERS[name](Stop(max_iterations=300))
     try:
         return problem.graph(exact).optimize(problem.values(multiple), optimizer)
     except (UnderconstrainedError, EvaluationError) as error:

@@ -91,7 +91,7 @@ def test_a_factorization_above_the_limit_is_refused_with_the_numbers(kind: type[
 
 
 def test_the_estimate_covers_what_a_solve_takes() -> None:
-    """Resident memory at the peak of analysis and solve, above that of the linearized graph, in a process of its own."""
+    """Resident memory at the peak of analysis and solve, above that of the linearized graph, in its own process."""
     if Cholesky.missing() is not None or not PROC.exists():
         pytest.skip("needs CHOLMOD and /proc")
     script = """

@@ -197,9 +197,14 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     runtime, blas = Runtime(True, 3), Blas(8)
     pretend(monkeypatch, runtime, blas)
-    with pytest.raises(ZeroDivisionError), single_thread(), single_thread():
-        assert (runtime.omp_get_max_active_levels(), blas.number) == (0, 1)
-        raise ZeroDivisionError
+
+    def inside() -> None:
+        with single_thread(), single_thread():
+            assert (runtime.omp_get_max_active_levels(), blas.number) == (0, 1)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        inside()
     assert (runtime.omp_get_max_active_levels(), blas.number) == (3, 8)
 
 

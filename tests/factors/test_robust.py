@@ -1,0 +1,312 @@
+"""Robust kernels: closed formulas, weights as derivatives, and what they do to a graph with outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import factors
+from factors import (
+    DCS,
+    Between,
+    Cauchy,
+    Covariance,
+    Diagonal,
+    Factor,
+    GemanMcClure,
+    Huber,
+    Information,
+    Isotropic,
+    Noise,
+    Prior,
+    Robust,
+    SqrtInformation,
+    Tukey,
+    Welsch,
+)
+from factors.robust import KERNELS, Kernel, kernel_from_text
+from models import SE2, SE3, R
+from models.algebra import Array
+from models.errors import NoiseModelError, OptionError
+from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, Stop, Values, kinds
+from tests.nls.graphs import moved, never_worse, pose_graph, walk, x
+
+(q,) = kinds("q")
+ALL = pytest.mark.parametrize("name", KERNELS)
+TIGHT = Stop(update_tol=1e-10, chi2_rtol=1e-14)
+
+FORMULAS: dict[str, Callable[[float, float], float]] = {  # rho(s) of one number, as printed in the sources
+    "huber": lambda s, c: s if s <= c**2 else 2 * c * s**0.5 - c**2,
+    "cauchy": lambda s, c: c**2 * np.log(1 + s / c**2),
+    "tukey": lambda s, c: c**2 / 3 * (1 - (1 - s / c**2) ** 3) if s <= c**2 else c**2 / 3,
+    "geman-mcclure": lambda s, c: c**2 * s / (c**2 + s),
+    "welsch": lambda s, c: c**2 * (1 - np.exp(-s / c**2)),
+    "dcs": lambda s, c: s if s <= c else c * (3 * s - c) / (s + c),
+}
+
+
+@ALL
+@pytest.mark.parametrize("c", [0.1, 1.0, 1.345, 30.0])
+def test_rho_is_the_formula_and_weight_its_derivative(name: str, c: float) -> None:
+    kernel = KERNELS[name](c)
+    s = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 61)]) * c**2
+    assert kernel.rho(s) == pytest.approx([FORMULAS[name](v, c) for v in s], rel=1e-12, abs=1e-15 * c**2)
+    edges = np.array([c**2, c])  # a kink of the weight: its derivative is looked at on either side
+    s = s[(np.abs(s[:, None] - edges) > 1e-3 * edges).all(axis=1) & (s > 0)]
+    h = 1e-5 * s
+    numeric = (kernel.rho(s + h) - kernel.rho(s - h)) / (2 * h)
+    assert kernel.weight(s) == pytest.approx(numeric, rel=1e-6, abs=1e-7)
+
+
+@ALL
+@pytest.mark.parametrize("c", [1e-3, 1.0, 1e3])
+def test_limits(name: str, c: float) -> None:
+    """1 at zero, falling, never negative; rho below the parabola and growing; all of it finite."""
+    kernel = KERNELS[name](c)
+    s = np.array([0.0, 1e-300, 1e-20, 1e-3, 1.0, 1e3, 1e20, 1e300])
+    rho, weight = kernel.rho(s), kernel.weight(s)
+    assert (rho[0], weight[0]) == (0.0, 1.0)
+    assert np.isfinite(rho).all()
+    assert ((weight >= 0) & (weight <= 1)).all()
+    assert (np.diff(weight) <= 0).all()
+    assert (np.diff(rho) >= -1e-12 * rho[1:]).all()
+    assert (rho <= s * (1 + 1e-12)).all()
+    assert weight[-1] < 1e-100
+
+
+@ALL
+def test_both_sides_of_an_edge(name: str) -> None:
+    """rho and weight are continuous where the formula changes."""
+    kernel = KERNELS[name](2.0)
+    for edge in (2.0, 4.0):
+        s = edge * np.array([1 - 1e-9, 1 + 1e-9])
+        assert np.diff(kernel.rho(s))[0] == pytest.approx(0, abs=1e-7)
+        assert np.diff(kernel.weight(s))[0] == pytest.approx(0, abs=1e-7)
+
+
+@ALL
+@pytest.mark.parametrize("c", [0, -1.0, np.nan, np.inf, 1e200, 1e-200, True, "1", None, 1j])
+def test_constants_that_are_none(name: str, c: object) -> None:
+    with pytest.raises(OptionError, match="a number above 0"):
+        KERNELS[name](c)  # type: ignore[arg-type]
+
+
+def test_kernels_compare_by_value() -> None:
+    assert Huber(1) == Huber(1.0)
+    assert Huber(1) != Huber(2)
+    assert Huber(1) != Cauchy(1)
+    assert len({Huber(1), Huber(1.0), Cauchy(1)}) == 2
+    assert repr(DCS(0.5)) == "DCS(0.5)"
+
+
+# ---- from text
+
+
+@ALL
+def test_from_text(name: str) -> None:
+    kernel = kernel_from_text(f"{name}:2.5")
+    assert (type(kernel), kernel.c) == (KERNELS[name], 2.5)
+
+
+@pytest.mark.parametrize("text", ["", "huber", "huber:", "huber:x", "hubert:1", "Huber:1", ":1", "huber:1:2", "1"])
+def test_text_that_is_none(text: str) -> None:
+    with pytest.raises(OptionError, match=r"robust: .* expected one of huber:NUMBER, cauchy:NUMBER"):
+        kernel_from_text(text)
+
+
+@pytest.mark.parametrize("text", ["huber:-1", "huber:0", "cauchy:nan", "tukey:inf"])
+def test_numbers_that_are_none(text: str) -> None:
+    with pytest.raises(OptionError, match="a number above 0"):
+        kernel_from_text(text)
+
+
+# ---- as a noise
+
+
+NOISES: dict[str, Noise] = {
+    "isotropic": Isotropic(0.3),
+    "diagonal": Diagonal([0.1, 0.2, 0.3]),
+    "named": Diagonal(yaw=0.3, x=0.1, y=0.2),
+    "covariance": Covariance(np.diag([0.01, 0.04, 0.09]) + 0.001),
+    "information": Information(np.diag([100.0, 25.0, 0.0])),
+    "root": SqrtInformation([[10.0, 1.0, 0.0], [0.0, 5.0, 1.0], [0.0, 0.0, 3.0]]),
+    "each its own": Covariance(np.array([np.diag([0.01, 0.04, 0.09]) * k for k in (1, 2, 3)])),
+}
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_every_noise_may_be_robust(noise: str) -> None:
+    """It whitens as before; chi2 of the factor is before the kernel, chi2 of the graph after it."""
+    rng, kernel = np.random.default_rng(0), Cauchy(1.5)
+    X, z = walk(SE2, 3, rng), walk(SE2, 3, rng)
+    plain, robust = Prior(x[0:3], z, NOISES[noise]), Prior(x[0:3], z, Robust(NOISES[noise], kernel))
+    values = Values({x: (SE2, X)})
+    assert np.array_equal(robust.chi2(values), plain.chi2(values))
+    assert robust.weights(values) == pytest.approx(kernel.weight(plain.chi2(values)))
+    assert np.array_equal(plain.weights(values), np.ones(3))
+    assert FactorGraph([robust]).chi2(values) == pytest.approx(kernel.rho(plain.chi2(values)).sum(), rel=1e-14)
+    A, b = FactorGraph([robust]).linearize(values)
+    A0, b0 = FactorGraph([plain]).linearize(values)
+    root = np.sqrt(np.repeat(robust.weights(values), 3))
+    assert b == pytest.approx(root * b0, rel=1e-14)
+    assert A.toarray() == pytest.approx(root[:, None] * A0.toarray(), rel=1e-14)
+
+
+def test_names_are_those_of_the_components_inside_the_kernel() -> None:
+    z, values = np.array([[1.0, 2.0, 0.3]]), Values({x: (SE2, [[0.0, 0.0, 0.0]])})
+    named = Prior(x[0], z, Robust(Diagonal(yaw=0.3, x=0.1, y=0.2), Huber(1)))
+    assert named.chi2(values) == pytest.approx(Prior(x[0], z, Diagonal([0.1, 0.2, 0.3])).chi2(values))
+    wrong = Prior(x[0], z, Robust(Diagonal(yaw=0.3, x=0.1, z=0.2), Huber(1)))
+    with pytest.raises(NoiseModelError, match=r"Prior\(x0\)"):
+        wrong.chi2(values)
+
+
+@pytest.mark.parametrize(
+    ("noise", "kernel", "message"),
+    [
+        (Robust(Isotropic(1), Huber(1)), Huber(1), "not robust already"),
+        (0.1, Huber(1), "expected a noise"),
+        (None, Huber(1), "expected a noise"),
+        (Isotropic(1), "huber", "expected a kernel"),
+        (Isotropic(1), Huber, "expected a kernel"),
+        (Isotropic(1), None, "expected a kernel"),
+    ],
+)
+def test_what_cannot_be_robust(noise: object, kernel: object, message: str) -> None:
+    with pytest.raises(NoiseModelError, match=message):
+        Robust(noise, kernel)  # type: ignore[arg-type]
+
+
+def test_public_names() -> None:
+    assert {"Robust", "Huber", "Cauchy", "Tukey", "GemanMcClure", "Welsch", "DCS"} <= set(factors.__all__)
+
+
+# ---- in a graph
+
+
+def test_the_graph_is_left_alone() -> None:
+    sample = pose_graph(SE2, seed=1)
+    before = sample.graph.chi2(sample.values)
+    sample.graph.fix(x[0])
+    robust = sample.graph.robust(Huber(1.0))
+    assert [type(f) for f in robust.factors] == [type(f) for f in sample.graph.factors]
+    assert robust.chi2(sample.values) < before == sample.graph.chi2(sample.values)
+    assert all(f.kernel is None for f in sample.graph.factors)
+    assert all(f.kernel == Huber(1.0) for f in robust.factors)
+    assert len(robust.fixed) == 1
+    robust.fix(x[1])
+    robust.add(sample.graph.factors[0])
+    assert (len(sample.graph.fixed), len(sample.graph.factors)) == (1, len(robust.factors) - 1)
+    again = robust.robust(Cauchy(2.0))  # instead, not on top
+    assert all(f.kernel == Cauchy(2.0) for f in again.factors)
+    assert again.factors[0].noise.noise is sample.graph.factors[0].noise  # type: ignore[attr-defined]
+
+
+@ALL
+@pytest.mark.parametrize("group", [R(2), SE2, SE3], ids=str)
+def test_the_gradient_is_that_of_the_robust_cost(name: str, group: R | type) -> None:
+    """grad chi2 = -2 A'b exactly, far from the optimum, by central differences of the cost."""
+    sample = pose_graph(group, seed=2, start=0.3)  # type: ignore[arg-type]
+    graph = sample.graph.robust(KERNELS[name](3.0))
+    g = graph.linearize(sample.values).gradient
+    h, numeric = 1e-6, np.empty(sample.values.dim)
+    for k in range(len(numeric)):
+        d = np.zeros(len(numeric))
+        d[k] = h
+        numeric[k] = (graph.chi2(sample.values.retract(d)) - graph.chi2(sample.values.retract(-d))) / (2 * h)
+    scale = np.abs(sample.graph.linearize(sample.values).gradient).max()
+    assert np.abs(g).max() > 1e-3 * scale
+    assert -2 * g == pytest.approx(numeric, abs=1e-6 * scale)
+
+
+def line(rng: np.random.Generator, outliers: int = 6) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """40 points of y = 2 + 0.5 t with a sigma of 0.1, the last ones several units off."""
+    t = np.linspace(0, 10, 40)
+    y, wrong = 2 + 0.5 * t + 0.1 * rng.normal(size=40), np.arange(40) >= 40 - outliers
+    return t, y + np.where(wrong, 4 + rng.uniform(size=40), 0), wrong
+
+
+def line_graph(t: Array, y: Array, noise: Noise) -> FactorGraph:
+    """One measurement per point, so that each has a weight of its own."""
+
+    def residual(X: Array) -> Array:
+        return X[:, :1] + X[:, 1:] * t[:, None] - y[:, None]
+
+    keys = q[np.zeros(len(t), dtype=int)]
+    return FactorGraph([Factor.from_function(residual, keys, 1, noise)])
+
+
+@ALL
+@pytest.mark.parametrize("optimizer", [GaussNewton, LevenbergMarquardt, Dogleg])
+def test_outliers_of_a_line_lose_their_weight(name: str, optimizer: type) -> None:
+    t, y, wrong = line(np.random.default_rng(3))
+    kernel = KERNELS[name](5.0)
+    start = line_graph(t, y, Robust(Isotropic(0.1), Cauchy(1.0))).optimize(Values({q: (R(2), [[0.0, 0.0]])})).values
+    graph = line_graph(t, y, Robust(Isotropic(0.1), kernel))
+    result = graph.optimize(start, optimizer())
+    assert result.converged, result.reason
+    never_worse(graph, start, result)
+    least_squares = line_graph(t, y, Isotropic(0.1)).optimize(start).values[q[0]]
+    error = np.abs(result.values[q[0]] - [2.0, 0.5])
+    assert error.max() < 0.3 * np.abs(least_squares - [2.0, 0.5]).max()
+    assert error.max() < (0.3 if name == "huber" else 0.1)
+    weights = graph.factors[0].weights(result.values)
+    assert weights[wrong].max() < min(0.2, 0.5 * weights[~wrong].min())
+
+
+@pytest.mark.parametrize(("name", "loss"), [("huber", "huber"), ("cauchy", "cauchy")])
+@pytest.mark.parametrize("c", [0.5, 1.345, 5.0])
+def test_the_optimum_of_scipy(name: str, loss: str, c: float) -> None:
+    from scipy.optimize import least_squares
+
+    t, y, _ = line(np.random.default_rng(4))
+
+    def f(v: Array) -> Array:
+        return np.asarray((v[0] + v[1] * t - y) / 0.1)
+
+    expected = least_squares(f, [2.0, 0.5], loss=loss, f_scale=c, xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    graph = line_graph(t, y, Robust(Isotropic(0.1), KERNELS[name](c)))
+    result = graph.optimize(Values({q: (R(2), [[2.0, 0.5]])}), LevenbergMarquardt(TIGHT))
+    assert result.converged
+    assert result.chi2_final == pytest.approx(2 * expected.cost, rel=1e-8)
+    assert result.values[q[0]] == pytest.approx(expected.x, abs=1e-5)
+
+
+@pytest.mark.parametrize("kernel", [Cauchy(1.0), GemanMcClure(3.0), Tukey(6.0), Welsch(3.0), DCS(5.0), Huber(1.0)])
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_wrong_loop_closures_lose_their_weight(kernel: Kernel, group: type) -> None:
+    rng = np.random.default_rng(5)
+    n = 20
+    X = walk(group, n, rng)  # type: ignore[arg-type]
+    i, j = np.array([0, 3, 5, 8, 2, 1]), np.array([9, 12, 15, 19, 17, 18])
+    wrong = np.array([False, False, False, False, True, True])
+    odometry = moved(group, group.between(X[:-1], X[1:]), 0.01, rng)  # type: ignore[arg-type, attr-defined]
+    closures = moved(group, group.between(X[i], X[j]), 0.01, rng)  # type: ignore[arg-type, attr-defined]
+    closures[wrong, :2] += 5.0
+    chain = Between(x[0 : n - 1], x[1:n], odometry, Isotropic(0.01))
+    loops = Between(x[i], x[j], closures, Robust(Isotropic(0.01), kernel))
+    prior = Prior(x[0], X[:1], Isotropic(0.01))
+    values = Values({x: (group, moved(group, X, 0.002, rng))})  # type: ignore[arg-type]
+    result = FactorGraph([chain, loops, prior]).optimize(values, LevenbergMarquardt())
+    assert result.converged
+    weights = loops.weights(result.values)
+    assert weights[wrong].max() < 0.1 * weights[~wrong].min()
+    error = np.abs(group.local(X, result.values[x])).max()  # type: ignore[attr-defined]
+    naive = FactorGraph([chain, Between(*loops.keys, loops.z, Isotropic(0.01)), prior]).optimize(
+        values, LevenbergMarquardt()
+    )
+    pulled = 1.0 if isinstance(kernel, Huber) else 0.2  # Huber never lets go: each outlier still pulls with c sigmas
+    assert error < pulled * np.abs(group.local(X, naive.values[x])).max()  # type: ignore[attr-defined]
+
+
+def test_everything_rejected_is_said() -> None:
+    """A Tukey kernel that gives no measurement any weight leaves nothing to determine the unknown."""
+    from models.errors import UnderconstrainedError
+
+    graph = FactorGraph([Prior(q[[0, 0]], [[0.0], [0.1]], Robust(Isotropic(0.01), Tukey(3.0)))])
+    for optimizer in (GaussNewton(), LevenbergMarquardt(), Dogleg()):
+        with pytest.raises(UnderconstrainedError, match="q0"):
+            graph.optimize(Values({q: (R(1), [[50.0]])}), optimizer)

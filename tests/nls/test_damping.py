@@ -1,0 +1,144 @@
+"""Damped steps: every linear solver gives the one of the dense formula, and what steps are judged by is right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Huber
+from models import SE2
+from models.algebra import Array
+from nls import LinearSystem
+from nls.hessian import Blocks
+from nls.linear import SOLVERS, LinearSolver
+from nls.linear.base import SingularSystemError
+from nls.linear.cholesky import CholmodFactorization
+from nls.linear.lu import SuperLUFactorization
+from nls.optimizers.problem import Problem
+from nls.optimizers.undamped import Undamped, diagonal
+from tests.nls.graphs import SAMPLES, mixed, pose_graph, scalar
+
+ALL = pytest.mark.parametrize("name", SOLVERS)
+
+
+def make(name: str) -> LinearSolver:
+    solver = SOLVERS[name]()
+    if (why := solver.missing()) is not None:
+        pytest.skip(f"{name}: {why}")
+    return solver
+
+
+def linearized(sample: str, robust: bool = False) -> LinearSystem:
+    made = SAMPLES[sample]()
+    return (made.graph.robust(Huber(0.5)) if robust else made.graph).linearize(made.values)
+
+
+def dense(system: LinearSystem, damping: Array) -> Array:
+    """(A'A + diag(damping))^-1 A'b."""
+    A, b = system.A.toarray(), system.b
+    return np.asarray(np.linalg.solve(A.T @ A + np.diag(damping), A.T @ b))
+
+
+@ALL
+@pytest.mark.parametrize("sample", SAMPLES)
+@pytest.mark.parametrize("relative", [1e-6, 1e-2, 1.0, 1e4])
+def test_every_solver_gives_the_step_of_the_formula(name: str, sample: str, relative: float) -> None:
+    solver, system = make(name), linearized(sample, robust=relative == 1.0)
+    damping = relative * diagonal(system) * np.random.default_rng(0).uniform(0.5, 2, system.pattern.n)
+    before = [np.array(A_k) for A in system.blocks for A_k in A]
+    analyzed = solver.analyze(system.pattern)
+    dx = solver.solve(analyzed, system, damping).dx
+    expected = dense(system, damping)
+    assert dx == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
+    undamped = solver.solve(analyzed, system).dx  # a damped solve leaves nothing behind
+    assert undamped == pytest.approx(np.linalg.lstsq(*_dense(system))[0], abs=1e-7 * np.abs(undamped).max())
+    assert all(np.array_equal(a, b) for a, b in zip(before, (A_k for A in system.blocks for A_k in A), strict=True))
+    assert system.column_norms == pytest.approx(np.linalg.norm(system.A.toarray(), axis=0), rel=1e-12)
+
+
+def _dense(system: LinearSystem) -> tuple[Array, Array]:
+    return system.A.toarray(), system.b
+
+
+@ALL
+def test_no_damping_is_zero_damping(name: str) -> None:
+    solver, system = make(name), linearized("mixed")
+    analyzed = solver.analyze(system.pattern)
+    plain, zero = solver.solve(analyzed, system), solver.solve(analyzed, system, np.zeros(system.pattern.n))
+    assert zero.dx == pytest.approx(plain.dx, rel=1e-9, abs=1e-12)
+
+
+@ALL
+def test_damping_holds_what_is_free(name: str) -> None:
+    """A pose graph that lies nowhere: refused without damping, a step of the same residuals with it."""
+    sample = pose_graph(SE2, anchored=False)
+    system = sample.graph.linearize(sample.values)
+    solver = make(name)
+    analyzed = solver.analyze(system.pattern)
+    if name != "pinv":
+        with pytest.raises(SingularSystemError):
+            solver.solve(analyzed, system)
+    dx = solver.solve(analyzed, system, 1e-7 * diagonal(system)).dx
+    shortest = np.linalg.pinv(system.A.toarray()) @ system.b
+    assert system.times(dx) == pytest.approx(system.times(shortest), abs=1e-4 * np.abs(system.b).max())
+    assert np.abs(dx).max() < 10 * np.abs(shortest).max()
+
+
+@pytest.mark.parametrize("kind", [CholmodFactorization, SuperLUFactorization])
+def test_the_diagonal_of_the_hessian(kind: type) -> None:
+    if kind is CholmodFactorization:
+        make("cholesky")
+    system = mixed(3, held=True).graph.linearize(mixed(3, held=True).values)
+    blocks = Blocks(system.pattern)
+    hessian, S = blocks.structure(kind.order), blocks.fill(system)  # type: ignore[attr-defined]
+    damping = np.random.default_rng(1).uniform(1, 2, system.pattern.n)
+    H = hessian.symmetric(S).toarray()
+    hessian.damp(S, damping)
+    moved = hessian.symmetric(S).toarray() - H
+    assert moved == pytest.approx(np.diag(damping[hessian.permutation]), abs=1e-9 * np.abs(H).max())
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_times_and_promised(sample: str) -> None:
+    system = linearized(sample)
+    A, b = _dense(system)
+    dx = np.random.default_rng(2).normal(size=A.shape[1])
+    assert system.times(dx) == pytest.approx(A @ dx, rel=1e-12, abs=1e-9)
+    assert system.promised(dx) == pytest.approx(b @ b - np.square(A @ dx - b).sum(), rel=1e-9)
+    best = np.linalg.lstsq(A, b)[0]
+    assert system.promised(best) == pytest.approx(best @ system.gradient, rel=1e-6)
+    assert all(system.promised(best * f) < system.promised(best) for f in (0.9, 1.1))
+
+
+def test_columns_by_name() -> None:
+    system = linearized("mixed, some fixed")
+    for k, said in enumerate(system.cols):
+        key, component = system.column(k)
+        assert said == f"{key!r}: {component}"
+
+
+def test_what_damping_is_measured_by() -> None:
+    graph, start = scalar(lambda X: 3 * X, 1.0, lambda X: np.full((1, 1, 1), 3.0))
+    assert diagonal(graph.linearize(start)) == pytest.approx([9.0])
+    graph, start = scalar(lambda X: X, 1.0, lambda X: np.zeros((1, 1, 1)))
+    assert diagonal(graph.linearize(start)) == pytest.approx([1.0])
+
+
+def test_the_undamped_step_is_solved_once() -> None:
+    sample = pose_graph(SE2)
+    system = sample.graph.linearize(sample.values)
+
+    class Counting(type(make("dense-qr"))):  # type: ignore[misc]
+        solves = 0
+
+        def solve(self, *args: object) -> object:
+            type(self).solves += 1
+            return super().solve(*args)
+
+    undamped = Undamped(Problem(system.pattern, Counting()))
+    dx = undamped.step(system)
+    assert dx == pytest.approx(np.linalg.lstsq(*_dense(system))[0])
+    assert not undamped.agrees(system, 1e-6)
+    assert undamped.agrees(system, 1e9)
+    assert undamped.reach == pytest.approx(np.abs(dx).max())
+    assert Counting.solves == 1

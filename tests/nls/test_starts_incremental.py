@@ -1,0 +1,196 @@
+"""The start that solves the graph as it grows: landmarks under drifting odometry, and everything else it must leave."""
+
+from __future__ import annotations
+
+import importlib
+
+import numpy as np
+import pytest
+
+from factors import Bearing, BearingRange, Between, Diagonal, Factor, Isotropic, Landmark, Prior
+from factors.keys import Keys
+from models import SE2, SE3, LieGroup, R
+from models.algebra import wrap
+from models.errors import OptionError
+from nls import FactorGraph, Values, initialize, kinds
+from nls.starts import STARTS, incremental, locate_points
+from tests.nls.graphs import pose_graph
+
+x, l, o = kinds("x", "l", "o")
+
+
+def rounds(
+    sensor: type[Factor] = Landmark, kind: str = "x", n: int = 240, seed: int = 0, rows: int = 1
+) -> tuple[FactorGraph, Values]:
+    """Four rounds past 24 landmarks with a heading that drifts by two turns: graph and true values.
+
+    Numbers have gaps, and the rows of the stack are not in their order when ``rows`` is -1.
+    """
+    rng, a = np.random.default_rng(seed), np.arange(n) * 8 * np.pi / n
+    number = 3 * np.arange(n) + 5
+    X = np.column_stack([20 * np.cos(a), 20 * np.sin(a), wrap(a + np.pi / 2)])
+    L = np.column_stack([24 * np.cos(np.arange(24) * np.pi / 12), 24 * np.sin(np.arange(24) * np.pi / 12)])
+    pose = np.repeat(np.arange(n), 2)
+    point = (np.round(a[pose] * 12 / np.pi).astype(int) + np.tile([0, 1], n)) % 24
+    truth = Values({kind: (SE2, X[::rows], number[::rows]), l: (R(2), L, 100 - np.arange(24))})
+    steps = SE2.between(X[:-1], X[1:]) + [0, 0, 0.05] + rng.normal(size=(n - 1, 3)) * [0.02, 0.02, 0.002]
+    d = SE2.act(SE2.inverse(X[pose]), L[point]) + rng.normal(size=(2 * n, 2)) * 0.02
+    z = {
+        Landmark: d,
+        BearingRange: np.column_stack([np.arctan2(d[:, 1], d[:, 0]), np.linalg.norm(d, axis=1)]),
+    }[sensor]
+    sigma = Diagonal([0.005, 0.02]) if sensor is BearingRange else Isotropic(0.02)
+    seen = sensor(Keys(kind, number[pose]), l[100 - point], z, sigma)  # type: ignore[arg-type, call-arg]
+    walked = Between(Keys(kind, number[:-1]), Keys(kind, number[1:]), steps, Diagonal([0.02, 0.02, 0.01]))
+    return FactorGraph([walked, seen]), truth
+
+
+def forgotten(values: Values) -> Values:
+    """Only the first pose is known."""
+    first = {k: np.tile(s.X[0], (len(s), 1)) for k, s in values.stacks.items() if s.manifold is not R(2)}
+    return values.replaced(first | {"l": np.full_like(values.stack("l").X, 7.0)})
+
+
+@pytest.mark.parametrize("sensor", [Landmark, BearingRange], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("rows", [1, -1])
+def test_drift_that_no_solve_at_the_end_undoes(sensor: type[Factor], rows: int) -> None:
+    graph, truth = rounds(sensor, rows=rows)
+    blind = forgotten(truth)
+    best = graph.optimize(truth).chi2_final
+    dead = STARTS["odometry"](graph, blind)
+    assert graph.optimize(dead).chi2_final > 10 * best
+    start = incremental(graph, blind)
+    assert graph.chi2(start) < 1.001 * best
+    result = graph.optimize(start)
+    assert result.converged
+    assert result.iterations <= 4
+    assert result.chi2_final == pytest.approx(best, rel=1e-6)
+    assert blind[x].tolist() == forgotten(truth)[x].tolist()
+    assert [s.numbers.tolist() for s in start.stacks.values()] == [s.numbers.tolist() for s in truth.stacks.values()]
+
+
+def test_optimized_points_are_not_put_back_to_their_first_sighting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stage after would repair it, at the cost of more steps: 15 % of the time on Victoria Park."""
+    module = importlib.import_module("nls.starts.incremental")
+    moved: list[int] = []
+
+    def spied(graph: FactorGraph, values: Values) -> Values:
+        found = locate_points(graph, values)
+        moved.append(int((found[l] != values[l]).any(axis=1).sum()))
+        return found
+
+    monkeypatch.setattr(module, "locate_points", spied)
+    graph, truth = rounds()
+    incremental(graph, forgotten(truth), stages=8)
+    assert len(moved) == 8
+    assert sum(moved) == 24
+    assert moved[0] > 10
+
+
+def test_auto_tries_it_only_where_landmarks_are_far_off() -> None:
+    graph, truth = rounds()
+    _, name, chi2 = initialize(graph, forgotten(truth))
+    assert (name, set(chi2)) == ("incremental", {"file", "odometry", "chordal", "incremental"})
+    assert chi2["incremental"] == min(chi2.values())
+    _, name, chi2 = initialize(graph, truth)
+    assert (name, "incremental" in chi2) == ("file", False)
+    poses = FactorGraph(graph.factors[:1])  # no landmarks: odometry fits itself, and nothing is far off
+    tight = Between(x[[5, 725 - 3]], x[[722, 8]], [[900.0, 0, 0], [0, 900, 0]], Isotropic(1e-6))
+    far = FactorGraph([*poses.factors, tight])
+    assert min(initialize(far, forgotten(truth))[2].values()) > 1e6
+    assert "incremental" not in initialize(far, forgotten(truth))[2]
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@pytest.mark.parametrize("stages", [1, 3, 99])
+def test_pose_graphs_without_points(group: LieGroup, stages: int) -> None:
+    sample = pose_graph(group, n=12, numbers=(40, 2, 31, 4, 55, 6, 7, 28, 9, 10, 11, 12))
+    best = sample.graph.optimize(sample.values).chi2_final
+    start = incremental(sample.graph, sample.values, stages)
+    assert sample.graph.optimize(start).chi2_final == pytest.approx(best, rel=1e-6)
+    assert sample.graph.chi2(start) < 1.01 * best
+
+
+def test_what_is_fixed_stays() -> None:
+    graph, truth = rounds()
+    off = truth.replaced({"l": truth.stack("l").X + 0.3})
+    held = x[[5, 365, 722]]
+    graph.fix(held)
+    graph.fix(l[[100, 90]])
+    start = incremental(graph, off)
+    np.testing.assert_array_equal(start[held], off[held])
+    np.testing.assert_array_equal(start[l[[100, 90]]], off[l[[100, 90]]])
+    assert np.abs(start[x[362]] - off[x[362]]).max() > 1e-6
+    best = graph.optimize(truth.replaced({"l": start.stack("l").X})).chi2_final
+    assert graph.optimize(start).chi2_final == pytest.approx(best, rel=1e-5)
+
+
+def test_two_vehicles_go_side_by_side() -> None:
+    """Kinds A and B meet at common landmarks all the way: their numbers, not their kinds, say what comes first."""
+    one, truth = rounds(kind="A")
+    two, other = rounds(kind="B", seed=1)
+    meet = Between(Keys("A", [5]), Keys("B", [5]), [0.0, 0.0, 0.0], Isotropic(0.01))
+    graph = FactorGraph([*one.factors, *two.factors, meet])
+    both = Values(
+        {k: (SE2, v.stack(k).X, v.stack(k).numbers) for k, v in (("A", truth), ("B", other))}
+        | {"l": (R(2), truth.stack("l").X, truth.stack("l").numbers)}
+    )
+    best = graph.optimize(both).chi2_final
+    start = incremental(graph, forgotten(both))
+    assert graph.chi2(start) < 1.01 * best
+
+
+def test_a_point_waits_until_it_is_measured_in_as_many_numbers_as_it_has() -> None:
+    """One bearing is no place: with the point, the stage would have 8 unknowns for 7 measured numbers."""
+    step = Between(x[0], x[1], [1.0, 0.0, 0.5], Isotropic(0.1))
+    prior = Prior(x[0], [5.0, 6.0, 0.0], Isotropic(0.1))
+    graph = FactorGraph([prior, step, Bearing(x[0], l[0], 0.3, Isotropic(0.01))])
+    values = Values({x: (SE2, SE2.identity(2)), l: (R(2), [7.0, 7.0])})
+    start = incremental(graph, values)
+    assert start[x] == pytest.approx(np.array([[5.0, 6.0, 0.0], [6.0, 6.0, 0.5]]), abs=1e-6)
+    assert start[l[0]].tolist() == [7.0, 7.0]
+
+
+def test_other_variables_are_known_from_the_beginning() -> None:
+    """The place of the sensor is a pose and no step of the vehicle; a function sees all poses, and waits for them."""
+    graph, truth = rounds()
+    mount = np.array([0.2, -0.1, 0.05])
+    keys, n = graph.factors[1].keys, len(graph.factors[1])
+    X, L = truth[keys[0]], truth[keys[1]]
+    seen = SE2.act(SE2.inverse(SE2.compose(X, mount[None])), L)
+    called: list[int] = []
+
+    def middle(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        called.append(1)
+        return (last - first)[:, :2] - (truth[x[[365, 722]]] - truth[x[5]])[:, :2]
+
+    wait = Factor.from_function(middle, [x[[5, 5]], x[[365, 722]]], 2, Isotropic(100.0))
+    priors = [Prior(x[5], truth[x[5]], Isotropic(0.01)), Prior(o[999], mount, Isotropic(0.01))]
+    sighted = Landmark(*keys, seen, Isotropic(0.02), offset=o[np.full(n, 999)])
+    graph = FactorGraph([graph.factors[0], sighted, wait, *priors])
+    values = Values({x: (SE2, truth[x], truth.stack("x").numbers), l: (R(2), truth[l], truth.stack("l").numbers)})
+    values.stacks["o"] = Values({o: (SE2, mount + 0.01, [999])}).stacks["o"]
+    start = incremental(graph, forgotten(values).replaced({"o": values.stack("o").X}))
+    assert called
+    assert start[o[999]] == pytest.approx(mount, abs=0.005)
+    best = graph.optimize(values).chi2_final
+    assert graph.chi2(start) < 1.001 * best
+
+
+def test_too_little_for_a_stage_is_dead_reckoned() -> None:
+    """A point and the place of the sensor, seen once: more unknowns than measurements, and no error."""
+    seen = Landmark(x[0], l[0], [1.0, 2.0], Isotropic(0.1), offset=o[0])
+    step = Between(x[0], x[1], [1.0, 0.0, 0.5], Isotropic(0.1))
+    values = Values({x: (SE2, SE2.identity(2)), l: (R(2), [0.0, 0.0]), o: (SE2, [0.5, 0.0, 0.0])})
+    start = incremental(FactorGraph([seen, step]), values)
+    assert start[x[1]].tolist() == [1.0, 0.0, 0.5]
+    assert start[l[0]].tolist() == [1.5, 2.0]
+    assert start[o[0]].tolist() == [0.5, 0.0, 0.0]
+
+
+def test_nothing_to_take_in_stages() -> None:
+    values = Values({l: (R(2), [[1.0, 2.0], [3.0, 4.0]])})
+    graph = FactorGraph([Prior(l[0], [5.0, 5.0], Isotropic(1))])
+    assert incremental(graph, values) is values
+    with pytest.raises(OptionError, match="stages"):
+        incremental(graph, values, stages=0)
