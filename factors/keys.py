@@ -47,9 +47,9 @@ class Keys:
     def __iter__(self) -> Iterator[Keys]:
         return (Keys(self.kind, int(number)) for number in self.numbers)
 
-    def __getitem__(self, index: npt.ArrayLike) -> Keys:
+    def __getitem__(self, index: npt.ArrayLike | slice) -> Keys:
         try:
-            return Keys(self.kind, self.numbers[np.asarray(index)])
+            return Keys(self.kind, self.numbers[index if isinstance(index, slice) else np.asarray(index)])
         except (IndexError, ValueError, OverflowError) as error:
             raise GraphError(f"{self!r}[{index!r:.60}]: takes places 0 to {len(self) - 1}; {error}", [self]) from error
 

@@ -173,6 +173,7 @@ class FactorGraph:
             gauge=decided.said,
             timings=problem.timings,
             method=method.name,
+            robust=any(factor.kernel is not None for factor in self.factors),
             underconstrained=free,
         )
 

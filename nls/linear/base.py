@@ -24,8 +24,8 @@ digits of the column were cancelled by the columns before it, and the direction 
 
 
 WEAK, NULL = 1e-6, 1e-9
-"""Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is one
-when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
+"""Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is
+one when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
 
 
 INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"

@@ -5,7 +5,7 @@ r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they lower chi2.
     gain = (chi2(X) - chi2(X retract dx)) / what the linear model promised
     if gain > 0:     X = X retract dx
     if gain > 3/4:   lambda = lambda / 10
-    if gain < 1/4:   lambda = 4 lambda
+    if gain < 1/4:   lambda = 3 lambda
 
 D^2 is the diagonal of A'A, each entry the largest met so far, so that the damping does not depend on units and holds on
 to an unknown that loses its influence; 1 for one that nothing reacts to, so that it is damped all the same. Sources:
@@ -101,7 +101,7 @@ class LevenbergMarquardt(Optimizer):
             if fall > GOOD * promised:
                 damping = max(damping / 10, FAINT)
             elif not fall >= POOR * promised:
-                damping *= 4
+                damping *= 3
             if trial is not None and fall > SUFFICIENT * promised:
                 X, system = Y, trial
                 watch.step(X, system, dx, promised, problem.lap(), used, undamped)

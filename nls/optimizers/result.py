@@ -47,7 +47,8 @@ class Result:
     values : the estimate of lowest chi2 of all evaluated; never worse than the start.
     status, reason : why it stopped, and the sentence with the numbers.
     converged : True only for `Status.CONVERGED`.
-    chi2_initial, chi2_final : |b|^2, without one-half, at the start and at `values`.
+    chi2_initial, chi2_final : |b|^2, without one-half, at the start and at `values`; with robust kernels the sum of
+        their costs.
     dof : rows of A that are not all zero, minus the unknowns the gauge leaves free: the expected chi2 at the optimum
         for Gaussian noise.
     history : one `Iteration` per step, the start first.
@@ -55,6 +56,7 @@ class Result:
     gauge : what was done about the gauge, in words.
     timings : seconds by part, summed over the iterations.
     method : the optimizer.
+    robust : whether a factor has a robust kernel: chi2 is then not compared with the degrees of freedom.
     underconstrained : directions that stayed free under a damped method, in words: they are where the start had them.
     """
 
@@ -69,6 +71,7 @@ class Result:
     gauge: str
     timings: dict[str, float]
     method: str = "gauss-newton"
+    robust: bool = False
     underconstrained: tuple[str, ...] = ()
 
     @property
@@ -91,7 +94,7 @@ class Result:
         lines.append(f"{self.status.name}: {self.reason}")
         lines.append(
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
-            + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 else "")
+            + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
         if self.underconstrained:

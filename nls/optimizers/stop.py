@@ -16,8 +16,8 @@ class Status(Enum):
     """Why an optimization ended; the value is the sentence shown. Only CONVERGED is success."""
 
     CONVERGED = "converged"
-    MAX_ITERATIONS = "the iteration limit was reached while chi2 was still falling"
-    MAX_TIME = "the time limit was reached while chi2 was still falling"
+    MAX_ITERATIONS = "the iteration limit was reached before it converged"
+    MAX_TIME = "the time limit was reached before it converged"
     STALLED = "no further step lowers chi2 although its gradient is not small"
     CYCLING = "chi2 returns to earlier values without falling"
     DIVERGED = "chi2 or the update grew beyond bounds or is not finite"

@@ -1,7 +1,8 @@
 r"""Start values of points from the poses that saw them, all points at once.
 
 A point with a measurement that gives direction and distance is put where the first of them (by the number of the pose)
-has it, l = S p. The others follow from sums over all their measurements, from sensors at s_i:
+has it, l = S p; one whose information is nothing beside that of the others is passed over. The other points follow from
+sums over all their measurements, from sensors at s_i:
 
     ranges      M = sum u_i u_i',        v = sum u_i (|u_i|^2 - r_i^2) / 2,   u_i = s_i - c,  c = mean of s_i
     directions  M = sum (I - d_i d_i'),  v = sum (I - d_i d_i') u_i           d_i the unit vector of the ray
@@ -35,12 +36,14 @@ from nls.values import Stack, Values
 __all__ = ["locate_points"]
 
 Index = npt.NDArray[np.intp]
+POORLY = 1e-3  # a sighting that says so much less than the best one of its point is passed over
 DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value."""
+    """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value, and the
+    least singular value of its whitener: what it says where it says least."""
 
     factor: Seen
     group: LieGroup
@@ -48,6 +51,7 @@ class Sightings:
     number: npt.NDArray[np.int64]
     S: Array
     z: Array
+    least: Array
 
 
 def locate_points(graph: FactorGraph, values: Values) -> Values:
@@ -82,7 +86,9 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
             if target is not group:
                 S = factor.sensor_pose(group, X[0], *X[2:])
                 point = values.stack(factor.keys[1].kind).index(factor.keys[1])
-                sighting = Sightings(factor, group, point, factor.keys[0].numbers, S, model.z)
+                least = np.abs(model.W).min(axis=1) if model.W.ndim == 2 else np.linalg.svd(model.W)[1][:, -1]
+                least = np.broadcast_to(least, len(factor))
+                sighting = Sightings(factor, group, point, factor.keys[0].numbers, S, model.z, least)
                 seen.setdefault(factor.keys[1].kind, []).append(sighting)
     return values.replaced({kind: _located(values.stack(kind), each, graph) for kind, each in seen.items()})
 
@@ -99,6 +105,11 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
     if complete:
         point, number = (np.concatenate([getattr(s, name) for s in complete]) for name in ("point", "number"))
         at = np.concatenate([s.factor.locate(s.group, s.S, s.z) for s in complete])
+        says = np.concatenate([s.least for s in complete])
+        most = np.zeros(len(X))
+        np.maximum.at(most, point, says)
+        informed = np.flatnonzero((says > 0) & (says >= POORLY * most[point]))
+        point, number, at = point[informed], number[informed], at[informed]
         first = np.lexsort((number, point))
         which, place = np.unique(point[first], return_index=True)
         rows = first[place][todo[which]]

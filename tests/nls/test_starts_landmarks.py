@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import Bearing, BearingRange, Between, Factor, Isotropic, Landmark, Range, Seen
+from factors import Bearing, BearingRange, Between, Factor, Information, Isotropic, Landmark, Range, Seen
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
@@ -170,3 +170,14 @@ def test_a_start_where_a_sensor_is_on_its_point_is_no_start() -> None:
     _, name, chi2 = initialize(FactorGraph([*graph.factors, ranges]), zeros)
     assert "file" not in chi2
     assert chi2[name] < 1e-15
+
+
+def test_a_sighting_that_says_nothing_is_passed_over() -> None:
+    blind = Landmark(x[0], l[0], [500.0, 0.0], Information(np.diag([1e-12, 1e-12])))
+    empty = Landmark(x[1], l[0], [7.0, 7.0], Information(np.zeros((2, 2))))
+    seen = Landmark(x[2], l[0], [2.0, 0.0], Isotropic(0.1))
+    values = Values({x: (SE2, [[0, 0, 0], [0, 0, 0], [1, 0, np.pi / 2]]), l: (R(2), [0.0, 0.0])})
+    found = locate_points(FactorGraph([blind, empty, seen]), values)[l[0]]
+    assert found == pytest.approx([1.0, 2.0])
+    kept = locate_points(FactorGraph([empty]), values)[l[0]]
+    assert np.array_equal(kept, values[l[0]])

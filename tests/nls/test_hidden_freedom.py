@@ -1,0 +1,105 @@
+"""Free directions that rounding hides from the pivots of A'A: found, named, and never given a covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Bearing, Factor, Isotropic, Prior, Range
+from models import SE2, SE3, R
+from models.algebra import Array
+from nls import (
+    Dogleg,
+    FactorGraph,
+    GaussNewton,
+    LevenbergMarquardt,
+    Marginals,
+    Optimizer,
+    Status,
+    Stop,
+    UnderconstrainedError,
+    Values,
+    kinds,
+)
+
+x, l = kinds("x", "l")
+
+
+def bearings_only(dim: int, seed: int) -> tuple[FactorGraph, Values]:
+    """Poses and points joined by bearings: whatever the weights, the scale of the map is free."""
+    rng, n, m = np.random.default_rng(seed), 12, 15
+    group = SE2 if dim == 2 else SE3
+    t = np.cumsum(rng.normal(size=(n, dim)) + 0.5, axis=0)
+    turn = rng.normal(size=(n, group.dim - dim))
+    X = group.compose(group.exp(np.hstack([t, np.zeros_like(turn)])), group.exp(np.hstack([np.zeros_like(t), turn])))
+    L = 8 * rng.normal(size=(m, dim))
+    i, k = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(m)))
+    p = group.act(group.inverse(X[i]), L[k])
+    z = np.arctan2(p[:, 1], p[:, 0])[:, None]
+    if dim == 3:
+        z = np.hstack([z, np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1]))[:, None]])
+    z = z + 0.001 * rng.normal(size=z.shape)
+    return FactorGraph([Bearing(x[i], l[k], z, Isotropic(0.001))]), Values({x: (group, X), l: (R(dim), L)})
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_free_scale_of_a_map_of_bearings_is_always_seen(dim: int) -> None:
+    for seed in range(12):
+        graph, values = bearings_only(dim, seed)
+        with pytest.raises(UnderconstrainedError, match="1 direction free"):
+            Marginals(graph, values)
+        with pytest.raises(UnderconstrainedError, match="1 direction free"):
+            graph.optimize(values)
+        result = graph.optimize(values, LevenbergMarquardt())
+        assert not result.converged or result.underconstrained, seed
+
+
+def test_one_range_determines_the_scale() -> None:
+    graph, values = bearings_only(2, 3)
+    d = float(np.linalg.norm(values[l[0]] - values[x[0]][:2]))
+    graph.add(Range(x[0], l[0], d, Isotropic(0.01)))
+    assert np.isfinite(Marginals(graph, values).all(l)).all()
+    damped, plain = (graph.optimize(values, optimizer) for optimizer in (LevenbergMarquardt(), GaussNewton()))
+    assert damped.converged
+    assert plain.converged
+    assert damped.underconstrained == ()
+    assert damped.chi2_final == pytest.approx(plain.chi2_final, rel=1e-6)
+    assert damped.dof == plain.dof
+
+
+def test_directions_left_free_are_no_degrees_of_freedom() -> None:
+    graph, values = bearings_only(2, 3)
+    held = graph.optimize(values, LevenbergMarquardt())
+    free = graph.optimize(values, LevenbergMarquardt(), gauge="none")
+    assert len(held.underconstrained) == 1
+    assert len(free.underconstrained) == 4
+    assert held.dof == free.dof == 12 * 15 - (12 * 3 + 15 * 2 - 4)
+
+
+@pytest.mark.parametrize("optimizer", [GaussNewton(), LevenbergMarquardt(), Dogleg()], ids=lambda o: o.name)
+def test_a_step_onto_a_singular_place_loses_nothing(optimizer: Optimizer) -> None:
+    graph = FactorGraph([Range(x[0], l[0], [0.0], Isotropic(0.1)), Prior(l[0], [0.0, 0.0], Isotropic(1.0))])
+    graph.fix(x[0])
+    result = graph.optimize(Values({x: (SE2, [0.0, 0.0, 0.0]), l: (R(2), [1.0, 0.0])}), optimizer)
+    assert result.chi2_final <= 101.0
+    assert np.isfinite(result.values[l[0]]).all()
+    if optimizer.name == "gauss-newton":
+        assert result.status is Status.DIVERGED
+        assert "Range(x0, l0)" in result.reason
+
+
+def test_a_free_gauge_with_dogleg_ends_with_a_status_or_a_name() -> None:
+    def residual(A: Array, B: Array) -> Array:
+        d = B - A
+        return np.stack([d[:, 0] + d[:, 1], d[:, 1] ** 2], axis=1)
+
+    graph = FactorGraph([Factor.from_function(residual, [x[0], x[1]], dim=2, relative=True)])
+    start, ended = Values({x: (R(2), [[0.0, 0.0], [1.0, 1.0]])}), set()
+    for update_tol in np.logspace(-8, -3, 21):  # at d = 0 the system is singular
+        stop = Stop(update_tol=float(update_tol), chi2_rtol=0, gradient_tol=0)
+        try:
+            ended.add(graph.optimize(start, Dogleg(stop), gauge="free").status.name)
+        except UnderconstrainedError as error:
+            assert "x1" in str(error)  # noqa: PT017
+            ended.add("refused")
+    assert ended == {"CONVERGED", "refused"}
