@@ -329,9 +329,9 @@ class Model:
     def _whitened_innovation(self, h: Array) -> tuple[Array, Array | None]:
         e, J = innovation(self.space, h, self.z, self.factor.convention)
         b = whiten(self.W, e[:, self.rows])
-        self._check(b, None)
-        if len(b) and np.abs(b).max() > SQUARABLE:
-            index = int(np.argmax(np.abs(b).max(axis=1)))
+        self._check(e, None)
+        if len(b) and not np.abs(b).max() <= SQUARABLE:
+            index = int(np.argmax(~(np.abs(b).max(axis=1) <= SQUARABLE)))
             raise EvaluationError(
                 f"{self.factor.describe(index)}: its residual is {np.abs(b[index]).max():.3g} sigmas, too large for a "
                 "chi2; check its measurement, sigmas and start values",

@@ -76,7 +76,7 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     Raises
     ------
     GraphError
-        Different or wrong shapes, no poses.
+        Different or wrong shapes, no poses, no numbers; errors beyond the largest number.
     OptionError
         No such alignment.
     SingularGeometryError
@@ -94,26 +94,45 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     """
     if align not in ALIGNMENTS:
         raise OptionError("align", align, "one of " + ", ".join(ALIGNMENTS))
-    P, Q = np.atleast_2d(np.asarray(estimate, dtype=float)), np.atleast_2d(np.asarray(truth, dtype=float))
+    P, Q = _numbers("estimate", estimate), _numbers("truth", truth)
     group = {3: SE2, 7: SE3}.get(P.shape[-1])
     if group is None or P.shape != Q.shape or P.ndim != 2 or not len(P):
         raise GraphError(f"ate: shapes {P.shape} and {Q.shape}, expected the same: (n, 3) for SE2 or (n, 7) for SE3")
     P, Q = group.stack(P), group.stack(Q)
     p, q = group.position(P), group.position(Q)
     T = group.identity()
-    if align == "first":
-        T = group.compose(Q[:1], group.inverse(P[:1]))
-    elif align == "rigid":
-        T = _rigid(group, p, q)
-    distances = np.linalg.norm(q - group.act(T, p), axis=1)
-    rmse = float(np.sqrt(np.mean(distances**2)))
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
+        if align == "first":
+            T = group.compose(Q[:1], group.inverse(P[:1]))
+        elif align == "rigid":
+            T = _rigid(group, p, q)
+        distances = np.linalg.norm(q - group.act(T, p), axis=1)
+        rmse = float(np.sqrt(np.mean(distances**2)))
+    if not np.isfinite(rmse):
+        raise _too_far()
     return TrajectoryError(rmse, float(distances.mean()), float(distances.max()), align, T[0], distances)
+
+
+def _numbers(name: str, poses: npt.ArrayLike) -> Array:
+    """Poses as an array of two dimensions."""
+    try:
+        return np.atleast_2d(np.asarray(poses, dtype=float))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise GraphError(f"ate: {name} is not an array of numbers: {error}") from error
+
+
+def _too_far() -> GraphError:
+    return GraphError(
+        "ate: the squares of these positions are beyond the largest number; expected positions in meters, below 1e150"
+    )
 
 
 def _rigid(group: LieGroup, p: Array, q: Array) -> Array:
     """The motion (1, size) that takes the points p (n, d) closest to q."""
     p_mean, q_mean = p.mean(axis=0), q.mean(axis=0)
     M = (q - q_mean).T @ (p - p_mean)
+    if not np.isfinite(M).all():
+        raise _too_far()
     U, S, Vt = np.linalg.svd(M)
     sign = np.ones(len(S))
     sign[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))

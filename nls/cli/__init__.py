@@ -22,6 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(argv: Sequence[str] | None) -> int:
     from models.errors import LeadlineError, UnderconstrainedError
+    from nls.cli.outputs import complain
     from nls.cli.parser import parser
 
     debug = False
@@ -50,8 +51,7 @@ def _main(argv: Sequence[str] | None) -> int:
     if debug:
         raise message
     if not isinstance(message, BrokenPipeError):
-        said = str(message).replace("gauge='first'", "--gauge first")  # as it is said here
-        print(f"nls: {' '.join(said.split())}", file=sys.stderr)
+        complain(message)
     return status
 
 

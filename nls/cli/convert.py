@@ -10,16 +10,15 @@ __all__ = ["convert"]
 
 
 def convert(options: argparse.Namespace) -> int:
-    """Read, write, say what a trajectory leaves out; returns the exit status."""
-    from models.errors import OptionError
-    from nls.cli.formats import SUFFIXES, format_of, read, write
+    """Read, write, say what the file leaves out; returns the exit status."""
+    from nls.cli.formats import output_format, read, rendered
+    from nls.io.files import write_bytes
 
     refuse_unwritable(options.output)
-    form = options.to or format_of(options.output)
-    if form is None:
-        raise OptionError("output file", options.output, f"a name ending in {', '.join(SUFFIXES)}, or --to FORMAT")
+    form = output_format(options.output, options.to)
     graph, values, report = read(options)
-    notes = write(options.output, form, graph, values, report)
+    data, notes = rendered(options.output, form, graph, values, report)
+    write_bytes(options.output, data)
     print(f"input       {options.file}: {report.format}, {len(values)} variables, {len(graph)} measurements")
     print(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:

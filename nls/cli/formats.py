@@ -11,10 +11,9 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["SUFFIXES", "format_of", "formats", "read", "write"]
+__all__ = ["formats", "output_format", "read", "rendered"]
 
 TRAJECTORIES = ("tum", "kitti")
-SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", *TRAJECTORIES)}
 
 
 def formats() -> tuple[str, ...]:
@@ -24,60 +23,78 @@ def formats() -> tuple[str, ...]:
     return (*DIALECTS[1:], *TRAJECTORIES)
 
 
-def format_of(path: str) -> str | None:
-    """The format a suffix stands for; None where it stands for none of ours."""
-    return SUFFIXES.get(Path(path.lower().removesuffix(".gz")).suffix)
+def output_format(path: str, named: str | None) -> str:
+    """The format of an output: as named, else by the suffix, as for `nls.save` and with the trajectories.
+
+    Raises
+    ------
+    OptionError
+    """
+    from nls.io.dialects import SUFFIXES, format_of
+
+    return format_of(path, named, SUFFIXES | {f".{name}": name for name in TRAJECTORIES}, "--to FORMAT")
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph, start and report of the file of a command; a trajectory is a graph without measurements."""
     import nls
-    from models import SE3
-    from nls.io.trajectory import read_kitti, read_tum
+    from nls.io.dialects import no_information
+    from nls.io.trajectory import load_trajectory
 
-    form = format_of(options.file)
-    if form not in TRAJECTORIES:
+    form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
+    if form not in TRAJECTORIES or options.dialect != "auto":
         return nls.load(options.file, options.convention, options.dialect, options.repair_information)
-    X = read_tum(options.file)[1] if form == "tum" else read_kitti(options.file)
-    report = nls.LoadReport(options.file, form, "3-D", options.convention, {"poses": len(X)})
-    return nls.FactorGraph(), nls.Values({"x": (SE3, X)}), report
+    if options.repair_information:
+        raise no_information(options.file, form)
+    return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
 
 
-def write(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> list[str]:
-    """Write in a format; returns remarks about what the file does not hold."""
-    import nls
+def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> tuple[bytes, list[str]]:
+    """The bytes of a file in a format, and remarks about what it does not hold."""
+    from models.errors import GraphError
+    from nls import io
+    from nls.io.dialects import FORMATS
+    from nls.io.renamed import renamed
+    from nls.io.unused import left_out
 
     if form in TRAJECTORIES:
-        return _write_trajectory(path, form, graph, values, report)
-    nls.save(path, graph, values, report, form)
-    return []
+        data, notes = _trajectory(path, form, graph, values, report)
+        return data, notes + left_out(report, form)
+    said: list[str] = []
+    if form in FORMATS:
+        graph, values, said = renamed(graph, values)
+    try:
+        data, notes = io.rendered(path, graph, values, report, form)
+    except GraphError as error:  # names variables as they would be written
+        raise GraphError("; ".join([str(error), *said]), error.keys, error.factor) from error
+    return data, said + notes
 
 
-def _write_trajectory(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> list[str]:
+def _trajectory(
+    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport
+) -> tuple[bytes, list[str]]:
     """Poses in the order of their times or numbers."""
     import numpy as np
 
     from models import SE2, SE3
     from models.errors import GraphError
-    from nls.io.pyfg import PyfgReport
-    from nls.io.trajectory import write_kitti, write_tum
+    from nls.io.trajectory import kitti_text, tum_text
 
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
     if len(poses) != 1:
         names = ", ".join(stack.kind for stack in poses) or "none"
         raise GraphError(f"{path}: a trajectory file holds the poses of one kind, this graph has {names}")
     (stack,) = poses
-    timed = isinstance(report, PyfgReport) and stack.kind in report.vertex_times
-    times = report.vertex_times[stack.kind] if timed else stack.numbers.astype(float)  # type: ignore[attr-defined]
+    timed = stack.kind in report.vertex_times
+    times = report.vertex_times[stack.kind] if timed else stack.numbers.astype(float)
     order = np.argsort(times, kind="stable")
     X = np.array(stack.X)[order]
-    if form == "tum":
-        write_tum(path, times[order], X)
-    else:
-        write_kitti(path, X)
+    data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
     notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]
+    if timed and form == "kitti":
+        notes.append("a kitti file holds no times")
     if left := len(values) - len(stack):
         notes.append(f"a trajectory file holds no {left} variables of other kinds")
     if len(graph):
         notes.append(f"a trajectory file holds no measurements: {len(graph)} are not in it")
-    return notes
+    return data, notes

@@ -15,7 +15,7 @@ def info(options: argparse.Namespace) -> int:
     from nls.cli.formats import read
     from nls.inspect import inspect
 
-    refuse_unwritable(options.json)
+    refuse_unwritable(json=options.json)
     graph, values, report = read(options)
     found = inspect(graph, values)
     head = {"input": options.file, "format": report.format, "dimension": report.dimension}

@@ -5,16 +5,29 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
-__all__ = ["refuse_no_picture", "refuse_unwritable", "write_json"]
+__all__ = ["complain", "refuse_no_picture", "refuse_unwritable", "write_json"]
 
 PICTURES = (".png", ".pdf", ".svg")
 
 
-def refuse_unwritable(*names: str | None) -> None:
+def complain(message: object) -> None:
+    """One line on standard error, with the options as they are typed here."""
+    said = str(message).replace("gauge='first'", "--gauge first")
+    said = said.replace("repair_information: True", "--repair-information")
+    print(f"nls: {' '.join(said.split())}", file=sys.stderr)
+
+
+def refuse_unwritable(*names: str | None, json: str | None = None) -> None:
     """Find out before the work, not after it, that an output cannot be written.
+
+    Parameters
+    ----------
+    names : of files; None for one that is not asked for.
+    json : the report for programs, which may also be ``-``: standard output.
 
     Raises
     ------
@@ -22,16 +35,25 @@ def refuse_unwritable(*names: str | None) -> None:
     """
     from models.errors import OptionError
 
-    for name in names:
-        if not name or name == "-":
+    seen: set[str] = set()
+    for name in [*names, None if json == "-" else json]:
+        if name is None:
             continue
+        if name == "-":
+            raise OptionError("output file", name, "a file; only --json writes to standard output")
+        if not name:
+            raise OptionError("output file", name, "the name of a file")
         path = Path(name)
         folder = Path(os.path.realpath(name)).parent
         if path.is_dir() or not folder.is_dir():
             raise OptionError("output file", name, "a file in a folder that exists")
+        if os.path.realpath(name) in seen:
+            raise OptionError("output file", name, "a file of its own for every output")
         special = path.exists() and not path.is_file()  # a pipe or device is written to, a file is replaced
         if not os.access(path if special else folder, os.W_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")
+        if not special:
+            seen.add(os.path.realpath(name))
 
 
 def refuse_no_picture(option: str, name: str | None) -> None:

@@ -19,7 +19,8 @@ EXAMPLES = """examples:
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
 
-exit status: 0 converged; 1 not converged or under-constrained; 2 bad input or usage
+exit status: 0 converged; 1 not converged or under-constrained; 2 bad input or usage, or an output that
+could not be written (the others are)
 """
 
 
@@ -52,6 +53,7 @@ def parser() -> Parser:
 
     solve = command("solve", "find the optimum", _solve)
     solve.add_argument("-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format")
+    solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")

@@ -8,10 +8,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import refuse_no_picture, refuse_unwritable, write_json
+from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
+    from models.errors import LeadlineError
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.linear import LinearSolver
     from nls.optimizers import Iteration, Optimizer, Result, Stop
     from nls.values import Values
 
@@ -21,37 +24,32 @@ __all__ = ["solve"]
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
-    from nls.cli.formats import format_of, read, write
+    from models.errors import GraphFileError
+    from nls.cli.formats import output_format, read, rendered
     from nls.linear import SOLVERS, default_solver
 
     started = perf_counter()
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
-    refuse_unwritable(options.output, options.covariance, options.plot, options.json)
+    refuse_unwritable(options.output, options.covariance, options.plot, json=options.json)
     refuse_no_picture("--plot", options.plot)
+    form = output_format(options.output, options.to) if options.output else ""
+    _refuse_no_values(options.output, form)
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
     as_read, values, report = read(options)
     graph = _prepared(as_read, values, options)
     t_read = perf_counter() - started
     start, init, tried = nls.initialize(graph, values, options.init)
+    chi2_read = _chi2_read(graph, values, tried)
+    before = start if chi2_read is None else values  # what a picture can show
     t_init = perf_counter() - started - t_read
+    if options.output:  # what has no line in the format is refused before the work
+        rendered(options.output, form, as_read, start, report)
+    t_check = perf_counter() - started - t_read - t_init
     with _Progress(options) as progress:
         result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
     solved = perf_counter()
-    timings = {"read": t_read, "init": t_init, **result.timings, "solved": solved - started}
-    if options.output:
-        form = format_of(options.output) or report.format  # a name that says nothing: as it was read
-        report.notes += write(options.output, form, as_read, result.values, report)
-    if options.covariance and result.converged:
-        from nls.io.covariance_csv import write_covariances
-
-        write_covariances(options.covariance, nls.Marginals(graph, result.values, solver, options.gauge))
-    elif options.covariance:
-        report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
-    if options.plot:
-        from nls.plot import before_after
-
-        before_after(graph, values, result, title=Path(options.file).name).savefig(options.plot, dpi=150)
-    written = [options.output, options.covariance if result.converged else None, options.plot, options.json]
+    timings = {"read": t_read, "init": t_init, **result.timings, "solved": solved - started - t_check, "check": t_check}
+    written, failed = _write(options, form, as_read, before, graph, result, solver, report)
     timings["write"] = perf_counter() - solved
     timings["total"] = perf_counter() - started
 
@@ -68,7 +66,7 @@ def solve(options: argparse.Namespace) -> int:
         "starts": tried,
         "method": result.method,
         "linear_solver": result.linear_solver,
-        "chi2_file": tried.get("file", graph.chi2(values)) if report.vertices_given else None,
+        "chi2_file": chi2_read if report.vertices_given else None,
         "chi2_initial": result.chi2_initial,
         "chi2_final": result.chi2_final,
         "gauge": result.gauge,
@@ -80,18 +78,98 @@ def solve(options: argparse.Namespace) -> int:
         "history": [_record(iteration) for iteration in result.history],
         "timings": timings,
         "underconstrained": list(result.underconstrained),
-        "written": [name for name in written if name and name != "-"],
+        "written": written,
+        "unwritten": [str(error) for error in failed],
         "notes": report.notes,
         "peak_rss_mb": _peak_rss_mb(),
         "version": nls.__version__,
     }
-    write_json(record, options.json)
+    try:
+        written += [options.json] if options.json not in (None, "-") else []  # it names itself
+        write_json(record, options.json)
+    except GraphFileError as error:
+        written.remove(options.json)
+        failed.append(error)
     if not options.quiet and options.json != "-":
         print(_table(record, result if options.verbose else None))
     if not result.converged and not options.quiet:
         print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
+    for failure in failed:
+        complain(failure)
+    if failed and options.debug:
+        raise failed[0]
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
-    return 0 if result.converged or allowed else 1
+    return 1 if not (result.converged or allowed) else 2 if failed else 0
+
+
+def _refuse_no_values(output: str | None, form: str) -> None:
+    """Refuse to write an optimum to a format without values."""
+    from models.errors import OptionError
+    from nls.io.dialects import FORMATS
+
+    if form in FORMATS and not FORMATS[form].holds_values:
+        allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
+        raise OptionError("output file", output, allowed)
+
+
+def _chi2_read(graph: FactorGraph, values: Values, tried: dict[str, float]) -> float | None:
+    """chi2 of the values as read; None where it does not exist there, as for a bearing to the place of the sensor."""
+    from models.errors import EvaluationError, SingularGeometryError
+
+    try:
+        return tried["file"] if "file" in tried else graph.chi2(values)
+    except (EvaluationError, SingularGeometryError):
+        return None
+
+
+def _write(
+    options: argparse.Namespace,
+    form: str,
+    as_read: FactorGraph,
+    before: Values,
+    graph: FactorGraph,
+    result: Result,
+    solver: LinearSolver,
+    report: LoadReport,
+) -> tuple[list[str], list[LeadlineError]]:
+    """Write every output, whether or not another can be; returns the names of those written, and the errors."""
+    from models.errors import GraphFileError, LeadlineError
+
+    def optimum(path: str) -> None:
+        from nls.cli.formats import rendered
+        from nls.io.files import write_bytes
+
+        data, notes = rendered(path, form, as_read, result.values, report)
+        write_bytes(path, data)
+        report.notes += notes
+
+    def covariance(path: str) -> None:
+        from nls import Marginals
+        from nls.io.covariance_csv import write_covariances
+
+        write_covariances(path, Marginals(graph, result.values, solver, options.gauge))
+
+    def plot(path: str) -> None:
+        from nls.plot import before_after
+
+        before_after(graph, before, result, title=Path(options.file).name).savefig(path, dpi=150)
+
+    outputs = [(optimum, options.output), (covariance, options.covariance), (plot, options.plot)]
+    if options.covariance and not result.converged:
+        report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
+        del outputs[1]
+    written: list[str] = []
+    failed: list[LeadlineError] = []
+    for write, path in outputs:
+        try:
+            if path:
+                write(path)
+                written.append(path)
+        except GraphFileError as error:  # names the file itself
+            failed.append(error)
+        except (LeadlineError, OSError, MemoryError) as error:
+            failed.append(LeadlineError(f"{path} was not written: {error}"))
+    return written, failed
 
 
 def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -> FactorGraph:
@@ -99,10 +177,10 @@ def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -
     import nls
     from factors.robust import kernel_from_text
 
-    kernel = kernel_from_text(options.robust) if options.robust else None
-    prepared = nls.FactorGraph([f if kernel is None else f.robust(kernel) for f in graph.factors])
-    for keys in graph.fixed:
-        prepared.fix(keys)
+    prepared = nls.FactorGraph(graph.factors)
+    prepared.fixed = list(graph.fixed)
+    if options.robust:
+        prepared = graph.robust(kernel_from_text(options.robust))
     for kind in options.hold:
         if kind not in values.stacks:
             raise nls.OptionError("--hold", kind, "one of the kinds " + ", ".join(values.stacks))

@@ -6,17 +6,19 @@ import re
 import warnings
 from pathlib import Path
 
-from models.errors import GraphWarning, OptionError
+from models.errors import GraphWarning
 from nls.graph import FactorGraph
-from nls.io.dialects import FORMATS, check_dialect
-from nls.io.files import read_bytes
+from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
+from nls.io.files import read_bytes, write_bytes
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
+from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
-from nls.io.write import write_graph
+from nls.io.unused import appended, left_out
+from nls.io.write import graph_text
 from nls.values import Values
 
-__all__ = ["DIALECTS", "LoadReport", "load", "read_kitti", "read_tum", "save", "write_kitti", "write_tum"]
+__all__ = ["DIALECTS", "LoadReport", "load", "read_kitti", "read_tum", "rendered", "save", "write_kitti", "write_tum"]
 
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -36,7 +38,7 @@ def load(
     dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
         `nls.io.dialects`), ``pyfg`` or ``bal``. Files whose lines have several readings must be named.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones (with
-        a warning) instead of refusing the file.
+        a warning) instead of refusing the file; for the dialects g2o and toro.
 
     Returns
     -------
@@ -49,7 +51,7 @@ def load(
     ResourceLimitError
         The file, or what it unpacks to, is too large.
     OptionError
-        No such dialect or convention.
+        No such dialect or convention; a repair of information in a file that has none.
 
     Examples
     --------
@@ -60,31 +62,36 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
-    data = read_bytes(path)
+    data, reason = read_bytes(path), "as asked for"
     if dialect == "auto":
-        dialect = _foreign(data, str(path))
+        dialect, reason = _foreign(data, str(path))
+    if dialect in ("bal", "pyfg") and repair_information:
+        raise no_information(str(path), dialect)
     if dialect == "bal":
         from nls.io.bal import read_bal
 
-        return read_bal(data, str(path))
-    if dialect == "pyfg":
+        graph, values, report = read_bal(data, str(path))
+        report.reason = reason
+    elif dialect == "pyfg":
         from nls.io.pyfg import read_pyfg
 
-        return read_pyfg(data, str(path), convention)
-    graph, values, report = read_graph(data, str(path), convention, dialect, repair_information)
+        graph, values, report = read_pyfg(data, str(path), convention)
+        report.reason = reason
+    else:
+        graph, values, report = read_graph(data, str(path), convention, dialect, repair_information)
     for note in report.warnings:
         warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
     return graph, values, report
 
 
-def _foreign(data: bytes, path: str) -> str:
-    """The formats that are no list of tagged lines with ids: ``bal``, ``pyfg``; else ``auto``."""
+def _foreign(data: bytes, path: str) -> tuple[str, str]:
+    """The formats that are no list of tagged lines with ids, ``bal`` and ``pyfg``, and why; else ``auto``."""
+    if path.lower().removesuffix(".gz").endswith(".pyfg"):
+        return "pyfg", "by its name"
     first = POSE.search(data, 0, 1 << 16)
-    if path.lower().removesuffix(".gz").endswith(".pyfg") or (
-        first and NAME.fullmatch(first[1])
-    ):  # a time, then a name
-        return "pyfg"
-    return "bal" if BAL.match(data) else "auto"
+    if first and NAME.fullmatch(first[1]):
+        return "pyfg", f"{printable(first[1])[:30]!r} after a time is the name of a pose"
+    return ("bal", "three counts on its first line") if BAL.match(data) else ("auto", "")
 
 
 def save(
@@ -100,8 +107,9 @@ def save(
     ----------
     path : the file; compressed where the name ends in ``.gz``.
     graph, values : what to write.
-    report : the report the graph was read with: its unused lines are appended as they were, and its times kept.
-    dialect : as for `load`; when omitted ``pyfg`` for a name that ends so, else ``g2o``.
+    report : the report the graph was read with: its times are kept, and its unused lines appended as they were when the
+        file is of the same format (a warning counts them when it is not: another format may read them as its own).
+    dialect : as for `load`; when omitted by the name: ``.g2o``, ``.toro``, ``.isam``, ``.pyfg`` or ``.bal``.
 
     Raises
     ------
@@ -110,23 +118,31 @@ def save(
     GraphFileError
         The file cannot be written.
     OptionError
-        No such dialect; a name ending in ``.graph`` without one, which may mean TORO or covariances.
+        No such dialect; none, and a name that says none, such as ``.graph``, which may mean TORO or covariances.
     """
-    suffix = Path(str(path).lower().removesuffix(".gz")).suffix
-    if dialect is None:
-        if suffix == ".graph":
-            raise OptionError("dialect", None, "toro or graph for a file *.graph: information or covariance")
-        dialect = "pyfg" if suffix == ".pyfg" else "g2o"
-    check_dialect(dialect, DIALECTS[1:])
+    data, notes = rendered(path, graph, values, report, dialect)
+    write_bytes(path, data)
+    for note in notes:
+        warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
+
+
+def rendered(
+    path: str | Path,
+    graph: FactorGraph,
+    values: Values,
+    report: LoadReport | None = None,
+    dialect: str | None = None,
+) -> tuple[bytes, list[str]]:
+    """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
+    dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), DIALECTS[1:])
+    notes = left_out(report, dialect)
     if dialect == "bal":
-        from nls.io.bal import write_bal
+        from nls.io.bal import bal_text
 
-        if report is not None and report.ignored:
-            raise OptionError("report", report.ignored[0], "no unused lines: a bundle-adjustment file holds no others")
-        write_bal(path, graph, values)
-    elif dialect == "pyfg":
-        from nls.io.pyfg import write_pyfg
+        return bal_text(path, graph, values), notes
+    if dialect == "pyfg":
+        from nls.io.pyfg import pyfg_text
 
-        write_pyfg(path, graph, values, report)
-    else:
-        write_graph(path, graph, values, report.ignored if report else [], FORMATS[dialect])
+        return pyfg_text(path, graph, values, report), notes
+    data, more = graph_text(path, graph, values, appended(report, dialect), FORMATS[dialect])
+    return data, notes + more

@@ -31,7 +31,7 @@ from nls.io.report import LoadReport
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["read_bal", "write_bal"]
+__all__ = ["bal_text", "read_bal", "write_bal"]
 
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
@@ -114,7 +114,12 @@ def _line(text: Text, tokens: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
 
 
 def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
-    """Write a bundle-adjustment file, gzip-compressed where the name ends in ``.gz``.
+    """Write a bundle-adjustment file, see `bal_text`; gzip-compressed where the name ends in ``.gz``."""
+    write_bytes(path, bal_text(path, graph, values))
+
+
+def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:
+    """The bytes of a bundle-adjustment file; the path is for messages.
 
     Reading, writing and reading again gives the same numbers bit for bit.
 
@@ -123,8 +128,6 @@ def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
     GraphError
         Something the format has no line for: other factors or kinds, variables not counted from 0, a lens that is not
         that of its camera, a noise other than one pixel, variables held fixed.
-    GraphFileError
-        The file cannot be written.
     """
     for factor in graph.factors:
         if not isinstance(factor, BundleProjection):
@@ -144,7 +147,7 @@ def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
     cameras, lenses, points = (stack.X for stack in stacks)
     numbers = [*np.hstack([cameras, lenses]).reshape(-1).tolist(), *np.ascontiguousarray(points).reshape(-1).tolist()]
     out = [f"{len(cameras)} {len(points)} {len(rows)}", *rows, *map(repr, numbers)]
-    write_bytes(path, ("\n".join(out) + "\n").encode())
+    return ("\n".join(out) + "\n").encode()
 
 
 def _counted(path: str, values: Values, kind: str, manifold: object) -> Stack:

@@ -19,6 +19,8 @@ and the loader of its example program; for the covariance readings the noise for
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,7 +32,7 @@ from nls.io.g2o import G2O, POINT2, POINT3, POSE2, STEP2
 from nls.io.records import Element, Format, Record
 from nls.io.text import Text, printable
 
-__all__ = ["FORMATS", "check_dialect", "choose"]
+__all__ = ["FORMATS", "SUFFIXES", "check_dialect", "choose", "format_of", "no_information"]
 
 POSES = ("pose", "pose")
 SEEN = ("pose", "point")
@@ -72,6 +74,7 @@ ISAM_COVARIANCE = Format(
     "isam-covariance", ISAM_PLANE, "covariance", "covariance, row by row", aliases=((b"ODOMETRY", b"EDGE2"),)
 )
 FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
+SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal")}
 READINGS = {  # dialects by tag
     tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.others}
     for known in FORMATS.values()
@@ -92,6 +95,29 @@ def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
     if not isinstance(name, str) or name not in allowed:
         raise OptionError("dialect", name, "one of " + ", ".join(allowed))
     return name
+
+
+def format_of(path: str | Path, named: str | None, suffixes: dict[str, str], how: str) -> str:
+    """The format of a file to write: the one that was named, else the one its suffix stands for.
+
+    Raises
+    ------
+    OptionError
+        A suffix that stands for none, or, as ``.graph``, for several.
+    """
+    if named is not None:
+        return named
+    suffix = Path(str(path).lower().removesuffix(".gz")).suffix
+    if suffix not in suffixes:
+        several = "; *.graph may be toro or graph, information or covariance" if suffix == ".graph" else ""
+        raise OptionError("output file", str(path), f"a name ending in {', '.join(suffixes)}, or {how}{several}")
+    return suffixes[suffix]
+
+
+def no_information(path: str, format: str) -> OptionError:
+    """The error for a repair of information in a file that has none."""
+    allowed = f"False: {path} is in the format {format}, which has no information matrices"
+    return OptionError("repair_information", True, allowed)
 
 
 def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str = "auto") -> tuple[Format, str]:
@@ -115,7 +141,7 @@ def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str 
         if not left & names:
             raise text.error(
                 f"{tag.decode()} is a tag of {_listed(names)}, the lines before are of {_listed(left)}; expected one "
-                "dialect in a file, or name the dialect, and the tags of others are kept as text",
+                "dialect in a file, or name the dialect, and the lines of others are not used",
                 int(tags[tag][0]),
             )
         left &= names

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from models import SE3
 from models.algebra import Array
+from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
 from nls.io.text import Text
 
@@ -17,7 +18,6 @@ __all__ = ["Lines", "Numbers", "by_number", "read_lines"]
 Index = npt.NDArray[np.intp]
 Numbers = npt.NDArray[np.int64]
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
-GIMBAL_LOCK = 1e-6  # cos(pitch) below this: roll and yaw are one number, as in `models.manifolds.euler`
 
 
 @dataclass

@@ -19,9 +19,8 @@ Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_gr
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,18 +36,19 @@ from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
-from models.errors import GraphError, GraphWarning, NoiseModelError
+from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.report import LoadReport
-from nls.io.text import Text, printable
+from nls.io.text import Text, printable, rows
+from nls.io.unused import appended, keep_unknown, note_comments
+from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["PyfgReport", "read_pyfg", "write_pyfg"]
+__all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
 
 Index = npt.NDArray[np.intp]
 LONGEST = 40  # characters of a name
-HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
 
 
 @dataclass(frozen=True)
@@ -103,22 +103,8 @@ SPACE = {
 }
 
 
-@dataclass
-class PyfgReport(LoadReport):
-    """The report of a PyFactorGraph file, with its time stamps: `write_pyfg` writes them again.
-
-    Attributes
-    ----------
-    vertex_times : (n,) per kind of pose, s, in the order of `Values`.
-    factor_times : pairs of a factor and its times (n,), s.
-    """
-
-    vertex_times: dict[str, Array] = field(default_factory=dict)
-    factor_times: list[tuple[Factor, Array]] = field(default_factory=list)
-
-
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
-def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, PyfgReport]:
+def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, values of the vertices and report of the bytes of a PyFactorGraph text file.
 
     The vertices of published files are the *true* values, not a start.
@@ -139,9 +125,11 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
     text = Text(data, path)
     tags = {printable(tag): lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
     dialect = _dialect(text, tags)
-    report = PyfgReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
+    comments = sum(len(lines) for tag, lines in text.tags.items() if tag.startswith(b"#"))
+    report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
     report.tags = {tag: len(lines) for tag, lines in tags.items()}
-    _unknown(text, {tag: lines for tag, lines in tags.items() if tag not in dialect}, report)
+    keep_unknown(text, {tag.encode(): lines for tag, lines in tags.items() if tag not in dialect}, report)
+    note_comments(report, comments)
 
     found: dict[str, list[tuple[LieGroup, Batch]]] = {}
     for name, tag in dialect.items():
@@ -179,17 +167,6 @@ def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
         raise text.error(f"no vertices; expected lines such as {expected}", int(next(iter(tags.values()), [0])[0]))
     line = max(min(int(tags[tag][0]) for tag in d if tag in tags and tag != "EDGE_RANGE") for d in found)
     raise text.error("mixes the plane and space; expected one dimension in a file", line)
-
-
-def _unknown(text: Text, tags: dict[str, Index], report: LoadReport) -> None:
-    """Keep the lines nobody knows, and say so."""
-    if not tags:
-        return
-    named = ", ".join(f"{tag[:30]} ({len(n)}, first on line {n[0] + 1})" for tag, n in list(tags.items())[:9])
-    report.notes.append(f"lines with unknown tags were not used, and are kept as text: {named}")
-    lines = np.sort(np.concatenate(list(tags.values())))
-    report.ignored = [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
-    warnings.warn(f"{report.path}: {report.notes[-1]}", GraphWarning, stacklevel=4)
 
 
 def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
@@ -284,33 +261,31 @@ def _halved(space: LieGroup, convention: str) -> bool:
     return space is SE3 and convention in ("g2o", "graphslam")
 
 
-def write_pyfg(
-    path: str | Path,
-    graph: FactorGraph,
-    values: Values,
-    report: LoadReport | None = None,
-) -> None:
-    """Write a PyFactorGraph text file, gzip-compressed where the name ends in ``.gz``.
+def write_pyfg(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> None:
+    """Write a PyFactorGraph text file, see `pyfg_text`; gzip-compressed where the name ends in ``.gz``."""
+    write_bytes(path, pyfg_text(path, graph, values, report))
+
+
+def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> bytes:
+    """The bytes of a PyFactorGraph text file.
 
     Reading, writing and reading again gives the same numbers, bit for bit.
 
     Parameters
     ----------
-    path : the file.
+    path : the file, for messages.
     graph, values : what to write; kinds are letters, the names in the file are kind and number.
-    report : the report the graph was read with, for its time stamps and its unused lines; without one, and for factors
-        it does not know, the time 0 is written.
+    report : the report the graph was read with, for its time stamps, and for its unused lines where the file was in
+        this format; without one, and for factors it does not know, the time 0 is written.
 
     Raises
     ------
     GraphError
         A factor, space or name the format has no line for; variables held fixed.
-    GraphFileError
-        The file cannot be written.
     """
     if held := [keys for keys in graph.fixed if len(keys)]:
         raise GraphError(f"{path}: {held[0]!r} is held fixed, which a PyFactorGraph file has no line for", held)
-    known = report if isinstance(report, PyfgReport) else PyfgReport(str(path), "pyfg", "", "")
+    known = LoadReport(str(path), "pyfg", "", "") if report is None else report
     factor_times = {id(factor): times for factor, times in known.factor_times}
     space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}
     dialect = SPACE if space else PLANE
@@ -327,13 +302,13 @@ def write_pyfg(
         times = known.vertex_times.get(stack.kind, np.zeros(len(numbers)))
         if len(times) != len(numbers):
             raise GraphError(f"{path}: the report has {len(times)} times for the {len(numbers)} variables {stack.kind}")
-        out += _rows(name, times if dialect[name].timed else None, [Keys(stack.kind, numbers)], stack.X)
+        out += _lines(name, times if dialect[name].timed else None, [Keys(stack.kind, numbers)], stack.X)
     for factor in graph.factors:
         name, table = _measured(str(path), factor, values, dialect)
         times = factor_times.get(id(factor), np.zeros(len(factor)))
-        out += _rows(name, times, list(factor.keys), table)
-    out += report.ignored if report else []
-    write_bytes(path, ("\n".join(out) + "\n").encode("utf-8", "surrogateescape"))
+        out += _lines(name, times, list(factor.keys), table)
+    out += appended(report, "pyfg")
+    return ("\n".join(out) + "\n").encode("utf-8", "surrogateescape")
 
 
 def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]) -> tuple[str, Array]:
@@ -343,32 +318,20 @@ def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]
     plain = getattr(factor, "components", None) is None and getattr(factor, "offset", None) is None
     if name is None or not plain or len(factor.keys) != dialect[name].names:
         raise GraphError(f"{path}: {factor!r} has no line in a PyFactorGraph file", factor.keys, factor.name)
-    if factor.kernel is not None:
-        raise GraphError(
-            f"{path}: {factor!r} is robust, {factor.kernel!r}, which the file has no place for", factor.keys
-        )
     d = model.space.dim
-    if isinstance(factor.noise, Covariance):
-        Sigma = factor.noise.matrix
-    else:
-        W = model.W if model.W.ndim == 3 else model.W[..., None] * np.eye(d)
-        if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
-            raise GraphError(
-                f"{path}: {factor!r} has no covariance: it measures nothing in some direction", factor.keys
-            )
-        W_inv = np.linalg.inv(W)
-        Sigma = W_inv @ W_inv.mT
+    W = model.W if model.W.ndim == 3 else model.W[..., None] * np.eye(d)
+    try:
+        refuse_robust(factor)
+        Sigma = factor.noise.matrix if isinstance(factor.noise, Covariance) else covariance(factor, W)
+    except GraphError as error:
+        raise GraphError(f"{path}: {error}", factor.keys, factor.name) from error
     if _halved(dialect[name].space, factor.convention):
         Sigma = Sigma * (HALF[:, None] * HALF)
     upper = np.triu_indices(d)
     return name, np.hstack([model.z, np.broadcast_to(Sigma, (len(factor), d, d))[:, upper[0], upper[1]]])
 
 
-def _rows(tag: str, times: Array | None, keys: list[Keys], table: Array) -> list[str]:
-    """Text lines; the shortest digits that read back as the same number."""
-    stamps = [""] * len(table) if times is None else [f" {time!r}" for time in times.tolist()]
-    names = zip(*([f"{k.kind}{number}" for number in k.numbers.tolist()] for k in keys), strict=True)
-    return [
-        f"{tag}{stamp} {' '.join(name)} {' '.join(map(repr, row))}"
-        for stamp, name, row in zip(stamps, names, table.tolist(), strict=True)
-    ]
+def _lines(tag: str, times: Array | None, keys: list[Keys], table: Array) -> list[str]:
+    """Text lines."""
+    stamps = [] if times is None else [map(repr, times.tolist())]
+    return rows(tag, [*stamps, *([f"{k.kind}{number}" for number in k.numbers.tolist()] for k in keys)], table)

@@ -16,13 +16,14 @@ from models import LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
-from nls.io.dialects import choose
+from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, Numbers, by_number, read_lines
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
 from nls.io.start import started
 from nls.io.text import Text, printable
+from nls.io.unused import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.values import Values
 
@@ -49,19 +50,23 @@ def read_graph(
     ------
     GraphFileError
         With the line, for anything that cannot be right.
+    OptionError
+        A repair of information in a dialect that has none.
     """
     check_convention(convention)
     text = Text(data, path)
     tags = dict(text.tags)
     comments = np.concatenate([NONE, *(tags.pop(tag) for tag in list(tags) if tag.startswith(b"#"))])
     format, reason = choose(text, tags, comments, dialect)
+    if repair_information and format.matrix != "information":
+        raise no_information(path, format.name)
     records = {tag: format.tags[tag] for tag in tags if tag in format.tags}
     group = _dimension(text, tags, records)
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
-    _keep_unknown(text, format, tags, report)
-    if len(comments):
-        report.notes.append(f"{len(comments)} comment lines")
+    unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
+    keep_unknown(text, unknown, report, format.others)
+    note_comments(report, len(comments))
 
     lines: dict[bytes, list[Index]] = {}
     for tag, record in records.items():
@@ -75,7 +80,7 @@ def read_graph(
     for part in edges:
         if not part.record.used:
             name = part.record.tag.decode()
-            report.notes.append(f"{name} lines name a parameter that their error does not use: kept for writing")
+            report.notes.append(f"{name} lines name a parameter that their error does not use")
         noises = _matrices(text, part, format, repair_information, report)
         for mine in roles.kinds_of(part):
             bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
@@ -104,19 +109,6 @@ def _dimension(text: Text, tags: dict[bytes, Index], records: dict[bytes, Record
     return next(iter(first))
 
 
-def _keep_unknown(text: Text, format: Format, tags: dict[bytes, Index], report: LoadReport) -> None:
-    """Note the lines that are not used, and keep them as text."""
-    unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
-    if not unknown:
-        return
-    named = ", ".join(f"{printable(t)[:30]} ({len(n)}, first on line {n[0] + 1})" for t, n in list(unknown.items())[:9])
-    more = f" and {len(unknown) - 9} other tags" if len(unknown) > 9 else ""
-    aside = "" if all(t in format.others for t in unknown) else "with unknown tags "
-    report.warn(f"lines {aside}were not used, and are kept as text: {named}{more}")
-    lines = np.sort(np.concatenate(list(unknown.values())))
-    report.ignored += [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
-
-
 class _Offsets:
     """The parameters of a file: fixed poses of sensors on the vehicle."""
 
@@ -143,14 +135,14 @@ class _Offsets:
         """Keep the parameters no edge names as text: a graph has no place for them."""
         if self.unused.any():
             lines = self.at[self.unused]
-            report.notes.append(f"{len(lines)} parameters that no edge uses are kept as text")
-            report.ignored += [self.text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
+            report.notes.append(f"{len(lines)} parameters that no edge uses")
+            keep(self.text, lines, report)
 
 
 def _matrices(text: Text, part: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
     """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
     M = matrix(part.record, part.numbers[:, part.record.element.width :], format.matrix)
-    if repair and format.matrix == "information":
+    if repair:
         M, changed = repaired(M)
         if changed.any():
             report.warn(

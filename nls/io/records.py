@@ -159,6 +159,11 @@ class Format:
     others: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
 
+    @property
+    def holds_values(self) -> bool:
+        """Whether it has lines for vertices, or measurements only."""
+        return any(record.factor is None and record.slots for record in self.records)
+
     @cached_property
     def tags(self) -> dict[bytes, Record]:
         """Records by tag and alias."""

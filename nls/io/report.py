@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from factors.base import Factor
+from models.algebra import Array
+
 __all__ = ["LoadReport"]
 
 
@@ -17,10 +20,12 @@ class LoadReport:
     convention : the residual of pose measurements, see `factors.conventions`.
     tags : lines per tag.
     vertices_given : False when the file has no vertices and the start was chained from the edges.
-    ignored : lines that were not used, verbatim; `nls.save` writes them back.
+    ignored : lines that were not used, verbatim; `nls.save` writes them back to a file of the same format.
     notes : remarks in words.
     reason : why the file was read in this format.
     warnings : those of the notes that deserve a `GraphWarning`, which `nls.load` gives.
+    vertex_times : (n,) per kind of pose, s, in the order of `Values`; none where the file has no times.
+    factor_times : pairs of a factor and its times (n,), s.
     """
 
     path: str
@@ -33,6 +38,8 @@ class LoadReport:
     notes: list[str] = field(default_factory=list)
     reason: str = ""
     warnings: list[str] = field(default_factory=list)
+    vertex_times: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
+    factor_times: list[tuple[Factor, Array]] = field(default_factory=list, compare=False, repr=False)
 
     def warn(self, note: str) -> None:
         """A note that deserves a warning."""

@@ -10,6 +10,7 @@ float() also takes "nan", "1_0" and the digits of other scripts.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import GraphFileError
 
-__all__ = ["Text", "printable"]
+__all__ = ["Text", "printable", "rows"]
 
 Index = npt.NDArray[np.intp]
 
@@ -33,6 +34,15 @@ EXACT = 2.0**52  # integers up to here are exact, and so is the floor of their r
 def printable(word: bytes) -> str:
     """Bytes of a file as text for a message, whatever their encoding."""
     return word.decode("utf-8", "backslashreplace")
+
+
+def rows(tag: str, words: Sequence[Iterable[str]], numbers: Array, digits: Callable[[float], str] = repr) -> list[str]:
+    """Lines to write: the tag, n words per column of words, then the rows of numbers (n, k).
+
+    ``digits`` writes a number; the shortest that read back as the same one unless told otherwise.
+    """
+    lines = zip(zip(*words, strict=True), numbers.tolist(), strict=True)
+    return [f"{tag} {' '.join(word)} {' '.join(map(digits, row))}" for word, row in lines]
 
 
 class Text:

@@ -20,12 +20,33 @@ from models.algebra import Array
 from models.errors import GraphError
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.io.files import read_bytes, write_bytes
+from nls.io.report import LoadReport
 from nls.io.text import Text
+from nls.io.unused import note_comments
+from nls.values import Values
 
-__all__ = ["lifted", "read_kitti", "read_tum", "write_kitti", "write_tum"]
+__all__ = ["kitti_text", "lifted", "load_trajectory", "read_kitti", "read_tum", "tum_text", "write_kitti", "write_tum"]
 
 Index = npt.NDArray[np.intp]
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
+
+
+def load_trajectory(path: str | Path, format: str, convention: str = "g2o") -> tuple[Values, LoadReport]:
+    """The poses of a trajectory, ``tum`` or ``kitti``, as variables x, and a report with its times.
+
+    Raises
+    ------
+    GraphFileError
+        As for `read_tum` and `read_kitti`.
+    """
+    report = LoadReport(str(path), format, "3-D", convention, reason="by its name")
+    if format == "tum":
+        report.vertex_times["x"], X, comments = _tum(path)
+    else:
+        X, comments = _kitti(path)
+    report.tags = {"poses": len(X)}
+    note_comments(report, comments)
+    return Values({"x": (SE3, X)}), report
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:
@@ -42,7 +63,13 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
         With the line: another count of numbers, a word that is no number, a quaternion that is not of length 1, a time
         that does not rise.
     """
-    text, lines, table = _table(path, 8, "timestamp tx ty tz qx qy qz qw")
+    times, poses, _ = _tum(path)
+    return times, poses
+
+
+def _tum(path: str | Path) -> tuple[Array, Array, int]:
+    """Times, poses and how many comments."""
+    text, lines, table, comments = _table(path, 8, "timestamp tx ty tz qx qy qz qw")
     times, poses = table[:, 0], table[:, 1:]
     if (found := SE3.invalid(poses)) is not None:
         raise text.error(found[1], int(lines[found[0]]))
@@ -52,7 +79,7 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
         raise text.error(
             f"time {float(times[k])!r} does not rise over {float(times[k - 1])!r} before it", int(lines[k])
         )
-    return times, poses
+    return times, poses, comments
 
 
 def write_tum(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> None:
@@ -71,15 +98,23 @@ def write_tum(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> N
     GraphFileError
         The file cannot be written.
     """
-    t, X = np.array(times, dtype=float), lifted(poses)
+    write_bytes(path, tum_text(path, times, poses))
+
+
+def tum_text(path: str | Path, times: npt.ArrayLike, poses: npt.ArrayLike) -> bytes:
+    """The bytes `write_tum` writes; the path is for messages."""
+    X = _some(path, poses)
+    try:
+        t = np.array(times, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise GraphError(f"{path}: the times are not an array of numbers: {error}") from error
     if t.shape != (len(X),):
         raise GraphError(f"{path}: times have shape {t.shape}, expected ({len(X)},): one per pose")
     if not (np.isfinite(t).all() and (t[1:] > t[:-1]).all()):
         raise GraphError(f"{path}: the times of a trajectory must be finite and rise")
-    _write(path, np.column_stack([t, X]))
+    return _text(np.column_stack([t, X]))
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation, and is refused
 def read_kitti(path: str | Path) -> Array:
     """Poses (n, 7) of a KITTI trajectory, SE3 as x y z qx qy qz qw, m.
 
@@ -88,7 +123,13 @@ def read_kitti(path: str | Path) -> Array:
     GraphFileError
         With the line: another count of numbers, a word that is no number, a matrix that is no rotation.
     """
-    text, lines, table = _table(path, 12, "the upper 3 x 4 of a pose, row by row")
+    return _kitti(path)[0]
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation, and is refused
+def _kitti(path: str | Path) -> tuple[Array, int]:
+    """Poses and how many comments."""
+    text, lines, table, comments = _table(path, 12, "the upper 3 x 4 of a pose, row by row")
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
@@ -96,14 +137,19 @@ def read_kitti(path: str | Path) -> Array:
         k = int(np.argmax(bad))
         what = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
         raise text.error(f"no rotation matrix: {what}", int(lines[k]))
-    return np.hstack([T[:, :, 3], quaternion_from_matrix(R)])
+    return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 
 def write_kitti(path: str | Path, poses: npt.ArrayLike) -> None:
     """Write a KITTI trajectory; poses and errors as for `write_tum`. Rotations read back up to rounding."""
-    X = lifted(poses)
+    write_bytes(path, kitti_text(path, poses))
+
+
+def kitti_text(path: str | Path, poses: npt.ArrayLike) -> bytes:
+    """The bytes `write_kitti` writes; the path is for messages."""
+    X = _some(path, poses)
     T = np.concatenate([rotation3(X[:, 3:]), X[:, :3, None]], axis=2)
-    _write(path, T.reshape(-1, 12))
+    return _text(T.reshape(-1, 12))
 
 
 def lifted(poses: npt.ArrayLike) -> Array:
@@ -112,7 +158,7 @@ def lifted(poses: npt.ArrayLike) -> Array:
     Raises
     ------
     GraphError
-        Neither.
+        Neither, or no numbers.
 
     Examples
     --------
@@ -120,7 +166,10 @@ def lifted(poses: npt.ArrayLike) -> Array:
     >>> lifted([[1.0, 2.0, np.pi]]).round(6)
     array([[1., 2., 0., 0., 0., 1., 0.]])
     """
-    X = np.atleast_2d(np.asarray(poses, dtype=float))
+    try:
+        X = np.atleast_2d(np.asarray(poses, dtype=float))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise GraphError(f"the poses are not an array of numbers: {error}") from error
     if X.ndim != 2 or X.shape[1] not in (3, 7):
         raise GraphError(f"poses have shape {X.shape}, expected (n, 7): SE3, or (n, 3): SE2")
     if X.shape[1] == 7:
@@ -130,20 +179,33 @@ def lifted(poses: npt.ArrayLike) -> Array:
     return np.column_stack([x, y, zero, zero, zero, np.sin(theta / 2), np.cos(theta / 2)])
 
 
-def _table(path: str | Path, columns: int, what: str) -> tuple[Text, Index, Array]:
-    """The text, its lines that are neither blank nor comments, and their numbers (n, columns)."""
+def _some(path: str | Path, poses: npt.ArrayLike) -> Array:
+    """At least one pose of space."""
+    try:
+        X = lifted(poses)
+    except GraphError as error:
+        raise GraphError(f"{path}: {error}") from error
+    if not len(X):
+        raise GraphError(f"{path}: no poses; a trajectory file needs at least one")
+    return X
+
+
+def _table(path: str | Path, columns: int, what: str) -> tuple[Text, Index, Array, int]:
+    """The text, its lines that are neither blank nor comments, their numbers (n, columns), how many are comments."""
     text = Text(read_bytes(path), str(path))
     count = np.diff(text.first)
     lines = np.flatnonzero(count)
-    lines = lines[text.characters(text.first[lines], 1)[:, 0] != ord("#")]
+    comment = text.characters(text.first[lines], 1)[:, 0] == ord("#")
+    lines = lines[~comment]
     if not len(lines):
         raise text.error(f"has no pose; expected lines of {columns} numbers: {what}", 0)
     if (wrong := count[lines] != columns).any():
         k = int(np.argmax(wrong))
         raise text.error(f"{count[lines[k]]} numbers, expected {columns}: {what}", int(lines[k]))
     tokens = text.first[lines][:, None] + np.arange(columns)
-    return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns)
+    numbers = text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns)
+    return text, lines, numbers, int(comment.sum())
 
 
-def _write(path: str | Path, table: Array) -> None:
-    write_bytes(path, "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode())
+def _text(table: Array) -> bytes:
+    return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()

@@ -30,7 +30,7 @@ from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
 from nls.io.records import Format, Record
 
-__all__ = ["NOISES", "AsRead", "entries", "matrix", "noise_of", "repaired"]
+__all__ = ["HALF", "NOISES", "AsRead", "covariance", "entries", "matrix", "noise_of", "refuse_robust", "repaired"]
 
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,
@@ -110,12 +110,7 @@ def entries(record: Record, format: Format, factor: Factor, W: Array, measured: 
         A robust kernel, or a covariance that does not exist.
     """
     kind, m, noise = format.matrix, record.element.space.dim, factor.noise
-    if isinstance(noise, Robust):
-        raise GraphError(
-            f"{factor!r} has a robust kernel, which files of this kind have no place for; save the graph without it",
-            factor.keys,
-            factor.name,
-        )
+    refuse_robust(factor)
     noise = noise.noise if isinstance(noise, AsRead) else noise
     W = W if W.ndim == 3 else W[..., None] * np.eye(m)
     M: Array
@@ -126,12 +121,7 @@ def entries(record: Record, format: Format, factor: Factor, W: Array, measured: 
     elif kind == "square root":
         M = _upper(W)
     else:
-        if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
-            raise GraphError(
-                f"{factor!r} has no covariance: it measures nothing in some direction", factor.keys, factor.name
-            )
-        W_inv = np.linalg.inv(W)
-        M = W_inv @ W_inv.mT
+        M = covariance(factor, W)
     if record.chart == "quaternion" and factor.convention == "log":
         M = M * (HALF[:, None] * HALF)
     elif record.chart == "angles":
@@ -139,6 +129,37 @@ def entries(record: Record, format: Format, factor: Factor, W: Array, measured: 
         M = _upper(M @ S_inv) if kind == "square root" else _symmetric(S_inv.mT @ M @ S_inv)
     rows, columns = record.places
     return np.broadcast_to(M, (len(factor), m, m))[:, rows, columns]
+
+
+def refuse_robust(factor: Factor) -> None:
+    """Refuse a robust kernel.
+
+    Raises
+    ------
+    GraphError
+    """
+    if isinstance(factor.noise, Robust):
+        raise GraphError(
+            f"{factor!r} has a robust kernel, which files of this kind have no place for; save the graph without it",
+            factor.keys,
+            factor.name,
+        )
+
+
+def covariance(factor: Factor, W: Array) -> Array:
+    """Covariances (n, m, m) of a factor with the whiteners W (n, m, m): Sigma = (W'W)^-1.
+
+    Raises
+    ------
+    GraphError
+        There is none.
+    """
+    if not np.abs(np.linalg.det(W)).min(initial=1.0) > 0:
+        raise GraphError(
+            f"{factor!r} has no covariance: it measures nothing in some direction", factor.keys, factor.name
+        )
+    W_inv = np.linalg.inv(W)
+    return np.asarray(W_inv @ W_inv.mT)
 
 
 def repaired(Omega: Array) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -153,7 +153,8 @@ class _Laplacian:
         to_j = known + np.where((i < 0)[:, None, None], product(T, value[self.edges.i]), 0.0)
         to_i = product(T.mT, np.where((j < 0)[:, None, None], value[self.edges.j], 0.0) - known)
         weight = w[:, None]
-        g = self._sum(weight * to_j.reshape(len(w), -1), j) + self._sum(weight * to_i.reshape(len(w), -1), i)
+        with np.errstate(over="ignore", invalid="ignore"):  # a start that is not finite is refused when it is evaluated
+            g = self._sum(weight * to_j.reshape(len(w), -1), j) + self._sum(weight * to_i.reshape(len(w), -1), i)
         try:
             state.factorize(S)
         except SingularSystemError as error:

@@ -12,8 +12,10 @@ import pytest
 import nls
 from models import SE2
 from nls.cli import main
+from nls.io.renamed import renamed
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
 from tests.nls.g2o_files import PLANE, SPACE, write
+from tests.nls.io_files import TORO_2
 
 Captured = pytest.CaptureFixture[str]
 PYFG = """VERTEX_SE2 5.5 A0 1 2 0.1
@@ -141,3 +143,104 @@ def test_no_picture(tmp_path: Path, capsys: Captured) -> None:
     assert "expected a file name ending in .png, .pdf, .svg" in capsys.readouterr().err
     assert main(["plot", str(tmp_path / "none.g2o"), str(tmp_path / "out.png")]) == 2
     assert "none.g2o: cannot be read" in capsys.readouterr().err
+
+
+# ---- times, names and lines that are not used, from one format to another
+
+
+def test_times_of_a_trajectory_stay(tmp_path: Path, capsys: Captured) -> None:
+    X = SE2.exp(np.random.default_rng(0).normal(size=(3, 3)))
+    write_tum(tmp_path / "a.tum", [1.7e9, 1.7e9 + 0.25, 1.7e9 + 1], X)
+    (tmp_path / "a.tum").write_bytes(b"# one\n# two\n" + (tmp_path / "a.tum").read_bytes())
+    for name in ("b.tum", "c.pyfg", "d.kitti"):
+        assert main(["convert", str(tmp_path / "a.tum"), str(tmp_path / name)]) == 0
+        out = capsys.readouterr().out
+        assert "note        2 comment lines" in out
+        assert "has no times" not in out
+        assert ("note        a kitti file holds no times" in out) == (name == "d.kitti")
+    assert (tmp_path / "b.tum").read_bytes() == (tmp_path / "a.tum").read_bytes().split(b"\n", 2)[2]
+    times = [line.split()[1] for line in (tmp_path / "c.pyfg").read_text().splitlines()]
+    assert times == ["1700000000.0", "1700000000.25", "1700000001.0"]
+    assert main(["convert", str(tmp_path / "c.pyfg"), str(tmp_path / "e.tum")]) == 0
+    assert (tmp_path / "e.tum").read_bytes() == (tmp_path / "b.tum").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "out", "tags", "edges"),
+    [
+        (TORO_2 + "FIX 1\n", "a.toro", "b.g2o", "FIX (1)", 3),
+        (TORO_2 + "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", "a.toro", "b.g2o", "EDGE_SE2 (1)", 3),
+        (PLANE + "EDGE_RANGE 0 5 1.4 100\nEDGE_RANGE 1 5 2 100\nX\n", "a.g2o", "b.pyfg", "EDGE_RANGE (2), X (1)", 4),
+        (PLANE + "EDGE2 0 1 1 0 0 1 0 1 1 0 0\n", "a.g2o", "b.toro", "EDGE2 (1)", 4),
+        (PLANE + "EDGE_RANGE 0 5 1.4 100\n", "a.g2o", "b.tum", "EDGE_RANGE (1)", 0),
+    ],
+)
+def test_unused_lines_do_not_come_to_life(
+    text: str, name: str, out: str, tags: str, edges: int, tmp_path: Path, capsys: Captured
+) -> None:
+    """A line means nothing to the dialect it was in; to another it may."""
+    file, dialect = write(tmp_path, text, name), name.split(".")[1]
+    count = tags.count("(1)") + 2 * tags.count("(2)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", nls.GraphWarning)
+        assert main(["convert", str(file), str(tmp_path / out), "--dialect", dialect]) == 0
+    said = f"{count} lines that were not used are left out, only a {dialect} file gets them back: {tags}"
+    printed = capsys.readouterr().out
+    assert f"note        {said}" in printed
+    assert "kept" not in printed
+    if out == "b.tum":
+        return
+    graph, _, report = nls.load(tmp_path / out)
+    assert (len(graph), report.ignored) == (edges, [])
+    assert sum(map(len, graph.fixed)) == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", nls.GraphWarning)
+        loaded = nls.load(file, dialect=dialect)
+    with pytest.warns(nls.GraphWarning, match=re.escape(f"c.out: {said}")) as caught:
+        nls.save(tmp_path / "c.out", *loaded, out.split(".")[1])
+    assert [warning.filename for warning in caught] == [__file__]
+    assert (tmp_path / "c.out").read_bytes() == (tmp_path / out).read_bytes()
+    nls.save(tmp_path / "d.out", *loaded, dialect)  # to its own it comes back, without a word
+    assert (tmp_path / "d.out").read_text().endswith("\n".join([*loaded[2].ignored, ""]))
+
+
+NAMED = """VERTEX_SE2 0 A0 0 0 0
+VERTEX_SE2 1 A1 1 0.1 0.1
+VERTEX_SE2 2 A2 2 0 0.2
+VERTEX_XY L1 1 2
+VERTEX_XY L7 3 2
+VERTEX_SE2:PRIOR 0 A0 0.01 0.02 0 0.01 0 0 0.01 0 0.01
+EDGE_SE2 1 A0 A1 1 0 0.1 0.01 0 0 0.02 0 0.03
+EDGE_SE2 1 A1 A2 1 0 0.1 0.01 0 0 0.02 0 0.03
+EDGE_SE2_XY 1 A1 L1 0.3 1.9 0.1 0.02 0.2
+EDGE_SE2_XY 1 A2 L7 1.3 1.9 0.1 0.02 0.2
+"""
+
+
+def test_kinds_of_other_names_become_x_and_l(tmp_path: Path, capsys: Captured) -> None:
+    """Only the point whose number a pose has, too, gets another."""
+    file = write(tmp_path, NAMED, "a.pyfg")
+    assert main(["convert", str(file), str(tmp_path / "b.g2o")]) == 0
+    said = "poses A are written as x, points L as l; 1 of the points had the number of a pose: they are numbered from 8"
+    assert f"note        {said}" in capsys.readouterr().out
+    (graph, values, _), (found, again, _) = nls.load(file), nls.load(tmp_path / "b.g2o")
+    assert {kind: stack.numbers.tolist() for kind, stack in again.stacks.items()} == {"x": [0, 1, 2], "l": [8, 7]}
+    assert [repr(factor) for factor in found.factors if "Landmark" in repr(factor)] == ["Landmark(x[1, 2], l[8, 7])"]
+    assert found.chi2(again) == pytest.approx(graph.chi2(values), rel=1e-12)
+    named, moved, _ = renamed(graph, values)  # bound before, under the old names
+    assert all(moved.gather(factor)[0].factor is factor for factor in named.factors)
+    optimum, other = (g.optimize(v) for g, v in ((graph, values), (found, again)))
+    assert other.chi2_final == pytest.approx(optimum.chi2_final, rel=1e-9)
+    assert other.values[nls.Kind("l")] == pytest.approx(optimum.values[nls.Kind("L")], abs=1e-9)
+    assert main(["convert", str(write(tmp_path, NAMED.replace("L1", "L9"), "c.pyfg")), str(tmp_path / "c.toro")]) == 2
+    assert "poses A are written as x, points L as l\n" in capsys.readouterr().err
+
+
+def test_more_kinds_of_poses_are_refused_with_a_cure(tmp_path: Path, capsys: Captured) -> None:
+    assert main(["convert", str(write(tmp_path, NAMED.replace("A2", "B2"), "a.pyfg")), str(tmp_path / "b.g2o")]) == 2
+    assert "build the graph with these kinds, or let `nls convert` rename them, which takes one kind of poses" in (
+        capsys.readouterr().err
+    )
+    graph, values, report = nls.load(write(tmp_path, NAMED, "a.pyfg"))
+    with pytest.raises(nls.GraphError, match=r"variables A in SE2 have no line in a g2o file, .* rename them"):
+        nls.save(tmp_path / "b.g2o", graph, values, report)

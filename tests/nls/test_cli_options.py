@@ -76,7 +76,7 @@ def test_auto_damps_where_a_factor_asks_for_it(tmp_path: Path, capsys: Captured)
 
 def test_a_kind_is_held(tmp_path: Path, capsys: Captured) -> None:
     file, out = bundle(tmp_path), tmp_path / "out.txt"
-    report = report_of(["solve", str(file), "--hold", "k", "--hold", "c", "-o", str(out)], capsys)
+    report = report_of(["solve", str(file), "--hold", "k", "--hold", "c", "-o", str(out), "--to", "bal"], capsys)
     assert (report["held"], report["gauge"]) == (["k", "c"], "fixed by the graph itself")
     assert report["starts"].keys() == {"file"}  # type: ignore[attr-defined]
     assert report["dof"] == 30 - 15
@@ -159,7 +159,7 @@ def test_the_cure_is_named_as_it_is_typed(tmp_path: Path, capsys: Captured) -> N
     ("arguments", "message"),
     [
         (["--robust", "huber"], "robust: 'huber' is not possible; expected one of huber:NUMBER"),
-        (["--robust", "huber:-1"], "expected a finite number above 0"),
+        (["--robust", "huber:-1"], "Huber(c): -1.0 is not possible"),
         (["--robust", "magic:1"], "robust: 'magic:1' is not possible"),
         (["--hold", "q"], "--hold: 'q' is not possible; expected one of the kinds x"),
         (["--method", "magic"], "invalid choice: 'magic'"),

@@ -79,9 +79,7 @@ def test_a_dialect_that_is_none_of_the_file(tmp_path: Path) -> None:
 
 def test_what_only_steers_isam_is_kept_with_a_count() -> None:
     _, _, report = read("EDGE3_TRUE 0 1 1 0 0 0 0 0\n" + ISAM_3 + "SOLVE\nSOLVE\n")
-    assert report.warnings == [
-        "lines were not used, and are kept as text: EDGE3_TRUE (1, first on line 1), SOLVE (2, first on line 7)"
-    ]
+    assert report.warnings == ["lines were not used: EDGE3_TRUE (1, first on line 1), SOLVE (2, first on line 7)"]
     assert report.tags["SOLVE"] == 2
 
 

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factors.noise import NEGATIVE
-from nls import GraphFileError, GraphWarning, load
+from nls import GraphFileError, GraphWarning, OptionError, load
+from nls.io import DIALECTS
 from nls.io.weights import repaired
 from tests.nls.g2o_files import UPPER_3, again, read, same, same_factors, write
-from tests.nls.io_files import COVARIANCE_2, ISAM_3
+from tests.nls.io_files import BAL, FILES, ISAM_3, PYFG
 
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
 GOOD = "EDGE_SE2 0 1 1.01 0 0 4 0.5 0.25 3 0.125 2\n"
@@ -65,9 +66,17 @@ def test_before_units_and_angles_are_turned(tmp_path: Path) -> None:
     same_factors(loaded, again(loaded, tmp_path, dialect="toro"))
 
 
-def test_a_covariance_is_not_repaired() -> None:
-    with pytest.raises(GraphFileError, match=r"f\.g2o:1: Covariance of measurement 0 is not positive definite"):
-        read(COVARIANCE_2.replace("0.001 0.002", "0.1 0.002"), dialect="isam-covariance", repair=True)
+def test_a_covariance_is_not_repaired(tmp_path: Path) -> None:
+    """Nor a square root, nor what states no noise: an option that would do nothing is refused."""
+    files = dict(FILES.values()) | {"pyfg": PYFG, "bal": BAL}
+    assert set(files) == set(DIALECTS[1:])
+    for dialect, text in files.items():
+        path = write(tmp_path, text)
+        if dialect in ("g2o", "toro"):
+            assert load(path, dialect=dialect, repair_information=True)[2].warnings == []
+            continue
+        with pytest.raises(OptionError, match=f"graph.g2o is in the format {dialect}, which has no information matri"):
+            load(path, dialect=dialect, repair_information=True)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 3, 6]), st.integers(-8, 8))

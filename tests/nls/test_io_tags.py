@@ -128,7 +128,7 @@ def test_kinds_and_what_is_held(text: str) -> None:
     assert [repr(f.keys[0]) for f in graph.factors if len(f.keys) == 1] == (
         ["x0", "o20", "x1", "l10"] if text is SENSORS_2 else ["x0", "o20", "x1", "l11"]
     )
-    unused = "EDGE_SE3_XYZ_PRIOR lines name a parameter that their error does not use: kept for writing"
+    unused = "EDGE_SE3_XYZ_PRIOR lines name a parameter that their error does not use"
     assert report.notes == ([] if text is SENSORS_2 else [unused])
     result = graph.optimize(values)
     assert result.converged

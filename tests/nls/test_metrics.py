@@ -92,3 +92,16 @@ def test_mistakes() -> None:
         ate(X * np.nan, X)
     with pytest.raises(OptionError, match="one of none, first, rigid"):
         ate(X, X, "umeyama")
+
+
+@pytest.mark.parametrize("align", ["none", "first", "rigid"])
+def test_errors_beyond_the_largest_number(align: str) -> None:
+    """Squares of 1e200 have no sum; one that overflows before the alignment does not hide it."""
+    far = [[0, 0, 0], [1e200, 0, 0], [0, 1e308, 0.5]]
+    near = [[0, 1, 0], [1, 0, 0], [-1e308, 0, 0.5]]
+    for estimate, truth in ((far, near), (near, far)):
+        with pytest.raises(GraphError, match="ate: the squares of these positions are beyond the largest number"):
+            ate(estimate, truth, align)
+    with pytest.raises(GraphError, match=r"ate: truth is not an array of numbers: .*'a'"):
+        ate([[0, 0, 0]], [["a", 0, 0]], align)
+    assert ate([[0, 1e150, 0]], [[0, 0, 0]]).rmse == 1e150

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gzip
-import warnings
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +11,15 @@ import pytest
 
 from factors import Between, Cauchy, Covariance, Diagonal, Information, Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, SO2, R
-from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, Values, kinds
+from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, LoadReport, Values, kinds, load
 from nls.io.files import read_bytes
-from nls.io.pyfg import PyfgReport, read_pyfg, write_pyfg
+from nls.io.pyfg import read_pyfg, write_pyfg
+from tests.nls.g2o_files import write
 from tests.nls.graphs import pose_graph
+from tests.nls.io_files import BAL
 
 A, B, L, x = kinds("A", "B", "L", "x")
-Loaded = tuple[FactorGraph, Values, PyfgReport]
+Loaded = tuple[FactorGraph, Values, LoadReport]
 
 PLANE = """# a comment
 VERTEX_SE2 0.5 A0 1 2 0.1
@@ -136,12 +138,22 @@ def test_round_trip(text: str, convention: str, tmp_path: Path) -> None:
 
 
 def test_unknown_lines_are_kept(tmp_path: Path) -> None:
-    with pytest.warns(GraphWarning, match=r"unknown tags.*EDGE_BEARING \(2, first on line 15\)"):
-        before = read(PLANE + "EDGE_BEARING 1 A0 L3 0.5 0.1\nEDGE_BEARING x\n")
+    path = write(tmp_path, PLANE + "EDGE_BEARING 1 A0 L3 0.5 0.1\nEDGE_BEARING x\n", "f.pyfg")
+    said = "lines with unknown tags were not used: EDGE_BEARING (2, first on line 15)"
+    with pytest.warns(GraphWarning, match=re.escape(f"{path}: {said}")) as caught:
+        before = load(path)
+    assert [warning.filename for warning in caught] == [__file__]
+    assert before[2].warnings == [said]
+    assert before[2].notes == [said, "1 comment lines"]
     assert before[2].ignored == ["EDGE_BEARING 1 A0 L3 0.5 0.1", "EDGE_BEARING x"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GraphWarning)
-        assert again(before, tmp_path)[2].ignored == before[2].ignored
+    assert again(before, tmp_path)[2].ignored == before[2].ignored
+
+
+def test_why_a_file_was_read_so(tmp_path: Path) -> None:
+    assert load(write(tmp_path, PLANE, "f.pyfg"))[2].reason == "by its name"
+    assert load(write(tmp_path, PLANE, "f.txt"))[2].reason == "'A0' after a time is the name of a pose"
+    assert load(tmp_path / "f.txt", dialect="pyfg")[2].reason == "as asked for"
+    assert load(write(tmp_path, BAL, "f.txt"))[2].reason == "three counts on its first line"
 
 
 @pytest.mark.parametrize(

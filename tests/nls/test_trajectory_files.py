@@ -105,9 +105,20 @@ def test_kitti_mistakes(row: str, message: str, tmp_path: Path) -> None:
         ([0.0, np.nan], poses(2), "must be finite and rise"),
         ([0.0, 1.0], poses(2)[:, :4], r"shape \(2, 4\)"),
         ([0.0, 1.0], 2 * poses(2), "expected 1"),
+        (["a", "b"], poses(2), "the times are not an array of numbers: .*'a'"),
+        ([0.0, [1.0]], poses(2), "the times are not an array of numbers"),
+        ([0.0], [["a", 0, 0]], "the poses are not an array of numbers: .*'a'"),
+        ([], np.zeros((0, 7)), "no poses"),
     ],
 )
 def test_what_is_no_trajectory_is_not_written(times: list[float], X: Array, message: str, tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(GraphError, match=rf"a\.tum: .*{message}"):
         write_tum(tmp_path / "a.tum", times, X)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nor_in_the_other_format(tmp_path: Path) -> None:
+    for X, message in (([["a", 0, 0]], "not an array of numbers"), (np.zeros((0, 3)), "no poses")):
+        with pytest.raises(GraphError, match=rf"a\.kitti: .*{message}"):
+            write_kitti(tmp_path / "a.kitti", X)
     assert list(tmp_path.iterdir()) == []

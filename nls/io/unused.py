@@ -1,0 +1,58 @@
+"""Lines of a file that are not used: counted and named where they are read, written back where nobody takes them up."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+
+import numpy as np
+import numpy.typing as npt
+
+from nls.io.report import LoadReport
+from nls.io.text import Text, printable
+
+__all__ = ["appended", "keep", "keep_unknown", "left_out", "note_comments"]
+
+Index = npt.NDArray[np.intp]
+NAMED = 9  # tags in a sentence
+
+
+def keep(text: Text, lines: Index, report: LoadReport) -> None:
+    """Keep lines (counted from 0) as text."""
+    report.ignored += [text.line(n).decode("utf-8", "surrogateescape") for n in lines.tolist()]
+
+
+def keep_unknown(text: Text, unknown: dict[bytes, Index], report: LoadReport, known: Collection[bytes] = ()) -> None:
+    """Keep the lines of tags that are not used, and warn; ``known``: tags of the format without a use here."""
+    if not unknown:
+        return
+    aside = "" if all(tag in known for tag in unknown) else "with unknown tags "
+    named = [f"{printable(tag)[:30]} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
+    report.warn(f"lines {aside}were not used: {_listed(named)}")
+    keep(text, np.sort(np.concatenate(list(unknown.values()))), report)
+
+
+def note_comments(report: LoadReport, count: int) -> None:
+    """Say how many comments there were: they are never written."""
+    if count:
+        report.notes.append(f"{count} comment lines")
+
+
+def appended(report: LoadReport | None, format: str) -> list[str]:
+    """The unused lines a file of this format gets back: another format might read them as its own."""
+    return report.ignored if report is not None and report.format == format else []
+
+
+def left_out(report: LoadReport | None, format: str) -> list[str]:
+    """What a file of this format does not get back, in at most one sentence."""
+    if report is None or report.format == format or not report.ignored:
+        return []
+    tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)
+    named = _listed([f"{printable(tag)[:30]} ({count})" for tag, count in tags.items()])
+    said = f"{len(report.ignored)} lines that were not used are left out"
+    return [f"{said}, only a {report.format} file gets them back: {named}"]
+
+
+def _listed(named: list[str]) -> str:
+    more = f" and {len(named) - NAMED} other tags" if len(named) > NAMED else ""
+    return ", ".join(named[:NAMED]) + more
