@@ -8,20 +8,19 @@ import numpy.typing as npt
 from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.manifolds.base import LieGroup
+from models.manifolds.rn import Vectors
 
 __all__ = ["ANGLES", "Measured"]
 
 ANGLES = frozenset({"azimuth", "bearing", "elevation", "pitch", "roll", "yaw"})  # what is wrapped; the rest is not
 
 
-class MeasuredNumbers(LieGroup):
+class MeasuredNumbers(Vectors):
     """Numbers that add up, angles among them wrapped to [-pi, pi): a vector space times circles."""
 
-    flat = True
-
     def __init__(self, names: tuple[str, ...]) -> None:
+        super().__init__(len(names))
         self.name, self.components = f"({', '.join(names)})", names
-        self.dim = self.size = len(names)
         self._angles = [k for k, name in enumerate(names) if name in ANGLES]
 
     def exp(self, delta: npt.ArrayLike) -> Array:
@@ -30,21 +29,16 @@ class MeasuredNumbers(LieGroup):
             X[..., k] = wrap(X[..., k])
         return X
 
-    log = vector = exp
+    def log(self, X: npt.ArrayLike) -> Array:
+        return self.exp(X)
+
+    vector = log
 
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
-        return self.exp(np.asarray(X, dtype=float) + np.asarray(Y, dtype=float))
+        return self.exp(super().compose(X, Y))
 
     def inverse(self, X: npt.ArrayLike) -> Array:
-        return self.exp(-np.asarray(X, dtype=float))
-
-    def _unit(self, X: npt.ArrayLike) -> Array:
-        return np.broadcast_to(np.eye(self.dim), (*np.shape(X)[:-1], self.dim, self.dim))
-
-    adjoint = jl = jl_inv = vector_jl = vector_jr = _unit
-
-    def identity(self, n: int = 1) -> Array:
-        return np.zeros((n, self.dim))
+        return self.exp(super().inverse(X))
 
     def position(self, X: Array) -> Array:
         return X[..., :0]
