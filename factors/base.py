@@ -212,6 +212,13 @@ class Factor(ABC):
         model = self._model  # read once, and what is returned is never read back: threads may bind one factor at once
         if model is None or model.manifolds != manifolds:
             name = self.name
+            if len(self.slots) != len(self.keys):
+                raise GraphError(
+                    f"{name}: its `slots` state {len(self.slots)} spaces, it has {len(self.keys)} variables; set one "
+                    "for each, such as slots = (SE2, R(2)), None for any",
+                    self.keys,
+                    name,
+                )
             for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
                 if wanted is not None and wanted is not manifold:
                     raise GraphError(f"{name}: {keys[[0]]} is in {manifold}, this factor needs {wanted}", [keys], name)
@@ -344,31 +351,27 @@ class Model:
     def _predict(self, X: tuple[Array, ...], jacobians: bool) -> tuple[Array, tuple[Array | None, ...]]:
         h, H = self.factor.predict(self.manifolds, *X)
         if h.shape != self.z.shape:
-            raise EvaluationError(
-                f"{self.factor!r}: the prediction has shape {h.shape}, expected {self.z.shape}",
-                self.factor.name,
-                self.factor.keys,
-            )
+            raise self._wrong(f"the prediction has shape {h.shape}, expected {self.z.shape}")
         if not jacobians:
             return h, ()
         if H is None:
             predict = self.factor.predict
             H = central_differences(self.space, self.manifolds, lambda *Y: predict(self.manifolds, *Y)[0], X, h)
         if len(H) != len(self.manifolds):
-            raise EvaluationError(
-                f"{self.factor!r}: {len(H)} Jacobians, expected {len(self.manifolds)}: one per slot",
-                self.factor.name,
-                self.factor.keys,
-            )
+            raise self._wrong(f"{len(H)} Jacobians, expected {len(self.manifolds)}: one per slot")
         for slot, (H_k, manifold) in enumerate(zip(H, self.manifolds, strict=True)):
-            shape = (self.space.dim, manifold.dim)
-            if H_k is not None and H_k.shape not in ((len(h), *shape), (1, *shape), shape):
-                raise EvaluationError(
-                    f"{self.factor!r}: Jacobian of slot {slot} has shape {H_k.shape}, expected {(len(h), *shape)}",
-                    self.factor.name,
-                    self.factor.keys,
+            m, d = shape = (self.space.dim, manifold.dim)
+            if H_k is None and m != d:
+                raise self._wrong(
+                    f"None for slot {slot} means the identity, but its Jacobian is {m} x {d}; give it, or return None "
+                    "instead of all Jacobians for central differences"
                 )
+            if H_k is not None and H_k.shape not in ((len(h), *shape), (1, *shape), shape):
+                raise self._wrong(f"Jacobian of slot {slot} has shape {H_k.shape}, expected {(len(h), *shape)}")
         return h, H
+
+    def _wrong(self, message: str) -> EvaluationError:
+        return EvaluationError(f"{self.factor!r}: {message}", self.factor.name, self.factor.keys)
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""

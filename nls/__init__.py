@@ -15,6 +15,7 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
+from nls import plot
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io import LoadReport, load, save
@@ -65,5 +66,6 @@ __all__ = [
     "initialize",
     "kinds",
     "load",
+    "plot",
     "save",
 ]

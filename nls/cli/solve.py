@@ -224,6 +224,8 @@ def _table(report: dict[str, Any], verbose: Result | None) -> str:
 def _advice(result: Result) -> str:
     """What to try next, by status."""
     name = result.status.name
+    if result.rises:
+        return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"
     if name in ("MAX_ITERATIONS", "MAX_TIME"):
         return "allow more with --max-iterations, or take the estimate with --allow-unconverged"
     if name in ("STOPPED", "INTERRUPTED"):

@@ -156,7 +156,7 @@ def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str 
     choices = "; ".join(f"{name}: {format.says}" for name, format in FORMATS.items() if name in left)
     raise text.error(
         f"{first.decode()} lines have several readings, and no other tag of the file tells which; name the dialect "
-        f"({choices})",
+        f"({choices}) with --dialect, or dialect= in Python; nls info --dialect NAME shows the sigmas it would mean",
         int(tags[first][0]),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from nls.optimizers.stop import Status
@@ -79,6 +80,12 @@ class Result:
         return self.status is Status.CONVERGED
 
     @property
+    def rises(self) -> int:
+        """Steps that raised chi2, of an optimization that did not converge."""
+        chi2 = [iteration.chi2 for iteration in self.history]
+        return 0 if self.converged else sum(b > a for a, b in pairwise(chi2))
+
+    @property
     def iterations(self) -> int:
         """Steps taken."""
         return len(self.history) - 1
@@ -97,6 +104,8 @@ class Result:
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
+        if rises := self.rises:
+            lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
         if self.chi2_final > SUSPICIOUS * max(self.dof, 1):

@@ -85,7 +85,9 @@ def trajectory(
         axes = Figure(figsize=(6, 6), layout="constrained").add_subplot(**({"projection": "3d"} if dim == 3 else {}))
     segments, total = _closures(graph, values)
     if len(segments):
-        _lines(axes, segments, color=CLOSURE, linewidth=0.6, alpha=0.45, label="loop closures")
+        points = any(stack.manifold.dim == dim for stack in values.stacks.values())
+        name, alpha = ("measurements", 0.15) if points else ("loop closures", 0.45)  # of points there are many
+        _lines(axes, segments, color=CLOSURE, linewidth=0.6, alpha=alpha, label=name)
     for stack in values.stacks.values():
         X = stack.manifold.position(stack.X)
         if X.shape[1] != dim:

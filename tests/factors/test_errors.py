@@ -13,7 +13,7 @@ from factors.base import Jacobians
 from factors.keys import Keys
 from models import SE2, SE3, Manifold, R
 from models.errors import EvaluationError, GraphError, JacobianError, NoiseModelError, OptionError
-from nls import Values, kinds
+from nls import FactorGraph, Values, kinds
 
 Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
@@ -292,3 +292,34 @@ def test_check_jacobians_finds_one_wrong_entry_in_a_batch() -> None:
         check_jacobians(factor, PLANE)
     assert caught.value.entry == (0, 1, 0, 1)
     assert check_jacobians(factor, PLANE, rtol=1e-3) == pytest.approx(1e-4 / 4, rel=0.1)
+
+
+class Half(Factor):
+    """A factor that leaves out what it should not."""
+
+    slots = (SE2,)
+
+    def __init__(self) -> None:
+        super().__init__([x[0]], [0.0], Isotropic(1.0))
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return R(1)
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        return X[0][:, :1], (None,)
+
+
+def test_no_jacobian_means_the_identity_and_has_to_be_square() -> None:
+    values = Values({x: (SE2, [0.0, 0.0, 0.0])})
+    with pytest.raises(EvaluationError, match=r"None for slot 0 means the identity, but its Jacobian is 1 x 3"):
+        FactorGraph([Half()]).linearize(values)
+
+
+def test_slots_have_to_be_stated_for_every_variable() -> None:
+    class Forgetful(Half):
+        """It does not say what its variable is."""
+
+        slots = ()
+
+    with pytest.raises(GraphError, match=r"Forgetful: its `slots` state 0 spaces, it has 1 variables"):
+        FactorGraph([Forgetful()]).chi2(Values({x: (SE2, [0.0, 0.0, 0.0])}))

@@ -182,6 +182,7 @@ def test_a_real_interrupt_writes_the_best_point(name: str, tmp_path: Path) -> No
         "import sys, time, signal, os\n"
         "import nls.optimizers.watch as w\n"
         "from nls.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background inherits none
         "old = w.Watch.step\n"
         "def step(self, *a, **k):\n"
         "    old(self, *a, **k)\n"
