@@ -14,12 +14,13 @@ def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
     from nls.cli.formats import read
     from nls.plot import trajectory
+    from nls.plot.picture import write_picture
 
     refuse_unwritable(options.output)
     refuse_no_picture("output file", options.output)
     graph, values, _ = read(options)
     figure = trajectory(graph, values)
     figure.suptitle(Path(options.file).name)
-    figure.savefig(options.output, dpi=150)
+    write_picture(options.output, figure)
     print(f"written     {options.output}")
     return 0

@@ -151,8 +151,9 @@ def _write(
 
     def plot(path: str) -> None:
         from nls.plot import before_after
+        from nls.plot.picture import write_picture
 
-        before_after(graph, before, result, title=Path(options.file).name).savefig(path, dpi=150)
+        write_picture(path, before_after(graph, before, result, title=Path(options.file).name))
 
     outputs = [(optimum, options.output), (covariance, options.covariance), (plot, options.plot)]
     if options.covariance and not result.converged:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import nls
 from nls.cli import main
@@ -187,3 +189,20 @@ def test_repair_is_refused_where_there_is_no_information(tmp_path: Path, capsys:
         assert f"--repair-information is not possible; expected False: {tmp_path / name} is in the format" in (
             capsys.readouterr().err
         )
+
+
+@pytest.mark.parametrize("command", [["plot"], ["solve", "--quiet", "--plot"]], ids=lambda c: c[0])
+def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(self: Figure, file: BytesIO, **_: object) -> None:
+        file.write(b"half a picture")
+        raise OSError("no space left on device")
+
+    file, picture = write(tmp_path, PLANE), tmp_path / "picture.png"
+    picture.write_bytes(b"the old one")
+    monkeypatch.setattr(Figure, "savefig", half)
+    arguments = [*command[:1], str(file), *command[1:], str(picture)]
+    assert main(arguments) == 2
+    assert picture.read_bytes() == b"the old one"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([file.name, picture.name])
