@@ -1,5 +1,8 @@
 """Least squares on a factor graph: values, graph, A and b, solvers, files."""
 
+from importlib import import_module
+from types import ModuleType
+
 from factors.keys import Keys, Kind, kinds
 from models.errors import (
     EvaluationError,
@@ -15,7 +18,6 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
-from nls import plot
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io import LoadReport, load, save
@@ -26,6 +28,14 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> ModuleType:
+    """`nls.plot`, imported when it is first used."""
+    if name == "plot":
+        return import_module("nls.plot")
+    raise AttributeError(f"module 'nls' has no attribute {name!r}")
+
 
 __all__ = [
     "LU",

@@ -45,6 +45,8 @@ __all__ = [
     "choose_gauge",
     "component_labels",
     "fixed_variables",
+    "free_directions",
+    "gauge_columns",
     "touched_variables",
 ]
 
@@ -164,6 +166,27 @@ def _first_of_components(
     return candidates[order][first]
 
 
+def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
+    """Columns of `free` that `held` leaves out, the gauge, and all others."""
+    gauge = np.flatnonzero(np.repeat(held.held & ~free.held, np.where(free.held, 0, free.dims)))
+    return gauge, np.setdiff1d(np.arange(free.n), gauge)
+
+
+def free_directions(A: sp.csr_array, gauge: Index, rest: Index, unheld: Array) -> Array:
+    """Orthonormal basis (n, k) of the free gauge, N = [-pinv(A_f) A_h; I], from ``unheld``, pinv(A_f) A_h.
+
+    Raises
+    ------
+    SingularSystemError
+        The held columns are no free directions: N changes a measurement.
+    """
+    N = np.zeros((A.shape[1], len(gauge)))
+    N[rest], N[gauge] = -unheld, np.eye(len(gauge))
+    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+        raise SingularSystemError("the held variable is not a free direction of the measurements")
+    return np.asarray(np.linalg.qr(N)[0])
+
+
 @dataclass(frozen=True)
 class FreeState:
     """What `FreeGauge` knows of a pattern: the state of its solver, and which columns are the gauge."""
@@ -191,8 +214,7 @@ class FreeGauge(LinearSolver):
         self.name = solver.name  # type: ignore[misc]
 
     def analyze(self, pattern: Pattern) -> FreeState:
-        gauge = np.flatnonzero(np.repeat(self.held.held & ~pattern.held, np.where(pattern.held, 0, pattern.dims)))
-        return FreeState(self.solver.analyze(self.held), gauge, np.setdiff1d(np.arange(pattern.n), gauge))
+        return FreeState(self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
 
     def seen(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)
@@ -202,12 +224,9 @@ class FreeGauge(LinearSolver):
         held = None if damping is None else damping[rest]
         step = self.solver.solve(analyzed.analyzed, self.seen(system), held)
         t0 = perf_counter()
-        x, N = np.zeros(A.shape[1]), np.zeros((A.shape[1], len(gauge)))
+        x = np.zeros(A.shape[1])
         x[rest] = step.dx
-        N[rest], N[gauge] = -self._unheld(analyzed, system), np.eye(len(gauge))
-        if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
-            raise SingularSystemError("the held variable is not a free direction of the measurements")
-        Q, _ = np.linalg.qr(N)
+        Q = free_directions(A, gauge, rest, self._unheld(analyzed, system))
         seconds = {**step.seconds, "solve": step.seconds.get("solve", 0.0) + perf_counter() - t0}
         return LinearSolution(x - Q @ (Q.T @ x), seconds)
 

@@ -16,7 +16,7 @@ from nls.assemble import Pattern, measured_rows
 from nls.diagnose import underconstrained
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
-from nls.optimizers import GaussNewton, LevenbergMarquardt, Optimizer, Result
+from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.values import Values
 
@@ -137,9 +137,7 @@ class FactorGraph:
         started = perf_counter()
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
-        damped = any(factor.damped for factor in self.factors)
-        method: Optimizer = LevenbergMarquardt() if damped else GaussNewton()
-        method = method if optimizer is None else optimizer
+        method = default_optimizer(self.factors)() if optimizer is None else optimizer
         solver = default_solver() if linear_solver is None else linear_solver
         if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")

@@ -190,12 +190,11 @@ def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -
 
 
 def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: _Progress) -> Optimizer:
-    """The optimizer by name; auto damps where a factor says that undamped steps are known to fail."""
-    from nls.optimizers import OPTIMIZERS, GaussNewton, LevenbergMarquardt
+    """The optimizer by name; auto leaves it to the library."""
+    from nls.optimizers import OPTIMIZERS, default_optimizer
 
-    if name == "auto":
-        name = (LevenbergMarquardt if any(f.damped for f in graph.factors) else GaussNewton).name
-    return OPTIMIZERS[name](stop, callback=progress.show)
+    kind = default_optimizer(graph.factors) if name == "auto" else OPTIMIZERS[name]
+    return kind(stop, callback=progress.show)
 
 
 def _table(report: dict[str, Any], verbose: Result | None) -> str:

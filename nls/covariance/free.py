@@ -19,6 +19,8 @@ import numpy as np
 from models.algebra import Array
 from models.errors import GraphError, ResourceLimitError
 from nls.assemble import Index, Pattern
+from nls.gauge import free_directions, gauge_columns
+from nls.linear.base import SingularSystemError
 from nls.linear.normal import NormalState
 from nls.values import Values
 
@@ -68,8 +70,7 @@ def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, 
     ResourceLimitError
         There are so many components that the columns would not fit.
     """
-    gauge = np.flatnonzero(np.repeat(held.held & ~free.held, np.where(free.held, 0, free.dims)))
-    rest = np.setdiff1d(np.arange(free.n), gauge)
+    gauge, rest = gauge_columns(held, free)
     needed = 6 * 8.0 * free.n * len(gauge)
     if needed > memory_limit:
         raise ResourceLimitError(
@@ -80,15 +81,15 @@ def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, 
             "free gauge",
         )
     A = free.linearize(values).A
-    N = np.zeros((free.n, len(gauge)))
-    N[rest], N[gauge] = -state.solve((A[:, rest].T @ A[:, gauge]).toarray()), np.eye(len(gauge))
-    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+    try:
+        directions = free_directions(A, gauge, rest, state.solve((A[:, rest].T @ A[:, gauge]).toarray()))
+    except SingularSystemError as error:
         raise GraphError(
             "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
             "relative=True and is not"
-        )
+        ) from error
     of_all = np.flatnonzero(np.repeat(~free.held, free.dims))
     Q, B = np.zeros((2, int(free.dims.sum()), len(gauge)))
-    Q[of_all] = np.linalg.qr(N)[0]
+    Q[of_all] = directions
     B[of_all[rest]] = state.solve(Q[of_all[rest]])
     return FreePart(Q, B)
