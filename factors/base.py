@@ -238,8 +238,8 @@ class Factor(ABC):
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
-            if W.shape[-1] <= 3:  # components first, as `product` wants small matrices
-                W = np.moveaxis(np.ascontiguousarray(np.moveaxis(W, 0, -1)), -1, 0)
+            # components first for small matrices, one by one for larger ones, as `product` wants them
+            W = np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)
             model = self._model = Model(self, manifolds, space, z, W, rows, names)
         return model
 
@@ -312,13 +312,13 @@ class Model:
     def error(self, *X: Array) -> Array:
         """Whitened innovation b (n, m) alone, for the cost of a trial point."""
         h, _ = self._predict(X, jacobians=False)
-        return self._whitened_innovation(h)[0]
+        return self._whitened_innovation(h, jacobian=False)[0]
 
     @np.errstate(over="ignore", invalid="ignore")
     def linearize(self, *X: Array) -> tuple[tuple[Array, ...], Array]:
         """Whitened Jacobians A_k (n, m, dim_k), one per slot, and innovations b (n, m), at the stacks X."""
         h, H = self._predict(X, jacobians=True)
-        b, J = self._whitened_innovation(h)
+        b, J = self._whitened_innovation(h, jacobian=True)
         n = len(b)
         if J is not None:
             WJ = whiten(self.W, J[:, self.rows])
@@ -333,8 +333,8 @@ class Model:
             A.append(np.broadcast_to(A_k, (n, *A_k.shape[1:])))
         return tuple(A), b
 
-    def _whitened_innovation(self, h: Array) -> tuple[Array, Array | None]:
-        e, J = innovation(self.space, h, self.z, self.factor.convention)
+    def _whitened_innovation(self, h: Array, jacobian: bool) -> tuple[Array, Array | None]:
+        e, J = innovation(self.space, h, self.z, self.factor.convention, jacobian)
         b = whiten(self.W, e[:, self.rows])
         self._check(e, None)
         if len(b) and not np.abs(b).max() <= SQUARABLE:

@@ -37,14 +37,17 @@ def check_convention(name: str) -> str:
     return name
 
 
-def innovation(space: Manifold, h: Array, z: Array, convention: str = "log") -> tuple[Array, Array | None]:
-    """e = z [-] h and its J as above; J is None where it is the identity.
+def innovation(
+    space: Manifold, h: Array, z: Array, convention: str = "log", jacobian: bool = True
+) -> tuple[Array, Array | None]:
+    """e = z [-] h and its J as above; J is None where it is the identity, or not asked for.
 
     Parameters
     ----------
     space : the space z and h live in.
     h, z : (n, size) stacks.
     convention : one of `CONVENTIONS`.
+    jacobian : whether J is wanted.
 
     Returns
     -------
@@ -55,9 +58,9 @@ def innovation(space: Manifold, h: Array, z: Array, convention: str = "log") -> 
         return space.local(h, z), None
     if convention == "g2o":
         E = space.between(z, h)
-        return -space.vector(E), space.vector_jr(E)
+        return -space.vector(E), space.vector_jr(E) if jacobian else None
     E = space.between(h, z)
     if convention == "graphslam":
-        return space.vector(E), space.vector_jl(E)
+        return space.vector(E), space.vector_jl(E) if jacobian else None
     e = space.log(E)
-    return e, space.jl_inv(e)
+    return e, space.jl_inv(e) if jacobian else None

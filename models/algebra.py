@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "apply", "components", "matrix", "pack", "product", "skew", "stumpff", "wrap"]
+__all__ = ["Array", "apply", "components", "gram", "matrix", "pack", "product", "skew", "stumpff", "wrap"]
 
 Array = npt.NDArray[np.float64]
 
@@ -36,26 +36,31 @@ def wrap(angle: npt.ArrayLike) -> Array:
 
 def components(X: npt.ArrayLike) -> Array:
     """View of a stack (..., k) as k arrays (k, ...), one per component."""
-    return np.moveaxis(np.asarray(X, dtype=float), -1, 0)
+    X = np.asarray(X, dtype=float)
+    return X.transpose(X.ndim - 1, *range(X.ndim - 1))  # 0.3 us; numpy.moveaxis takes 15
 
 
 def pack(parts: Sequence[npt.ArrayLike]) -> Array:
     """Stack (..., k) of k broadcastable arrays (...), components first in memory."""
-    shape = np.broadcast_shapes(*(np.shape(p) for p in parts))
-    out = np.empty((len(parts), *shape))
+    out = np.empty((len(parts), *_batch(parts)))
     for k, part in enumerate(parts):
         out[k] = part
-    return np.moveaxis(out, 0, -1)
+    return out.transpose(*range(1, out.ndim), 0)
 
 
 def matrix(rows: Sequence[Sequence[npt.ArrayLike]]) -> Array:
     """Stack of matrices (..., r, c) from r rows of c broadcastable entries, components first in memory."""
-    shape = np.broadcast_shapes(*(np.shape(entry) for row in rows for entry in row))
-    out = np.empty((len(rows), len(rows[0]), *shape))
+    out = np.empty((len(rows), len(rows[0]), *_batch([entry for row in rows for entry in row])))
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
             out[i, j] = entry
-    return np.moveaxis(out, (0, 1), (-2, -1))
+    return out.transpose(*range(2, out.ndim), 0, 1)
+
+
+def _batch(parts: Sequence[npt.ArrayLike]) -> tuple[int, ...]:
+    """Shape that arrays broadcast to; most have it already, and a number has none."""
+    shapes = {part.shape for part in parts if isinstance(part, np.ndarray)}
+    return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*map(np.shape, parts))
 
 
 def product(A: Array, B: Array) -> Array:
@@ -68,18 +73,29 @@ def product(A: Array, B: Array) -> Array:
         return np.asarray(np.matmul(A, B))
     if A.shape[-1] != B.shape[-2]:
         raise ValueError(f"product of {A.shape} and {B.shape}: the inner sizes differ")
+    ndim = max(A.ndim, B.ndim)
     if A.ndim != B.ndim:  # batches broadcast from the right, so the shorter one gets its missing axes in front
-        ndim = max(A.ndim, B.ndim)
         A, B = A.reshape((1,) * (ndim - A.ndim) + A.shape), B.reshape((1,) * (ndim - B.ndim) + B.shape)
-    a, b = np.moveaxis(A, (-2, -1), (0, 1)), np.moveaxis(B, (-2, -1), (0, 1))
+    axes = (ndim - 2, ndim - 1, *range(ndim - 2))
+    a, b = A.transpose(axes), B.transpose(axes)
     C = a[:, :1] * b[0]
     for k in range(1, a.shape[1]):
         C += a[:, k : k + 1] * b[k]
-    return np.moveaxis(C, (0, 1), (-2, -1))
+    return C.transpose(*range(2, ndim), 0, 1)
+
+
+def gram(A: Array) -> Array:
+    """A'A for a stack (..., r, c), symmetric.
+
+    For larger matrices from a copy: `numpy.matmul` sees A'A of one array and takes BLAS's syrk, six times slower here.
+    """
+    return product(A.mT, A if max(A.shape[-2:]) <= 3 else A.copy())
 
 
 def apply(A: Array, x: Array) -> Array:
     """Matrix times vector for stacks, (..., r, k) times (..., k); the batches broadcast."""
+    if max(A.shape[-2:]) > 3:
+        return np.asarray(np.einsum("...ij,...j->...i", A, x))  # half the time of `numpy.matmul`
     return product(A, x[..., None])[..., 0]
 
 

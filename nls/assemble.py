@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted
@@ -32,15 +31,13 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Batch:
-    """One factor in the pattern: its model and its rows; per slot the kind, the rows of its stack, the variables, and
-    the 0/1 matrix (stack x measurements) that sums what the measurements say about each variable."""
+    """One factor in the pattern: its model and its rows; per slot the kind, the rows of its stack, the variables."""
 
     model: Model
     rows: slice
     kinds: tuple[str, ...]
     index: tuple[Index, ...]
     variables: tuple[Index, ...]
-    incidence: tuple[sp.csr_array, ...]
 
     def __len__(self) -> int:
         return len(self.model.z)
@@ -80,9 +77,8 @@ class Pattern:
             model = factor.bind(*(stack.manifold for stack in stacks))
             index = tuple(stack.index(k) for stack, k in zip(stacks, factor.keys, strict=True))
             variables = tuple(i + self.offsets[s.kind] for i, s in zip(index, stacks, strict=True))
-            incidence = tuple(_incidence(i, len(s)) for i, s in zip(index, stacks, strict=True))
             rows = slice(self.m, self.m + len(factor) * model.dim)
-            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables, incidence))
+            self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
             self.m = rows.stop
 
     def linearize(self, values: Values) -> LinearSystem:
@@ -184,14 +180,6 @@ def measured_rows(pattern: Pattern) -> int:
         zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
         empty += zero * (len(batch) if len(W) == 1 else 1)
     return pattern.m - empty
-
-
-def _incidence(index: Index, size: int) -> sp.csr_array:
-    """0/1 matrix (size, n) with a 1 where measurement k touches row index[k]."""
-    n = len(index)
-    order = np.argsort(index, kind="stable").astype(np.int32)
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(index, minlength=size))]).astype(np.int32)
-    return sp.csr_array((np.ones(n), order, indptr), shape=(size, n))
 
 
 def offsets(values: Values) -> dict[str, int]:

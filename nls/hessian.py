@@ -8,72 +8,55 @@ SE(2) edges: 2 ms; scipy's A.T @ A: 10 ms.)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
-from models.algebra import Array, product
+from models.algebra import Array, gram, product
 from models.errors import ResourceLimitError
+from nls.elimination import Elimination, Index, Order, eliminated
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["Blocks", "Hessian", "Order"]
-
-Index = npt.NDArray[np.intp]
-Order = Callable[[Index, Index, int], Index]  # (u, v, number of variables) -> elimination order
+__all__ = ["Blocks", "Hessian"]
 
 
 class Hessian:
-    """Structure of a block-sparse symmetric matrix, columns in elimination order.
+    """Structure of a block-sparse symmetric (or Hermitian) matrix, columns in elimination order.
 
     Parameters
     ----------
+    elimination : the pairs of variables that share a block, and the order.
     dims : (V,) size of every diagonal block.
-    u, v : (P,) variables of every off-diagonal contribution, u != v, in any orientation, repeats allowed.
     diagonal : (V,) where in S the diagonal block (d, d) of each variable begins.
-    off : (P,) where in S the contribution (dims[u], dims[v]) begins.
-    order : gives the elimination order from the graph of variables; None keeps the given order.
+    off : (P,) where in S the contribution (dims[u], dims[v]) of each pair begins.
 
     Attributes
     ----------
-    n, variables : columns, and block columns.
+    n : columns.
     permutation : (n,) column k here is column permutation[k] of the given order.
     indptr, indices : of the lower triangle, compressed by column.
     source : where in S each of its numbers is.
     """
 
-    def __init__(
-        self, dims: Index, u: Index, v: Index, diagonal: Index, off: Index, order: Order | None = None
-    ) -> None:
-        V = self.variables = len(dims)
-        first, again = _unique_pairs(u, v, V)
-        eliminated = np.arange(V) if order is None else order(u[first], v[first], V)
-        position = np.empty(V, dtype=np.intp)
-        position[eliminated] = np.arange(V)
-        widths = self._widths = dims[eliminated]
-        starts = self._starts = np.cumsum(widths) - widths
+    def __init__(self, elimination: Elimination, dims: Index, diagonal: Index, off: Index) -> None:
+        e, V = elimination, len(dims)
+        widths = dims[e.variables]
+        starts = np.cumsum(widths) - widths
         self.n = int(widths.sum())
         inner = np.arange(self.n) - np.repeat(starts, widths)  # column within its block column
-        self.permutation = np.repeat((np.cumsum(dims) - dims)[eliminated], widths) + inner
+        self.permutation = np.repeat((np.cumsum(dims) - dims)[e.variables], widths) + inner
 
-        # Blocks below the diagonal: (row, column) in elimination order; turned where S has them the other way round.
-        self._row, self._column = np.maximum(position[u], position[v]), np.minimum(position[u], position[v])
-        self._turned, self._off = position[u] < position[v], off
-        place = self._column * V + self._row
-        blocks = first[np.argsort(place[first])]
-        heights = widths[self._row[blocks]]
-        total = np.bincount(self._column[blocks], weights=heights, minlength=V).astype(np.intp)
-        above = np.cumsum(heights) - heights - (np.cumsum(total) - total)[self._column[blocks]]
-        self._above = np.empty(len(u), dtype=np.intp)  # rows of a block column between its diagonal and this block
-        self._above[blocks] = above
-        self._above[again] = above[np.searchsorted(place[blocks], place[again])]
+        # Rows of a block column below its diagonal block, and above each of its blocks.
+        heights, column = widths[e.row[e.blocks]], e.column[e.blocks]
+        total = np.bincount(column, weights=heights, minlength=V).astype(np.intp)
+        above = np.cumsum(heights) - heights - (np.cumsum(total) - total)[column]
 
         # Column k of a block column: the diagonal block from its row k on, then the blocks below.
         ends = np.cumsum(np.repeat(widths + total, widths) - inner)
@@ -82,31 +65,30 @@ class Hessian:
         self.indptr = np.concatenate([[0], ends]).astype(np.int32)
         self.indices = np.empty(self.indptr[-1], dtype=np.int32)
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
-        for d in np.unique(widths):
+        for d in np.flatnonzero(np.bincount(widths)):
             k = np.flatnonzero(widths == d)[:, None]
             r, c = np.tril_indices(int(d))
             target = self.indptr[starts[k] + c] + (r - c)
             self.indices[target] = starts[k] + r
-            self.source[target] = diagonal[eliminated[k]] + r * d + c
-        for target, source, rows in self._entries(blocks):
+            self.source[target] = diagonal[e.variables[k]] + r * d + c
+
+        def entries(pairs: Index, above: Index) -> Iterator[tuple[Index, Index, Index]]:
+            """All pairs of one shape at a time: places in the data, sources in S, and rows of their numbers."""
+            row, column, base = e.row[pairs], e.column[pairs], int(widths.max(initial=0)) + 1
+            shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
+            for height, width in (divmod(int(shape), base) for shape in np.flatnonzero(np.bincount(shapes))):
+                same = np.flatnonzero(shapes == height * base + width)
+                r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
+                target = self.indptr[starts[column[same], None] + c] + (width - c + r) + above[same, None]
+                inside = np.stack([r * width + c, c * height + r])  # of a contribution as it is, and turned
+                p = pairs[same]
+                yield target, off[p, None] + inside[e.turned[p].astype(np.intp)], starts[row[same], None] + r
+
+        for target, source, rows in entries(e.blocks, above):
             self.indices[target] = rows
             self.source[target] = source
-        repeats = [(target.reshape(-1), source.reshape(-1)) for target, source, _ in self._entries(again)]
+        repeats = [(target.reshape(-1), source.reshape(-1)) for target, source, _ in entries(e.again, above[e.twin])]
         self._add = [np.concatenate(part) for part in zip(*repeats, strict=True)] or None
-
-    def _entries(self, contributions: Index) -> Iterator[tuple[Index, Index, Index]]:
-        """For all contributions of one shape at a time: places in the data, sources in S, and rows of their numbers."""
-        row, column, widths = self._row[contributions], self._column[contributions], self._widths
-        base = int(widths.max(initial=0)) + 1
-        shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
-        for height, width in (divmod(int(shape), base) for shape in np.unique(shapes)):
-            same = shapes == height * base + width
-            p = contributions[same]
-            r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
-            target = self.indptr[self._starts[column[same], None] + c] + (width - c) + self._above[p, None] + r
-            turned = self._turned[p, None]
-            source = self._off[p, None] + np.where(turned, c * height + r, r * width + c)
-            yield target, source, self._starts[row[same], None] + r
 
     @cached_property
     def _mirrored(self) -> tuple[Index, Index, Index]:
@@ -118,16 +100,16 @@ class Hessian:
         indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self.n))])
         return indptr, rows[order], np.append(np.arange(len(column)), below)[order]
 
-    def data(self, S: Array) -> Array:
-        """Numbers of the lower triangle from the flat blocks S."""
-        data = np.take(S, self.source)
+    def data(self, S: Array, out: Array | None = None) -> Array:
+        """Numbers of the lower triangle from the flat blocks S, in ``out`` where it is given."""
+        data = np.take(S, self.source, out=out, mode="clip")  # half the time of mode "raise"; all sources are in S
         if self._add is not None:
             np.add.at(data, self._add[0], np.take(S, self._add[1]))
         return data
 
     def diagonal(self, S: Array) -> Array:
-        """Diagonal of the matrix (n,)."""
-        return np.take(S, self.source[self.indptr[:-1]])
+        """Diagonal of the matrix (n,), real."""
+        return np.take(S, self.source[self.indptr[:-1]]).real
 
     def damp(self, S: Array, damping: Array) -> None:
         """Add a diagonal (n,), in the given order of columns, to the flat blocks S."""
@@ -136,7 +118,11 @@ class Hessian:
     def symmetric(self, S: Array) -> sp.csc_array:
         """Both triangles as a sparse matrix; numbers that happen to be zero stay in its structure."""
         indptr, indices, place = self._mirrored
-        return sp.csc_array((self.data(S)[place], indices, indptr), shape=(self.n, self.n))
+        data = self.data(S)[place]
+        if np.iscomplexobj(data):
+            above = indices < np.repeat(np.arange(self.n), np.diff(indptr))
+            data[above] = data[above].conj()
+        return sp.csc_array((data, indices, indptr), shape=(self.n, self.n))
 
     def matrix(self, S: Array) -> sp.csc_matrix:
         """Lower triangle as a sparse matrix."""
@@ -148,8 +134,8 @@ class Hessian:
 class Blocks:
     """Fills the flat array S from a linear system: A_a'A_b per pair of slots, and summed A_a'A_a per variable.
 
-    The sums are products with the sparse 0/1 incidence of a slot, 0.3 ms for 10,000 6x6 blocks. S holds the diagonal
-    blocks of *all* variables, also of held ones, whose blocks are never taken from it.
+    S holds the diagonal blocks of *all* variables, also of held ones, whose blocks are never taken from it; and of
+    these blocks the lower triangle.
 
     Parameters
     ----------
@@ -184,28 +170,23 @@ class Blocks:
         self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
 
     def structure(self, order: Order | None = None) -> Hessian:
-        """Structure of H = A'A over the free variables."""
-        return Hessian(self.dims, self.u, self.v, self.diagonal, self.off, order)
+        """Structure of H = A'A over the free variables, eliminated in an order; None keeps theirs."""
+        return Hessian(eliminated(self.u, self.v, len(self.dims), order), self.dims, self.diagonal, self.off)
 
     def fill(self, system: LinearSystem) -> Array:
         """S of one linearization."""
         S = np.empty(self.size)
-        for where in self.sums.values():
+        sums = {}
+        for kind, where in self.sums.items():
             S[where] = 0.0
+            d = system.pattern.manifolds[kind].dim
+            sums[kind] = S[where].reshape(-1, d, d)
         for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
-            for kind, incidence, A in zip(batch.kinds, batch.incidence, blocks, strict=True):
-                squares = product(A.mT, A).reshape(len(A), A.shape[2] ** 2)
-                S[self.sums[kind]] += (incidence @ squares).reshape(-1)
+            for kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):
+                squares, D = gram(A), sums[kind]
+                for a, c in zip(*np.tril_indices(A.shape[2]), strict=True):
+                    D[:, a, c] += np.bincount(index, squares[:, a, c], len(D))
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)
         return S
-
-
-def _unique_pairs(u: Index, v: Index, V: int) -> tuple[Index, Index]:
-    """Indices of the first contribution of every pair of variables, and of all repetitions."""
-    pair = np.minimum(u, v) * V + np.maximum(u, v)
-    _, first = np.unique(pair, return_index=True)
-    again = np.ones(len(pair), dtype=bool)
-    again[first] = False
-    return first.astype(np.intp), np.flatnonzero(again)

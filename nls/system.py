@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array, apply
+from models.algebra import Array, apply, components
 from models.errors import OptionError
 from nls.hessian import Blocks
 
@@ -85,7 +85,8 @@ class LinearSystem:
         pattern, out = self.pattern, np.empty(self.pattern.m)
         X = pattern.by_kind(dx)
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
-            parts = [apply(A_k, X[kind][i]) for kind, i, A_k in zip(batch.kinds, batch.index, A, strict=True)]
+            slots = zip(batch.kinds, batch.index, A, strict=True)
+            parts = [apply(A_k, X[kind].take(index, axis=0)) for kind, index, A_k in slots]
             out[batch.rows] = sum(parts[1:], parts[0]).reshape(-1)
         return out
 
@@ -150,6 +151,7 @@ class LinearSystem:
         sums = {kind: np.zeros((len(n), pattern.manifolds[kind].dim)) for kind, n in pattern.numbers.items()}
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
             b = self.b[batch.rows].reshape(len(batch), batch.model.dim)
-            for kind, incidence, A_k in zip(batch.kinds, batch.incidence, A, strict=True):
-                sums[kind] += incidence @ np.ascontiguousarray(part(A_k, b))
+            for kind, index, A_k in zip(batch.kinds, batch.index, A, strict=True):
+                for column, x in zip(components(sums[kind]), components(part(A_k, b)), strict=True):
+                    column += np.bincount(index, x, len(column))
         return pattern.restrict(np.concatenate([np.zeros(0), *(x.reshape(-1) for x in sums.values())]))

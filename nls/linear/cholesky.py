@@ -24,7 +24,8 @@ from nls.linear.normal import Factorization, NormalEquations
 from nls.linear.threads import openmp, single_thread
 
 if TYPE_CHECKING:
-    from nls.hessian import Hessian, Index
+    from nls.elimination import Index
+    from nls.hessian import Hessian
 
 __all__ = ["Cholesky", "CholmodFactorization", "openmp_capped"]
 
@@ -47,29 +48,31 @@ class CholmodFactorization(Factorization):
         """Approximate minimum degree of the graph of variables."""
         module = cholmod()
         assert module is not None
-        i = np.concatenate([u, v, np.arange(V)]).astype(np.int32)
-        j = np.concatenate([v, u, np.arange(V)]).astype(np.int32)
-        graph = sp.csc_matrix((np.ones(len(i)), (i, j)), shape=(V, V))
+        ends = np.arange(V + 1) + np.searchsorted(v, np.arange(V + 1))  # every column: its diagonal, then its pairs
+        rows = np.empty(V + len(u), dtype=np.int32)
+        rows[ends[:-1]] = np.arange(V)
+        rows[np.arange(len(u)) + v + 1] = u
+        graph = sp.csc_matrix((np.ones(len(rows)), rows, ends.astype(np.int32)), shape=(V, V))
         return np.asarray(module.analyze(graph, mode="simplicial", ordering_method="amd").P(), dtype=np.intp)
 
-    def __init__(self, hessian: Hessian) -> None:
+    def __init__(self, hessian: Hessian, dtype: type = float) -> None:
         module = cholmod()
         assert module is not None
         self._module, self._hessian = module, hessian
         self._H = sp.csc_matrix(
-            (np.ones(len(hessian.indices)), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
+            (np.ones(len(hessian.indices), dtype=dtype), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
         )
         self._H.has_sorted_indices = True
         self._chol = module.analyze(self._H, mode="auto", ordering_method="natural")
 
     def factorize(self, S: Array) -> Array:
-        self._H.data = self._hessian.data(S)
+        self._hessian.data(S, out=self._H.data)
         try:
             with single_thread():
                 self._chol.cholesky_inplace(self._H)
         except self._module.CholmodNotPositiveDefiniteError as error:
             raise SingularSystemError(str(error)) from error
-        return np.asarray(self._chol.D())
+        return np.asarray(self._chol.D().real)
 
     def solve(self, g: Array) -> Array:
         with single_thread():

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from nls.assemble import Pattern
-    from nls.hessian import Index
+    from nls.elimination import Index
 
 __all__ = ["Fill", "counted", "fill_in", "rows_below"]
 
@@ -42,6 +42,7 @@ class Fill:
 
 def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_]) -> Fill:
     """Fill of R with A'A = R'R, in the order the default solver would eliminate the variables that are not held."""
+    from nls.elimination import eliminated
     from nls.linear import best_factorization
 
     free = np.flatnonzero(~held)
@@ -54,8 +55,8 @@ def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_]) -> Fill:
     u, v = (np.concatenate([none, *(p[s] for p in pairs)]) for s in (0, 1))
     both = (u >= 0) & (v >= 0)
     u, v = u[both], v[both]
-    eliminated = best_factorization().order(u, v, len(free)) if len(free) else none
-    return counted(pattern.dims[free], u, v, eliminated)
+    order = eliminated(u, v, len(free), best_factorization().order).variables if len(free) else none
+    return counted(pattern.dims[free], u, v, order)
 
 
 def counted(dims: Index, u: Index, v: Index, eliminated: Index) -> Fill:

@@ -12,7 +12,8 @@ from nls.linear.base import SingularSystemError
 from nls.linear.normal import Factorization, NormalEquations
 
 if TYPE_CHECKING:
-    from nls.hessian import Hessian, Index
+    from nls.elimination import Index
+    from nls.hessian import Hessian
 
 __all__ = ["LU", "SYMMETRIC", "SuperLUFactorization", "dominant"]
 
@@ -35,7 +36,7 @@ class SuperLUFactorization(Factorization):
 
         return np.argsort(splu(dominant(u, v, V), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
 
-    def __init__(self, hessian: Hessian) -> None:
+    def __init__(self, hessian: Hessian, dtype: type = float) -> None:
         self._hessian = hessian
 
     def factorize(self, S: Array) -> Array:
@@ -45,7 +46,7 @@ class SuperLUFactorization(Factorization):
             self._lu = splu(self._hessian.symmetric(S), permc_spec="NATURAL", **SYMMETRIC)
         except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
             raise SingularSystemError(str(error)) from error
-        return np.asarray(self._lu.U.diagonal()[self._lu.perm_c])
+        return np.asarray(self._lu.U.diagonal()[self._lu.perm_c].real)
 
     def solve(self, g: Array) -> Array:
         return np.asarray(self._lu.solve(g))

@@ -17,7 +17,7 @@ from nls.linear.limits import checked_limit, default_limit, refuse_above
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
-    from nls.hessian import Index
+    from nls.elimination import Index
     from nls.system import LinearSystem
 
 __all__ = ["Factorization", "NormalEquations", "NormalState"]
@@ -29,10 +29,10 @@ class Factorization(ABC):
     @staticmethod
     @abstractmethod
     def order(u: Index, v: Index, V: int) -> Index:
-        """Elimination order of V variables with the given pairs."""
+        """Elimination order (V,) of V variables with the given pairs: each once, u > v, by rising v and then u."""
 
     @abstractmethod
-    def __init__(self, hessian: Hessian) -> None: ...
+    def __init__(self, hessian: Hessian, dtype: type = float) -> None: ...
 
     @abstractmethod
     def factorize(self, S: Array) -> Array:
@@ -59,11 +59,12 @@ class NormalState:
     ----------
     hessian : the structure.
     kind : the factorization to use.
+    dtype : of the numbers, float or complex.
     """
 
-    def __init__(self, hessian: Hessian, kind: type[Factorization]) -> None:
+    def __init__(self, hessian: Hessian, kind: type[Factorization], dtype: type = float) -> None:
         self.hessian = hessian
-        self.factorization = kind(hessian)
+        self.factorization = kind(hessian, dtype)
 
     def solve(self, g: Array) -> Array:
         """H^-1 g with rows in the order of the columns of A."""

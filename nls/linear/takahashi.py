@@ -34,7 +34,8 @@ from nls.linear.supernodes import Supernodes
 from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
-    from nls.hessian import Blocks, Index
+    from nls.elimination import Index
+    from nls.hessian import Blocks
     from nls.linear.normal import NormalState
 
 __all__ = ["diagonal_blocks", "takahashi"]

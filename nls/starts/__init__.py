@@ -12,7 +12,7 @@ from nls.assemble import Pattern, measured_rows
 from nls.graph import FactorGraph
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
-from nls.starts.edges import pose_edges
+from nls.starts.edges import pose_groups
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
 from nls.values import Values
@@ -26,7 +26,7 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
     "incremental": incremental,
 }
-POOR = 100.0  # chi2 per measured row; noise gives 1, a start from which Gauss-Newton converges seldom more than 10
+NEAR, POOR = 10.0, 100.0  # chi2 per measured row; noise gives 1, starts that Gauss-Newton converges from seldom above 10
 
 
 def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tuple[Values, str, dict[str, float]]:
@@ -37,9 +37,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     graph, values : the graph and what the file, or the user, gave.
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
         to where these poses saw them; ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest
-        chi2 among the file's own, the odometry chain and chordal. Where the graph has measurements between poses and
-        points, and that chi2 is still above 100 per measured row, it tries ``incremental`` too, which costs several
-        solves.
+        chi2 among the file's own and chordal; above 10 per measured row it tries the odometry chain too, and above 100,
+        where the graph has measurements between poses and points, ``incremental``, which costs several solves.
 
     Returns
     -------
@@ -73,10 +72,14 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     chi2: dict[str, float] = {}
     best, name = values, ""
     refused: LeadlineError | None = None
-    groups = [edges.group for edges in pose_edges(graph, values)]
-    candidates = ["file"] + ["odometry"] * bool(groups) + ["chordal"] * (SE2 in groups or SE3 in groups)
-    for candidate in [*candidates, "incremental"]:
-        if candidate == "incremental" and not (groups and _far(graph, values, chi2)):
+    groups, rows = pose_groups(graph, values), measured_rows(Pattern(graph.factors, values))
+    candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
+    if groups:
+        candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
+        candidates |= {"odometry": NEAR}
+        candidates |= {"incremental": POOR} if sees_points(graph, values) else {}
+    for candidate, limit in candidates.items():
+        if chi2.get(name, np.inf) < limit * rows:
             continue
         try:
             start = STARTS[candidate](graph, values)
@@ -89,10 +92,3 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     if refused is not None and not chi2:
         raise refused
     return best, name, chi2
-
-
-def _far(graph: FactorGraph, values: Values, chi2: dict[str, float]) -> bool:
-    """Whether points are seen from poses, and no start is near."""
-    return sees_points(graph, values) and min(chi2.values(), default=np.inf) > POOR * measured_rows(
-        Pattern(graph.factors, values)
-    )

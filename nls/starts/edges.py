@@ -16,7 +16,7 @@ from models.algebra import Array
 from nls.graph import FactorGraph
 from nls.values import Values
 
-__all__ = ["PoseEdges", "pose_edges"]
+__all__ = ["PoseEdges", "pose_edges", "pose_groups"]
 
 Index = npt.NDArray[np.intp]
 
@@ -117,12 +117,16 @@ class PoseEdges:
         return out
 
 
+def pose_groups(graph: FactorGraph, values: Values) -> list[LieGroup]:
+    """The groups in which a graph has relative measurements."""
+    spaces = {values.stack(f.keys[0].kind).manifold for f in graph.factors if isinstance(f, Between)}
+    return sorted((space for space in spaces if isinstance(space, LieGroup)), key=repr)
+
+
 def pose_edges(graph: FactorGraph, values: Values) -> Iterator[PoseEdges]:
     """The relative poses of a graph, group by group."""
     betweens = [f for f in graph.factors if isinstance(f, Between)]
-    manifolds = {values.stack(f.keys[0].kind).manifold for f in betweens}
-    for group in sorted(manifolds, key=repr):
-        assert isinstance(group, LieGroup)
+    for group in pose_groups(graph, values):
         kinds = tuple(name for name, stack in values.stacks.items() if stack.manifold is group)
         start = dict(zip(kinds, np.cumsum([0, *(len(values.stacks[k]) for k in kinds)]), strict=False))
         mine = [f for f in betweens if f.keys[0].kind in kinds]

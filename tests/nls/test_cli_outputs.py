@@ -54,7 +54,7 @@ def test_values_without_chi2_are_started_elsewhere(tmp_path: Path, capsys: Captu
     assert captured.err == ""
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["chi2_file"] is None
-    assert report["starts"].keys() == {"odometry", "chordal"}
+    assert report["starts"].keys() == {"chordal"}
     assert report["written"] == [str(out), str(picture), str(tmp_path / "r.json")]
     graph, values, _ = nls.load(out)
     assert graph.chi2(values) == report["chi2_final"] < report["chi2_initial"]

@@ -218,11 +218,20 @@ def test_chordal_minimizes_its_two_sums(group: LieGroup) -> None:
 def test_auto_takes_the_lowest_and_lists_what_it_tried() -> None:
     sample = pose_graph(SE2, n=30, seed=7, start=0.5)
     values, name, chi2 = initialize(sample.graph, sample.values)
-    assert set(chi2) == {"file", "odometry", "chordal"}
+    assert set(chi2) == {"file", "chordal"}  # which is near: nobody asks for the odometry
     assert chi2[name] == min(chi2.values()) == sample.graph.chi2(values)
     assert chi2["file"] == sample.graph.chi2(sample.values)
-    assert chi2["odometry"] == sample.graph.chi2(chain(sample.graph, sample.values))
     assert name == "chordal"
+
+
+def test_auto_tries_the_odometry_where_nothing_else_is_near() -> None:
+    sample = pose_graph(SE2, n=30, seed=7, start=0.5)
+    overconfident = FactorGraph([Between(*f.keys, f.z, Isotropic(1e-4)) for f in sample.graph.factors[:3]])
+    values, name, chi2 = initialize(overconfident, sample.values)
+    assert set(chi2) == {"file", "odometry", "chordal"}
+    assert min(chi2.values()) > 10 * 3 * len(overconfident)
+    assert chi2[name] == min(chi2.values()) == overconfident.chi2(values)
+    assert chi2["odometry"] == overconfident.chi2(chain(overconfident, sample.values))
 
 
 def test_auto_keeps_the_file_where_it_is_best() -> None:

@@ -1,0 +1,77 @@
+"""Which pairs of variables share a block of H, in the order in which the variables are eliminated.
+
+This is what all matrices over one graph of variables have in common, whatever the sizes of their blocks: the two
+systems of a chordal start and the normal equations. It is found once per graph; `eliminated` keeps the latest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Elimination", "Order", "eliminated"]
+
+Index = npt.NDArray[np.intp]
+Order = Callable[[Index, Index, int], Index]
+"""(u, v, V) -> order of elimination (V,): every pair once, u > v, by rising v and then u."""
+
+
+class Elimination:
+    """Pairs of variables by elimination order.
+
+    Parameters
+    ----------
+    u, v : (P,) pairs of variables, u != v, in any orientation, repeats allowed.
+    V : variables.
+    order : gives the elimination order; None keeps the given order.
+
+    Attributes
+    ----------
+    variables : (V,) in the order in which they are eliminated.
+    row, column : (P,) places of the two variables of every pair, row > column.
+    turned : (P,) whether the pair has its column first.
+    blocks : (B,) one pair of every block below the diagonal, by columns and within them by rows.
+    again, twin : the other pairs (P - B,), and which of `blocks` each repeats.
+    """
+
+    def __init__(self, u: Index, v: Index, V: int, order: Order | None) -> None:
+        self.u, self.v, self.V, self.order = u, v, V, order
+        position = np.arange(V)
+        self.variables = position
+        if order is not None:
+            pairs = np.minimum(u, v) * V + np.maximum(u, v)
+            pairs.sort()
+            low, high = np.divmod(pairs[np.append(True, pairs[1:] != pairs[:-1])[: len(pairs)]], max(V, 1))
+            self.variables = order(high, low, V)
+            position = np.empty(V, dtype=np.intp)
+            position[self.variables] = np.arange(V)
+        a, b = position[u], position[v]
+        self.row, self.column, self.turned = np.maximum(a, b), np.minimum(a, b), a < b
+        place = self.column * V + self.row
+        sort = np.argsort(place)
+        place = place[sort]
+        new = np.append(True, place[1:] != place[:-1])[: len(place)]
+        self.blocks, self.again = sort[new], sort[~new]
+        self.twin = (np.cumsum(new) - 1)[~new]
+
+    def serves(self, u: Index, v: Index, V: int, order: Order | None) -> bool:
+        """Whether it is the one of these pairs."""
+        return self.V == V and self.order is order and np.array_equal(self.u, u) and np.array_equal(self.v, v)
+
+
+_LATEST: list[Elimination] = []
+
+
+def eliminated(u: Index, v: Index, V: int, order: Order | None) -> Elimination:
+    """The `Elimination` of these pairs; the latest one when it is the same, as between a start and its optimization.
+
+    Ordering and sorting the 20,687 pairs of city10000 take 9 ms, comparing them 0.02.
+    """
+    for latest in _LATEST:
+        if latest.serves(u, v, V, order):
+            return latest
+    found = Elimination(u, v, V, order)
+    _LATEST[:] = [found]
+    return found
