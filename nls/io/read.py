@@ -25,6 +25,7 @@ from nls.io.start import started
 from nls.io.text import Text, printable
 from nls.io.unused import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
+from nls.stages import stage
 from nls.values import Values
 
 __all__ = ["read_graph"]
@@ -54,8 +55,9 @@ def read_graph(
         A repair of information in a dialect that has none.
     """
     check_convention(convention)
-    text = Text(data, path)
-    tags = dict(text.tags)
+    with stage("read words"):
+        text = Text(data, path)
+        tags = dict(text.tags)
     comments = np.concatenate([NONE, *(tags.pop(tag) for tag in list(tags) if tag.startswith(b"#"))])
     format, reason = choose(text, tags, comments, dialect)
     if repair_information and format.matrix != "information":
@@ -71,25 +73,28 @@ def read_graph(
     lines: dict[bytes, list[Index]] = {}
     for tag, record in records.items():
         lines.setdefault(record.tag, []).append(tags[tag])
-    read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
+    with stage("read numbers"):
+        read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
     edges = [part for part in read if part.record.factor is not None]
     vertices = [part for part in read if part.record.factor is None and part.record.slots]
     offsets = _Offsets(text, [part for part in read if not part.record.slots], group)
     roles = Roles(text, vertices, edges)
     bound: list[tuple[Factor, Lines]] = []
-    for part in edges:
-        if not part.record.used:
-            name = part.record.tag.decode()
-            report.notes.append(f"{name} lines name a parameter that their error does not use")
-        noises = _matrices(text, part, format, repair_information, report)
-        for mine in roles.kinds_of(part):
-            bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
+    with stage("read factors"):
+        for part in edges:
+            if not part.record.used:
+                name = part.record.tag.decode()
+                report.notes.append(f"{name} lines name a parameter that their error does not use")
+            noises = _matrices(text, part, format, repair_information, report)
+            for mine in roles.kinds_of(part):
+                bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.given):
         values = _given(vertices, roles, group)
     else:
         report.vertices_given = False
-        values = started(text, bound, roles, group, report)
+        with stage("read chain"):
+            values = started(text, bound, roles, group, report)
     _note_rounded(read, report)
     offsets.keep_unused(report)
     if format.fix and b"FIX" in tags:

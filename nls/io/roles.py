@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from nls.io.lines import Lines, Numbers, by_number
+from nls.io.lines import Lines, Numbers, among, by_number
 from nls.io.records import KINDS
 from nls.io.text import Text
 
@@ -106,9 +106,9 @@ class Roles:
             for slot, ids in zip(part.record.slots, part.ids, strict=True):
                 role = "point" if slot == "point" else "pose"
                 known, other = (self.points, "pose") if role == "point" else (self.poses, "point")
-                if not (missing := ~np.isin(ids, known)).any():
+                if (found := among(ids, known)).all():
                     continue
-                k = int(np.argmax(missing))
+                k = int(np.argmin(found))
                 if other in lines and (ids[k] == lines[other].ids[0]).any():
                     line = int(lines[other].at[np.argmax(lines[other].ids[0] == ids[k])])
                     message = f"the edge needs a {role}, vertex {ids[k]} is a {other} (line {line + 1})"

@@ -1,10 +1,7 @@
 """Lines, tags and numbers of a text file by whole-array operations: lines are split, never looped over in Python.
 
-A number of the plain form (sign, digits, one point) whose digits make an integer below 2^52 is that integer divided by
-a power of ten, which is correctly rounded (W. Clinger, "How to read floating point numbers accurately", 1990). Numbers
-of one length are read together, a column of characters at a time: 15 ms for the 270,000 numbers of city10000, where
-float() takes 70. Every other token is matched against the grammar of a decimal number first, because Python's own
-float() also takes "nan", "1_0" and the digits of other scripts.
+Numbers are read all at once (`nls.io.decimals`). The few that have more digits or another form are matched against the
+grammar of a decimal number and go to Python's float(), which also takes "nan", "1_0" and the digits of other scripts.
 """
 
 from __future__ import annotations
@@ -18,17 +15,16 @@ import numpy.typing as npt
 
 from models.algebra import Array
 from models.errors import GraphFileError
+from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows, words
 
 __all__ = ["Text", "printable", "rows"]
 
 Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-WHOLE = re.compile(rb"[+-]?[0-9]+")
+INTEGER = re.compile(rb"[+-]?[0-9]+")
+BLOCK = 1 << 16  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
 FEW, SHORT = 16, 64  # first words of a format: how many, how long
-LONGEST = 17  # characters of a token read by columns: at most 16 digits, below 10^16
-POWERS = 10.0 ** np.arange(LONGEST + 1)
-EXACT = 2.0**52  # integers up to here are exact, and so is the floor of their rounded quotient by a power of ten
 
 
 def printable(word: bytes) -> str:
@@ -55,27 +51,36 @@ class Text:
 
     Attributes
     ----------
-    starts, ends : (T,) where every token begins and ends.
+    starts, ends : (T,) where every token begins and ends, counted with `PAD` bytes in front of the data.
     first : (lines + 1,) index of the first token of every line.
     """
 
     def __init__(self, data: bytes, path: str = "<text>") -> None:
-        self.data, self.path = data, path
-        buffer = np.frombuffer(b"\n" + data + b"\n", dtype=np.uint8)
-        self._buffer = buffer
-        blank = (buffer == 32) | ((buffer >= 9) & (buffer <= 13))
-        edges = np.flatnonzero(blank[1:] != blank[:-1]) + 1  # tokens and blanks alternate; the buffer begins blank
-        self.starts, self.ends = edges[0::2], edges[1::2]
-        self._newlines = np.flatnonzero(buffer == 10)
+        self.path = path
+        self._bytes = b"\n".rjust(PAD) + data + b"\n"
+        self._marks = self._bytes.translate(MARKS)
+        marks = np.frombuffer(self._marks, dtype=np.uint8)
+        edges, newlines = [], []
+        for begin in range(0, len(marks), BLOCK):
+            part = marks[begin : begin + BLOCK + 1]
+            blank = part >= BLANK
+            edges.append(np.flatnonzero(blank[1:] != blank[:-1]) + (begin + 1))
+            newlines.append(np.flatnonzero(part[:BLOCK] == LINE_END) + begin)
+        kind: type[np.int32 | np.int64] = (
+            np.int32 if len(marks) < 2**31 else np.int64
+        )  # half the memory where it can be
+        tokens: Index = np.concatenate(edges, dtype=kind)  # tokens and blanks alternate; the bytes begin blank
+        self.starts, self.ends = tokens[0::2], tokens[1::2]
+        self._newlines: Index = np.concatenate(newlines, dtype=kind)
         self.first = np.searchsorted(self.starts, self._newlines)
 
     def token(self, index: int) -> bytes:
         """One token."""
-        return self._buffer[self.starts[index] : self.ends[index]].tobytes()
+        return self._bytes[self.starts[index] : self.ends[index]]
 
     def line(self, line: int) -> bytes:
         """One line, counted from 0, without its newline."""
-        return self.data[self._newlines[line] : self._newlines[line + 1] - 1]
+        return self._bytes[self._newlines[line] + 1 : self._newlines[line + 1]]
 
     def error(self, message: str, line: int) -> GraphFileError:
         """An error at a line counted from 0."""
@@ -84,18 +89,19 @@ class Text:
     @cached_property
     def tags(self) -> dict[bytes, Index]:
         """First word of every line that has one, with its lines (from 0), in order of first appearance."""
-        count = np.diff(self.first)
-        lines = np.flatnonzero(count > 0)
+        lines = np.flatnonzero(self.first[1:] > self.first[:-1])
         heads = self.first[lines]
-        length = self.ends[heads] - self.starts[heads]
+        ends = self.ends[heads]
+        length = ends - self.starts[heads]
+        window = windows(self._bytes)
         found: dict[bytes, Index] = {}
         while len(lines) and len(found) < FEW and length[0] <= SHORT:
-            tag = self.token(int(heads[0]))
-            same = length == len(tag)
-            window = self.starts[heads[same]][:, None] + np.arange(len(tag))
-            same[same] = (self._buffer[window] == np.frombuffer(tag, dtype=np.uint8)).all(axis=1)
-            found[tag] = lines[same]
-            lines, heads, length = lines[~same], heads[~same], length[~same]
+            same = length == length[0]
+            for k in range(0, int(length[0]), 8):
+                word = words(window, ends - k, length - k)
+                same &= word == word[0]
+            found[self.token(int(heads[0]))] = lines[same]
+            lines, heads, ends, length = (each[~same] for each in (lines, heads, ends, length))
         rest: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
         for line, head in zip(lines.tolist(), heads.tolist(), strict=True):
             rest.setdefault(self.token(head), []).append(line)
@@ -105,8 +111,14 @@ class Text:
     def characters(self, tokens: Index, width: int) -> npt.NDArray[np.uint8]:
         """The first bytes of tokens, (n, width), zeros behind their ends."""
         starts, ends = self.starts[tokens][:, None], self.ends[tokens][:, None]
-        places = starts + np.arange(width)
-        return np.where(places < ends, self._buffer[np.minimum(places, ends - 1)], np.uint8(0))
+        places, characters = starts + np.arange(width), np.frombuffer(self._bytes, dtype=np.uint8)
+        return np.where(places < ends, characters[np.minimum(places, ends - 1)], np.uint8(0))
+
+    @cached_property
+    def _decimals(self) -> tuple[Array, npt.NDArray[np.uint8]]:
+        """Numbers of all tokens, and their forms; tags are none, but few, and the rest stands in one piece."""
+        marks, self._marks = self._marks, b""  # needed once: 340 MB of a million edges in space
+        return decimals(marks, self.starts, self.ends)
 
     def table(self, lines: Index, columns: int, what: str) -> Array:
         """The numbers after the first word of these lines, (n, columns).
@@ -116,12 +128,20 @@ class Text:
         GraphFileError
             A line with another count of numbers, or a word that is no finite number.
         """
-        count = self.first[lines + 1] - self.first[lines] - 1
+        first, width = self.first[lines], columns + 1
+        count = self.first[lines + 1] - first - 1
         if (wrong := count != columns).any():
             k = int(np.argmax(wrong))
             raise self.error(f"{count[k]} numbers after the tag, expected {columns}: {what}", int(lines[k]))
-        tokens = (self.first[lines] + 1)[:, None] + np.arange(columns)
-        return self.numbers(tokens.reshape(-1), lines, columns).reshape(len(lines), columns)
+        begin, end = int(first[0]), int(first[-1]) + width
+        if end - begin > len(lines) * width:  # other lines between
+            tokens = first[:, None] + np.arange(1, width)
+            return self.numbers(tokens.reshape(-1), lines, columns).reshape(len(lines), columns)
+        value, form = self._decimals
+        rest = np.flatnonzero(form[begin:end] == UNREAD)
+        rest = rest[rest % width > 0]  # no tag
+        self._read(begin + rest, lines[rest // width])
+        return value[begin:end].reshape(-1, width)[:, 1:]
 
     def whole(self, lines: Index, column: int | Index) -> npt.NDArray[np.int64]:
         """Whole numbers of one column per line (1 is the first after the tag): ids, exact up to 2^63 - 1.
@@ -132,12 +152,11 @@ class Text:
             A word that is no whole number, or too large.
         """
         tokens = self.first[lines] + column
-        number, plain, pointed = self._by_columns(tokens)
-        plain &= ~pointed
-        value = np.where(plain, number, 0.0).astype(np.int64)
-        for k in np.flatnonzero(~plain):
+        number, form = (each[tokens] for each in self._decimals)
+        value: npt.NDArray[np.int64] = number.astype(np.int64)
+        for k in np.flatnonzero(form != WHOLE):
             word = self.token(int(tokens[k]))
-            exact = int(word) if WHOLE.fullmatch(word) and len(word) < 30 else 2**63
+            exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
                 raise self.error(f"id {printable(word)[:40]!r} is not a whole number below 2^63", int(lines[k]))
             value[k] = exact
@@ -145,56 +164,22 @@ class Text:
 
     def numbers(self, tokens: Index, lines: Index, columns: int) -> Array:
         """Correctly rounded numbers of tokens; token k is on ``lines[k // columns]``."""
-        value, plain, _ = self._by_columns(tokens)
-        rest = np.flatnonzero(~plain)
-        if len(rest):
-            words = [
-                self._buffer[s:e].tobytes()
-                for s, e in zip(self.starts[tokens[rest]], self.ends[tokens[rest]], strict=True)
-            ]
-            good = [NUMBER.fullmatch(word) is not None for word in words]
-            if not all(good):
-                k = good.index(False)
-                raise self.error(f"{printable(words[k])[:40]!r} is not a number", int(lines[rest[k] // columns]))
-            value[rest] = np.fromiter(map(float, words), dtype=float, count=len(words))
-            if not np.isfinite(value[rest]).all():
-                k = int(np.argmax(~np.isfinite(value[rest])))
-                raise self.error(
-                    f"{printable(words[k])[:40]!r} is beyond the largest number", int(lines[rest[k] // columns])
-                )
-        return value
+        value, form = self._decimals
+        rest = np.flatnonzero(form[tokens] == UNREAD)
+        self._read(tokens[rest], lines[rest // columns])
+        return value[tokens]
 
-    def _by_columns(self, tokens: Index) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Numbers of the plain form, which tokens have it, and which have a point."""
-        starts = self.starts[tokens]
-        lengths = self.ends[tokens] - starts
-        value = np.zeros(len(tokens))
-        plain, pointed = np.zeros(len(tokens), dtype=bool), np.zeros(len(tokens), dtype=bool)
-        order = np.argsort(np.minimum(lengths, LONGEST + 1).astype(np.uint8), kind="stable")
-        bounds = np.searchsorted(lengths[order], np.arange(1, LONGEST + 2))
-        for length in range(1, LONGEST + 1):
-            group = order[bounds[length - 1] : bounds[length]]
-            if not len(group):
-                continue
-            windows = np.lib.stride_tricks.sliding_window_view(self._buffer, length)
-            characters = windows[starts[group]].T
-            digits = np.ascontiguousarray(characters) - np.uint8(48)  # wraps: "." is 254, "-" is 253
-            negative = digits[0] == 253
-            digits[0][negative] = 0
-            point = digits == 254
-            points = point.sum(axis=0, dtype=np.uint8)
-            digits[point] = 0
-            fine = (digits <= 9).all(axis=0) & (points <= 1) & (length - negative - points >= 1)
-            total = digits[0].astype(float)
-            for row in digits[1:]:
-                total *= 10.0
-                total += row
-            fine &= total <= EXACT
-            if points.any():  # the point was read as a digit 0: take it out, all in exact integers
-                after = np.where(points > 0, length - 1 - np.argmax(point, axis=0), 0)  # digits behind the point
-                scale = POWERS[after]
-                whole_part = np.floor(total / (10.0 * scale))
-                total = np.where(points > 0, (total - 9.0 * scale * whole_part) / scale, total)
-            value[group] = np.where(negative, -total, total)
-            plain[group], pointed[group] = fine, points > 0
-        return value, plain, pointed
+    def _read(self, tokens: Index, lines: Index) -> None:
+        """Numbers of any other form, one by one."""
+        if not len(tokens):
+            return
+        words = [self._bytes[s:e] for s, e in zip(self.starts[tokens], self.ends[tokens], strict=True)]
+        good = [NUMBER.fullmatch(word) is not None for word in words]
+        if not all(good):
+            k = good.index(False)
+            raise self.error(f"{printable(words[k])[:40]!r} is not a number", int(lines[k]))
+        number = np.array(list(map(float, words)))
+        if not np.isfinite(number).all():
+            k = int(np.argmin(np.isfinite(number)))
+            raise self.error(f"{printable(words[k])[:40]!r} is beyond the largest number", int(lines[k]))
+        self._decimals[0][tokens] = number

@@ -1,0 +1,44 @@
+"""Where the time goes inside one call: the library marks its stages, and a caller who wants to know collects them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from time import perf_counter
+
+__all__ = ["collected", "stage"]
+
+_SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Count the seconds inside under a name, where somebody collects them; 2 us where nobody does."""
+    start = perf_counter()
+    try:
+        yield
+    finally:
+        seconds = _SECONDS.get()
+        if seconds is not None:
+            seconds[name] = seconds.get(name, 0.0) + perf_counter() - start
+
+
+@contextmanager
+def collected() -> Iterator[dict[str, float]]:
+    """Seconds by stage of everything called inside, by this thread.
+
+    Examples
+    --------
+    >>> with collected() as seconds:
+    ...     with stage("first"), stage("second"):
+    ...         pass
+    >>> sorted(seconds), seconds["first"] >= seconds["second"] >= 0
+    (['first', 'second'], True)
+    """
+    seconds: dict[str, float] = {}
+    token = _SECONDS.set(seconds)
+    try:
+        yield seconds
+    finally:
+        _SECONDS.reset(token)
