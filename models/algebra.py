@@ -78,7 +78,7 @@ def product(A: Array, B: Array) -> Array:
         A, B = A.reshape((1,) * (ndim - A.ndim) + A.shape), B.reshape((1,) * (ndim - B.ndim) + B.shape)
     axes = (ndim - 2, ndim - 1, *range(ndim - 2))
     a, b = A.transpose(axes), B.transpose(axes)
-    C = a[:, :1] * b[0]
+    C: Array = a[:, :1] * b[0]
     for k in range(1, a.shape[1]):
         C += a[:, k : k + 1] * b[k]
     return C.transpose(*range(2, ndim), 0, 1)
@@ -147,17 +147,33 @@ def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
     """
     x = np.asarray(theta2, dtype=float)
     small = x < 2.0
-    safe = np.where(small, 2.0, x)
-    theta = np.sqrt(safe)
-    closed = [np.cos(theta), np.sin(theta) / theta]
-    for k in range(max(orders) - 1):
-        closed.append((1 / _FACTORIAL[k] - closed[k]) / safe)
-    if not small.any():
-        return tuple(closed[k] for k in orders)
-    out = []
-    for k in orders:
-        series = np.zeros_like(x)
-        for j in range(10, -1, -1):  # 2^11 / 22! = 2e-18: the truncation is below rounding
-            series = 1 / _FACTORIAL[2 * j + k] - x * series
-        out.append(np.where(small, series, closed[k]))
-    return tuple(out)
+    if small.all():
+        c = _series(x, max(orders))
+    elif not small.any():
+        c = _closed(x, max(orders))
+    else:
+        series, closed = _series(x, max(orders)), _closed(np.where(small, 2.0, x), max(orders))
+        c = [np.where(small, *both) for both in zip(series, closed, strict=True)]
+    return tuple(c[k] for k in orders)
+
+
+def _closed(x: Array, highest: int) -> list[Array]:
+    """c0, c1, and c_{k+2} = (1/k! - c_k) / x."""
+    theta = np.sqrt(x)
+    c = [np.cos(theta), np.sin(theta) / theta]
+    for k in range(highest - 1):
+        c.append((1 / _FACTORIAL[k] - c[k]) / x)
+    return c
+
+
+def _series(x: Array, highest: int) -> list[Array]:
+    """The two highest by their sums, and c_k = 1/k! - x c_{k+2}, where nothing cancels."""
+    c = [x] * max(highest + 1, 2)
+    for k in range(len(c) - 1, -1, -1):
+        if k + 2 < len(c):
+            c[k] = 1 / _FACTORIAL[k] - x * c[k + 2]
+            continue
+        c[k] = np.full_like(x, 1 / _FACTORIAL[20 + k])
+        for j in range(9, -1, -1):  # 2^11 / 22! = 2e-18: the truncation is below rounding
+            c[k] = 1 / _FACTORIAL[2 * j + k] - x * c[k]
+    return c

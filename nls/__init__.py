@@ -1,46 +1,82 @@
-"""Least squares on a factor graph: values, graph, A and b, solvers, files."""
+"""Least squares on a factor graph: values, graph, A and b, solvers, files.
+
+Everything is imported when it is first used, so that ``import nls`` costs nothing and a program pays for what it needs.
+"""
 
 from importlib import import_module
-from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-from factors.keys import Keys, Kind, kinds
-from models.errors import (
-    EvaluationError,
-    GraphError,
-    GraphFileError,
-    GraphWarning,
-    JacobianError,
-    LeadlineError,
-    MissingSolverError,
-    NoiseModelError,
-    OptionError,
-    ResourceLimitError,
-    SingularGeometryError,
-    UnderconstrainedError,
-)
-from nls.covariance import Marginals
-from nls.graph import FactorGraph
-from nls.io import LoadReport, load, save
-from nls.linear import LU, QR, Cholesky, DenseCholesky, DenseQR, LinearSolver, Pinv, backends
-from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
-from nls.starts import initialize
-from nls.system import LinearSystem
-from nls.values import Values
+if TYPE_CHECKING:
+    from factors.keys import Keys, Kind, kinds
+    from models.errors import (
+        EvaluationError,
+        GraphError,
+        GraphFileError,
+        GraphWarning,
+        JacobianError,
+        LeadlineError,
+        MissingSolverError,
+        NoiseModelError,
+        OptionError,
+        ResourceLimitError,
+        SingularGeometryError,
+        UnderconstrainedError,
+    )
+    from nls import plot
+    from nls.covariance import Marginals
+    from nls.graph import FactorGraph
+    from nls.io import LoadReport, load, save
+    from nls.linear import LU, QR, Cholesky, CholeskyPCG, DenseCholesky, DenseQR, LinearSolver, Pinv, backends
+    from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
+    from nls.starts import initialize
+    from nls.system import LinearSystem
+    from nls.values import Values
 
 __version__ = "0.1.0"
 
+_WHERE = {
+    "factors.keys": "Keys Kind kinds",
+    "models.errors": "EvaluationError GraphError GraphFileError GraphWarning JacobianError LeadlineError "
+    "MissingSolverError NoiseModelError OptionError ResourceLimitError SingularGeometryError UnderconstrainedError",
+    "nls.covariance": "Marginals",
+    "nls.graph": "FactorGraph",
+    "nls.io": "LoadReport load save",
+    "nls.linear": "LU QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv backends",
+    "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop",
+    "nls.starts": "initialize",
+    "nls.system": "LinearSystem",
+    "nls.values": "Values",
+}
+_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 
-def __getattr__(name: str) -> ModuleType:
-    """`nls.plot`, imported when it is first used."""
-    if name == "plot":
-        return import_module("nls.plot")
-    raise AttributeError(f"module 'nls' has no attribute {name!r}")
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """A public name, or a module of this package, imported now."""
+        if name in _MODULE:
+            found = getattr(import_module(_MODULE[name]), name)
+        elif name.startswith("_"):
+            raise AttributeError(f"module 'nls' has no attribute {name!r}")
+        else:
+            try:
+                found = import_module(f"nls.{name}")
+            except ModuleNotFoundError as error:
+                if error.name != f"nls.{name}":
+                    raise
+                raise AttributeError(f"module 'nls' has no attribute {name!r}") from None
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 __all__ = [
     "LU",
     "QR",
     "Cholesky",
+    "CholeskyPCG",
     "DenseCholesky",
     "DenseQR",
     "Dogleg",

@@ -2,6 +2,6 @@
 
 import sys
 
-from nls.cli import main
+from nls.cli import command
 
-sys.exit(main())
+sys.exit(command())

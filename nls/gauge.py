@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from factors.keys import Keys
 from factors.noise import Isotropic
@@ -29,6 +28,7 @@ from factors.prior import Prior
 from models.algebra import Array
 from models.errors import GraphWarning, OptionError
 from nls.assemble import Batch, Pattern, offsets
+from nls.components import connected
 from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.normal import NormalEquations
 from nls.system import LinearSystem
@@ -73,7 +73,7 @@ def _moved(batch: Batch) -> list[Index]:
     return [variables for slot, variables in enumerate(batch.variables) if slot not in unmoved]
 
 
-def component_labels(pattern: Pattern) -> npt.NDArray[np.int32]:
+def component_labels(pattern: Pattern) -> Index:
     """Connected component (V,) of every variable, joined by the factors that see both move.
 
     A calibration that two trajectories share does not join them: each has its own gauge.
@@ -83,8 +83,7 @@ def component_labels(pattern: Pattern) -> npt.NDArray[np.int32]:
     j = [variables for slots in map(_moved, pattern.batches) for variables in slots[1:]]
     empty = [np.zeros(0, dtype=np.intp)]
     rows, cols = np.concatenate(i + empty), np.concatenate(j + empty)
-    graph = sp.coo_array((np.ones(len(rows), dtype=np.int8), (rows, cols)), shape=(V, V))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
+    return connected(rows, cols, V)
 
 
 def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
@@ -155,7 +154,7 @@ def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
 
 
 def _first_of_components(
-    label: npt.NDArray[np.int32], pattern: Pattern, moving: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
+    label: Index, pattern: Pattern, moving: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.intp]:
     """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
     candidates = np.flatnonzero(moving & ~anchored[label])
@@ -215,6 +214,9 @@ class FreeGauge(LinearSolver):
 
     def analyze(self, pattern: Pattern) -> FreeState:
         return FreeState(self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
+
+    def said(self, analyzed: FreeState) -> str:
+        return self.solver.said(analyzed.analyzed)
 
     def seen(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)

@@ -167,7 +167,7 @@ class FactorGraph:
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,
             dof=dof + len(free),
-            linear_solver=solver.name,
+            linear_solver=solver.said(problem.state),
             gauge=decided.said,
             timings=problem.timings,
             method=method.name,

@@ -9,7 +9,7 @@ SE(2) edges: 2 ms; scipy's A.T @ A: 10 ms.)
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from nls.system import LinearSystem
 
 __all__ = ["Blocks", "Hessian"]
+
+
+_triangle = cache(np.tril_indices)
 
 
 class Hessian:
@@ -67,7 +70,7 @@ class Hessian:
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
         for d in np.flatnonzero(np.bincount(widths)):
             k = np.flatnonzero(widths == d)[:, None]
-            r, c = np.tril_indices(int(d))
+            r, c = _triangle(int(d))
             target = self.indptr[starts[k] + c] + (r - c)
             self.indices[target] = starts[k] + r
             self.source[target] = diagonal[e.variables[k]] + r * d + c
@@ -184,8 +187,8 @@ class Blocks:
         for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
             for kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):
                 squares, D = gram(A), sums[kind]
-                for a, c in zip(*np.tril_indices(A.shape[2]), strict=True):
-                    D[:, a, c] += np.bincount(index, squares[:, a, c], len(D))
+                for row, column in zip(*_triangle(A.shape[2]), strict=True):
+                    D[:, row, column] += np.bincount(index, squares[:, row, column], len(D))
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)

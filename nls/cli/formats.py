@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["formats", "output_format", "read", "rendered"]
+__all__ = ["formats", "output_format", "read", "refuse_unwritable_graph", "rendered"]
 
 TRAJECTORIES = ("tum", "kitti")
 
@@ -51,23 +53,49 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 
 def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold."""
-    from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
-    from nls.io.renamed import renamed
     from nls.io.unused import left_out
 
     if form in TRAJECTORIES:
         data, notes = _trajectory(path, form, graph, values, report)
         return data, notes + left_out(report, form)
-    said: list[str] = []
-    if form in FORMATS:
-        graph, values, said = renamed(graph, values)
-    try:
+    if form not in FORMATS:
+        return io.rendered(path, graph, values, report, form)
+    with _renamed(graph, values) as (graph, values, said):
         data, notes = io.rendered(path, graph, values, report, form)
-    except GraphError as error:  # names variables as they would be written
-        raise GraphError("; ".join([str(error), *said]), error.keys, error.factor) from error
     return data, said + notes
+
+
+def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> None:
+    """Refuse what `rendered` refuses; for graph text files without their text.
+
+    Raises
+    ------
+    GraphError
+    """
+    from nls.io.dialects import FORMATS
+    from nls.io.unused import appended
+    from nls.io.write import refuse_unwritable_graph
+
+    if form not in FORMATS:
+        rendered(path, form, graph, values, report)
+        return
+    with _renamed(graph, values) as (graph, values, _):
+        refuse_unwritable_graph(path, graph, values, appended(report, form), FORMATS[form])
+
+
+@contextmanager
+def _renamed(graph: FactorGraph, values: Values) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+    """Under the names that graph text files know; errors inside say so, as they name variables like that."""
+    from models.errors import GraphError
+    from nls.io.renamed import renamed
+
+    graph, values, said = renamed(graph, values)
+    try:
+        yield graph, values, said
+    except GraphError as error:
+        raise GraphError("; ".join([str(error), *said]), error.keys, error.factor) from error
 
 
 def _trajectory(

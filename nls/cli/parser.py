@@ -21,6 +21,9 @@ EXAMPLES = """examples:
 
 exit status: 0 converged; 1 not converged or under-constrained; 2 bad input or usage, or an output that
 could not be written (the others are)
+
+threads: one; OPENBLAS_NUM_THREADS and OMP_THREAD_LIMIT are taken to be 1 (MKL_NUM_THREADS and BLIS_NUM_THREADS, too)
+where the environment does not set them
 """
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, write_json
@@ -25,33 +24,37 @@ def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
     from models.errors import GraphFileError
-    from nls.cli.formats import output_format, read, rendered
+    from nls.cli.formats import output_format, read, refuse_unwritable_graph
+    from nls.cli.timing import Clock
     from nls.linear import SOLVERS, default_solver
+    from nls.stages import collected
+    from nls.starts import initialize  # noqa: F401
 
-    started = perf_counter()
+    clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     refuse_unwritable(options.output, options.covariance, options.plot, json=options.json)
     refuse_no_picture("--plot", options.plot)
     form = output_format(options.output, options.to) if options.output else ""
     _refuse_no_values(options.output, form)
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
-    as_read, values, report = read(options)
-    graph = _prepared(as_read, values, options)
-    t_read = perf_counter() - started
-    start, init, tried = nls.initialize(graph, values, options.init)
-    chi2_read = _chi2_read(graph, values, tried)
-    before = start if chi2_read is None else values  # what a picture can show
-    t_init = perf_counter() - started - t_read
+    clock.lap("imports")
+    with collected() as stages:
+        as_read, values, report = read(options)
+        graph = _prepared(as_read, values, options)
+        clock.lap("read")
+        start, init, tried = nls.initialize(graph, values, options.init)
+        chi2_read = _chi2_read(graph, values, tried)
+        before = start if chi2_read is None else values  # what a picture can show
+        clock.lap("init")
     if options.output:  # what has no line in the format is refused before the work
-        rendered(options.output, form, as_read, start, report)
-    t_check = perf_counter() - started - t_read - t_init
+        refuse_unwritable_graph(options.output, form, as_read, start, report)
+    clock.lap("check")
     with _Progress(options) as progress:
         result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
-    solved = perf_counter()
-    timings = {"read": t_read, "init": t_init, **result.timings, "solved": solved - started - t_check, "check": t_check}
+    clock.lap("optimize")
     written, failed = _write(options, form, as_read, before, graph, result, solver, report)
-    timings["write"] = perf_counter() - solved
-    timings["total"] = perf_counter() - started
+    clock.lap("write")
+    timings = clock.timings(result.timings, stages)
 
     record: dict[str, Any] = {
         "input": options.file,
@@ -217,7 +220,9 @@ def _table(report: dict[str, Any], verbose: Result | None) -> str:
     lines += [f"written     {name}" for name in report["written"]]
     lines += [f"note        {note}" for note in report["notes"]]
     if verbose:
-        lines += [f"  {part:12s} {1e3 * s:9.1f} ms" for part, s in seconds.items()]
+        from nls.cli.timing import iterations, table
+
+        lines += [*iterations(verbose.history), *table(seconds)]
     return "\n".join(lines)
 
 

@@ -15,7 +15,7 @@ from nls.io.report import LoadReport
 from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
 from nls.io.unused import appended, left_out
-from nls.io.write import graph_text
+from nls.stages import stage
 from nls.values import Values
 
 __all__ = ["DIALECTS", "LoadReport", "load", "read_kitti", "read_tum", "rendered", "save", "write_kitti", "write_tum"]
@@ -62,7 +62,8 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
-    data, reason = read_bytes(path), "as asked for"
+    with stage("read file"):
+        data, reason = read_bytes(path), "as asked for"
     if dialect == "auto":
         dialect, reason = _foreign(data, str(path))
     if dialect in ("bal", "pyfg") and repair_information:
@@ -144,5 +145,7 @@ def rendered(
         from nls.io.pyfg import pyfg_text
 
         return pyfg_text(path, graph, values, report), notes
+    from nls.io.write import graph_text
+
     data, more = graph_text(path, graph, values, appended(report, dialect), FORMATS[dialect])
     return data, notes + more

@@ -1,4 +1,4 @@
-"""Linear solvers: one job, dx = argmin |A dx - b|, six ways."""
+"""Linear solvers: one job, dx = argmin |A dx - b|, seven ways."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from nls.linear.cholesky import Cholesky, openmp_capped
 from nls.linear.dense import DenseCholesky, DenseQR, Pinv
 from nls.linear.lu import LU
 from nls.linear.normal import Factorization, NormalEquations
+from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "QR",
     "SOLVERS",
     "Cholesky",
+    "CholeskyPCG",
     "DenseCholesky",
     "DenseQR",
     "LinearSolution",
@@ -25,7 +27,7 @@ __all__ = [
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Cholesky, QR, LU, DenseCholesky, DenseQR, Pinv)
+    solver.name: solver for solver in (Cholesky, CholeskyPCG, QR, LU, DenseCholesky, DenseQR, Pinv)
 }
 
 

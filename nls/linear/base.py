@@ -88,6 +88,18 @@ class LinearSolver(ABC):
             A is rank deficient.
         """
 
+    def again(self, analyzed: Any, system: LinearSystem) -> LinearSolution | None:
+        """H^-1 A'b of this system, with H as the latest undamped `solve` factorized it; None where nothing is kept.
+
+        Near an optimum, where H hardly changes, that is the Gauss-Newton step but for a few percent, for the price of
+        two triangular solves.
+        """
+        return None
+
+    def said(self, analyzed: Any) -> str:
+        """The solver in the result, with what its state has to tell."""
+        return self.name
+
     @staticmethod
     def damped(A: sp.csr_array, b: Array, damping: Array | None) -> tuple[sp.csr_array, Array]:
         """A and b with the damping as further rows: the same step for solvers that work on A itself."""

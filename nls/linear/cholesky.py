@@ -96,4 +96,4 @@ class Cholesky(NormalEquations):
 
 def openmp_capped() -> bool:
     """Whether CHOLMOD's OpenMP regions can be kept from opening."""
-    return cholmod() is not None and openmp() is not None
+    return cholmod() is not None and openmp()

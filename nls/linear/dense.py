@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from numbers import Real
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
 
 from models.algebra import Array
 from models.errors import OptionError, ResourceLimitError
@@ -51,6 +51,7 @@ class _Dense(LinearSolver):
             )
 
     def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+        import_module("scipy.linalg")  # its BLAS must be there before single_thread looks for it
         t0 = perf_counter()
         sparse, b = self.damped(system.A, system.b, damping)
         A = sparse.toarray()
@@ -78,6 +79,8 @@ class DenseQR(_Dense):
     copies = 6.0
 
     def _solve(self, A: Array, b: Array) -> Array:
+        import scipy.linalg
+
         scaled, lengths = _scaled(A)
         Q, R = np.linalg.qr(scaled)
         if (np.abs(np.diag(R)) <= SINGULAR).any():
@@ -92,6 +95,8 @@ class DenseCholesky(_Dense):
     copies = 4.0
 
     def _solve(self, A: Array, b: Array) -> Array:
+        import scipy.linalg
+
         scaled, lengths = _scaled(A)
         try:
             L = np.linalg.cholesky(scaled.T @ scaled)

@@ -179,3 +179,8 @@ class NormalEquations(LinearSolver):
         if not np.isfinite(dx.sum()):
             raise SingularSystemError("the solution of the normal equations is not finite")
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})
+
+    def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
+        started = perf_counter()
+        dx = analyzed[1].solve(system.gradient)
+        return LinearSolution(dx, {"solve": perf_counter() - started})

@@ -75,6 +75,8 @@ class QR(LinearSolver):
             refuse_above(limit, self.per_number, blocks, blocks.structure(best_factorization().order), self.name)
 
     def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+        from scipy.sparse.linalg import spsolve_triangular
+
         module = spqr()
         assert module is not None
         t0 = perf_counter()
@@ -93,7 +95,7 @@ class QR(LinearSolver):
         R = sp.csr_array(R)[:n]
         if R.shape[0] < n or (np.abs(R.diagonal()) <= SINGULAR).any():
             raise SingularSystemError("a diagonal entry of R vanishes")
-        y = sp.linalg.spsolve_triangular(R, Z[:n, 0], lower=False)
+        y = spsolve_triangular(R, Z[:n, 0], lower=False)
         dx = np.empty(n)
         dx[E] = y
         dx /= lengths

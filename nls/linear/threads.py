@@ -2,48 +2,109 @@
 
 SuiteSparse 5 opens OpenMP regions of a fixed four threads in its supernodal code, which two cores spend waiting for
 each other (80 ms a factorization of sphere2500 instead of 24); OMP_NUM_THREADS does not change it. They are kept from
-opening here, and OpenBLAS is kept on one thread, which also makes results independent of the machine's load.
+opening here, and the BLAS libraries are kept on one thread, which also makes results independent of the machine's load.
+
+The libraries are looked for once, by name, among the files that Linux maps into the process: 1.5 ms. threadpoolctl
+knows more libraries and other systems, and takes 10 ms: it is asked where there is a BLAS other than an OpenBLAS with
+threads of its own. After that `single_thread` costs 5 us.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from threading import RLock, local
-from typing import Any
+from typing import Any, NamedTuple
 
 __all__ = ["openmp", "single_thread"]
 
+BRING = ("sksparse.cholmod", "sparseqr._sparseqr", "scipy.linalg.lapack")  # modules that bring libraries with them
+OPENBLAS = ("libopenblas", "libscipy_openblas", "libblas")  # how the names of their files begin
+OTHERS = ("libmkl_rt", "libblis", "libflexiblas")
+AFFIXES = ("{}", "scipy_{}", "{}64_", "scipy_{}64_", "{}_64", "scipy_{}_64")  # builds of OpenBLAS name their functions
+NONE, OWN = 0, 1  # the threads of an OpenBLAS; 2 are those of OpenMP
 
-def _suitesparse() -> tuple[bool, bool]:
+
+class Knob(NamedTuple):
+    """A number that a library keeps."""
+
+    name: object  # the same whoever finds it
+    get: Callable[[], int]
+    put: Callable[[int], object]
+    inside: int  # `single_thread`
+
+
+def _loaded() -> tuple[bool, ...]:
     """Which bindings are loaded: they bring BLAS and OpenMP libraries into the process that were not there before."""
-    return "sksparse.cholmod" in sys.modules, "sparseqr" in sys.modules
+    return tuple([name in sys.modules for name in BRING])
 
 
-def openmp() -> ctypes.CDLL | None:
-    """GNU's OpenMP runtime, if it is in this process."""
-    return _openmp(_suitesparse())
+def openmp() -> bool:
+    """Whether GNU's OpenMP runtime is in this process."""
+    return any(knob.inside == 0 for knob in _knobs(_loaded()))
 
 
 @cache
-def _openmp(loaded: tuple[bool, bool]) -> ctypes.CDLL | None:
+def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
+    """What there is to turn, looked for once per set of bindings."""
+    paths = _mapped()
+    knobs = [
+        _knob(lib.omp_get_max_active_levels, lib.omp_set_max_active_levels, 0) for lib in _opened(paths, "libgomp")
+    ]
+    openblas = [lib for lib in _opened(paths, *OPENBLAS) if _function(lib, "get_parallel")]  # not the reference BLAS
+    strange = any(_function(lib, "get_parallel")() not in (NONE, OWN) for lib in openblas)
+    if strange or not paths or _opened(paths, *OTHERS):
+        return knobs + _asked()
+    knobs += [_knob(_function(lib, "get_num_threads"), _function(lib, "set_num_threads"), 1) for lib in openblas]
+    return list({knob.name: knob for knob in knobs}.values())
+
+
+def _mapped() -> list[str]:
+    """Files mapped into this process, none where the system does not say."""
     try:
         with open("/proc/self/maps") as maps:
-            paths = {line.split()[-1] for line in maps if "libgomp" in line}
+            return sorted({line[line.find("/") :].rstrip("\n") for line in maps if ".so" in line})
     except OSError:
-        return None
-    return ctypes.CDLL(sorted(paths)[0]) if paths else None
+        return []
 
 
-@cache
-def _blas(loaded: tuple[bool, bool]) -> list[Any]:
-    """Controllers of the BLAS libraries in this process."""
+def _opened(paths: list[str], *names: str) -> list[Any]:
+    """Libraries whose files are named like this; one that was deleted since it was loaded is out of reach."""
+    return [ctypes.CDLL(path) for path in paths if os.path.basename(path).startswith(names) and os.path.exists(path)]
+
+
+def _function(library: Any, name: str) -> Any:
+    """A function of an OpenBLAS, None in another library."""
+    known = (getattr(library, affix.format(f"openblas_{name}"), None) for affix in AFFIXES)
+    return next((function for function in known if function is not None), None)
+
+
+def _knob(get: Any, put: Any, inside: int) -> Knob:
+    return Knob(ctypes.cast(put, ctypes.c_void_p).value, get, put, inside)  # two names of one file: one address
+
+
+def _asked() -> list[Knob]:
+    """Any BLAS libraries, by threadpoolctl."""
     from threadpoolctl import ThreadpoolController
 
-    return list(ThreadpoolController().select(user_api="blas").lib_controllers)
+    return [_numbers(blas) for blas in ThreadpoolController().select(user_api="blas").lib_controllers]
+
+
+def _numbers(blas: Any) -> Knob:
+    # Since 3.7 threadpoolctl lets one Python thread alone set what belongs to the process, and ignores all others
+    # without a word. Here they agree on it: nobody owns it.
+    nobody = getattr(blas, "clear_controlling_thread", lambda force: None)
+
+    def put(number: int) -> None:
+        nobody(force=True)
+        blas.set_num_threads(number)
+        nobody(force=True)
+
+    return Knob(blas.filepath, blas.get_num_threads, put, 1)
 
 
 class _Setting:
@@ -55,8 +116,8 @@ class _Setting:
     they leave.
     """
 
-    def __init__(self, get: Callable[[], int], put: Callable[[int], object], inside: int) -> None:
-        self._get, self._put, self._inside = get, put, inside
+    def __init__(self, knob: Knob) -> None:
+        _, self._get, self._put, self._inside = knob
         self._users, self._first, self._shared = 0, 0, False
 
     def enter(self) -> int:
@@ -66,45 +127,30 @@ class _Setting:
             self._first, self._shared = found, False
         elif found == self._inside:
             self._shared = True
-        self._put(self._inside)
+        if found != self._inside:
+            self._put(self._inside)
         self._users += 1
         return found
 
     def leave(self, found: int) -> None:
         """Put it back, unless somebody inside needs it as it is."""
         self._users -= 1
-        if not self._shared:
-            self._put(found)
-        elif not self._users:
-            self._put(self._first)
-
-
-def _number_of_threads(blas: Any) -> _Setting:
-    # Since 3.7 threadpoolctl lets one Python thread alone set what belongs to the process, and ignores all others
-    # without a word. Here they agree on it: nobody owns it.
-    nobody = getattr(blas, "clear_controlling_thread", lambda force: None)
-
-    def put(number: int) -> None:
-        nobody(force=True)
-        blas.set_num_threads(number)
-        nobody(force=True)
-
-    return _Setting(blas.get_num_threads, put, 1)
+        back = found if not self._shared else self._inside if self._users else self._first
+        if back != self._inside:
+            self._put(back)
 
 
 def _settings() -> list[_Setting]:
     """Settings of all libraries loaded by now."""
-    runtime, loaded = openmp(), _suitesparse()
-    if runtime is not None and "openmp" not in _KNOWN:
-        _KNOWN["openmp"] = _Setting(runtime.omp_get_max_active_levels, runtime.omp_set_max_active_levels, 0)
-    for blas in _blas(loaded):
-        if blas.filepath not in _KNOWN:
-            _KNOWN[blas.filepath] = _number_of_threads(blas)
-    return list(_KNOWN.values())
+    loaded = _loaded()
+    if loaded not in _FOUND:
+        _FOUND[loaded] = [_KNOWN.setdefault(knob.name, _Setting(knob)) for knob in _knobs(loaded)]
+    return _FOUND[loaded]
 
 
 _LOCK = RLock()
-_KNOWN: dict[str, _Setting] = {}
+_KNOWN: dict[object, _Setting] = {}
+_FOUND: dict[tuple[bool, ...], list[_Setting]] = {}
 _HERE = local()
 
 

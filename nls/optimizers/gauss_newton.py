@@ -4,6 +4,10 @@ r"""Gauss-Newton: linearize, solve, retract, stop.
     dx   = argmin |A dx - b|
     X    = X retract dx
 
+The last step, which only confirms that chi2 falls no more, is first tried with the factorization of the one before:
+near the optimum A'A hardly changes, and factorizing it is most of an iteration (66 of 85 ms on sphere2500, 5 of 7
+factorizations of three steps in all). It is taken when chi2 proves it to be the last, and forgotten otherwise.
+
 No damping and no line search: a step may raise chi2 on the way to a lower one (the Intel graph does, and converges).
 The best point met is what is returned, and a rise is never called converged. Source: F. Dellaert, M. Kaess, Factor
 Graphs for Robot Perception, 2017, section 2.5; the page on least squares in the documentation.
@@ -23,6 +27,8 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 __all__ = ["GaussNewton"]
+
+CHANGED = 0.02  # of |A dx|^2; beyond, A'A is no longer what was factorized (pose graphs 0.005, a plateau 0.1 to 0.9)
 
 
 @dataclass(frozen=True)
@@ -50,9 +56,23 @@ class GaussNewton(Optimizer):
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
         while watch.status is None:
+            if watch.nearly and self._last(problem, X, system, watch):
+                break
             dx = problem.solve(system)
             if watch.flat(system):
                 break
             X, promised = problem.retract(X, dx), float(dx @ system.gradient)
             system = problem.linearize(X)
             watch.step(X, system, dx, promised, problem.lap())
+
+    def _last(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> bool:
+        """Whether the step of the kept factorization is the last one."""
+        dx = problem.solve_again(system)
+        if dx is None:
+            return False
+        downhill = float(dx @ system.gradient)  # |A dx|^2, had A'A not changed
+        promised = system.promised(dx)
+        if not abs(promised - downhill) < CHANGED * downhill or promised > watch.stop.chi2_rtol * system.chi2:
+            return False
+        Y = problem.retract(X, dx)
+        return watch.last(Y, problem.chi2(Y), dx, promised, problem.lap())

@@ -47,6 +47,21 @@ class Problem:
             self._add(part, seconds)
         return solution.dx
 
+    def solve_again(self, system: LinearSystem) -> Array | None:
+        """The step by the factorization of the latest solve; None where the linear solver keeps none."""
+        solution = self.solver.again(self.state, system)
+        if solution is None:
+            return None
+        for part, seconds in solution.seconds.items():
+            self._add(part, seconds)
+        return solution.dx
+
+    def chi2(self, values: Values) -> float:
+        start = perf_counter()
+        chi2 = self.pattern.chi2(values)
+        self._add("linearize", perf_counter() - start)
+        return chi2
+
     def retract(self, values: Values, dx: Array) -> Values:
         start = perf_counter()
         moved = values.retract(self.pattern.expand(dx))

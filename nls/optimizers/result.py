@@ -23,7 +23,7 @@ class Iteration:
     number : 0 is the start.
     chi2 : after the step.
     update : max |dx| of the step; nan for the start.
-    gradient : largest cosine between b and a column of A, after the step; nan for a last step that was not followed.
+    gradient : largest cosine between b and a column of A, after the step; nan where no other was computed from there.
     damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
     seconds : by part: linearize, assemble, factorize, solve, retract.
     """

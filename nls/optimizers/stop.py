@@ -34,7 +34,8 @@ class Stop:
     update_tol : converged when max |dx| < update_tol (meters, radians).
     chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2, promised to lower it by no
         more than ten times that, and was shorter than the one before; and when the falls, continued as the geometric
-        series of the last two, add up to no more than chi2_rtol * chi2 either.
+        series of the last two, add up to no more than chi2_rtol * chi2 either. Gauss-Newton tries the step that
+        confirms it with the factorization of the one before, see the page on optimizers.
     gradient_tol : converged when the largest cosine between b and a column of A is below it.
     max_iterations : at most so many steps.
     max_seconds : no further step after so many seconds.

@@ -28,6 +28,7 @@ SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a pl
 PLATEAU = 6  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
+ALMOST = 10  # times the square root of chi2_rtol: a fall after which the next one may be below chi2_rtol
 CHECK = "check the Jacobians with factors.check_jacobians"
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
@@ -131,6 +132,33 @@ class Watch:
             self._limits()
         if self.callback is not None and self.callback(new) and self.status is None:
             self.end(Status.STOPPED, f"after {new.number} iterations")
+
+    @property
+    def nearly(self) -> bool:
+        """Whether the next fall of chi2 may be the last: steps get shorter, and where they arrive falls are squared."""
+        small = ALMOST * math.sqrt(self.stop.chi2_rtol) * self.history[-1].chi2
+        shorter = len(self.history) > 2 and self.history[-1].update < SHORTER * self.history[-2].update
+        return shorter and 0 <= self._fall <= small
+
+    def last(self, values: Values, chi2: float, dx: Array, promised: float, seconds: dict[str, float]) -> bool:
+        """Take a step that may be the last; it is forgotten when it is not.
+
+        Parameters
+        ----------
+        values, chi2 : where it led.
+        dx, promised, seconds : as for `step`.
+        """
+        old, update = self.history[-1], float(np.abs(dx).max(initial=0.0))
+        fall, little = old.chi2 - chi2, self.stop.chi2_rtol * old.chi2
+        missed = promised > AGREEMENT * max(fall, ROUNDING * chi2) and promised > ROUNDING_CHI2
+        if not 0 <= fall <= little or missed or not update < SHORTER * old.update:
+            return False
+        self.history.append(Iteration(old.number + 1, chi2, update, seconds=seconds))
+        self.best, self.lowest = values, chi2
+        self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {self.stop.chi2_rtol:g}")
+        if self.callback is not None:
+            self.callback(self.history[-1])
+        return True
 
     def refuse(self, system: LinearSystem, promised: float, led: str, undamped: Undamped) -> None:
         """A trial step was not taken: over when it promised nothing, or at a limit; `led` says where it led."""

@@ -10,6 +10,7 @@ from models import SE2, SE3
 from models.errors import EvaluationError, LeadlineError, OptionError, SingularGeometryError, UnderconstrainedError
 from nls.assemble import Pattern, measured_rows
 from nls.graph import FactorGraph
+from nls.stages import stage
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
 from nls.starts.edges import pose_groups
@@ -26,7 +27,7 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
     "incremental": incremental,
 }
-NEAR, POOR = 10.0, 100.0  # chi2 per measured row; noise gives 1, starts that Gauss-Newton converges from seldom above 10
+NEAR, POOR = 10.0, 100.0  # chi2 per measured row; noise gives 1, starts Gauss-Newton converges from seldom over 10
 
 
 def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tuple[Values, str, dict[str, float]]:
@@ -62,13 +63,14 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     >>> graph = FactorGraph([Between(x[0], x[1], [1, 0, 0], Isotropic(1))])
     >>> values, name, chi2 = initialize(graph, Values({x: (SE2, SE2.identity(2))}))
     >>> name, chi2["file"]
-    ('odometry', 1.0)
+    ('chordal', 1.0)
     """
     if method != "auto":
         if method not in STARTS:
             raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
-        start = STARTS[method](graph, values)
-        return start, method, {method: graph.chi2(start)}
+        with stage(f"init {method}"):
+            start = STARTS[method](graph, values)
+            return start, method, {method: graph.chi2(start)}
     chi2: dict[str, float] = {}
     best, name = values, ""
     refused: LeadlineError | None = None
@@ -82,8 +84,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         if chi2.get(name, np.inf) < limit * rows:
             continue
         try:
-            start = STARTS[candidate](graph, values)
-            chi2[candidate] = graph.chi2(start)
+            with stage(f"init {candidate}"):
+                start = STARTS[candidate](graph, values)
+                chi2[candidate] = graph.chi2(start)
         except (UnderconstrainedError, EvaluationError, SingularGeometryError) as error:
             refused = error  # no start of this graph: not listed
             continue

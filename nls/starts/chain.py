@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from nls.graph import FactorGraph
 from nls.starts.edges import pose_edges
@@ -47,6 +46,8 @@ def chain(graph: FactorGraph, values: Values) -> Values:
         jump = np.abs(place[edges.i[pairs]] - place[edges.j[pairs]]).astype(float)
         steps = pairs[jump == 1]
         if len(steps) < edges.n - 1:
+            from scipy.sparse.csgraph import minimum_spanning_tree
+
             lookup = sp.csr_array((jump, (edges.i[pairs], edges.j[pairs])), shape=(edges.n, edges.n))
             tree = sp.coo_array(minimum_spanning_tree(lookup))
             kept = np.isin(edges.i[pairs] * edges.n + edges.j[pairs], tree.row.astype(np.intp) * edges.n + tree.col)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from factors.between import Between
 from models import LieGroup
 from models.algebra import Array
+from nls.components import connected
 from nls.graph import FactorGraph
 from nls.values import Values
 
@@ -67,8 +67,7 @@ class PoseEdges:
 
     def roots(self) -> Index:
         """Nodes that keep their value: all fixed ones, and the lowest-numbered of every component without any."""
-        graph = sp.coo_array((np.ones(len(self.i), dtype=np.int8), (self.i, self.j)), shape=(self.n, self.n))
-        label, touched = connected_components(graph, directed=False)[1], self.touched
+        label, touched = connected(self.i, self.j, self.n), self.touched
         anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
         anchored[label[self.fixed]] = True
         ordered = self.order[(touched & ~anchored[label])[self.order]]
@@ -80,8 +79,22 @@ class PoseEdges:
         pair = np.minimum(self.i, self.j) * self.n + np.maximum(self.i, self.j)
         return np.unique(pair, return_index=True)[1]
 
+    def _in_order(self, edges: Index, roots: Index) -> tuple[Index, Index] | None:
+        """What `tree` gives where every edge leads from one node to the next in order and every root comes first."""
+        place = np.empty(self.n, dtype=np.intp)
+        place[self.order] = np.arange(self.n)
+        i, j = place[self.i[edges]], place[self.j[edges]]
+        later = self.order[np.maximum(i, j)]
+        parent, edge = np.full((2, self.n), -1, dtype=np.intp)
+        parent[later], edge[later] = self.order[np.minimum(i, j)], edges
+        return (parent, edge) if (np.abs(i - j) == 1).all() and (parent[roots] < 0).all() else None
+
     def tree(self, edges: Index, roots: Index) -> tuple[Index, Index]:
         """Parent (n,) of every node in the breadth-first tree over some edges, and the edge to it; -1 for roots."""
+        if (found := self._in_order(edges, roots)) is not None:
+            return found
+        from scipy.sparse.csgraph import breadth_first_order
+
         source = np.concatenate([self.i[edges], roots])
         target = np.concatenate([self.j[edges], np.full(len(roots), self.n)])  # one node above all roots
         name = np.concatenate([edges, np.full(len(roots), -1)])

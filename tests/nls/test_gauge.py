@@ -80,7 +80,7 @@ def test_free_takes_the_step_of_the_pseudo_inverse(group: LieGroup, components: 
     short = graph.optimize(values, ONE_STEP, Pinv(), gauge="none")
     free = graph.optimize(values, ONE_STEP, SOLVERS[name](), gauge="free")
     assert free.gauge.startswith("free, shortest step")
-    assert free.linear_solver == name
+    assert free.linear_solver.split(",")[0] == name
     assert distance(group, free.values[x], short.values[x]) < 1e-9
     assert distance(group, values[x], free.values[x]) > 1e-4
 

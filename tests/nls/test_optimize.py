@@ -38,7 +38,7 @@ def test_two_poses_pulled_at_both_ends(name: str) -> None:
     result = graph.optimize(Values({x: (R(1), [5.0, -5.0])}), linear_solver=solver)
     assert result.values[x].ravel() == pytest.approx([1 / 3, 5 / 3], abs=1e-12)
     assert result.chi2_final == pytest.approx(1 / 3, rel=1e-12)
-    assert (result.dof, result.converged, result.linear_solver) == (1, True, name)
+    assert (result.dof, result.converged, result.linear_solver.split(",")[0]) == (1, True, name)
 
 
 def test_a_mean_is_weighted_by_information() -> None:

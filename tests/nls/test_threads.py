@@ -14,7 +14,7 @@ import pytest
 
 from factors import Factor, Isotropic
 from models import SE2, SE3, LieGroup, R
-from nls import FactorGraph, Marginals, Values
+from nls import FactorGraph, Marginals, Values, backends
 from nls.linear import SOLVERS, threads
 from nls.linear.threads import single_thread
 from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
@@ -151,11 +151,15 @@ class Blas:
         self._owner = None
 
 
-def pretend(monkeypatch: pytest.MonkeyPatch, runtime: Runtime, blas: Blas) -> None:
+def levels(runtime: Runtime) -> threads.Knob:
+    return threads.Knob(runtime, runtime.omp_get_max_active_levels, runtime.omp_set_max_active_levels, 0)
+
+
+def pretend(monkeypatch: pytest.MonkeyPatch, knobs: Callable[[Any], list[threads.Knob]]) -> None:
     """Put libraries of ours in the place of the real ones."""
-    monkeypatch.setattr(threads, "openmp", lambda: runtime)
-    monkeypatch.setattr(threads, "_blas", lambda loaded: [blas])
+    monkeypatch.setattr(threads, "_knobs", knobs)
     monkeypatch.setattr(threads, "_KNOWN", {})
+    monkeypatch.setattr(threads, "_FOUND", {})
 
 
 @pytest.mark.parametrize("of_process", [True, False])
@@ -165,7 +169,7 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 ) -> None:
     """Two threads inside at once: whoever is still inside keeps one thread, and in the end all is as it was."""
     runtime, blas = Runtime(of_process, 3), Blas(8)
-    pretend(monkeypatch, runtime, blas)
+    pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
     said: list[tuple[str, int, int]] = []
     both = threading.Barrier(2, timeout=60)
     gone = threading.Event()
@@ -196,7 +200,7 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 
 def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     runtime, blas = Runtime(True, 3), Blas(8)
-    pretend(monkeypatch, runtime, blas)
+    pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
 
     def inside() -> None:
         with single_thread(), single_thread():
@@ -212,11 +216,10 @@ def test_libraries_that_another_thread_loads_are_kept_to_one_thread_too(monkeypa
     """A thread imports CHOLMOD, with its own BLAS and OpenMP, while another one is inside."""
     numpy_only, suitesparse = Blas(4, "first"), Blas(6, "second")
     runtime = Runtime(True, 2)
-    loaded = (False, False)
-    monkeypatch.setattr(threads, "_suitesparse", lambda: loaded)
-    monkeypatch.setattr(threads, "_blas", lambda which: [numpy_only, suitesparse] if which[0] else [numpy_only])
-    monkeypatch.setattr(threads, "openmp", lambda: runtime if loaded[0] else None)
-    monkeypatch.setattr(threads, "_KNOWN", {})
+    loaded = (False,)
+    first, later = threads._numbers(numpy_only), [threads._numbers(suitesparse), levels(runtime)]
+    monkeypatch.setattr(threads, "_loaded", lambda: loaded)
+    pretend(monkeypatch, lambda which: [first, *later] if which[0] else [first])
 
     def other() -> None:
         with single_thread():
@@ -224,11 +227,72 @@ def test_libraries_that_another_thread_loads_are_kept_to_one_thread_too(monkeypa
             assert runtime.omp_get_max_active_levels() == 0
 
     with single_thread(), ThreadPoolExecutor(1) as pool:
-        loaded = (True, False)
+        loaded = (True,)
         pool.submit(other).result()
         assert (numpy_only.number, suitesparse.number) == (1, 6)
     assert (numpy_only.number, suitesparse.number) == (4, 6)
     assert runtime.omp_get_max_active_levels() == 2
+
+
+def test_the_libraries_found_are_those_threadpoolctl_finds() -> None:
+    from threadpoolctl import ThreadpoolController
+
+    pytest.importorskip("scipy.linalg.lapack")
+    backends()  # loads SuiteSparse where it is installed
+    if not threads._mapped():
+        pytest.skip("this system does not say which files are mapped")
+    controllers = ThreadpoolController().lib_controllers
+    blas = [c for c in controllers if c.user_api == "blas"]
+    knobs = threads._knobs(threads._loaded())
+    assert len([knob for knob in knobs if knob.inside == 1]) == len(blas) > 0
+    assert threads.openmp() is any(c.prefix == "libgomp" for c in controllers)
+    before = [c.num_threads for c in blas]
+    for number in (3, 2):
+        for knob in knobs:
+            if knob.inside == 1:
+                knob.put(number)
+                assert knob.get() == number
+        assert [c.num_threads for c in blas] == [number] * len(blas)
+        with single_thread():
+            assert [c.num_threads for c in blas] == [1] * len(blas)
+        assert [c.num_threads for c in blas] == [number] * len(blas)
+    for c, number in zip(blas, before, strict=True):
+        c.set_num_threads(number)
+        type(c).clear_controlling_thread(force=True)
+    assert [c.num_threads for c in blas] == before
+
+
+class OpenBLAS:
+    """A build of OpenBLAS whose functions end in 64_."""
+
+    def __init__(self, parallel: int) -> None:
+        self.openblas_get_parallel64_ = lambda: parallel
+        self.openblas_get_num_threads64_ = lambda: 7
+        self.openblas_set_num_threads64_ = lambda number: None
+
+
+@pytest.mark.parametrize(
+    ("files", "parallel", "asked"),
+    [
+        ({"libopenblas.so": OpenBLAS(1), "libblas.so.3": object()}, 1, False),  # beside the reference BLAS
+        ({"libopenblas.so": OpenBLAS(0)}, 0, False),
+        ({"libopenblas.so": OpenBLAS(2)}, 2, True),  # its threads are OpenMP's
+        ({"libopenblas.so": OpenBLAS(1), "libmkl_rt.so.2": object()}, 1, True),
+        ({}, 0, True),  # another system
+    ],
+)
+def test_threadpoolctl_is_asked_about_what_is_no_openblas_of_its_own(
+    files: dict[str, Any], parallel: int, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = threads.Knob("theirs", lambda: 4, lambda number: None, 1)
+    monkeypatch.setattr(threads, "_mapped", lambda: list(files))
+    monkeypatch.setattr(threads.os.path, "exists", lambda path: True)
+    monkeypatch.setattr(threads.ctypes, "CDLL", lambda path: files[path])
+    monkeypatch.setattr(threads, "_knob", lambda get, put, inside: threads.Knob(put, get, put, inside))
+    monkeypatch.setattr(threads, "_asked", lambda: [theirs])
+    knobs = threads._knobs.__wrapped__(())
+    assert (theirs in knobs) is asked
+    assert [knob.get() for knob in knobs] == ([4] if asked else [7])
 
 
 def test_a_user_function_may_solve_a_graph_itself() -> None:

@@ -1,0 +1,93 @@
+"""Where each millisecond of ``nls solve`` went: rows that add up to the whole process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nls.optimizers import Iteration
+
+__all__ = ["Clock", "iterations", "table"]
+
+PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
+BEFORE, AFTER = (
+    ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS),
+    ("other", "write", "process"),
+)
+SUMS = ("solved", "total", "process")
+SAID = {
+    "startup": "interpreter, up to the command line; processor time",
+    "imports": "NumPy, SciPy, the library, the linear solver",
+    "read": "file, numbers, graph",
+    "init": "start values, and chi2 of each",
+    "check": "whether the output can hold the graph",
+    "build": "gauge and pattern",
+    "analyze": "elimination order, symbolic factorization",
+    "other": "stop rules, degrees of freedom",
+    "write": "files asked for",
+}
+
+
+class Clock:
+    """Seconds by stage, one after the other.
+
+    Parameters
+    ----------
+    began : `perf_counter` of the beginning.
+    startup : seconds before that.
+    """
+
+    def __init__(self, began: float, startup: float) -> None:
+        self.seconds = {"startup": startup}
+        self._began = self._last = began
+
+    def lap(self, name: str) -> float:
+        """End of a stage; returns its seconds."""
+        now = perf_counter()
+        self.seconds[name], self._last = now - self._last, now
+        return self.seconds[name]
+
+    def timings(self, optimize: dict[str, float], stages: dict[str, float]) -> dict[str, float]:
+        """All stages for the report: the parts of the optimization in the place of its lap, and what they left over.
+
+        ``solved`` is from the file to the optimum, ``total`` adds the outputs, ``process`` the start-up.
+        """
+        seconds = dict(self.seconds)
+        whole = seconds.pop("optimize")
+        out = {"read": seconds["read"], "init": seconds["init"], **optimize}
+        out["other"] = whole - sum(optimize.values())
+        out["solved"] = seconds["read"] + seconds["init"] + whole
+        out |= {name: seconds[name] for name in ("check", "write", "startup", "imports")}
+        out["total"] = out["solved"] + out["check"] + out["write"]
+        out["process"] = out["total"] + out["startup"] + out["imports"]
+        return out | stages
+
+
+def table(timings: dict[str, float]) -> list[str]:
+    """Lines: milliseconds and share of every stage, with what it consists of, and their sum."""
+    whole = timings["process"]
+    lines = ["time               ms       %"]
+    more = [name for name in timings if name not in (*BEFORE, *AFTER, *SUMS) and " " not in name]  # of other solvers
+    for row in (*BEFORE, *more, *AFTER):
+        if row not in timings:
+            continue
+        lines.append(f"{row:11s} {_shares(timings[row], whole)}   {SAID.get(row, '')}".rstrip())
+        inside = [(name, s) for name, s in timings.items() if name.startswith(f"{row} ")]
+        lines += [f"  {name.removeprefix(row):9s} {_shares(s, whole)}" for name, s in inside]
+    return lines
+
+
+def iterations(history: Sequence[Iteration]) -> list[str]:
+    """Lines: milliseconds of the parts of every iteration; the start is only linearized."""
+    parts = dict.fromkeys((*PARTS, *(part for it in history for part in it.seconds)))
+    lines = ["iteration " + "".join(f"{part:>11s}" for part in parts) + "          ms"]
+    for it in history:
+        seconds = [it.seconds.get(part, 0.0) for part in parts]
+        lines.append(f"{it.number:9d} " + "".join(f"{1e3 * s:11.2f}" for s in seconds) + f"{1e3 * sum(seconds):12.2f}")
+    return lines
+
+
+def _shares(seconds: float, whole: float) -> str:
+    return f"{1e3 * seconds:9.1f} {100 * seconds / whole:7.1f}"

@@ -1,0 +1,160 @@
+"""What a process pays before its work: imports when they are used, one thread, no file rendered twice."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from nls.cli import THREADS, main
+from nls.io import write
+from nls.stages import collected, stage
+from tests.nls.g2o_files import PLANE
+from tests.nls.g2o_files import write as written
+
+ROOT = Path(__file__).parents[2]
+
+
+def fresh(program: str, **environment: str | None) -> str:
+    """Standard output of a program in a process of its own; None takes a variable out of its environment."""
+    everything: dict[str, str | None] = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        env={name: value for name, value in everything.items() if value is not None},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_names_come_from_where_the_type_checker_thinks() -> None:
+    tree = ast.parse((ROOT / "nls" / "__init__.py").read_text(encoding="utf-8"))
+    (checked,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
+    said = {
+        alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert said.pop("plot") == "nls"
+    assert said == nls._MODULE
+    assert set(nls.__all__) == {*said, "plot"}
+    for name, module in said.items():
+        assert getattr(nls, name) is getattr(sys.modules[str(module)], name)
+    assert set(nls.__all__) < set(dir(nls))
+
+
+def test_only_what_is_used_is_imported() -> None:
+    assert fresh("import nls, sys; print([m for m in ('numpy', 'nls.graph') if m in sys.modules])") == "[]\n"
+    used = "nls.Values, nls.FactorGraph, nls.load"
+    rest = ("nls.covariance", "nls.plot", "nls.io.bal", "nls.io.pyfg", "nls.inspect", "matplotlib", "threadpoolctl")
+    assert fresh(f"import nls, sys; {used}; print([m for m in {rest} if m in sys.modules])") == "[]\n"
+    assert fresh("from nls import *; print(FactorGraph.__module__, plot.__name__)") == "nls.graph nls.plot\n"
+
+
+def test_modules_of_the_package_are_there_without_an_import_of_theirs() -> None:
+    assert fresh("import nls; print(nls.linear.SOLVERS['lu'].name, nls.io.load is nls.load)") == "lu True\n"
+    with pytest.raises(AttributeError, match="module 'nls' has no attribute 'nothing'"):
+        nls.nothing  # type: ignore[attr-defined]  # noqa: B018
+    assert not hasattr(nls, "_nothing")
+
+
+@pytest.mark.parametrize("given", [None, "3"])
+def test_the_command_line_has_one_thread_unless_told_otherwise(given: str | None) -> None:
+    program = (
+        "import os, sys\nfrom nls.cli import command\nassert 'numpy' not in sys.modules\n"
+        f"sys.argv = ['nls', '--version']\ncommand()\nprint([os.environ[name] for name in {THREADS}])"
+    )
+    expected = str([given or "1"] * len(THREADS))
+    assert fresh(program, **dict.fromkeys(THREADS, given)).splitlines()[-1] == expected
+
+
+def test_main_leaves_the_environment_of_a_program_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    before = dict(os.environ)
+    assert main(["--version"]) == 0
+    assert dict(os.environ) == before
+
+
+def test_the_output_is_written_once_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check before the work makes no text: it is a tenth of writing it."""
+    calls: list[bytes] = []
+    lines = write._lines
+
+    def counted(tag: bytes, *rest: object) -> list[str]:
+        calls.append(tag)
+        return lines(tag, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(write, "_lines", counted)
+    out = tmp_path / "out.g2o"
+    assert main(["solve", str(written(tmp_path, PLANE)), "-o", str(out), "--quiet"]) == 0
+    assert len(calls) == len(set(calls)) > 1
+    assert all(out.read_text().count(tag.decode() + " ") for tag in calls)
+
+
+@pytest.mark.parametrize("form", ["g2o", "toro", "isam", "isam-covariance", "graph"])
+def test_the_check_refuses_what_writing_refuses(form: str, tmp_path: Path) -> None:
+    """A graph for each reason there is, in every format: the same words, before and after."""
+    from factors import Between, Cauchy, Information, Isotropic, Prior, Range
+    from models import SE2, SE3, R
+    from nls.cli.formats import refuse_unwritable_graph, rendered
+
+    x, y, l = nls.kinds("x", "y", "l")
+    step, poses = Between(x[0], x[1], [1, 0, 0], Isotropic(1)), {x: (SE2, np.zeros((2, 3)))}
+    up = np.array([[0, 0, 0, 0, np.sqrt(0.5), 0, np.sqrt(0.5)]] * 2)  # at gimbal lock
+    half = np.diag([1.0, 1.0, 0.0])
+    held = nls.FactorGraph([step])
+    held.fix(x[0])
+    cases = [
+        (nls.FactorGraph([step]), poses),
+        (nls.FactorGraph([step.robust(Cauchy(1.0))]), poses),
+        (nls.FactorGraph([step, Range(x[0], l[5], 1.0, Isotropic(1))]), {**poses, l: (R(2), [[1.0, 0.0]], [5])}),
+        (nls.FactorGraph([step, Prior(l[5], [1, 0], Isotropic(1))]), {**poses, l: (R(2), [[1.0, 0.0]], [5])}),
+        (nls.FactorGraph([step]), {**poses, l: (R(2), [[1.0, 0.0]], [1])}),
+        (nls.FactorGraph([step]), {**poses, y: (R(1), [[1.0]], [5])}),
+        (nls.FactorGraph([Between(x[0], x[1], [1, 0, 0], Information(half))]), poses),
+        (nls.FactorGraph([step, Between(x[0], x[1], [1, 0, 0], Isotropic(1), convention="g2o")]), poses),
+        (nls.FactorGraph([Between(x[0], x[1], up[0], Isotropic(1))]), {x: (SE3, SE3.identity(2))}),
+        (nls.FactorGraph([Between(x[0], x[1], SE3.identity(), Isotropic(2))]), {x: (SE3, up)}),
+        (held, poses),
+    ]
+    said = []
+    for graph, given in cases:
+        values, report = nls.Values(given), nls.LoadReport("in", "other", "2-D", "log")
+        found = []
+        for job in (rendered, refuse_unwritable_graph):
+            try:
+                job(str(tmp_path / "out"), form, graph, values, report)
+                found.append("")
+            except nls.GraphError as error:
+                found.append(str(error))
+        assert found[0] == found[1]
+        said.append(found[0])
+    assert said[1]
+    assert len({text for text in said if text}) >= 4
+    assert "" in said
+
+
+def test_stages_are_counted_where_somebody_collects_them() -> None:
+    with stage("nobody"), collected() as outer:
+        with stage("a"), collected() as inner, stage("b"):
+            pass
+        with pytest.raises(ZeroDivisionError), stage("failed"):
+            raise ZeroDivisionError
+        with stage("a"):
+            first = outer["a"]
+    assert (set(outer), set(inner)) == ({"a", "failed"}, {"b"})
+    assert outer["a"] > first > 0
+
+
+def test_the_report_of_a_process_counts_its_start(tmp_path: Path) -> None:
+    done = fresh(
+        "import sys\nfrom nls.cli import command\n"
+        f"sys.argv = ['nls', 'solve', {str(written(tmp_path, PLANE))!r}, '--json', '-']\ncommand()"
+    )
+    assert json.loads(done)["timings"]["startup"] > 0
