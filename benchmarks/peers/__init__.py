@@ -1,0 +1,46 @@
+"""Contenders of posegraphs.py, one a file. Each file has the same names:
+
+PACKAGE           the import name; imported when a Run is made, before the clock starts
+VARIANTS          how it can be run, in words separated by commas
+COST              the residual convention of its chi2, `g2o` or `gtsam`
+READS             whether it reads the file itself; otherwise it builds its graph in Python from arrays
+MAX_EDGES         larger sets are left out
+Run(files, variant)
+    load(), start(), optimize()   each timed
+    poses()       ids (n,) and poses (n, 3) or (n, 7), as in a g2o file
+    iterations    taken by optimize
+    said          what else it has to say, for the JSON
+    marginals()   covariances of all poses; only where the contender is asked for them
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["CONTENDERS", "TOLERANCE", "Files", "combined"]
+
+CONTENDERS = ("leadline", "gtsam", "g2o", "pyceres", "symforce")
+TOLERANCE, MAX_ITERATIONS = 1e-6, 100  # relative decrease of the cost that ends an optimization
+
+
+@dataclass(frozen=True)
+class Files:
+    """A set as files: the g2o text, and arrays for those that cannot read it."""
+
+    graph: Path
+    arrays: Path  # npz: ids, X, i, j, z, information (n, d, d); poses in g2o's order
+    space: bool
+
+    def read_arrays(self) -> dict[str, Any]:
+        with np.load(self.arrays) as arrays:
+            return dict(arrays)
+
+
+def combined(*parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Every combination of the words."""
+    return tuple(", ".join(words) for words in product(*parts))
