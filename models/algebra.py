@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def wrap(angle: npt.ArrayLike) -> Array:
-    """Angle(s) brought to [-pi, pi), rad.
+    """Angle(s) brought to [-pi, pi), rad; the array itself where all are in it.
 
     Examples
     --------
@@ -26,9 +26,10 @@ def wrap(angle: npt.ArrayLike) -> Array:
     >>> float(wrap(np.pi)) == -np.pi, float(wrap(0.25))
     (True, 0.25)
     """
-    a = np.array(angle, dtype=float)
-    outside = ~((a >= -np.pi) & (a < np.pi))  # an angle in range stays bit for bit
+    a = np.asarray(angle, dtype=float)
+    outside = (a < -np.pi) | (a >= np.pi)  # an angle in range stays bit for bit
     if outside.any():
+        a = a.copy()
         turned = np.mod(a[outside] + np.pi, 2 * np.pi) - np.pi
         a[outside] = np.where(turned >= np.pi, -np.pi, turned)  # mod can round up to its modulus
     return a
@@ -123,8 +124,8 @@ def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
     .. math:: c_k(x) = \sum_j (-1)^j x^j / (2j+k)!
 
     so that c0 = cos(theta), c1 = sin(theta)/theta, c2 = (1 - cos(theta))/theta^2, c3 = (theta - sin(theta))/theta^3,
-    and c_k = 1/k! - x c_{k+2}. Below x = 2 they are summed as a series (exact to rounding at 0, where the closed forms
-    are 0/0), above in closed form.
+    and c_k = 1/k! - x c_{k+2}. Up to c2 they follow from the half angle. Higher ones are summed as a series below x = 2
+    (exact to rounding at 0, where the closed forms are 0/0), above in closed form.
 
     Parameters
     ----------
@@ -147,7 +148,9 @@ def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
     """
     x = np.asarray(theta2, dtype=float)
     small = x < 2.0
-    if small.all():
+    if max(orders) <= 2:
+        c = _half_angle(x)
+    elif small.all():
         c = _series(x, max(orders))
     elif not small.any():
         c = _closed(x, max(orders))
@@ -155,6 +158,13 @@ def stumpff(theta2: Array, *orders: int) -> tuple[Array, ...]:
         series, closed = _series(x, max(orders)), _closed(np.where(small, 2.0, x), max(orders))
         c = [np.where(small, *both) for both in zip(series, closed, strict=True)]
     return tuple(c[k] for k in orders)
+
+
+def _half_angle(x: Array) -> list[Array]:
+    """c0, c1, c2 = cos, s cos(theta/2), s^2 / 2 with s = sin(theta/2) / (theta/2): nothing cancels anywhere."""
+    half = np.sqrt(x) / 2
+    s = np.sinc(half / np.pi)
+    return [np.cos(2 * half), s * np.cos(half), s * s / 2]
 
 
 def _closed(x: Array, highest: int) -> list[Array]:

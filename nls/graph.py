@@ -16,6 +16,7 @@ from nls.assemble import Pattern, measured_rows
 from nls.diagnose import underconstrained
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
+from nls.linear.threads import single_thread
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.values import Values
@@ -104,6 +105,7 @@ class FactorGraph:
         """A and b at the values, with labels; no gauge is held, only what was fixed."""
         return Pattern(self.factors, _values(values), fixed_variables(self.fixed, values)).linearize(values)
 
+    @single_thread()  # a BLAS thread that waits for the next product burns the second core meanwhile
     def optimize(
         self,
         values: Values,

@@ -186,9 +186,9 @@ class Blocks:
             sums[kind] = S[where].reshape(-1, d, d)
         for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
             for kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):
-                squares, D = gram(A), sums[kind]
+                squares, D = np.ascontiguousarray(gram(A).transpose(1, 2, 0)), sums[kind]
                 for row, column in zip(*_triangle(A.shape[2]), strict=True):
-                    D[:, row, column] += np.bincount(index, squares[:, row, column], len(D))
+                    D[:, row, column] += np.bincount(index, squares[row, column], len(D))
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)

@@ -24,7 +24,7 @@ class RotationsOfThePlane(LieGroup):
     flat = True
 
     def exp(self, delta: npt.ArrayLike) -> Array:
-        return wrap(delta)
+        return wrap(np.array(delta, dtype=float))
 
     log = vector = exp
 

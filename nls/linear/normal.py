@@ -65,6 +65,7 @@ class NormalState:
     def __init__(self, hessian: Hessian, kind: type[Factorization], dtype: type = float) -> None:
         self.hessian = hessian
         self.factorization = kind(hessian, dtype)
+        self._weak: Array | None = None  # the direction found last where a pivot is small
 
     def solve(self, g: Array) -> Array:
         """H^-1 g with rows in the order of the columns of A."""
@@ -110,7 +111,7 @@ class NormalState:
 
         A'A squares the condition of A: a pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
         where another one is small. Inverse iteration, three solves, finds the direction, and A itself, which keeps
-        twice the digits, tells whether it is free.
+        twice the digits, tells whether it is free. The next linearization begins with that direction: one solve.
 
         Raises
         ------
@@ -119,10 +120,11 @@ class NormalState:
         if self._weakest > WEAK:
             return
         D = 1 / system.column_norms
-        v = np.random.default_rng(0).normal(size=len(D))
-        for _ in range(3):
+        v, rounds = (np.random.default_rng(0).normal(size=len(D)), 3) if self._weak is None else (self._weak, 1)
+        for _ in range(rounds):
             v = self.solve(v / D) / D
             v /= np.linalg.norm(v)
+        self._weak = v
         if np.linalg.norm(system.times(D * v)) <= NULL:
             raise SingularSystemError("A'A has a null direction that its pivots do not show")
 

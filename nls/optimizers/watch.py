@@ -76,10 +76,11 @@ class Watch:
 
     def flat(self, system: LinearSystem, undamped: Undamped | None = None) -> bool:
         """Whether the gradient of the current point vanishes; it is over then, without another step."""
-        self.history[-1] = replace(self.history[-1], gradient=system.scaled_gradient)
-        if not self._lost(system) and (system.chi2 == 0.0 or system.scaled_gradient <= self.stop.gradient_tol):
+        gradient = system.scaled_gradient
+        self.history[-1] = replace(self.history[-1], gradient=gradient)
+        if not self._lost(system) and (system.chi2 == 0.0 or gradient <= self.stop.gradient_tol):
             self._agreed(undamped, system)  # notes what is free there
-            self._settled(f"scaled gradient {system.scaled_gradient:.1e} <= {self.stop.gradient_tol:g}")
+            self._settled(f"scaled gradient {gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
 
     def step(

@@ -10,6 +10,7 @@ from models import SE2, SE3
 from models.errors import EvaluationError, LeadlineError, OptionError, SingularGeometryError, UnderconstrainedError
 from nls.assemble import Pattern, measured_rows
 from nls.graph import FactorGraph
+from nls.linear.threads import single_thread
 from nls.stages import stage
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
@@ -30,6 +31,7 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
 NEAR, POOR = 10.0, 100.0  # chi2 per measured row; noise gives 1, starts Gauss-Newton converges from seldom over 10
 
 
+@single_thread()
 def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tuple[Values, str, dict[str, float]]:
     """Start values by name.
 
