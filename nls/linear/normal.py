@@ -65,7 +65,7 @@ class NormalState:
     def __init__(self, hessian: Hessian, kind: type[Factorization], dtype: type = float) -> None:
         self.hessian = hessian
         self.factorization = kind(hessian, dtype)
-        self._weak: Array | None = None  # the direction found last where a pivot is small
+        self._judged: Array | float = np.inf  # pivots, as parts of the diagonal, when they were looked at last
 
     def solve(self, g: Array) -> Array:
         """H^-1 g with rows in the order of the columns of A."""
@@ -103,7 +103,7 @@ class NormalState:
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
             raise SingularSystemError("a pivot of A'A vanishes")
-        self._weakest = float((pivots / diagonal).min(initial=1.0))
+        self._kept = pivots / diagonal
         return diagonal
 
     def refuse_free(self, system: LinearSystem) -> None:
@@ -111,20 +111,21 @@ class NormalState:
 
         A'A squares the condition of A: a pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
         where another one is small. Inverse iteration, three solves, finds the direction, and A itself, which keeps
-        twice the digits, tells whether it is free. The next linearization begins with that direction: one solve.
+        twice the digits, tells whether it is free. A later linearization is looked at where a pivot has halved since.
 
         Raises
         ------
         SingularSystemError
         """
-        if self._weakest > WEAK:
+        weak = self._kept < WEAK
+        if not (weak & (self._kept < 0.5 * self._judged)).any():
             return
+        self._judged = self._kept
         D = 1 / system.column_norms
-        v, rounds = (np.random.default_rng(0).normal(size=len(D)), 3) if self._weak is None else (self._weak, 1)
-        for _ in range(rounds):
+        v = np.random.default_rng(0).normal(size=len(D))
+        for _ in range(3):
             v = self.solve(v / D) / D
             v /= np.linalg.norm(v)
-        self._weak = v
         if np.linalg.norm(system.times(D * v)) <= NULL:
             raise SingularSystemError("A'A has a null direction that its pivots do not show")
 

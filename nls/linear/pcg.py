@@ -65,7 +65,7 @@ class KeptState(NormalState):
     """
 
     def __init__(self, hessian: Hessian, factorization: Factorization) -> None:
-        self.hessian, self.factorization, self._weak = hessian, factorization, None
+        self.hessian, self.factorization, self._judged = hessian, factorization, np.inf
         self.factorizations = self.steps = 0
         self._newer: Array | None = None  # the flat blocks of the current H, where the factorization is older
         self._h: Array | None = None  # None: there is no factorization to start from

@@ -28,7 +28,7 @@ SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a pl
 PLATEAU = 6  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
-ALMOST = 10  # times the square root of chi2_rtol: a fall after which the next one may be below chi2_rtol
+ALMOST = 100  # times chi2_rtol: a fall not worth a factorization
 CHECK = "check the Jacobians with factors.check_jacobians"
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
@@ -136,10 +136,15 @@ class Watch:
 
     @property
     def nearly(self) -> bool:
-        """Whether the next fall of chi2 may be the last: steps get shorter, and where they arrive falls are squared."""
-        small = ALMOST * math.sqrt(self.stop.chi2_rtol) * self.history[-1].chi2
-        shorter = len(self.history) > 2 and self.history[-1].update < SHORTER * self.history[-2].update
-        return shorter and 0 <= self._fall <= small
+        """Whether little is left to gain, if the next step gets shorter as the latest did; chi2 falls by its square."""
+        if len(self.history) < 3:
+            return False
+        ratio = self.history[-1].update / self.history[-2].update
+        return ratio < SHORTER and self.small(self._fall * ratio**2)
+
+    def small(self, fall: float) -> bool:
+        """Whether a fall of chi2 is hardly more than what counts as none."""
+        return 0 <= fall <= ALMOST * self.stop.chi2_rtol * self.history[-1].chi2
 
     def last(self, values: Values, chi2: float, dx: Array, promised: float, seconds: dict[str, float]) -> bool:
         """Take a step that may be the last; it is forgotten when it is not.

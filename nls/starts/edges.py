@@ -14,7 +14,7 @@ from models import LieGroup
 from models.algebra import Array
 from nls.components import connected
 from nls.graph import FactorGraph
-from nls.values import Values
+from nls.values import Values, take
 
 __all__ = ["PoseEdges", "pose_edges", "pose_groups"]
 
@@ -110,20 +110,19 @@ class PoseEdges:
         return parent, np.where(parent < 0, -1, name[sort[place]])
 
     def along(self, parent: Index, edge: Index, X: Array) -> Array:
-        """Poses (n, size) composed from the roots of X outward along a tree, by doubling: log2(depth) products."""
+        """Poses (n, size) composed from the roots of X outward along a tree, by doubling: log2(depth) products.
+
+        Above a root there is itself, with the identity as its step.
+        """
         reached = parent >= 0
         forward = reached & (self.j[edge] == np.arange(self.n))
-        step = self.group.identity(self.n)
-        step[forward] = self.z[edge[forward]]
         backward = reached & ~forward
+        step = np.asfortranarray(self.group.identity(self.n))
+        step[forward] = self.z[edge[forward]]
         step[backward] = self.group.inverse(self.z[edge[backward]])
         above = np.where(reached, parent, np.arange(self.n))
-        while True:
-            higher = above[above]
-            if (higher == above).all():
-                break
-            moving = np.flatnonzero(higher != above)
-            step[moving] = self.group.compose(step[above[moving]], step[moving])
+        while ((higher := above[above]) != above).any():
+            step = self.group.compose(take(step, above), step)
             above = higher
         out = np.array(X)
         out[reached] = self.group.compose(X[above[reached]], step[reached])
