@@ -2,7 +2,7 @@
 PYTHON ?= python3
 DEMO = .venv/bin/python -m sim sphere --out demo && \
        .venv/bin/nls solve demo/graph.g2o --plot demo/solved.png -o demo/solved.g2o
-BENCHMARK = .venv/bin/python benchmarks/pinv.py && .venv/bin/python benchmarks/marginals.py
+BENCHMARK = for script in pinv marginals scaling; do .venv/bin/python benchmarks/$$script.py --quick --out build/benchmarks; done
 EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 
 .PHONY: help demo test lint docs benchmark evidence
@@ -24,8 +24,9 @@ lint: .venv/installed ## formatting, ruff, mypy
 docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal: docs/_build/html/index.html
 	.venv/bin/sphinx-build -nW --keep-going -b html docs docs/_build/html
 
-benchmark: .venv/installed ## the table of solvers, dense against sparse
-	$(BENCHMARK)
+benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (3 minutes)
+	.venv/bin/python benchmarks/guard.py
+	@set -e; $(BENCHMARK)
 
 evidence: .venv/installed ## every script of benchmarks/evidence, in order
 	@set -e; for script in $(EVIDENCE); do echo "== $$script"; .venv/bin/python $$script; done

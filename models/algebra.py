@@ -8,6 +8,7 @@ against 0.6 ms for `numpy.matmul`, and no function has to say so.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +44,7 @@ def components(X: npt.ArrayLike) -> Array:
 
 def pack(parts: Sequence[npt.ArrayLike]) -> Array:
     """Stack (..., k) of k broadcastable arrays (...), components first in memory."""
-    out = np.empty((len(parts), *_batch(parts)))
+    out = np.empty((len(parts), *np.broadcast(*parts).shape))
     for k, part in enumerate(parts):
         out[k] = part
     return out.transpose(*range(1, out.ndim), 0)
@@ -51,17 +52,11 @@ def pack(parts: Sequence[npt.ArrayLike]) -> Array:
 
 def matrix(rows: Sequence[Sequence[npt.ArrayLike]]) -> Array:
     """Stack of matrices (..., r, c) from r rows of c broadcastable entries, components first in memory."""
-    out = np.empty((len(rows), len(rows[0]), *_batch([entry for row in rows for entry in row])))
+    out = np.empty((len(rows), len(rows[0]), *np.broadcast(*chain.from_iterable(rows)).shape))
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
             out[i, j] = entry
     return out.transpose(*range(2, out.ndim), 0, 1)
-
-
-def _batch(parts: Sequence[npt.ArrayLike]) -> tuple[int, ...]:
-    """Shape that arrays broadcast to; most have it already, and a number has none."""
-    shapes = {part.shape for part in parts if isinstance(part, np.ndarray)}
-    return shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*map(np.shape, parts))
 
 
 def product(A: Array, B: Array) -> Array:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 
 from models import SE2, SE3
-from models.errors import EvaluationError, LeadlineError, OptionError, SingularGeometryError, UnderconstrainedError
+from models.errors import (
+    EvaluationError,
+    GraphWarning,
+    LeadlineError,
+    OptionError,
+    SingularGeometryError,
+    UnderconstrainedError,
+)
 from nls.assemble import Pattern, measured_rows
 from nls.graph import FactorGraph
 from nls.linear.threads import single_thread
@@ -41,7 +49,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
         to where these poses saw them; ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest
         chi2 among the file's own and chordal; above 10 per measured row it tries the odometry chain too, and above 100,
-        where the graph has measurements between poses and points, ``incremental``, which costs several solves.
+        where the graph has measurements between poses and points, ``incremental``, which costs several solves. A start
+        that does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where
+        placeholders are usual.
 
     Returns
     -------
@@ -75,7 +85,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
             return start, method, {method: graph.chi2(start)}
     chi2: dict[str, float] = {}
     best, name = values, ""
-    refused: LeadlineError | None = None
+    refused: dict[str, LeadlineError] = {}
     groups, rows = pose_groups(graph, values), measured_rows(Pattern(graph.factors, values))
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
     if groups:
@@ -90,10 +100,13 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
                 start = STARTS[candidate](graph, values)
                 chi2[candidate] = graph.chi2(start)
         except (UnderconstrainedError, EvaluationError, SingularGeometryError) as error:
-            refused = error  # no start of this graph: not listed
+            refused[candidate] = error
             continue
         if chi2[candidate] < chi2.get(name, np.inf):
             best, name = start, candidate
-    if refused is not None and not chi2:
-        raise refused
+    if not chi2:
+        raise refused.popitem()[1]
+    for candidate in [c for c in refused if c != "file"]:
+        message = f"start {candidate!r} was left out: {refused[candidate]}"
+        warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
     return best, name, chi2

@@ -29,9 +29,9 @@ from nls.values import Values
 
 __all__ = ["chordal"]
 
-REGULAR = 1e-3  # det M above this, relative to the cube of its norm: Newton's iteration takes at most 15 steps
+REGULAR = 1e-3  # det M above this, its largest entry being 1: Newton's iteration takes at most 15 steps
 SETTLED = 1e-9  # a step of it after which the next one, its square, is below rounding
-VANISHING = 1e-9  # a relaxed rotation this small has lost its direction to contradicting measurements
+VANISHING = 1e-9  # a relaxed rotation this small beside its neighbors has lost its direction to contradicting ones
 
 
 def chordal(graph: FactorGraph, values: Values) -> Values:
@@ -83,7 +83,12 @@ def _relax(edges: PoseEdges, X: Array) -> Array:
     else:  # y = M', three columns: y_j = R_ij' y_i
         M = system.solve(kappa, rotation3(edges.z[:, 3:]).mT, edges.group.rotation(X).mT).mT
         rotations, size = nearest_rotation(M)
-    if (size[free] < VANISHING).any():
+    # Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
+    # and leaves their directions alone; a cancelled one is small among neighbors that are not.
+    i, j = edges.i, edges.j
+    around = np.bincount(i, kappa * size[j], edges.n) + np.bincount(j, kappa * size[i], edges.n)
+    total = np.bincount(i, kappa, edges.n) + np.bincount(j, kappa, edges.n)
+    if (size * total <= VANISHING * around)[free].any():
         raise UnderconstrainedError(
             "chordal relaxation: contradicting rotations cancel at a pose; start from 'odometry' or 'spanning-tree'"
         )
@@ -104,11 +109,13 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
     matrices, their singular value decomposition 10. Elsewhere U diag(1, 1, det UV') V', of which the second singular
     value is the size.
     """
-    norm = np.sqrt(np.square(M).sum(axis=(-2, -1)))
-    det = np.linalg.det(M)
-    regular = det > REGULAR * norm**3
-    out, size = np.empty_like(M), norm
-    X = np.ascontiguousarray(M[regular].transpose(1, 2, 0)) / np.cbrt(det[regular])
+    size = np.abs(M).max(axis=(-2, -1))  # may be 1e-150: its cube would be 0
+    M = M / np.where(size > 0, size, 1.0)[:, None, None]
+    X = np.ascontiguousarray(M.transpose(1, 2, 0))
+    det = (X[0] * _cross(X[1], X[2])).sum(axis=0)
+    regular = det > REGULAR
+    out = np.empty_like(M)
+    X = X[..., regular] / np.cbrt(det[regular])
     step = np.ones(1)
     while np.abs(step).max(initial=0.0) > SETTLED:
         C = np.stack([_cross(X[1], X[2]), _cross(X[2], X[0]), _cross(X[0], X[1])])  # det X times X^-T
@@ -118,7 +125,8 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
     if not regular.all():
         U, s, Vt = np.linalg.svd(M[~regular])
         U[..., 2] *= np.linalg.det(U @ Vt)[..., None]
-        out[~regular], size[~regular] = U @ Vt, s[..., 1]
+        out[~regular] = U @ Vt
+        size[~regular] *= s[..., 1]
     return out, size
 
 
@@ -142,6 +150,7 @@ class _Laplacian:
         self.factorization = best_factorization()
         u, v = self.i[self.both], self.j[self.both]
         self.elimination = eliminated(u, v, V, self.factorization.order)  # of both systems
+        self._hessians: dict[int, Hessian] = {}  # by size of the blocks: in the plane both systems have the same
 
     def solve(self, w: Array, T: Array, value: Array, c: Array | None = None) -> Array:
         """y (n, d, k) for weights w (m,), T (m or 1, d, d), c (m, d, k) or None for 0; held ones keep their value.
@@ -158,9 +167,10 @@ class _Laplacian:
         if np.iscomplexobj(T):  # of which H keeps the triangle below the diagonal
             off[self.elimination.turned] = T[both[self.elimination.turned]]
         np.multiply(off, -w[both, None, None], out=S[V:])
-        begin = np.arange(len(S)) * d * d
-        hessian = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
-        state = NormalState(hessian, self.factorization, S.dtype.type)
+        if d not in self._hessians:
+            begin = np.arange(len(S)) * d * d
+            self._hessians[d] = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
+        state = NormalState(self._hessians[d], self.factorization, S.dtype.type)
 
         # H y = g: what is known about y_j is T y_i + c with y_i held, and about y_i it is T'(y_j - c) with y_j held
         g = np.zeros((V + 1, d, value.shape[-1]), dtype=value.dtype)

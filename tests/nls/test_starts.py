@@ -11,7 +11,7 @@ import pytest
 from factors import Between, Diagonal, Factor, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
-from nls import FactorGraph, OptionError, UnderconstrainedError, Values, initialize
+from nls import FactorGraph, GraphWarning, OptionError, UnderconstrainedError, Values, initialize
 from nls.starts import STARTS, chain, chordal, spanning_tree
 from nls.starts.chordal import nearest_rotation
 from tests.nls.graphs import GROUPS, ODD, Seen, between, distance, in_frame, l, pose_graph, walk, x
@@ -270,9 +270,31 @@ def test_chordal_refuses_what_leaves_a_pose_free(group: LieGroup) -> None:
     graph, values = without_rotation(group), Values({x: (group, group.identity(4))})
     with pytest.raises(UnderconstrainedError, match="chordal relaxation: some poses have no rotation"):
         chordal(graph, values)
-    _, name, chi2 = initialize(graph, values)
+    said = "start 'chordal' was left out: chordal relaxation: some poses have no rotation"
+    with pytest.warns(GraphWarning, match=said) as caught:
+        _, name, chi2 = initialize(graph, values)
+    assert [warning.filename for warning in caught] == [__file__]
     assert set(chi2) == {"file", "odometry"}
     assert name == "odometry"
+
+
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_chordal_keeps_rotations_that_shrink_along_the_way(group: LieGroup) -> None:
+    """A ladder of 250 noisy squares: each halves the relaxed rotations, down to 1e-50, and leaves their directions."""
+    n, d, rng = 250, group.point_dim, np.random.default_rng(0)
+    k = np.arange(n)
+    i = np.concatenate([2 * k[:-1], 2 * k[:-1] + 1, 2 * k])
+    j = np.concatenate([2 * k[1:], 2 * k[1:] + 1, 2 * k + 1])
+    noise = rng.normal(size=(len(i), group.dim)) * np.repeat([0.01, 0.7], [d, group.dim - d])
+    graph = FactorGraph([Between(x[i], x[j], group.exp(noise), Isotropic(0.1))])
+    values, name, chi2 = initialize(graph, Values({x: (group, group.identity(2 * n))}))
+    assert (name, chi2["chordal"]) == ("chordal", graph.chi2(values))
+    assert chi2["chordal"] < 0.7 * chi2["odometry"]
+    M = rng.normal(size=(50, 3, 3))
+    for scale in (1e-150, 1.0, 1e100):
+        R, size = nearest_rotation(M * scale)
+        np.testing.assert_allclose(R, nearest_rotation(M)[0], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(size, nearest_rotation(M)[1] * scale, rtol=1e-12)
 
 
 def test_chordal_refuses_rotations_that_cancel() -> None:
