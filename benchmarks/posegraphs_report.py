@@ -105,6 +105,19 @@ def fastest(sets: dict[str, Any]) -> list[str]:
     return lines + (["", f"A lower optimum than leadline's was reached by {', '.join(worse)}."] if worse else [])
 
 
+def summary(sets: dict[str, Any]) -> list[str]:
+    """The table of the README: leadline and GTSAM, the largest set first."""
+    rows = []
+    for name, found in sorted(sets.items(), key=lambda item: -item[1]["edges"]):
+        if "gtsam" in found["ratio"] and "truth" not in name:
+            runs, variant = found["runs"], found["fastest"]["gtsam"]
+            title = variant if runs["gtsam"][variant]["outcome"] == "optimum" else "never there"
+            ours, theirs = (ms(run["total"]) for run in (runs["leadline"]["auto"], runs["gtsam"][variant]))
+            ratio = f"{found['ratio']['gtsam']:.2f}"
+            rows.append(f"| {name} | {found['edges']:,} | {ours} | {theirs} ({title}) | {ratio} |")
+    return rows
+
+
 def stages(sets: dict[str, Any]) -> list[str]:
     """Where leadline's time goes, and all marginal covariances, on the sets that were asked for."""
     staged = {name: found for name, found in sets.items() if "marginals" in found}

@@ -43,7 +43,7 @@ def components(X: npt.ArrayLike) -> Array:
 
 
 def pack(parts: Sequence[npt.ArrayLike]) -> Array:
-    """Stack (..., k) of k broadcastable arrays (...), components first in memory."""
+    """Stack (..., k) of k <= 64 broadcastable arrays (...), components first in memory."""
     out = np.empty((len(parts), *np.broadcast(*parts).shape))
     for k, part in enumerate(parts):
         out[k] = part
@@ -51,7 +51,7 @@ def pack(parts: Sequence[npt.ArrayLike]) -> Array:
 
 
 def matrix(rows: Sequence[Sequence[npt.ArrayLike]]) -> Array:
-    """Stack of matrices (..., r, c) from r rows of c broadcastable entries, components first in memory."""
+    """Stack of matrices (..., r, c), r c <= 64, from r rows of c broadcastable entries, components first in memory."""
     out = np.empty((len(rows), len(rows[0]), *np.broadcast(*chain.from_iterable(rows)).shape))
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):

@@ -1,7 +1,8 @@
 """Which pairs of variables share a block of H, in the order in which the variables are eliminated.
 
 This is what all matrices over one graph of variables have in common, whatever the sizes of their blocks: the two
-systems of a chordal start and the normal equations. It is found once per graph; `eliminated` keeps the latest.
+systems of a chordal start and the normal equations. It is found once per graph; `eliminated` keeps the latest, ten
+whole numbers a pair.
 """
 
 from __future__ import annotations

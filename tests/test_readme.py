@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import matplotlib
@@ -34,6 +36,18 @@ def test_the_python_blocks_run_in_order(
     for k, block in enumerate(found):
         exec(compile(block, f"README.md, Python block {k + 1}", "exec"), namespace)
     assert capsys.readouterr().out.strip()
+
+
+def test_the_figures_are_those_of_the_last_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = README.parent / "benchmarks"
+    if not README.exists() or not folder.is_dir():
+        pytest.skip("there is no README.md here (an installed copy has none)")
+    monkeypatch.syspath_prepend(str(folder))
+    results = json.loads((folder / "results" / "posegraphs.json").read_text())
+    text, rows = README.read_text(encoding="utf-8"), import_module("posegraphs_report").summary(results["sets"])
+    assert len(rows) > 10
+    assert "\n".join(rows) in text
+    assert results["machine"][0].removeprefix("- ")[:10] in text  # the date
 
 
 def test_what_the_python_blocks_claim(

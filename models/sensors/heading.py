@@ -47,7 +47,7 @@ def heading(group: LieGroup, X: Array) -> tuple[Array, Array]:
     (array([[0.7]]), array([[[0., 0., 0., 0., 0., 1.]]]))
     """
     if group.point_dim == 2:
-        return wrap(X[:, 2:]), np.array([[[0.0, 0.0, 1.0]]])
+        return wrap(X[:, 2:].copy()), np.array([[[0.0, 0.0, 1.0]]])
     R = group.rotation(X)
     R11, R21, R32, R33 = R[:, 0, 0], R[:, 1, 0], R[:, 2, 1], R[:, 2, 2]
     cos2 = R11 * R11 + R21 * R21

@@ -89,7 +89,9 @@ class LinearSolver(ABC):
         """
 
     def again(self, analyzed: Any, system: LinearSystem) -> LinearSolution | None:
-        """H^-1 A'b of this system, with H as the latest undamped `solve` factorized it; None where nothing is kept.
+        """H^-1 A'b of this system, with H as the latest undamped `solve` factorized it.
+
+        None where nothing is kept, or where that H is known to be of no use any more.
 
         Near an optimum, where H hardly changes, that is the Gauss-Newton step but for a few percent, for the price of
         two triangular solves.

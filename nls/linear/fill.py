@@ -131,9 +131,8 @@ def _touch(place: Index, first: Index, parent: Index) -> bool:
     """Whether every node that has a parent is joined with it, by a neighbor in its subtree."""
     V = len(first)
     child = np.flatnonzero(parent < V)
-    found = place[
-        np.searchsorted(place, parent[child] * V + first[child])
-    ]  # never past the end: a row ends with itself
+    # never past the end: a row ends with itself
+    found = place[np.searchsorted(place, parent[child] * V + first[child])]
     return bool((found <= parent[child] * V + child).all())
 
 

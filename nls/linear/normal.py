@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 __all__ = ["Factorization", "NormalEquations", "NormalState"]
 
 
+FADED = 0.5  # of a diagonal entry of A'A: an unknown less is known about wants a step that the old one is too stiff for
+
+
 class Factorization(ABC):
     """A sparse factorization of a positive definite matrix whose structure is fixed."""
 
@@ -103,7 +106,7 @@ class NormalState:
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
             raise SingularSystemError("a pivot of A'A vanishes")
-        self._kept = pivots / diagonal
+        self._kept, self.diagonal = pivots / diagonal, diagonal
         return diagonal
 
     def refuse_free(self, system: LinearSystem) -> None:
@@ -120,7 +123,6 @@ class NormalState:
         weak = self._kept < WEAK
         if not (weak & (self._kept < 0.5 * self._judged)).any():
             return
-        self._judged = self._kept
         D = 1 / system.column_norms
         v = np.random.default_rng(0).normal(size=len(D))
         for _ in range(3):
@@ -128,6 +130,7 @@ class NormalState:
             v /= np.linalg.norm(v)
         if np.linalg.norm(system.times(D * v)) <= NULL:
             raise SingularSystemError("A'A has a null direction that its pivots do not show")
+        self._judged = self._kept
 
 
 class NormalEquations(LinearSolver):
@@ -184,6 +187,8 @@ class NormalEquations(LinearSolver):
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})
 
     def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
-        started = perf_counter()
-        dx = analyzed[1].solve(system.gradient)
+        started, (_, state) = perf_counter(), analyzed
+        if (np.square(system.column_norms)[state.hessian.permutation] < FADED * state.diagonal).any():
+            return None
+        dx = state.solve(system.gradient)
         return LinearSolution(dx, {"solve": perf_counter() - started})

@@ -157,14 +157,14 @@ _HERE = local()
 @contextmanager
 def single_thread() -> Iterator[None]:
     """No OpenMP regions and one BLAS thread inside; both are restored. Several threads of a program may be inside."""
-    depth = getattr(_HERE, "depth", 0)
-    with _LOCK:
-        found = [] if depth else [(setting, setting.enter()) for setting in _settings()]
-    _HERE.depth = depth + 1
+    held: frozenset[_Setting] = getattr(_HERE, "held", frozenset())
+    with _LOCK:  # inside another one only what was loaded since
+        found = [(setting, setting.enter()) for setting in _settings() if setting not in held]
+    _HERE.held = held.union(setting for setting, _ in found)
     try:
         yield
     finally:
-        _HERE.depth = depth
+        _HERE.held = held
         with _LOCK:
             for setting, number in found:
                 setting.leave(number)

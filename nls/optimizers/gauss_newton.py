@@ -5,8 +5,8 @@ r"""Gauss-Newton: linearize, solve, retract, stop.
     X    = X retract dx
 
 The last steps, which gain little or only confirm that chi2 falls no more, are tried with the factorization of the one
-before: near the optimum A'A hardly changes, and factorizing it is most of an iteration (66 of 85 ms on sphere2500; 2
-factorizations instead of 4 on torus3D). Such a step is forgotten where A'A turns out to have changed.
+before: near the optimum A'A hardly changes, and factorizing it is most of an iteration (66 of 85 ms on sphere2500).
+Such a step is forgotten where A'A turns out to have changed, or where it leads nowhere.
 
 No damping and no line search: a step may raise chi2 on the way to a lower one (the Intel graph does, and converges).
 The best point met is what is returned, and a rise is never called converged. Source: F. Dellaert, M. Kaess, Factor
@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["GaussNewton"]
 
-CHANGED, LAST = (
-    0.1,
-    0.5,
-)  # of A'A along the step since it was factorized: beyond, a step, the last step is not taken; it
-# changes by 0.0001 to 0.1 where pose graphs arrive, by 0.8 to 0.95 from step to step on a plateau that falls for ever
+# Change of A'A along the step since it was factorized, beyond which a step, and the last one, is not taken. It is
+# 0.0001 to 0.1 where pose graphs arrive, 0.8 to 0.95 from step to step on a plateau that falls for ever.
+CHANGED, LAST = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -84,9 +82,11 @@ class GaussNewton(Optimizer):
         last = promised <= watch.stop.chi2_rtol * system.chi2
         if not (abs(promised - downhill) < (LAST if last else CHANGED) * downhill and watch.small(promised)):
             return None
-        Y = problem.retract(X, dx)
         if last:
-            return (Y, system) if watch.last(Y, problem.chi2(Y), dx, promised, problem.lap()) else None
-        there = problem.linearize(Y)
+            Y, chi2 = problem.glance(X, dx)
+            return (Y, system) if watch.last(Y, chi2, dx, promised, problem.lap()) else None
+        Y, there, _ = problem.attempt(X, dx)
+        if there is None:
+            return None
         watch.step(Y, there, dx, promised, problem.lap())
         return Y, there

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from time import perf_counter
 from typing import Any
 
@@ -56,12 +57,6 @@ class Problem:
             self._add(part, seconds)
         return solution.dx
 
-    def chi2(self, values: Values) -> float:
-        start = perf_counter()
-        chi2 = self.pattern.chi2(values)
-        self._add("linearize", perf_counter() - start)
-        return chi2
-
     def retract(self, values: Values, dx: Array) -> Values:
         start = perf_counter()
         moved = values.retract(self.pattern.expand(dx))
@@ -84,6 +79,19 @@ class Problem:
                 raise
             return values, None, f"where {error}"
         return moved, system, f"to chi2 {system.chi2:.9g}"
+
+    def glance(self, values: Values, dx: Array) -> tuple[Values, float]:
+        """Where a trial step leads, and chi2 there, infinite where it cannot be evaluated; errors as for `attempt`."""
+        try:
+            moved = self.retract(values, dx)
+            start = perf_counter()
+            chi2 = self.pattern.chi2(moved)
+            self._add("linearize", perf_counter() - start)
+        except (EvaluationError, SingularGeometryError) as error:
+            if isinstance(error, EvaluationError) and error.__cause__ is not None:
+                raise
+            return values, math.inf
+        return moved, chi2
 
     def lap(self) -> dict[str, float]:
         """Seconds by part since the last call."""

@@ -112,7 +112,7 @@ class Watch:
             self.best, self.lowest, self._since_best = values, chi2, 0
         missed = undamped is None and promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
         still, level = update < stop.update_tol, 0 <= fall <= little and not missed
-        ending = level and (fall <= ROUNDING * chi2 or fall**2 <= little * (self._fall - fall))  # geometric series
+        ending = level and self._summed(fall, chi2, little)
         shorter, longer = update < SHORTER * old.update, update >= SHORTER * old.update  # neither after the first step
         self._running = self._running + 1 if ending and longer else 0
         self._fall = fall
@@ -157,10 +157,12 @@ class Watch:
         old, update = self.history[-1], float(np.abs(dx).max(initial=0.0))
         fall, little = old.chi2 - chi2, self.stop.chi2_rtol * old.chi2
         missed = promised > AGREEMENT * max(fall, ROUNDING * chi2) and promised > ROUNDING_CHI2
-        if not 0 <= fall <= little or missed or not update < SHORTER * old.update:
+        ending = 0 <= fall <= little and not missed and self._summed(fall, chi2, little)
+        if not (ending and update < SHORTER * old.update):
             return False
         self.history.append(Iteration(old.number + 1, chi2, update, seconds=seconds))
-        self.best, self.lowest = values, chi2
+        if chi2 < self.lowest:
+            self.best, self.lowest = values, chi2
         self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {self.stop.chi2_rtol:g}")
         if self.callback is not None:
             self.callback(self.history[-1])
@@ -183,6 +185,10 @@ class Watch:
             self._settled(f"no step lowers chi2 within its 16 digits; scaled gradient {system.scaled_gradient:.1e}")
         else:
             self.end(Status.STALLED, f"every step was refused, the last one led {led}; {CHECK}")
+
+    def _summed(self, fall: float, chi2: float, little: float) -> bool:
+        """Whether this fall and the latest, continued as a geometric series, add up to little."""
+        return fall <= ROUNDING * chi2 or fall**2 <= little * (self._fall - fall)
 
     def _plateau(self) -> None:
         self.end(

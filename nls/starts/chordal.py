@@ -71,9 +71,9 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
 
 
 def _relax(edges: PoseEdges, X: Array) -> Array:
-    if edges.fixed.all():
-        return X
     system = _Laplacian(edges)
+    if not len(system.free):
+        return X
     free, kappa, tau = system.free, edges.weights(slice(d := edges.group.point_dim, None)), edges.weights(slice(0, d))
     if edges.group is SE2:  # y = exp(i theta): y_j = exp(i theta_ij) y_i
         T, start = np.exp(1j * edges.z[:, 2]), np.exp(1j * X[:, 2])

@@ -1,0 +1,138 @@
+"""Gauss-Newton steps with a kept factorization: they save work, and prove no more than steps of their own would."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from factors import Factor, GemanMcClure, Isotropic, Prior, Robust
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array
+from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
+from nls.assemble import Pattern
+from nls.linear import default_solver
+from nls.linear.base import SingularSystemError
+from tests.nls.graphs import distance, pose_graph, x
+
+(p,) = kinds("p")
+
+
+def scalar(residual: object, at: list[float], dim: int) -> tuple[FactorGraph, Values]:
+    return FactorGraph([Factor.from_function(residual, p[0], dim=dim)]), Values({p: (R(len(at)), at)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup) -> None:
+    factorizations = steps = 0
+    for seed in range(6):
+        sample = pose_graph(group, n=60, seed=seed, start=0.1)
+        kept = sample.graph.optimize(sample.values)
+        full = sample.graph.optimize(sample.values, linear_solver=Pinv())  # which keeps nothing
+        assert kept.converged
+        assert full.converged
+        assert kept.chi2_final == pytest.approx(full.chi2_final, rel=1e-6)
+        assert distance(group, kept.values[x], full.values[x]) < 0.01
+        factorizations += sum("factorize" in h.seconds for h in kept.history)
+        steps += kept.iterations
+        assert sum("factorize" in h.seconds for h in full.history) == full.iterations
+    assert factorizations < steps
+
+
+def test_a_step_above_the_best_point_is_not_converged() -> None:
+    """A trap at x = 12 behind the minimum that was met on the way."""
+
+    def residual(X: Array) -> Array:
+        X = X[:, 0]
+        left = X < 5
+        trap = (X - 12) + 0.1 * (X - 12) ** 2
+        return np.stack([np.where(left, 1 - 0.1 * X, 2.0), np.where(left, 0.0, trap)], axis=1)
+
+    graph, start = scalar(residual, [0.0], 2)
+    result = graph.optimize(start)
+    assert result.status is Status.STALLED
+    assert result.chi2_final == graph.chi2(result.values) == 1.0
+
+
+@pytest.mark.parametrize("c", [-0.8, -0.95])
+def test_slow_convergence_is_followed_to_its_end(c: float) -> None:
+    """Gauss-Newton shortens x by the factor -c from step to step: many small falls."""
+    graph, start = scalar(lambda X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), [0.5], 3)
+    result = graph.optimize(start, GaussNewton(Stop(max_iterations=500)))
+    assert result.converged
+    assert result.chi2_final - 1 < 2e-6
+
+
+def test_robust_means_are_followed_to_their_end() -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        z = np.concatenate([rng.normal(size=30), rng.normal(3, 3, size=10)])[:, None]
+        graph = FactorGraph([Prior(p[np.zeros(40, dtype=int)], z, Robust(Isotropic(1), GemanMcClure(1.0)))])
+        start = Values({p: (R(1), [0.5])})
+        result = graph.optimize(start)
+        if result.converged:
+            best = graph.optimize(result.values, GaussNewton(Stop(chi2_rtol=0, update_tol=1e-10, max_iterations=999)))
+            assert result.chi2_final - best.chi2_final < 2e-6 * best.chi2_final
+
+
+@pytest.mark.parametrize("mid", [1.0, 1.2])
+def test_an_unknown_that_is_let_go_on_the_way_is_not_overlooked(mid: float) -> None:
+    """v is held at 0 until u has come below `mid`; then it can go to -100, which the old A'A would not allow."""
+
+    def residual(X: Array) -> Array:
+        u, v = X[:, 0], X[:, 1]
+        hold = 1e4 / (1 + np.exp(-np.clip((u - mid) / 0.02, -500, 500)))
+        return np.stack([3 * u, 1000 - 0.8 * 9 * u * u / 2000, 100 + v, hold * v], axis=1)
+
+    graph, start = scalar(residual, [40.0, 0.0], 4)
+    result = graph.optimize(start)
+    assert result.converged
+    assert result.values[p[0]][1] == pytest.approx(-100, abs=1e-3)
+    assert result.chi2_final == pytest.approx(1e6, rel=2e-6)
+
+
+def test_a_system_that_was_refused_is_refused_again() -> None:
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(40, 12))
+    A[:, 0] *= 1e-5
+    A[:, 0] += A[:, 1]  # nearly the same twice, which gives a small pivot
+    A[:, 5] = A[:, 6] + A[:, 7] - A[:, 8]  # and one direction that is free
+    values = Values({p: (R(12), np.zeros(12))})
+    factor = Factor.from_function(lambda X: X @ A.T, p[0], dim=40, jacobians=lambda X: [A[None]])
+    pattern = Pattern([factor], values)
+    solver = default_solver()
+    state = solver.analyze(pattern)
+    for _ in range(3):
+        with pytest.raises(SingularSystemError):
+            solver.solve(state, pattern.linearize(values))
+    assert isinstance(pattern.linearize(values), LinearSystem)
+
+
+INSIDE = """
+from contextlib import contextmanager
+import numpy as np, nls
+from factors import Isotropic, Prior
+from models import R
+from nls.linear import cholesky, threads
+seen, original = [], cholesky.single_thread
+@contextmanager
+def recorded():
+    with original():
+        seen.append(all(knob.get() == knob.inside for knob in threads._knobs(threads._loaded())))
+        yield
+cholesky.single_thread = recorded
+(p,) = nls.kinds("p")
+graph = nls.FactorGraph([Prior(p[0], [1.0], Isotropic(1))])
+for _ in range(2):
+    graph.optimize(nls.Values({p: (R(1), [0.0])}))
+print(len(seen) > 2, all(seen))
+"""
+
+
+@pytest.mark.skipif(default_solver().name != "cholesky", reason="CHOLMOD is not installed")
+def test_the_first_solve_of_a_process_takes_one_thread_too() -> None:
+    """What is imported on first use brings its threads with it, inside a block that began before."""
+    done = subprocess.run([sys.executable, "-c", INSIDE], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True True"
