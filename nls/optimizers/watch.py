@@ -28,7 +28,7 @@ SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a pl
 PLATEAU = 6  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
 AGREEMENT = 10  # a step that promised a much larger fall than it brought has not converged, it has missed
-ALMOST = 100  # times chi2_rtol: a fall not worth a factorization
+ALMOST = 10  # times chi2_rtol: a fall not worth a factorization, and ten times that where it is foreseen, with caution
 CHECK = "check the Jacobians with factors.check_jacobians"
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
@@ -140,7 +140,7 @@ class Watch:
         if len(self.history) < 3:
             return False
         ratio = self.history[-1].update / self.history[-2].update
-        return ratio < SHORTER and self.small(self._fall * ratio**2)
+        return ratio < SHORTER and self.small(self._fall * ratio**2 / 10)
 
     def small(self, fall: float) -> bool:
         """Whether a fall of chi2 is hardly more than what counts as none."""
