@@ -12,10 +12,8 @@ if TYPE_CHECKING:
 __all__ = ["Clock", "iterations", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
-BEFORE, AFTER = (
-    ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS),
-    ("other", "write", "process"),
-)
+BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
+AFTER = ("other", "write", "process")
 SUMS = ("solved", "total", "process")
 SAID = {
     "startup": "interpreter, up to the command line; processor time",

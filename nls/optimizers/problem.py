@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 from models.algebra import Array
 from models.errors import EvaluationError, SingularGeometryError
 from nls.assemble import Pattern
-from nls.linear.base import LinearSolver
+from nls.linear.base import LinearSolution, LinearSolver
 from nls.system import LinearSystem
 from nls.values import Values
 
 __all__ = ["Problem"]
+
+T = TypeVar("T")
 
 
 class Problem:
@@ -36,32 +39,19 @@ class Problem:
         self._lap.clear()
 
     def linearize(self, values: Values) -> LinearSystem:
-        start = perf_counter()
-        system = self.pattern.linearize(values)
-        self._add("linearize", perf_counter() - start)
-        return system
+        return self._timed("linearize", lambda: self.pattern.linearize(values))
 
     def solve(self, system: LinearSystem, damping: Array | None = None) -> Array:
         self.latest = system
-        solution = self.solver.solve(self.state, system, damping)
-        for part, seconds in solution.seconds.items():
-            self._add(part, seconds)
-        return solution.dx
+        return self._counted(self.solver.solve(self.state, system, damping))
 
     def solve_again(self, system: LinearSystem) -> Array | None:
         """The step by the factorization of the latest solve; None where the linear solver keeps none."""
         solution = self.solver.again(self.state, system)
-        if solution is None:
-            return None
-        for part, seconds in solution.seconds.items():
-            self._add(part, seconds)
-        return solution.dx
+        return None if solution is None else self._counted(solution)
 
     def retract(self, values: Values, dx: Array) -> Values:
-        start = perf_counter()
-        moved = values.retract(self.pattern.expand(dx))
-        self._add("retract", perf_counter() - start)
-        return moved
+        return self._timed("retract", lambda: values.retract(self.pattern.expand(dx)))
 
     def attempt(self, values: Values, dx: Array) -> tuple[Values, LinearSystem | None, str]:
         """Where a trial step leads: values, their linearization or None where there is none, and that in words.
@@ -71,32 +61,40 @@ class Problem:
         EvaluationError
             A function of the user's raised an exception: a fault to see, not a place to avoid.
         """
+        moved, system, led = self._reached(values, dx, self.linearize)
+        return moved, system, led if system is None else f"to chi2 {system.chi2:.9g}"
+
+    def glance(self, values: Values, dx: Array) -> tuple[Values, float]:
+        """Where a trial step leads, and chi2 there, infinite where it cannot be evaluated; errors as for `attempt`."""
+        evaluate = self.pattern.chi2
+        moved, chi2, _ = self._reached(values, dx, lambda there: self._timed("linearize", lambda: evaluate(there)))
+        return moved, math.inf if chi2 is None else chi2
+
+    def _reached(self, values: Values, dx: Array, evaluate: Callable[[Values], T]) -> tuple[Values, T | None, str]:
+        """Values moved and evaluated; as they were, None and the reason where that cannot be done."""
         try:
             moved = self.retract(values, dx)
-            system = self.linearize(moved)
+            return moved, evaluate(moved), ""
         except (EvaluationError, SingularGeometryError) as error:
             if isinstance(error, EvaluationError) and error.__cause__ is not None:
                 raise
             return values, None, f"where {error}"
-        return moved, system, f"to chi2 {system.chi2:.9g}"
-
-    def glance(self, values: Values, dx: Array) -> tuple[Values, float]:
-        """Where a trial step leads, and chi2 there, infinite where it cannot be evaluated; errors as for `attempt`."""
-        try:
-            moved = self.retract(values, dx)
-            start = perf_counter()
-            chi2 = self.pattern.chi2(moved)
-            self._add("linearize", perf_counter() - start)
-        except (EvaluationError, SingularGeometryError) as error:
-            if isinstance(error, EvaluationError) and error.__cause__ is not None:
-                raise
-            return values, math.inf
-        return moved, chi2
 
     def lap(self) -> dict[str, float]:
         """Seconds by part since the last call."""
         lap, self._lap = self._lap, {}
         return lap
+
+    def _timed(self, part: str, work: Callable[[], T]) -> T:
+        start = perf_counter()
+        done = work()
+        self._add(part, perf_counter() - start)
+        return done
+
+    def _counted(self, solution: LinearSolution) -> Array:
+        for part, seconds in solution.seconds.items():
+            self._add(part, seconds)
+        return solution.dx
 
     def _add(self, part: str, seconds: float) -> None:
         self.timings[part] = self.timings.get(part, 0.0) + seconds

@@ -139,8 +139,8 @@ class Watch:
         """Whether little is left to gain, if the next step gets shorter as the latest did; chi2 falls by its square."""
         if len(self.history) < 3:
             return False
-        ratio = self.history[-1].update / self.history[-2].update
-        return ratio < SHORTER and self.small(self._fall * ratio**2 / 10)
+        before, update = self.history[-2].update, self.history[-1].update
+        return update < SHORTER * before and self.small(self._fall * (update / before) ** 2 / 10)
 
     def small(self, fall: float) -> bool:
         """Whether a fall of chi2 is hardly more than what counts as none."""
