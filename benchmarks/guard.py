@@ -63,8 +63,9 @@ class Piece:
         patterns = []
         for world in (self.world, other):
             graph, values = world.graph, world.truth
-            held = choose_gauge("first", graph.factors, values, fixed_variables(graph.fixed, values)).held
-            patterns.append(Pattern(graph.factors, values, held))
+            pattern = Pattern(graph.factors, values)
+            held = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values)).held
+            patterns.append(pattern.holding(held))
         self.turns = cycle(patterns)
         self.held, self.pattern = patterns[0].held, patterns[0]
         self.system = self.pattern.linearize(self.world.truth)

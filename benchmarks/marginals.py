@@ -66,13 +66,12 @@ def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
 
 def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> str:
     """Measure one problem with one factorization."""
-    from nls.assemble import Pattern
     from nls.gauge import choose_gauge, fixed_variables
     from nls.linear.takahashi import diagonal_blocks
     from nls.linear.threads import single_thread
 
-    gauge = choose_gauge("first", graph.factors, values, fixed_variables(graph.fixed, values))
-    pattern = Pattern(graph.factors, values, gauge.held)
+    every = graph.pattern(values)
+    pattern = every.holding(choose_gauge("first", every, values, fixed_variables(graph.fixed, values)).held)
     blocks, state = solver.analyze(pattern)
     S = blocks.fill(pattern.linearize(values))
     with single_thread():

@@ -105,8 +105,8 @@ class Meter:
             self._charge()
             self._stack.pop()
 
-    def watch(self, owner: type, method: str, name: str) -> None:
-        """Count every call of a method as a stage."""
+    def watch(self, owner: object, method: str, name: str) -> None:
+        """Count every call of a method, or of a function of a module, as a stage."""
         inner: Callable[..., Any] = getattr(owner, method)
 
         @wraps(inner)
@@ -136,6 +136,7 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     """Load, start and solve a file; print everything as JSON."""
     threading.Thread(target=end_after, args=[ENOUGH * seconds], daemon=True).start()
     import nls
+    import nls.graph
     from nls.assemble import Pattern
     from nls.hessian import Blocks
     from nls.linear import default_solver
@@ -149,7 +150,8 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     graph.optimize(nls.initialize(graph, values)[0])
     meter = Meter()
     for owner, method, stage in (
-        (Pattern, "__init__", "build"),
+        (nls.graph, "choose_gauge", "build"),
+        (Pattern, "holding", "build"),
         (NormalEquations, "analyze", "analyze"),
         (Pattern, "linearize", "linearize"),
         (NormalEquations, "solve", "assemble"),  # what it does besides factorizing and solving

@@ -9,7 +9,7 @@ so that the step is argmin |A dx - b| for every factor, convention and noise. Se
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ from factors.noise import Noise, whiten
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
+from models.abstract import Abstract
 from models.algebra import Array, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
 
@@ -34,7 +35,7 @@ __all__ = ["Factor", "Model"]
 Jacobians = tuple[Array | None, ...] | None
 
 
-class Factor(ABC):
+class Factor(Abstract):
     """A batch of n measurements of one kind: its variables, the measured values, their noise.
 
     A subclass states `slots` (the space of each variable it touches; None accepts any) and `relative`, and implements
@@ -330,7 +331,7 @@ class Model:
         for slot, H_k in enumerate(H):
             A_k = WJ if H_k is None else product(WJ, H_k)
             self._check(A_k, slot)
-            A.append(np.broadcast_to(A_k, (n, *A_k.shape[1:])))
+            A.append(A_k if len(A_k) == n else np.broadcast_to(A_k, (n, *A_k.shape[1:])))
         return tuple(A), b
 
     def _whitened_innovation(self, h: Array, jacobian: bool) -> tuple[Array, Array | None]:

@@ -39,7 +39,8 @@ class Keys:
             raise GraphError(f"{kind}[...]: variable numbers have shape {array.shape}, expected (n,)")
         self.kind = kind
         self.single = array.ndim == 0
-        self.numbers: npt.NDArray[np.int64] = np.atleast_1d(array).astype(np.int64)
+        self.numbers: npt.NDArray[np.int64] = array.reshape(-1).astype(np.int64)
+        self.numbers.setflags(write=False)  # graphs remember where they found these variables
 
     def __len__(self) -> int:
         return len(self.numbers)

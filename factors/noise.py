@@ -9,7 +9,7 @@ directions, and W has rows of zeros there. A negative one is refused, with the m
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from typing import Self
@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.slices import rows
+from models.abstract import Abstract
 from models.algebra import Array, apply, product
 from models.errors import GraphError, NoiseModelError
 
@@ -44,7 +45,7 @@ def component_names(names: Sequence[str] | str) -> tuple[str, ...]:
     return tuple(ALIASES.get(name, name) for name in given)
 
 
-class Noise(ABC):
+class Noise(Abstract):
     """What is known about the error of a batch of measurements, shared by all or one per measurement.
 
     The arrays of a noise have the measurements as leading axis, n or 1: `take` relies on it.

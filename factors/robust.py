@@ -22,12 +22,13 @@ optimization using dynamic covariance scaling", ICRA 2013 (rho is the cost whose
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from numbers import Real
 
 import numpy as np
 
 from factors.noise import Noise
+from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import NoiseModelError, OptionError
 
@@ -46,7 +47,7 @@ __all__ = [
 ]
 
 
-class Kernel(ABC):
+class Kernel(Abstract):
     """A robust cost rho of the squared whitened residual s, and its weight w = d rho / ds.
 
     Parameters

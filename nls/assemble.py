@@ -7,7 +7,8 @@ loop over measurements or variables.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,7 +18,8 @@ import numpy.typing as npt
 
 from factors.keys import Keys
 from factors.robust import reweighted
-from models.algebra import Array
+from models.algebra import Array, components
+from nls.scatter import Scatter
 from nls.system import LinearSystem
 from nls.values import Values, take
 
@@ -65,12 +67,6 @@ class Pattern:
         self.manifolds = {name: stack.manifold for name, stack in values.stacks.items()}
         sizes = [len(stack) for stack in values.stacks.values()]
         self.dims = np.repeat([s.manifold.dim for s in values.stacks.values()], sizes).astype(np.intp)
-        self.held = np.zeros(len(self.dims), dtype=bool) if held is None else held
-        free = np.where(self.held, 0, self.dims)
-        ends = np.cumsum(free)
-        self.starts = np.where(self.held, -1, ends - free)
-        self.n = int(ends[-1]) if len(ends) else 0
-        self._free_columns = None if not self.held.any() else np.flatnonzero(np.repeat(~self.held, self.dims))
         self.m = 0
         for factor in factors:
             stacks = [values.stack(k.kind) for k in factor.keys]
@@ -80,6 +76,37 @@ class Pattern:
             rows = slice(self.m, self.m + len(factor) * model.dim)
             self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
             self.m = rows.stop
+        ends = np.cumsum(self.dims)
+        self._sums = Scatter(self.batches, ends - self.dims, int(ends[-1]) if len(ends) else 0)
+        self._hold(np.zeros(len(self.dims), dtype=bool) if held is None else held)
+
+    def _hold(self, held: npt.NDArray[np.bool_]) -> None:
+        """Number the columns of the variables that are not held."""
+        self.held = held
+        free = np.where(held, 0, self.dims)
+        ends = np.cumsum(free)
+        self.starts = np.where(held, -1, ends - free)
+        self.n = int(ends[-1]) if len(ends) else 0
+        self._free_columns = np.flatnonzero(np.repeat(~held, self.dims)) if held.any() else None
+
+    def holding(self, held: npt.NDArray[np.bool_]) -> Pattern:
+        """The same rows and variables, with others of them held."""
+        other = copy(self)
+        other.__dict__.pop("structure", None)
+        other._hold(held)
+        return other
+
+    def serves(self, factors: Sequence[Factor], values: Values) -> bool:
+        """Whether it is the numbering of these factors over these variables, wherever they are."""
+        return (
+            len(self.batches) == len(factors)
+            and all(batch.model.factor is factor for batch, factor in zip(self.batches, factors, strict=True))
+            and list(self.numbers) == list(values.stacks)
+            and all(
+                self.numbers[name] is stack.numbers and self.manifolds[name] is stack.manifold
+                for name, stack in values.stacks.items()
+            )
+        )
 
     def linearize(self, values: Values) -> LinearSystem:
         """Every whitened A_i and b_i at the values; one call per batch."""
@@ -135,11 +162,19 @@ class Pattern:
         start = self.starts[variables][:, None]
         return np.where(start < 0, -1, start + np.arange(d))
 
+    def by_column(self, parts: Iterable[Iterable[Array]]) -> Array:
+        """Sums (n,) over all measurements, from parts (k, d) by batch and slot, in the free columns."""
+        total = np.zeros(self._sums.size)
+        for k, slots in enumerate(parts):
+            for slot, x in enumerate(slots):
+                self._sums.add(total, k, slot, components(x))
+        return self.restrict(total)
+
     def expand(self, dx: Array) -> Array:
         """Step of all variables, zeros where held, from a step of the free ones."""
         if self._free_columns is None:
             return dx
-        full = np.zeros(int(self.dims.sum()))
+        full = np.zeros(self._sums.size)
         full[self._free_columns] = dx
         return full
 

@@ -44,7 +44,7 @@ class Elimination:
         if order is not None:
             pairs = np.minimum(u, v) * V + np.maximum(u, v)
             pairs.sort()
-            low, high = np.divmod(pairs[np.append(True, pairs[1:] != pairs[:-1])[: len(pairs)]], max(V, 1))
+            low, high = np.divmod(pairs[_first_of_equals(pairs)], max(V, 1))
             self.variables = order(high, low, V)
             position = np.empty(V, dtype=np.intp)
             position[self.variables] = np.arange(V)
@@ -52,14 +52,20 @@ class Elimination:
         self.row, self.column, self.turned = np.maximum(a, b), np.minimum(a, b), a < b
         place = self.column * V + self.row
         sort = np.argsort(place)
-        place = place[sort]
-        new = np.append(True, place[1:] != place[:-1])[: len(place)]
-        self.blocks, self.again = sort[new], sort[~new]
-        self.twin = (np.cumsum(new) - 1)[~new]
+        new = _first_of_equals(place[sort])
+        again = (~new).nonzero()[0]
+        self.blocks, self.again, self.twin = sort[new], sort[again], np.cumsum(new)[again] - 1
 
     def serves(self, u: Index, v: Index, V: int, order: Order | None) -> bool:
         """Whether it is the one of these pairs."""
         return self.V == V and self.order is order and np.array_equal(self.u, u) and np.array_equal(self.v, v)
+
+
+def _first_of_equals(rising: Index) -> npt.NDArray[np.bool_]:
+    """Which numbers differ from the one before."""
+    first = np.ones(len(rising), dtype=bool)
+    np.not_equal(rising[1:], rising[:-1], out=first[1:])
+    return first
 
 
 _LATEST: list[Elimination] = []

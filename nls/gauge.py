@@ -28,7 +28,7 @@ from factors.prior import Prior
 from models.algebra import Array
 from models.errors import GraphWarning, OptionError
 from nls.assemble import Batch, Pattern, offsets
-from nls.components import connected
+from nls.components import connected, firsts
 from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.normal import NormalEquations
 from nls.system import LinearSystem
@@ -74,16 +74,13 @@ def _moved(batch: Batch) -> list[Index]:
 
 
 def component_labels(pattern: Pattern) -> Index:
-    """Connected component (V,) of every variable, joined by the factors that see both move.
+    """Connected component (V,) of every variable, named by its first, joined by the factors that see both move.
 
     A calibration that two trajectories share does not join them: each has its own gauge.
     """
-    V = len(pattern.dims)
-    i = [slots[0] for slots in map(_moved, pattern.batches) for _ in slots[1:]]
-    j = [variables for slots in map(_moved, pattern.batches) for variables in slots[1:]]
-    empty = [np.zeros(0, dtype=np.intp)]
-    rows, cols = np.concatenate(i + empty), np.concatenate(j + empty)
-    return connected(rows, cols, V)
+    pairs = [(slots[0], other) for slots in map(_moved, pattern.batches) for other in slots[1:]]
+    i, j = np.concatenate([np.zeros((2, 0), dtype=np.intp), *pairs], axis=1)
+    return connected(i, j, len(pattern.dims))
 
 
 def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
@@ -95,13 +92,13 @@ def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
     return touched
 
 
-def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: npt.NDArray[np.bool_]) -> Gauge:
+def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray[np.bool_]) -> Gauge:
     """Decide what holds each component that nothing else holds.
 
     Parameters
     ----------
     name : one of `GAUGES`.
-    factors, values : the graph and its start.
+    pattern, values : the graph with nothing held, and its start.
     fixed : (V,) variables the user fixed.
 
     Raises
@@ -113,11 +110,9 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
         return Gauge(fixed, fixed, said="nothing is held")
-    pattern = Pattern(factors, values)
     label = component_labels(pattern)
-    anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+    touched, (anchored, moving) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
-    touched, moving = touched_variables(pattern), np.zeros(len(fixed), dtype=bool)
     for batch in pattern.batches:
         for variables in _moved(batch):
             moving[variables] = True
@@ -136,8 +131,9 @@ def choose_gauge(name: str, factors: Sequence[Factor], values: Values, fixed: np
     chosen = _first_of_components(label, pattern, moving, anchored)
     if not len(chosen):
         return Gauge(fixed, fixed, said="fixed by the graph itself")
-    keys, named = [pattern.key(int(v)) for v in chosen], _named(pattern, chosen)
+    named = _named(pattern, chosen)
     if name == "prior":
+        keys = [pattern.key(int(v)) for v in chosen]
         priors: list[Factor] = [Prior(key, values[key], Isotropic(1.0)) for key in keys]
         return Gauge(fixed, fixed, priors, f"a prior of unit information on {named}")
     held = fixed.copy()
@@ -157,12 +153,10 @@ def _first_of_components(
     label: Index, pattern: Pattern, moving: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.intp]:
     """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
-    candidates = np.flatnonzero(moving & ~anchored[label])
-    numbers = np.concatenate([*pattern.numbers.values(), np.zeros(0, dtype=np.int64)])[candidates]
-    kind = np.repeat(np.arange(len(pattern.numbers)), [len(n) for n in pattern.numbers.values()])[candidates]
-    order = np.lexsort((numbers, kind, -pattern.dims[candidates], label[candidates]))
-    _, first = np.unique(label[candidates][order], return_index=True)
-    return candidates[order][first]
+    kinds = sorted(pattern.numbers, key=lambda kind: -pattern.manifolds[kind].dim)
+    by_number = [pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable") for kind in kinds]
+    order = np.concatenate([*by_number, np.zeros(0, dtype=np.intp)])
+    return firsts(label, order[(moving & ~anchored[label])[order]])
 
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:

@@ -47,6 +47,7 @@ class FactorGraph:
     def __init__(self, factors: Sequence[Factor] = ()) -> None:
         self.factors: list[Factor] = []
         self.fixed: list[Keys] = []
+        self._pattern: Pattern | None = None
         if not isinstance(factors, Iterable):
             raise GraphError(f"FactorGraph: expected a list of factors, got {factors!r:.80}")
         for factor in factors:
@@ -99,11 +100,18 @@ class FactorGraph:
 
     def chi2(self, values: Values) -> float:
         """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""
-        return Pattern(self.factors, _values(values)).chi2(values)
+        return self.pattern(values).chi2(values)
+
+    def pattern(self, values: Values) -> Pattern:
+        """Rows and columns of A with nothing held; the latest is kept for values of the same variables."""
+        pattern = self._pattern
+        if pattern is None or not pattern.serves(self.factors, _values(values)):
+            pattern = self._pattern = Pattern(self.factors, _values(values))
+        return pattern
 
     def linearize(self, values: Values) -> LinearSystem:
         """A and b at the values, with labels; no gauge is held, only what was fixed."""
-        return Pattern(self.factors, _values(values), fixed_variables(self.fixed, values)).linearize(values)
+        return self.pattern(values).holding(fixed_variables(self.fixed, values)).linearize(values)
 
     @single_thread()  # a BLAS thread that waits for the next product burns the second core meanwhile
     def optimize(
@@ -148,11 +156,13 @@ class FactorGraph:
         if not isinstance(solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
-        decided = choose_gauge(gauge, self.factors, values, fixed)
-        factors = [*self.factors, *decided.priors]
-        pattern = Pattern(factors, values, decided.held)
+        every = self.pattern(values)
+        decided = choose_gauge(gauge, every, values, fixed)
+        if decided.priors:
+            every = Pattern([*self.factors, *decided.priors], values)
+        pattern = every.holding(decided.held)
         if decided.free:
-            solver, pattern = FreeGauge(solver, pattern), Pattern(factors, values, decided.fixed)
+            solver, pattern = FreeGauge(solver, pattern), every.holding(decided.fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())

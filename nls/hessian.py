@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from models.algebra import Array, gram, product
 from models.errors import ResourceLimitError
 from nls.elimination import Elimination, Index, Order, eliminated
+from nls.scatter import Scatter
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
@@ -28,6 +29,13 @@ __all__ = ["Blocks", "Hessian"]
 
 
 _triangle = cache(np.tril_indices)
+
+
+@cache
+def _lower(d: int) -> Index:
+    """Places of the lower triangle of a (d, d) block stored by rows."""
+    rows, columns = _triangle(d)
+    return np.asarray(rows * d + columns)
 
 
 class Hessian:
@@ -94,6 +102,11 @@ class Hessian:
         self._add = [np.concatenate(part) for part in zip(*repeats, strict=True)] or None
 
     @cached_property
+    def _on_diagonal(self) -> Index:
+        """Where in S the diagonal (n,) is."""
+        return self.source[self.indptr[:-1]]
+
+    @cached_property
     def _mirrored(self) -> tuple[Index, Index, Index]:
         """indptr and indices of both triangles, and which number of the lower one each of theirs is."""
         column = np.repeat(np.arange(self.n), np.diff(self.indptr))
@@ -112,11 +125,11 @@ class Hessian:
 
     def diagonal(self, S: Array) -> Array:
         """Diagonal of the matrix (n,), real."""
-        return np.take(S, self.source[self.indptr[:-1]]).real
+        return np.take(S, self._on_diagonal).real
 
     def damp(self, S: Array, damping: Array) -> None:
         """Add a diagonal (n,), in the given order of columns, to the flat blocks S."""
-        S[self.source[self.indptr[:-1]]] += damping[self.permutation]
+        S[self._on_diagonal] += damping[self.permutation]
 
     def symmetric(self, S: Array) -> sp.csc_array:
         """Both triangles as a sparse matrix; numbers that happen to be zero stay in its structure."""
@@ -152,11 +165,7 @@ class Blocks:
         sizes = pattern.dims * pattern.dims
         begin = np.cumsum(sizes) - sizes
         self.dims, self.diagonal, self.size = pattern.dims[free], begin[free], int(sizes.sum())
-        self.sums: dict[str, slice] = {}
-        for kind, start in pattern.offsets.items():
-            count, d = len(pattern.numbers[kind]), pattern.manifolds[kind].dim
-            first = int(begin[start]) if count else 0
-            self.sums[kind] = slice(first, first + count * d * d)
+        self.squares = Scatter(pattern.batches, begin, self.size, _lower)
         u, v, off = [], [], []
         self.pairs: list[tuple[int, int, int, slice]] = []  # batch, two slots, place in S
         for k, batch in enumerate(pattern.batches):
@@ -179,16 +188,11 @@ class Blocks:
     def fill(self, system: LinearSystem) -> Array:
         """S of one linearization."""
         S = np.empty(self.size)
-        sums = {}
-        for kind, where in self.sums.items():
-            S[where] = 0.0
-            d = system.pattern.manifolds[kind].dim
-            sums[kind] = S[where].reshape(-1, d, d)
-        for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
-            for kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):
-                squares, D = np.ascontiguousarray(gram(A).transpose(1, 2, 0)), sums[kind]
-                for row, column in zip(*_triangle(A.shape[2]), strict=True):
-                    D[:, row, column] += np.bincount(index, squares[row, column], len(D))
+        diagonal = S[: self.squares.size]
+        diagonal[:] = 0.0
+        for k, blocks in enumerate(system.blocks):
+            for slot, A in enumerate(blocks):
+                self.squares.add(diagonal, k, slot, gram(A).transpose(1, 2, 0)[_triangle(A.shape[2])])
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)

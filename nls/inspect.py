@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from nls.assemble import Pattern
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import default_solver
@@ -27,7 +26,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     -------
     dict of plain numbers and texts under plain identifiers, in reading order.
     """
-    pattern = Pattern(graph.factors, values)
+    pattern = graph.pattern(values)
     labels = component_labels(pattern)
     touched = touched_variables(pattern)
     semi_definite = 0
@@ -38,7 +37,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
         semi_definite += int((rows == 0).any(axis=1).sum()) * (len(batch) if len(W) == 1 else 1)
         lengths.append(rows[rows > 0])
     weights = np.concatenate(lengths)
-    gauge = choose_gauge("first", graph.factors, values, fixed_variables(graph.fixed, values))
+    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     fill = fill_in(pattern, gauge.held)
     sizes = np.sort(np.bincount(labels[touched]))[::-1]
     sizes = sizes[sizes > 0]

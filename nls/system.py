@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array, apply, components
+from models.algebra import Array, apply
 from models.errors import OptionError
 from nls.hessian import Blocks
 
@@ -66,12 +66,15 @@ class LinearSystem:
     @cached_property
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
-        return self._by_column(lambda A_k, b: apply(A_k.mT, b))
+        b = (self.b[batch.rows].reshape(len(batch), batch.model.dim) for batch in self.pattern.batches)
+        return self.pattern.by_column(
+            [apply(A_k.mT, b_batch) for A_k in A] for A, b_batch in zip(self.blocks, b, strict=True)
+        )
 
     @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,)."""
-        return np.sqrt(self._by_column(lambda A_k, b: np.square(A_k).sum(axis=1)))
+        return np.sqrt(self.pattern.by_column([np.square(A_k).sum(axis=1) for A_k in A] for A in self.blocks))
 
     @property
     def scaled_gradient(self) -> float:
@@ -144,14 +147,3 @@ class LinearSystem:
         variable, component = self.pattern.column_owner()
         names = {v: (repr(self.pattern.key(v)), self.pattern.component_names(v)) for v in dict.fromkeys(variable)}
         return [f"{names[v][0]}: {names[v][1][c]}" for v, c in zip(variable, component, strict=True)]
-
-    def _by_column(self, part: Callable[[Array, Array], Array]) -> Array:
-        """Sum of part(A_k, b) (k, d) over all slots of all batches, in the free columns."""
-        pattern = self.pattern
-        sums = {kind: np.zeros((len(n), pattern.manifolds[kind].dim)) for kind, n in pattern.numbers.items()}
-        for batch, A in zip(pattern.batches, self.blocks, strict=True):
-            b = self.b[batch.rows].reshape(len(batch), batch.model.dim)
-            for kind, index, A_k in zip(batch.kinds, batch.index, A, strict=True):
-                for column, x in zip(components(sums[kind]), components(part(A_k, b)), strict=True):
-                    column += np.bincount(index, x, len(column))
-        return pattern.restrict(np.concatenate([np.zeros(0), *(x.reshape(-1) for x in sums.values())]))

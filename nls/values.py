@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -116,6 +116,13 @@ class Values:
                 raise GraphError(f"Values: {name}: {len(X)} elements and {len(numbers)} numbers")
             self.stacks[name] = Stack(name, entry[0], X, numbers)
 
+    @classmethod
+    def of(cls, stacks: Iterable[Stack]) -> Self:
+        """Values of stacks whose elements were checked before."""
+        values = cls()
+        values.stacks = {stack.kind: stack for stack in stacks}
+        return values
+
     def stack(self, kind: str) -> Stack:
         """The stack of a kind.
 
@@ -170,9 +177,7 @@ class Values:
 
     def replaced(self, X: Mapping[str, Array]) -> Values:
         """The same variables with other stacks for some kinds."""
-        other = Values()
-        other.stacks = {n: stack.moved(X[n]) if n in X else stack for n, stack in self.stacks.items()}
-        return other
+        return Values.of(stack.moved(X[n]) if n in X else stack for n, stack in self.stacks.items())
 
     def retract(self, delta: Array) -> Values:
         """Every variable moved by its part of one tangent step.

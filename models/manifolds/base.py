@@ -6,19 +6,20 @@ Functions take and return whole stacks: the leading axes are the batch, the last
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, product
+from models.abstract import Abstract
+from models.algebra import Array, apply
 from models.errors import GraphError, OptionError
 
 __all__ = ["LieGroup", "Manifold"]
 
 
-class Manifold(ABC):
+class Manifold(Abstract):
     """A space in which estimates move: stored form, tangent space, and the two maps between them.
 
     Attributes
@@ -201,14 +202,9 @@ class LieGroup(Manifold):
 def block_triangular(A: Array, B: Array, C: Array) -> Array:
     """[[A, B], [0, C]] for stacks of square blocks; (..., a, a), (..., a, c), (..., c, c)."""
     a, c = A.shape[-1], C.shape[-1]
-    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2])
+    batch = np.broadcast(A[..., 0, 0], B[..., 0, 0], C[..., 0, 0]).shape
     out = np.zeros((*batch, a + c, a + c))
     out[..., :a, :a] = A
     out[..., :a, a:] = B
     out[..., a:, a:] = C
     return out
-
-
-def inverse_block_triangular(A_inv: Array, B: Array, C_inv: Array) -> Array:
-    """Inverse of [[A, B], [0, C]] from the inverses of its diagonal blocks."""
-    return block_triangular(A_inv, -product(product(A_inv, B), C_inv), C_inv)

@@ -2,9 +2,11 @@ r"""Poses in the plane, SE(2), stored as (x, y, theta): meters, meters, rad.
 
 With x = theta^2 and the Stumpff functions c_k(x) of `models.algebra.stumpff`:
 
-    Exp(rho, theta) = (V rho, theta),       V = [[c1, -theta c2], [theta c2, c1]]
-    V^-1 = [[a, theta/2], [-theta/2, a]],   a = c1 / (2 c2) = (theta/2) cot(theta/2)
+    Exp(rho, theta) = (V rho, theta),       V = [[c1, -theta c2], [theta c2, c1]] = sinc(h) R(h),  h = theta/2
+    V^-1 = [[a, h], [-h, a]],               a = h cot h = c1 / (2 c2)
     J_l = [[V, u], [0, 1]],                 u = (theta c3 rho_1 + c2 rho_2, -c2 rho_1 + theta c3 rho_2)
+    J_l^-1 = [[V^-1, -V^-1 u], [0, 1]],     -V^-1 u = (g rho_1 - rho_2/2, rho_1/2 + g rho_2)
+                                            g = (1 - a) / theta = theta (c3 - 2 c4) / (2 c2)
     Ad = [[R, (y, -x)'], [0, 1]],           Ad^-1 = [[R', (s x - c y, c x + s y)'], [0, 1]]
 
 Source: J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, appendix C.
@@ -15,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, components, matrix, pack, stumpff, wrap
+from models.algebra import Array, components, matrix, pack, sinc, stumpff, wrap
 from models.manifolds.base import LieGroup
 from models.manifolds.so2 import rotation2
 
@@ -38,14 +40,22 @@ class PosesOfThePlane(LieGroup):
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)
-        c1, c2 = stumpff(theta**2, 1, 2)
-        k = theta * c2
-        return pack([c1 * rho1 - k * rho2, k * rho1 + c1 * rho2, wrap(theta)])
+        h = theta / 2
+        chord, c, s = sinc(h), np.cos(h), np.sin(h)
+        return pack([chord * (c * rho1 - s * rho2), chord * (s * rho1 + c * rho2), wrap(theta)])
+
+    def retract(self, X: Array, delta: Array) -> Array:
+        x, y, theta = components(X)  # t + R(theta) sinc(h) R(h) rho: along the chord, at the mean angle
+        rho1, rho2, turn = components(delta)
+        h = turn / 2
+        chord, c, s = sinc(h), np.cos(theta + h), np.sin(theta + h)
+        return pack([x + chord * (c * rho1 - s * rho2), y + chord * (s * rho1 + c * rho2), wrap(theta + turn)])
 
     def log(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)
         theta = wrap(theta)
-        a, h = _half_cot(theta), theta / 2
+        h = theta / 2
+        a = np.cos(h) / sinc(h)
         return pack([a * x + h * y, a * y - h * x, theta])
 
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
@@ -77,17 +87,16 @@ class PosesOfThePlane(LieGroup):
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)
-        c1, c2, c3 = stumpff(theta**2, 1, 2, 3)
+        c1, c2, c3 = stumpff(theta * theta, 1, 2, 3)
         k, m = theta * c2, theta * c3
         return matrix([[c1, -k, m * rho1 + c2 * rho2], [k, c1, m * rho2 - c2 * rho1], [0.0, 0.0, 1.0]])
 
     def jl_inv(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)
-        c2, c3 = stumpff(theta**2, 2, 3)
-        a, h, m = _half_cot(theta), theta / 2, theta * c3
-        V_inv = matrix([[a, h], [-h, a]])
-        u = apply(V_inv, pack([m * rho1 + c2 * rho2, m * rho2 - c2 * rho1]))
-        return matrix([[a, h, -u[..., 0]], [-h, a, -u[..., 1]], [0.0, 0.0, 1.0]])
+        c1, c2, c3, c4 = stumpff(theta * theta, 1, 2, 3, 4)
+        h = theta / 2
+        a, g = c1 / (2 * c2), h * (c3 - 2 * c4) / c2
+        return matrix([[a, h, g * rho1 - rho2 / 2], [-h, a, rho1 / 2 + g * rho2], [0.0, 0.0, 1.0]])
 
     def vector(self, X: npt.ArrayLike) -> Array:
         x, y, theta = components(X)
@@ -112,12 +121,6 @@ class PosesOfThePlane(LieGroup):
 
     def position(self, X: Array) -> Array:
         return X[..., :2]
-
-
-def _half_cot(theta: Array) -> Array:
-    """(theta/2) cot(theta/2), 1 at 0."""
-    c1, c2 = stumpff(theta**2, 1, 2)
-    return c1 / (2 * c2)
 
 
 SE2 = PosesOfThePlane()

@@ -3,12 +3,14 @@ r"""Poses in space, SE(3), stored as (x, y, z, qx, qy, qz, qw): meters and a uni
 With w the rotation vector, P = [rho]x, K = [w]x and the Stumpff functions c_k(|w|^2):
 
     Exp(rho, w) = (V rho, Exp(w)),      V = J_l(w) of SO(3)
-    J_l = [[V, Q], [0, V]],             J_l^-1 = [[V^-1, -V^-1 Q V^-1], [0, V^-1]]
-    Q = P/2 + c3 (KP + PK + KPK) + c4 (KKP + PKK - 3 KPK) + (c4 - 3 c5)/2 (KPKK + KKPK)
+    J_l = [[V, Q], [0, V]],             Q = c2 P + c3 (KP + PK) + b ((2 c4 - c3) K + (3 c5 - c4) K^2),  b = w'rho
+    J_l^-1 = [[V^-1, U], [0, V^-1]],    U = -P/2 + d (KP + PK) + 2 b d' K^2,  d = (c3 - 2 c4) / (2 c2),
+                                        d' = d^2 + (5 c5 - c4 - 8 c6) / (4 c2)
     Ad = [[R, [t]x R], [0, R]],         Ad^-1 = [[R', -R' [t]x], [0, R']]
 
-Source: T. Barfoot, State Estimation for Robotics, 2017, equations (7.86) and (7.95); the coefficients are rewritten
-in Stumpff functions, where nothing cancels near 0.
+Q and U are the derivatives of V and of V^-1 along rho: with x = |w|^2, dx = 2 b and dc_k/dx = (k c_{k+2} - c_{k+1})/2.
+Source: T. Barfoot, State Estimation for Robotics, 2017, equations (7.86) and (7.95); rewritten in Stumpff functions,
+where nothing cancels near 0, and without the products of three and four matrices: KPK = -b K.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, components, matrix, pack, product, skew, stumpff
-from models.manifolds.base import LieGroup, block_triangular, inverse_block_triangular
+from models.algebra import Array, apply, components, dot, matrix, product, skew, stumpff
+from models.manifolds.base import LieGroup, block_triangular
 from models.manifolds.so3 import (
+    IDENTITY,
     SO3,
     not_unit,
     quaternion_product,
@@ -41,7 +44,8 @@ def split(X: npt.ArrayLike) -> tuple[Array, Array]:
 
 def join(t: Array, q: Array) -> Array:
     """Poses (..., 7) of translations (..., 3) and quaternions (..., 4), components first in memory."""
-    return pack([*components(t), *components(q)])
+    X = np.concatenate([components(t), components(q)])
+    return X.transpose(*range(1, X.ndim), 0)
 
 
 class PosesOfSpace(LieGroup):
@@ -95,13 +99,20 @@ class PosesOfSpace(LieGroup):
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
-        V = SO3.jl(delta[..., 3:])
-        return block_triangular(V, _coupling(delta), V)
+        x, b, K, KK, P, S = _products(delta)
+        c2, c3, c4, c5 = stumpff(x, 2, 3, 4, 5)
+        V = IDENTITY + c2 * K + c3 * KK
+        Q = c2 * P + c3 * S + b * ((2 * c4 - c3) * K + (3 * c5 - c4) * KK)
+        return block_triangular(V, Q, V)
 
     def jl_inv(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)
-        V_inv = SO3.jl_inv(delta[..., 3:])
-        return inverse_block_triangular(V_inv, _coupling(delta), V_inv)
+        x, b, K, KK, P, S = _products(delta)
+        c2, c3, c4, c5, c6 = stumpff(x, 2, 3, 4, 5, 6)
+        d = (c3 - 2 * c4) / (2 * c2)
+        V_inv = IDENTITY - 0.5 * K + d * KK
+        U = -0.5 * P + d * S + 2 * b * (d * d + (5 * c5 - c4 - 8 * c6) / (4 * c2)) * KK
+        return block_triangular(V_inv, U, V_inv)
 
     def vector(self, X: npt.ArrayLike) -> Array:
         t, q = split(X)
@@ -139,16 +150,12 @@ class PosesOfSpace(LieGroup):
         return super().invalid(X) or not_unit(X[..., 3:])
 
 
-def _coupling(delta: Array) -> Array:
-    """Q(rho, w), the translation-rotation block of J_l."""
-    w = delta[..., 3:]
-    c3, c4, c5 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 3, 4, 5)
-    P, K = skew(delta[..., :3]), skew(w)
-    KP, PK = product(K, P), product(P, K)
-    KPK = product(KP, K)
-    KKP, PKK = product(K, KP), product(PK, K)
-    KPKK, KKPK = product(KPK, K), product(K, KPK)
-    return P / 2 + c3 * (KP + PK + KPK) + c4 * (KKP + PKK - 3 * KPK) + (c4 - 3 * c5) / 2 * (KPKK + KKPK)
+def _products(delta: Array) -> tuple[Array, ...]:
+    """|w|^2 and w'rho (..., 1, 1), K, K^2, P and KP + PK (..., 3, 3) of delta = (rho, w)."""
+    rho, w = delta[..., :3], delta[..., 3:]
+    K, P = skew(w), skew(rho)
+    KP = product(K, P)
+    return dot(w, w)[..., None, None], dot(w, rho)[..., None, None], K, product(K, K), P, KP + KP.mT
 
 
 SE3 = PosesOfSpace()

@@ -18,10 +18,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, components, matrix, pack, product, skew, stumpff
+from models.algebra import TINY, Array, arrangement, components, dot, matrix, pack, product, skew, stumpff
 from models.manifolds.base import LieGroup
 
 __all__ = [
+    "IDENTITY",
     "SO3",
     "quaternion_from_matrix",
     "quaternion_product",
@@ -34,26 +35,40 @@ __all__ = [
 UNIT_TOLERANCE = 1e-3  # six-digit files are off by 1e-6, hand-written ones by 1e-4; beyond this it is another thing
 
 
+IDENTITY = matrix(np.eye(3).tolist())
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+_right_product = arrangement([[4, 3, -2, 1], [-3, 4, 1, 2], [2, -1, 4, 3], [-1, -2, -3, 4]])
+_w_plus_v = arrangement([[4, -3, 2], [3, 4, -1], [-2, 1, 4]])
+_w_minus_v = arrangement([[4, 3, -2], [-3, 4, 1], [2, -1, 4]])
+
+
 def quaternion_product(p: Array, q: Array) -> Array:
     """Hamilton product p q of stacks (..., 4), normalized."""
-    px, py, pz, pw = components(p)
-    qx, qy, qz, qw = components(q)
-    x = pw * qx + px * qw + py * qz - pz * qy
-    y = pw * qy - px * qz + py * qw + pz * qx
-    z = pw * qz + px * qy - py * qx + pz * qw
-    w = pw * qw - px * qx - py * qy - pz * qz
-    n = 1 / np.sqrt(x * x + y * y + z * z + w * w)
-    return pack([n * x, n * y, n * z, n * w])
+    pq = np.einsum("...ij,...j->...i", _right_product(q), p)
+    return np.asarray(pq / np.sqrt(dot(pq, pq))[..., None])
 
 
 def rotation3(q: Array) -> Array:
-    """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any length but 0."""
-    x, y, z, w = components(q)
-    s = 2 / (x * x + y * y + z * z + w * w)
-    sx, sy, sz = s * x, s * y, s * z
-    xx, yy, zz, xy, xz, yz = x * sx, y * sy, z * sz, x * sy, x * sz, y * sz
-    wx, wy, wz = w * sx, w * sy, w * sz
-    return matrix([[1 - yy - zz, xy - wz, xz + wy], [xy + wz, 1 - xx - zz, yz - wx], [xz - wy, yz + wx, 1 - xx - yy]])
+    """Rotation matrix (..., 3, 3) of quaternions (v, w) (..., 4) of any length but 0.
+
+    R = (1 - s v'v) I + s v v' + s w [v]x with s = 2 / |q|^2.
+    """
+    q = components(q)
+    v, w = q[:3], q[3]
+    sv = 2 / np.einsum("i...,i...->...", q, q) * v
+    R: Array = v[:, None] * sv
+    r = 1 - (R[0, 0] + R[1, 1] + R[2, 2])
+    R[0, 0] += r
+    R[1, 1] += r
+    R[2, 2] += r
+    x, y, z = w * sv
+    R[0, 1] -= z
+    R[1, 0] += z
+    R[0, 2] += y
+    R[2, 0] -= y
+    R[1, 2] -= x
+    R[2, 1] += x
+    return R.transpose(*range(2, R.ndim), 0, 1)
 
 
 def quaternion_from_matrix(R: npt.ArrayLike) -> Array:
@@ -76,29 +91,25 @@ def quaternion_from_matrix(R: npt.ArrayLike) -> Array:
     return np.asarray(q * (np.where(q[..., 3:] < 0, -1.0, 1.0) / np.linalg.norm(q, axis=-1, keepdims=True)))
 
 
+def upper_half(q: npt.ArrayLike) -> Array:
+    """The unit quaternion (..., 4) with w >= 0."""
+    q = np.asarray(q, dtype=float)
+    return q * (np.where(q[..., 3] < 0, -1.0, 1.0) / np.sqrt(dot(q, q)))[..., None]
+
+
 def quaternion_vector(q: npt.ArrayLike) -> Array:
     """Vector part (..., 3) of the unit quaternion with w >= 0."""
-    x, y, z, w = components(q)
-    n = np.where(w < 0, -1.0, 1.0) / np.sqrt(x * x + y * y + z * z + w * w)
-    return pack([n * x, n * y, n * z])
-
-
-def _vector_jacobian(q: npt.ArrayLike, side: float) -> Array:
-    """(w I + side [v]x) / 2 of the unit quaternion (v, w) with w >= 0."""
-    x, y, z, w = components(q)
-    n = 0.5 * np.where(w < 0, -1.0, 1.0) / np.sqrt(x * x + y * y + z * z + w * w)
-    w, x, y, z = n * w, side * n * x, side * n * y, side * n * z
-    return matrix([[w, -z, y], [z, w, -x], [-y, x, w]])
+    return upper_half(q)[..., :3]
 
 
 def quaternion_vector_jr(q: npt.ArrayLike) -> Array:
     """Derivative of the vector part of q Exp(d): (w I + [v]x) / 2."""
-    return _vector_jacobian(q, 1.0)
+    return _w_plus_v(0.5 * upper_half(q))
 
 
 def quaternion_vector_jl(q: npt.ArrayLike) -> Array:
     """Derivative of the vector part of Exp(d) q: (w I - [v]x) / 2."""
-    return _vector_jacobian(q, -1.0)
+    return _w_minus_v(0.5 * upper_half(q))
 
 
 class RotationsOfSpace(LieGroup):
@@ -115,27 +126,21 @@ class RotationsOfSpace(LieGroup):
     body_axes = True
 
     def exp(self, delta: npt.ArrayLike) -> Array:
-        x, y, z = components(delta)
-        c0, c1 = stumpff((x * x + y * y + z * z) / 4, 0, 1)
-        s = c1 / 2
-        return pack([s * x, s * y, s * z, c0])
+        w = np.asarray(delta, dtype=float)
+        c0, c1 = stumpff(dot(w, w) / 4, 0, 1)
+        return pack([*(c1 / 2 * components(w)), c0])
 
     def log(self, X: npt.ArrayLike) -> Array:
         x, y, z, w = components(X)
-        sign = np.where(w < 0, -1.0, 1.0)
-        norm = np.sqrt(x * x + y * y + z * z)
-        w = sign * w
-        small = norm < 1e-7 * w
-        angle = 2 * np.arctan2(norm, w)
-        s = sign * np.where(small, 2 / np.where(small, w, 1.0), angle / np.where(small, 1.0, norm))
+        norm = np.sqrt(x * x + y * y + z * z + TINY)
+        s = np.where(w < 0, -2.0, 2.0) * (np.arctan2(norm, np.abs(w)) / norm)
         return pack([s * x, s * y, s * z])
 
     def compose(self, X: npt.ArrayLike, Y: npt.ArrayLike) -> Array:
         return quaternion_product(np.asarray(X, dtype=float), np.asarray(Y, dtype=float))
 
     def inverse(self, X: npt.ArrayLike) -> Array:
-        x, y, z, w = components(X)
-        return pack([-x, -y, -z, w])
+        return np.asarray(np.asarray(X, dtype=float) * _CONJUGATE)
 
     def rotation(self, X: npt.ArrayLike) -> Array:
         return rotation3(np.asarray(X, dtype=float))
@@ -144,15 +149,15 @@ class RotationsOfSpace(LieGroup):
 
     def jl(self, delta: npt.ArrayLike) -> Array:
         w = np.asarray(delta, dtype=float)
-        c2, c3 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 2, 3)
+        c2, c3 = stumpff(dot(w, w)[..., None, None], 2, 3)
         K = skew(w)
-        return np.eye(3) + c2 * K + c3 * product(K, K)
+        return IDENTITY + c2 * K + c3 * product(K, K)
 
     def jl_inv(self, delta: npt.ArrayLike) -> Array:
         w = np.asarray(delta, dtype=float)
-        c2, c3, c4 = stumpff(np.sum(w * w, axis=-1)[..., None, None], 2, 3, 4)
+        c2, c3, c4 = stumpff(dot(w, w)[..., None, None], 2, 3, 4)
         K = skew(w)
-        return np.eye(3) - 0.5 * K + (c3 - 2 * c4) / (2 * c2) * product(K, K)
+        return IDENTITY - 0.5 * K + (c3 - 2 * c4) / (2 * c2) * product(K, K)
 
     def vector(self, X: npt.ArrayLike) -> Array:
         return quaternion_vector(X)

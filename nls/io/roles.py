@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from nls.io.lines import Lines, Numbers, among, by_number
+from nls.io.lines import Lines, Numbers, among, by_number, different, joined
 from nls.io.records import KINDS
 from nls.io.text import Text
 
@@ -34,7 +34,7 @@ class Roles:
     def __init__(self, text: Text, vertices: list[Lines], edges: list[Lines]) -> None:
         self.text, self.edges = text, edges
         self.given, _ = by_number(text, vertices, "vertex")
-        self.mounts = np.unique(self._used("mount"))
+        self.mounts = different(self._used("mount"))
         if len(self.given):
             lines = {part.record.slots[0]: part for part in vertices}
             self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.given[:0]
@@ -43,9 +43,9 @@ class Roles:
             self._refuse_clash("pose", self.mounts, "mount")
             self.poses = self.poses[~np.isin(self.poses, self.mounts)] if len(self.mounts) else self.poses
         else:
-            self.points = np.unique(self._used("point"))
+            self.points = different(self._used("point"))
             either = self._used("either")
-            self.poses = np.unique(np.concatenate([self._used("pose"), either[~np.isin(either, self.mounts)]]))
+            self.poses = different(joined([self._used("pose"), either[~among(either, self.mounts)]]))
             self._refuse_clash("pose", self.mounts, "mount")
             self._refuse_clash("pose", self.points, "point")
             self._refuse_clash("mount", self.points, "point")
@@ -58,15 +58,15 @@ class Roles:
     def kind(self, slot: str, ids: Numbers) -> str:
         """Kind of the variables of a slot whose ids are all of one role."""
         if slot == "either":
-            slot = "mount" if len(self.mounts) and np.isin(ids[0], self.mounts) else "pose"
+            slot = "mount" if among(ids[:1], self.mounts).all() else "pose"
         return KINDS[slot]
 
-    def kinds_of(self, part: Lines) -> Iterator[Index | slice]:
-        """The lines of an edge, apart where one of its slots holds variables of two kinds."""
-        if "either" not in part.record.slots or not len(self.mounts):
+    def kinds_of(self, part: Lines, slot: str = "either") -> Iterator[Index | slice]:
+        """The lines of an edge or vertices, apart where this slot of theirs holds variables of two kinds."""
+        if slot not in part.record.slots or not len(self.mounts):
             yield slice(None)
             return
-        mount = np.isin(part.ids[part.record.slots.index("either")], self.mounts)
+        mount = among(part.ids[part.record.slots.index(slot)], self.mounts)
         for mine in (np.flatnonzero(~mount), np.flatnonzero(mount)):
             if len(mine):
                 yield mine
@@ -74,7 +74,7 @@ class Roles:
     def _used(self, slot: str) -> Numbers:
         """Ids in all slots of this name."""
         ids = [i for part in self.edges for s, i in zip(part.record.slots, part.ids, strict=True) if s == slot]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *ids])
+        return joined(ids)
 
     def first_line(self, slots: tuple[str, ...], number: int) -> int:
         """First line (from 0) that uses a vertex in one of these slots; -1 when none does."""

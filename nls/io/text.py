@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from models.algebra import Array
 from models.errors import GraphFileError
-from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows, words
+from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 
 __all__ = ["Text", "printable", "rows"]
 
@@ -23,7 +23,7 @@ Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")
-BLOCK = 1 << 16  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
+BLOCK = 1 << 15  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
 FEW, SHORT = 16, 64  # first words of a format: how many, how long
 
 
@@ -57,22 +57,22 @@ class Text:
 
     def __init__(self, data: bytes, path: str = "<text>") -> None:
         self.path = path
-        self._bytes = b"\n".rjust(PAD) + data + b"\n"
+        self._bytes = b"\n".rjust(PAD) + data + b"\n".ljust(SHORT)  # first words are compared up to SHORT behind
         self._marks = self._bytes.translate(MARKS)
         marks = np.frombuffer(self._marks, dtype=np.uint8)
+        kind: type[np.int32 | np.int64] = (
+            np.int32 if len(marks) < 2**31 else np.int64
+        )  # half the memory where it can be
         edges, newlines = [], []
         for begin in range(0, len(marks), BLOCK):
             part = marks[begin : begin + BLOCK + 1]
             blank = part >= BLANK
-            edges.append(np.flatnonzero(blank[1:] != blank[:-1]) + (begin + 1))
-            newlines.append(np.flatnonzero(part[:BLOCK] == LINE_END) + begin)
-        kind: type[np.int32 | np.int64] = (
-            np.int32 if len(marks) < 2**31 else np.int64
-        )  # half the memory where it can be
-        tokens: Index = np.concatenate(edges, dtype=kind)  # tokens and blanks alternate; the bytes begin blank
+            edges.append((blank[1:] != blank[:-1]).nonzero()[0].astype(kind) + (begin + 1))
+            newlines.append((part[:BLOCK] == LINE_END).nonzero()[0].astype(kind) + begin)
+        tokens: Index = np.concatenate(edges)  # tokens and blanks alternate; the bytes begin blank
         self.starts, self.ends = tokens[0::2], tokens[1::2]
-        self._newlines: Index = np.concatenate(newlines, dtype=kind)
-        self.first = np.searchsorted(self.starts, self._newlines)
+        self._newlines: Index = np.concatenate(newlines)
+        self.first = self.starts.searchsorted(self._newlines)
 
     def token(self, index: int) -> bytes:
         """One token."""
@@ -89,19 +89,20 @@ class Text:
     @cached_property
     def tags(self) -> dict[bytes, Index]:
         """First word of every line that has one, with its lines (from 0), in order of first appearance."""
-        lines = np.flatnonzero(self.first[1:] > self.first[:-1])
-        heads = self.first[lines]
-        ends = self.ends[heads]
-        length = ends - self.starts[heads]
+        lines = (self.first[1:] > self.first[:-1]).nonzero()[0]
+        heads = self.first.take(lines)
+        starts = self.starts.take(heads).astype(np.intp)
+        length = self.ends.take(heads) - starts
         window = windows(self._bytes)
         found: dict[bytes, Index] = {}
         while len(lines) and len(found) < FEW and length[0] <= SHORT:
-            same = length == length[0]
-            for k in range(0, int(length[0]), 8):
-                word = words(window, ends - k, length - k)
+            same, first = length == length[0], int(length[0])
+            for k in range(first, 0, -8):
+                word = window[starts + (k - 8)] >> max(0, 64 - 8 * k)  # of these eight bytes, those of the tag
                 same &= word == word[0]
             found[self.token(int(heads[0]))] = lines[same]
-            lines, heads, ends, length = (each[~same] for each in (lines, heads, ends, length))
+            others = (~same).nonzero()[0]
+            lines, heads, starts, length = (each.take(others) for each in (lines, heads, starts, length))
         rest: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
         for line, head in zip(lines.tolist(), heads.tolist(), strict=True):
             rest.setdefault(self.token(head), []).append(line)
@@ -120,46 +121,49 @@ class Text:
         marks, self._marks = self._marks, b""  # needed once: 340 MB of a million edges in space
         return decimals(marks, self.starts, self.ends)
 
-    def table(self, lines: Index, columns: int, what: str) -> Array:
-        """The numbers after the first word of these lines, (n, columns).
+    def table(self, lines: Index, columns: int, what: str, entries: int = 0) -> Array:
+        """The numbers after the first word of these lines, (n, columns); the last ones the entries of a matrix.
 
         Raises
         ------
         GraphFileError
             A line with another count of numbers, or a word that is no finite number.
         """
-        first, width = self.first[lines], columns + 1
-        count = self.first[lines + 1] - first - 1
+        first, width = self.first.take(lines), columns + 1
+        count = self.first.take(lines + 1) - first - 1
         if (wrong := count != columns).any():
             k = int(np.argmax(wrong))
-            raise self.error(f"{count[k]} numbers after the tag, expected {columns}: {what}", int(lines[k]))
+            found, needed = int(count[k]), columns - entries
+            said = f"; these are {found - needed} entries for {entries}" if entries and found >= needed else ""
+            raise self.error(f"{found} numbers after the tag, expected {columns}: {what}{said}", int(lines[k]))
         begin, end = int(first[0]), int(first[-1]) + width
         if end - begin > len(lines) * width:  # other lines between
             tokens = first[:, None] + np.arange(1, width)
             return self.numbers(tokens.reshape(-1), lines, columns).reshape(len(lines), columns)
         value, form = self._decimals
-        rest = np.flatnonzero(form[begin:end] == UNREAD)
-        rest = rest[rest % width > 0]  # no tag
-        self._read(begin + rest, lines[rest // width])
+        line, column = (form[begin:end].reshape(-1, width)[:, 1:] == UNREAD).nonzero()
+        self._read(first[line] + 1 + column, lines[line])
         return value[begin:end].reshape(-1, width)[:, 1:]
 
     def whole(self, lines: Index, column: int | Index) -> npt.NDArray[np.int64]:
         """Whole numbers of one column per line (1 is the first after the tag): ids, exact up to 2^63 - 1.
+
+        A column may be one for all lines, one for each (n,), or several for all (k, 1): then (k, n) numbers.
 
         Raises
         ------
         GraphFileError
             A word that is no whole number, or too large.
         """
-        tokens = self.first[lines] + column
-        number, form = (each[tokens] for each in self._decimals)
+        tokens = self.first.take(lines) + column
+        number, form = (each.take(tokens) for each in self._decimals)
         value: npt.NDArray[np.int64] = number.astype(np.int64)
-        for k in np.flatnonzero(form != WHOLE):
-            word = self.token(int(tokens[k]))
+        for place in zip(*(form != WHOLE).nonzero(), strict=True):
+            word = self.token(int(tokens[place]))
             exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
-                raise self.error(f"id {printable(word)[:40]!r} is not a whole number below 2^63", int(lines[k]))
-            value[k] = exact
+                raise self.error(f"id {printable(word)[:40]!r} is not a whole number below 2^63", int(lines[place[-1]]))
+            value[place] = exact
         return value
 
     def numbers(self, tokens: Index, lines: Index, columns: int) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
+from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import MissingSolverError
 
@@ -43,7 +44,7 @@ class LinearSolution:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-class LinearSolver(ABC):
+class LinearSolver(Abstract):
     """Base of the linear solvers. Solvers hold settings only; `analyze` returns the state.
 
     Attributes

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from time import perf_counter
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 
+from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import EvaluationError
 from nls.hessian import Blocks, Hessian
@@ -26,7 +27,7 @@ __all__ = ["Factorization", "NormalEquations", "NormalState"]
 FADED = 0.5  # of a diagonal entry of A'A: an unknown less is known about wants a step that the old one is too stiff for
 
 
-class Factorization(ABC):
+class Factorization(Abstract):
     """A sparse factorization of a positive definite matrix whose structure is fixed."""
 
     @staticmethod
@@ -97,11 +98,11 @@ class NormalState:
             H is rank deficient.
         """
         diagonal = self.hessian.diagonal(S)
-        if np.isinf(diagonal).any():
-            raise EvaluationError(
-                "the squares of weights or Jacobians overflow in A'A; check sigmas and units", where="A'A"
-            )
-        if np.isnan(diagonal).any():
+        if not np.isfinite(diagonal).all():
+            if np.isinf(diagonal).any():
+                raise EvaluationError(
+                    "the squares of weights or Jacobians overflow in A'A; check sigmas and units", where="A'A"
+                )
             raise SingularSystemError("A'A is not finite")
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():

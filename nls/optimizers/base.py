@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
+from models.abstract import Abstract
 from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.diagnose import underconstrained
 from nls.linear.base import SingularSystemError
@@ -23,7 +24,7 @@ __all__ = ["Optimizer"]
 
 
 @dataclass(frozen=True)
-class Optimizer(ABC):
+class Optimizer(Abstract):
     """Settings of an optimizer; subclasses give `iterate`, their algorithm box.
 
     Parameters

@@ -16,13 +16,13 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
-from nls.assemble import Pattern, measured_rows
+from nls.assemble import measured_rows
 from nls.graph import FactorGraph
 from nls.linear.threads import single_thread
 from nls.stages import stage
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
-from nls.starts.edges import pose_groups
+from nls.starts.edges import pose_batches
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
 from nls.values import Values
@@ -86,7 +86,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     chi2: dict[str, float] = {}
     best, name = values, ""
     refused: dict[str, LeadlineError] = {}
-    groups, rows = pose_groups(graph, values), measured_rows(Pattern(graph.factors, values))
+    pattern = graph.pattern(values)
+    groups, rows = pose_batches(pattern), measured_rows(pattern)
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
     if groups:
         candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}

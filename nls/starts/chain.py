@@ -52,7 +52,7 @@ def chain(graph: FactorGraph, values: Values) -> Values:
             tree = sp.coo_array(minimum_spanning_tree(lookup))
             kept = np.isin(edges.i[pairs] * edges.n + edges.j[pairs], tree.row.astype(np.intp) * edges.n + tree.col)
             steps = pairs[kept]
-        values = edges.replaced(values, edges.along(*edges.tree(steps, edges.roots()), edges.stack(values)))
+        values = edges.replaced(values, edges.along(*edges.tree(steps, edges.roots), edges.stack(values)))
     return values
 
 
@@ -63,6 +63,6 @@ def spanning_tree(graph: FactorGraph, values: Values) -> Values:
     a wrong closure bends everything behind it.
     """
     for edges in pose_edges(graph, values):
-        parent, edge = edges.tree(edges.first_pairs(), edges.roots())
+        parent, edge = edges.tree(edges.first_pairs(), edges.roots)
         values = edges.replaced(values, edges.along(parent, edge, edges.stack(values)))
     return values

@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2, SE3
-from models.algebra import Array, apply, product, wrap
+from models.algebra import Array, apply, pack, product, wrap
 from models.errors import UnderconstrainedError
-from models.manifolds.so2 import rotation2
+from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
-from nls.elimination import eliminated
+from nls.elimination import Index, eliminated
 from nls.graph import FactorGraph
 from nls.hessian import Hessian
 from nls.linear import best_factorization
@@ -29,6 +29,7 @@ from nls.values import Values
 
 __all__ = ["chordal"]
 
+ROUND = (0, 1, 2, 0, 1)
 REGULAR = 1e-3  # det M above this, its largest entry being 1: Newton's iteration takes at most 15 steps
 SETTLED = 1e-9  # a step of it after which the next one, its square, is below rounding
 VANISHING = 1e-9  # a relaxed rotation this small beside its neighbors has lost its direction to contradicting ones
@@ -70,35 +71,56 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     return values
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a start that is not finite is refused when it is evaluated
 def _relax(edges: PoseEdges, X: Array) -> Array:
     system = _Laplacian(edges)
     if not len(system.free):
         return X
-    free, kappa, tau = system.free, edges.weights(slice(d := edges.group.point_dim, None)), edges.weights(slice(0, d))
-    if edges.group is SE2:  # y = exp(i theta): y_j = exp(i theta_ij) y_i
-        T, start = np.exp(1j * edges.z[:, 2]), np.exp(1j * X[:, 2])
-        y = system.solve(kappa, T[:, None, None], start[:, None, None])[:, 0, 0]
-        angle, size = np.angle(y), np.abs(y)
-        rotations = rotation2(angle)
-    else:  # y = M', three columns: y_j = R_ij' y_i
-        M = system.solve(kappa, rotation3(edges.z[:, 3:]).mT, edges.group.rotation(X).mT).mT
-        rotations, size = nearest_rotation(M)
-    # Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
-    # and leaves their directions alone; a cancelled one is small among neighbors that are not.
-    i, j = edges.i, edges.j
-    around = np.bincount(i, kappa * size[j], edges.n) + np.bincount(j, kappa * size[i], edges.n)
-    total = np.bincount(i, kappa, edges.n) + np.bincount(j, kappa, edges.n)
-    if (size * total <= VANISHING * around)[free].any():
+    out = _plane(system, X[system.held]) if edges.group is SE2 else _space(system, X[system.held])
+    out[system.held] = X[system.held]
+    return out
+
+
+def _plane(system: _Laplacian, held: Array) -> Array:
+    """Poses (n, 3) from complex numbers: y_j = exp(i theta_ij) y_i, then p_j = p_i + y_i / |y_i| p_ij."""
+    edges, z, held = system.edges, system.edges.z[..., None], held[..., None]  # blocks of 1 x 1
+    tau, kappa = edges.weights()
+    y = system.turned(kappa, _turn(z[:, 2:]), _turn(held[:, 2:]))
+    size = np.abs(y)
+    _refuse_cancelled(system, kappa, size[:, 0, 0])
+    p_ij = (y * (1 / size)).take(edges.i, axis=0) * (z[:, :1] + 1j * z[:, 1:2])
+    p = system.moved(tau, p_ij, held[:, :1] + 1j * held[:, 1:2])
+    return pack([p.real, p.imag, wrap(np.arctan2(y.imag, y.real))])[:, 0, 0]
+
+
+def _turn(theta: Array) -> Array:
+    """exp(i theta), of which `numpy.exp` takes five times as long."""
+    return np.asarray(np.cos(theta) + 1j * np.sin(theta))
+
+
+def _space(system: _Laplacian, held: Array) -> Array:
+    """Poses (n, 7) from y = M', three columns: y_j = R_ij' y_i, then t_j = t_i + R_i t_ij."""
+    edges, z = system.edges, system.edges.z
+    tau, kappa = edges.weights()
+    R, size = nearest_rotation(system.turned(kappa, rotation3(z[:, 3:]).mT, rotation3(held[:, 3:]).mT).mT)
+    _refuse_cancelled(system, kappa, size)
+    t_ij = apply(R.take(edges.i, axis=0), z[:, :3])
+    t = system.moved(tau, t_ij[:, None], held[:, None, :3])
+    return join(t[:, 0], quaternion_from_matrix(R))
+
+
+def _refuse_cancelled(system: _Laplacian, kappa: Array, size: Array) -> None:
+    """Refuse rotations of a size (n,) that vanishes beside that of their neighbors.
+
+    Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
+    and leaves their directions alone; a cancelled one is small among neighbors that are not.
+    """
+    edges = system.edges
+    around = edges.sums(kappa * size.take(edges.j), kappa * size.take(edges.i))
+    if (size * edges.sums(kappa, kappa) <= VANISHING * around).take(system.free).any():
         raise UnderconstrainedError(
             "chordal relaxation: contradicting rotations cancel at a pose; start from 'odometry' or 'spanning-tree'"
         )
-    difference = apply(rotations.take(edges.i, axis=0), edges.z[:, :d])
-    position = system.solve(tau, np.ones((1, 1, 1)), X[:, None, :d], difference[:, None])[:, 0]
-
-    out = np.array(X)
-    out[free, :d] = position[free]
-    out[free, d:] = wrap(angle)[free, None] if edges.group is SE2 else quaternion_from_matrix(rotations[free])
-    return out
 
 
 def nearest_rotation(M: Array) -> tuple[Array, Array]:
@@ -112,13 +134,13 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
     size = np.abs(M).max(axis=(-2, -1))  # may be 1e-150: its cube would be 0
     M = M / np.where(size > 0, size, 1.0)[:, None, None]
     X = np.ascontiguousarray(M.transpose(1, 2, 0))
-    det = (X[0] * _cross(X[1], X[2])).sum(axis=0)
+    det = (X[0] * _cofactors(X)[0]).sum(axis=0)
     regular = det > REGULAR
     out = np.empty_like(M)
     X = X[..., regular] / np.cbrt(det[regular])
     step = np.ones(1)
     while np.abs(step).max(initial=0.0) > SETTLED:
-        C = np.stack([_cross(X[1], X[2]), _cross(X[2], X[0]), _cross(X[0], X[1])])  # det X times X^-T
+        C = _cofactors(X)
         step = (C / (X[0] * C[0]).sum(axis=0) - X) / 2
         X += step
     out[regular] = X.transpose(2, 0, 1)
@@ -130,65 +152,68 @@ def nearest_rotation(M: Array) -> tuple[Array, Array]:
     return out, size
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products (3, n) of vectors (3, n)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _cofactors(X: Array) -> Array:
+    """det X times X^-T for (3, 3, n): C_rc = X_r+1,c+1 X_r+2,c+2 - X_r+1,c+2 X_r+2,c+1, places counted round."""
+    Y = X.take(ROUND, axis=0).take(ROUND, axis=1)
+    return np.asarray(Y[1:4, 1:4] * Y[2:, 2:] - Y[1:4, 2:] * Y[2:, 1:4])
 
 
 class _Laplacian:
-    """Minimizers of sum w |y_j - T y_i - c|^2 over blocks y, T orthogonal, the first pose of each component held."""
+    """Minimizers of sums over edges of blocks y (n, d, k), real or complex, the first pose of each component held.
+
+    With 0 for the free ones the edges miss by e = T y_i + c - y_j, and H y = g: w e at j and -w T'e at i, summed.
+    """
 
     def __init__(self, edges: PoseEdges) -> None:
-        free = edges.touched
-        free[edges.roots()] = False
-        self.edges, self.free = edges, np.flatnonzero(free)
-        V = len(self.free)
-        number = np.full(edges.n, V, dtype=np.intp)  # V: held
-        number[self.free] = np.arange(V)
-        self.i, self.j = number[edges.i], number[edges.j]
-        self.both = np.flatnonzero((self.i < V) & (self.j < V))
+        free = edges.touched.copy()
+        free[edges.roots] = False
+        self.edges, self.free, self.held = edges, free.nonzero()[0], (~free).nonzero()[0]
+        between_free = free.take(edges.i) & free.take(edges.j)
+        self.both, self.rest = between_free.nonzero()[0], (~between_free).nonzero()[0]
         self.factorization = best_factorization()
-        u, v = self.i[self.both], self.j[self.both]
-        self.elimination = eliminated(u, v, V, self.factorization.order)  # of both systems
-        self._hessians: dict[int, Hessian] = {}  # by size of the blocks: in the plane both systems have the same
+        number = np.cumsum(free) - 1
+        u, v = number.take(edges.i.take(self.both)), number.take(edges.j.take(self.both))
+        self.elimination = eliminated(u, v, len(self.free), self.factorization.order)  # of both systems
+        self._states: dict[int, NormalState] = {}  # by size of the blocks: in the plane both systems share one
 
-    def solve(self, w: Array, T: Array, value: Array, c: Array | None = None) -> Array:
-        """y (n, d, k) for weights w (m,), T (m or 1, d, d), c (m, d, k) or None for 0; held ones keep their value.
+    def turned(self, w: Array, T: Array, held: Array) -> Array:
+        """Minimizer of sum w |y_j - T y_i|^2, w (m,), T (m, d, d) orthogonal, that keeps ``held`` (h, d, k)."""
+        y, i, j = self._start(held), self.edges.i[self.rest], self.edges.j[self.rest]
+        wT_t = w[:, None, None] * T.mT.conj()
+        e = product(T[self.rest], y[i]) - y[j]  # 0 between free ones
+        off = wT_t[self.both]  # of H, but for the sign, the blocks (i, j); of (j, i) a `Hessian` keeps the transposed
+        np.conjugate(off, out=off, where=self.elimination.turned[:, None, None])
+        return self._solve(w, off, y, i, j, product(wT_t[self.rest], e), w[self.rest, None, None] * e)
 
-        T may be complex, of size 1: a rotation of the plane.
-        """
-        V, d = len(self.free), T.shape[-1]
-        i, j, both = self.i, self.j, self.both
-        T = np.broadcast_to(T, (len(w), d, d))
-        T_t = T.conj().mT
-        S = np.zeros((V + len(both), d, d), dtype=T.dtype)
-        S[:V, range(d), range(d)] = (np.bincount(i, w, V + 1) + np.bincount(j, w, V + 1))[:V, None]
-        off = T_t.take(both, axis=0)  # block (i, j)
-        if np.iscomplexobj(T):  # of which H keeps the triangle below the diagonal
-            off[self.elimination.turned] = T[both[self.elimination.turned]]
-        np.multiply(off, -w[both, None, None], out=S[V:])
-        if d not in self._hessians:
+    def moved(self, w: Array, c: Array, held: Array) -> Array:
+        """Minimizer of sum w |y_j - y_i - c|^2, w (m,), c (m, 1, k), that keeps ``held`` (h, 1, k)."""
+        y, i, j = self._start(held), self.edges.i, self.edges.j
+        we = w[:, None, None] * (y.take(i, axis=0) + c - y.take(j, axis=0))
+        return self._solve(w, w[self.both, None, None], y, i, j, we, we)
+
+    def _start(self, held: Array) -> Array:
+        y = np.zeros((self.edges.n, *held.shape[1:]), dtype=held.dtype)
+        y[self.held] = held
+        return y
+
+    def _solve(self, w: Array, off: Array, y: Array, i: Index, j: Index, at_i: Array, at_j: Array) -> Array:
+        """y with H^-1 g in its free places, g = sums at j - sums at i; ``off`` are minus the blocks (i, j) of H."""
+        V, d, k = len(self.free), *y.shape[1:]
+        diagonal = self.edges.sums(w, w).take(self.free)
+        S = np.concatenate([diagonal[:, None, None] * np.eye(d), -off], dtype=y.dtype)
+        if d not in self._states:
             begin = np.arange(len(S)) * d * d
-            self._hessians[d] = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
-        state = NormalState(self._hessians[d], self.factorization, S.dtype.type)
-
-        # H y = g: what is known about y_j is T y_i + c with y_i held, and about y_i it is T'(y_j - c) with y_j held
-        g = np.zeros((V + 1, d, value.shape[-1]), dtype=value.dtype)
-        w_ = w[:, None, None]
-        with np.errstate(over="ignore", invalid="ignore"):  # a start that is not finite is refused when it is evaluated
-            from_i, from_j = np.flatnonzero(i == V), np.flatnonzero(j == V)
-            np.add.at(g, j[from_i], w_[from_i] * product(T[from_i], value[self.edges.i[from_i]]))
-            np.add.at(g, i[from_j], w_[from_j] * product(T_t[from_j], value[self.edges.j[from_j]]))
-            if c is not None:
-                to_j, to_i = w_ * c, w_ * product(T_t, c)
-                for at in np.ndindex(g.shape[1:]):
-                    g[:, *at] += np.bincount(j, to_j[:, *at], V + 1) - np.bincount(i, to_i[:, *at], V + 1)
+            hessian = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
+            self._states[d] = NormalState(hessian, self.factorization, y.dtype.type)
+        g, at_i, at_j = (x.reshape(-1, d * k) for x in (np.zeros_like(y), at_i, at_j))
+        for column in range(d * k):
+            np.add.at(g[:, column], j, at_j[:, column])
+            np.subtract.at(g[:, column], i, at_i[:, column])
         try:
-            state.factorize(S.reshape(-1))
+            self._states[d].factorize(S.reshape(-1))
         except SingularSystemError as error:
             raise UnderconstrainedError(
                 "chordal relaxation: some poses have no rotation or no translation measurement; start from 'odometry'"
             ) from error
-        y = np.array(value)
-        y[self.free] = state.solve(g[:V].reshape(V * d, -1)).reshape(V, d, -1)
+        y[self.free] = self._states[d].solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
         return y

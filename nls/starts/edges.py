@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
+from factors.base import Model
 from factors.between import Between
 from models import LieGroup
 from models.algebra import Array
-from nls.components import connected
+from nls.assemble import Batch, Pattern
+from nls.components import connected, firsts
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
-__all__ = ["PoseEdges", "pose_edges", "pose_groups"]
+__all__ = ["PoseEdges", "pose_batches", "pose_edges"]
 
 Index = npt.NDArray[np.intp]
 
@@ -30,7 +33,7 @@ class PoseEdges:
     kinds : the kinds of variables in the group; their stacks, one after the other, are the n nodes.
     order : (n,) nodes by kind and number: the order in time where numbers are.
     fixed : (n,) nodes the graph holds fixed; no start moves them.
-    i, j : (m,) nodes; z : (m, size) measurements; W : their whiteners.
+    i, j : (m,) nodes; z : (m, size) measurements, of all models one after the other.
     """
 
     group: LieGroup
@@ -41,7 +44,7 @@ class PoseEdges:
     i: Index
     j: Index
     z: Array
-    W: Array
+    models: list[Model]
 
     def stack(self, values: Values) -> Array:
         """The nodes' values (n, size)."""
@@ -49,30 +52,41 @@ class PoseEdges:
 
     def replaced(self, values: Values, X: Array) -> Values:
         """Values with these nodes."""
-        sizes = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])[:-1]
-        return values.replaced(dict(zip(self.kinds, np.split(X, sizes), strict=True)))
+        parts, end = {}, 0
+        for kind in self.kinds:
+            begin, end = end, end + len(values.stacks[kind])
+            parts[kind] = X[begin:end]
+        return values.replaced(parts)
 
-    def weights(self, rows: slice) -> Array:
-        """Mean information (m,) over a block of components: trace of the block of W'W over its size."""
-        W = self.W[:, rows] if self.W.ndim == 2 else self.W[:, :, rows]
-        total = np.sum(W * W, axis=tuple(range(1, W.ndim)))
-        return np.broadcast_to(total / W.shape[-1], (len(self.i),))
+    def weights(self) -> tuple[Array, Array]:
+        """Mean information of the position and of the rotation, (m,) each: trace of its block of W'W over its size."""
+        diagonals = []
+        for model in self.models:
+            squares = np.square(model.W)
+            diagonal = squares if squares.ndim == 2 else squares.sum(axis=1)
+            diagonals.append(diagonal if len(diagonal) == len(model.z) else diagonal.repeat(len(model.z), axis=0))
+        information, d = np.concatenate(diagonals), self.group.point_dim
+        return information[:, :d].sum(axis=1) / d, information[:, d:].sum(axis=1) / (self.group.dim - d)
 
-    @property
+    def sums(self, at_i: Array, at_j: Array) -> Array:
+        """Sum (n,) at every node of what its edges (m,) have there."""
+        return np.asarray(np.bincount(self.i, at_i, self.n) + np.bincount(self.j, at_j, self.n), dtype=float)
+
+    @cached_property
     def touched(self) -> npt.NDArray[np.bool_]:
         """(n,) nodes that have an edge."""
         touched = np.zeros(self.n, dtype=bool)
         touched[self.i] = touched[self.j] = True
         return touched
 
+    @cached_property
     def roots(self) -> Index:
         """Nodes that keep their value: all fixed ones, and the lowest-numbered of every component without any."""
-        label, touched = connected(self.i, self.j, self.n), self.touched
-        anchored = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
-        anchored[label[self.fixed]] = True
-        ordered = self.order[(touched & ~anchored[label])[self.order]]
-        _, first = np.unique(label[ordered], return_index=True)
-        return np.append(np.flatnonzero(self.fixed & touched), ordered[first])
+        component, anchored = connected(self.i, self.j, self.n), np.zeros(self.n, dtype=bool)
+        anchored[component[self.fixed]] = True
+        waiting = self.touched & ~anchored.take(component)
+        first = firsts(component, self.order[waiting.take(self.order)])
+        return np.concatenate([self.fixed.nonzero()[0], first])
 
     def first_pairs(self) -> Index:
         """One edge for every joined pair of nodes."""
@@ -129,31 +143,29 @@ class PoseEdges:
         return out
 
 
-def pose_groups(graph: FactorGraph, values: Values) -> list[LieGroup]:
-    """The groups in which a graph has relative measurements."""
-    spaces = {values.stack(f.keys[0].kind).manifold for f in graph.factors if isinstance(f, Between)}
-    return sorted((space for space in spaces if isinstance(space, LieGroup)), key=repr)
+def pose_batches(pattern: Pattern) -> dict[LieGroup, list[Batch]]:
+    """The relative measurements of a graph by group, in the order of the groups' names."""
+    batches: dict[LieGroup, list[Batch]] = {}
+    for batch in pattern.batches:
+        if isinstance(batch.model.factor, Between):
+            group = batch.model.space
+            assert isinstance(group, LieGroup)
+            batches.setdefault(group, []).append(batch)
+    return {group: batches[group] for group in sorted(batches, key=repr)}
 
 
 def pose_edges(graph: FactorGraph, values: Values) -> Iterator[PoseEdges]:
     """The relative poses of a graph, group by group."""
-    betweens = [f for f in graph.factors if isinstance(f, Between)]
-    for group in pose_groups(graph, values):
+    for group, batches in pose_batches(graph.pattern(values)).items():
         kinds = tuple(name for name, stack in values.stacks.items() if stack.manifold is group)
-        start = dict(zip(kinds, np.cumsum([0, *(len(values.stacks[k]) for k in kinds)]), strict=False))
-        mine = [f for f in betweens if f.keys[0].kind in kinds]
-        models = [f.bind(group, group) for f in mine]
-        i, j = (
-            np.concatenate([start[f.keys[s].kind] + values.stacks[f.keys[s].kind].index(f.keys[s]) for f in mine])
-            for s in (0, 1)
-        )
-        W = [np.broadcast_to(m.W, (len(m.z), *m.W.shape[1:])) for m in models]
-        if len({w.ndim for w in W}) > 1:
-            W = [w if w.ndim == 3 else w[..., None] * np.eye(w.shape[-1]) for w in W]
-        order = np.concatenate([start[k] + np.argsort(values.stacks[k].numbers, kind="stable") for k in kinds])
-        n = sum(len(values.stacks[k]) for k in kinds)
+        first, n = {}, 0
+        for kind in kinds:
+            first[kind], n = n, n + len(values.stacks[kind])
+        i, j = (np.concatenate([first[b.kinds[slot]] + b.index[slot] for b in batches]) for slot in (0, 1))
+        order = np.concatenate([first[k] + np.argsort(values.stacks[k].numbers, kind="stable") for k in kinds])
         fixed = np.zeros(n, dtype=bool)
         for keys in graph.fixed:
             if keys.kind in kinds:
-                fixed[start[keys.kind] + values.stacks[keys.kind].index(keys)] = True
-        yield PoseEdges(group, kinds, n, order, fixed, i, j, np.concatenate([m.z for m in models]), np.concatenate(W))
+                fixed[first[keys.kind] + values.stacks[keys.kind].index(keys)] = True
+        models = [batch.model for batch in batches]
+        yield PoseEdges(group, kinds, n, order, fixed, i, j, np.concatenate([model.z for model in models]), models)

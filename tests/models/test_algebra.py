@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.algebra import apply, components, matrix, pack, product, skew, stumpff, wrap
+from models import SE3
+from models.algebra import apply, arrangement, components, dot, matrix, pack, product, sinc, skew, stumpff, wrap
 
 BATCHES = [
     ((), ()),
@@ -124,7 +125,7 @@ POINTS = np.array([0.0, 1e-300, 1e-18, 1e-14, 1e-8, 1e-4, 0.1, 0.5, 1.0, 1.5, *S
 POINTS = np.append(POINTS, [(np.pi - s) ** 2 for s in (1e-3, 1e-7, 1e-9, 0.0)])
 
 
-@pytest.mark.parametrize("k", range(6))
+@pytest.mark.parametrize("k", range(7))
 def test_stumpff_against_sixty_digits(k: int) -> None:
     expected = np.array([exact(k, float(x)) for x in POINTS])
     (found,) = stumpff(POINTS, k)
@@ -141,3 +142,44 @@ def test_stumpff_keeps_order_and_shape(batch: tuple[int, ...]) -> None:
     assert c0 == pytest.approx(np.cos(np.sqrt(x)), abs=1e-15)
     assert c2 == pytest.approx((1 - c0) / np.where(x > 0, x, 1.0), abs=1e-15)
     assert c4 == pytest.approx((0.5 - c2) / x, abs=1e-14)
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (3, 1, 2), (0,)], ids=str)
+def test_arrangement_puts_signed_components_in_their_places(batch: tuple[int, ...]) -> None:
+    X = np.random.default_rng(4).normal(size=(*batch, 3))
+    x, y, z = components(X)
+    expected = matrix([[x, -y, 0 * z], [-z, y, x]])
+    for stored in (X, pack(components(X))):
+        np.testing.assert_array_equal(arrangement([[1, -2, 0], [-3, 2, 1]])(stored), expected)
+
+
+@pytest.mark.parametrize("batches", BATCHES, ids=str)
+def test_dot_is_the_sum_of_products(batches: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=(*batches[0], 4)), rng.normal(size=(*batches[1], 4))
+    assert dot(a, b) == pytest.approx((a * b).sum(axis=-1), abs=1e-15)
+
+
+def test_sinc_is_one_at_zero_and_even() -> None:
+    x = np.array([0.0, -0.0, 5e-324, 1e-300, -1e-300, 1e-9, 1e-3, 1.0, 3.0])
+    assert sinc(x)[:6].tolist() == [1.0] * 6
+    np.testing.assert_array_equal(sinc(-x), sinc(x))
+    assert sinc(x)[6:] == pytest.approx([1 - 1e-6 / 6 + 1e-12 / 120, np.sin(1.0), np.sin(3.0) / 3], abs=1e-16)
+    assert np.isnan(sinc(np.array([np.nan]))).all()
+
+
+def test_results_are_stored_components_first() -> None:
+    rng = np.random.default_rng(6)
+    A, x = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3))
+    assert apply(A, x).T.flags.c_contiguous
+    for stored in (A, A.copy(order="F")):
+        assert product(stored, stored.mT).transpose(1, 2, 0).flags.c_contiguous
+    X, delta = SE3.exp(rng.normal(size=(5, 6))), rng.normal(size=(5, 6))
+    for found in (X, SE3.retract(X, delta), SE3.between(X, X[::-1])):
+        assert found.T.flags.c_contiguous
+
+
+@pytest.mark.parametrize(("A", "B"), [((2, 1), (3, 2)), ((2, 3), (1, 2)), ((5, 2, 2), (3, 3))], ids=str)
+def test_product_refuses_inner_sizes_that_differ(A: tuple[int, ...], B: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="the inner sizes differ"):
+        product(np.zeros(A), np.zeros(B))

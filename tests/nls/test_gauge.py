@@ -241,7 +241,7 @@ def test_variables_without_measurement_are_no_gauge(solver: str) -> None:
     stack, L = sample.values.stacks["x"], np.arange(14.0).reshape(7, 2)
     values = Values({x: (SE2, stack.X, stack.numbers), l: (R(2), L)})
     fixed = np.zeros(len(values), dtype=bool)
-    decided = choose_gauge("free", sample.graph.factors, values, fixed)
+    decided = choose_gauge("free", sample.graph.pattern(values), values, fixed)
     assert decided.fixed.tolist() == [False] * 8 + [True] * 7
     assert decided.held.tolist() == [True] + [False] * 7 + [True] * 7
     free = FreeGauge(SOLVERS[solver](), Pattern(sample.graph.factors, values, decided.held))

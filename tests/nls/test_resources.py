@@ -176,7 +176,7 @@ def test_a_limit_is_a_number(kind: type[LinearSolver], limit: object) -> None:
 
 def test_a_gauge_that_is_held_is_not_counted() -> None:
     graph, values = lattice(4)
-    held = choose_gauge("first", graph.factors[1:], values, np.zeros(64, dtype=bool)).held
+    held = choose_gauge("first", Pattern(graph.factors[1:], values), values, np.zeros(64, dtype=bool)).held
     assert held.sum() == 1
     free = FactorGraph(graph.factors[1:])
     assert inspect(free, values)["columns_of_A"] == 63

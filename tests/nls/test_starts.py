@@ -115,6 +115,21 @@ def test_several_components_under_odd_numbers(method: object, group: LieGroup) -
     assert np.array_equal(found[x[number[first]]], X[first])
 
 
+@pytest.mark.parametrize("method", [chain, spanning_tree, chordal])
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_a_fixed_pose_holds_its_component_in_place_of_the_first(method: object, group: LieGroup) -> None:
+    X = walk(group, 8, np.random.default_rng(2))
+    i = np.array([0, 1, 2, 4, 5, 6])
+    graph = FactorGraph([Between(x[i], x[i + 1], group.between(X[i], X[i + 1]), Isotropic(1))])
+    graph.fix(x[2])
+    start = group.retract(X, np.random.default_rng(3).normal(size=(8, group.dim)))
+    kept = [2, 4]  # the other component has no fixed one
+    start[kept] = X[kept]
+    found = method(graph, Values({x: (group, start)}))  # type: ignore[operator]
+    assert distance(group, X, found[x]) < 1e-9
+    assert np.array_equal(found[x[kept]], X[kept])
+
+
 def test_the_spanning_tree_takes_the_fewest_edges(group: LieGroup) -> None:
     sample = pose_graph(group, n=20, numbers=tuple(np.random.default_rng(0).permutation(60)[:20].tolist()), start=0.5)
     found = spanning_tree(sample.graph, sample.values)

@@ -150,6 +150,25 @@ def test_ids_are_exact(numbers: list[int]) -> None:
     assert found.tolist() == numbers
 
 
+def test_several_columns_of_ids() -> None:
+    text = Text(b"V 1 20 9\nV %d 30 9\nV 3 40\nV 4 4.5\n" % (2**63 - 1))
+    columns = np.array([[1], [2]])
+    assert text.whole(np.arange(3), columns).tolist() == [[1, 2**63 - 1, 3], [20, 30, 40]]
+    assert text.whole(np.arange(3), np.array([2, 1, 2])).tolist() == [20, 2**63 - 1, 40]
+    with pytest.raises(GraphFileError, match=r"^<text>:4: id '4\.5' is not a whole number"):
+        text.whole(np.arange(4), columns)
+
+
+def test_short_first_words_at_both_ends_of_the_text() -> None:
+    words = [b"E", b"EDGE_SE3:QUAT", b"EDGE_SE2:QUAT", b"E", b"EE"]
+    assert {tag: lines.tolist() for tag, lines in Text(b"\n".join(words)).tags.items()} == {
+        b"E": [0, 3],
+        b"EDGE_SE3:QUAT": [1],
+        b"EDGE_SE2:QUAT": [2],
+        b"EE": [4],
+    }
+
+
 @pytest.mark.parametrize("word", ["+7", "007", "-0"])
 def test_ids_in_unusual_dress(word: str) -> None:
     assert Text(f"V {word}".encode()).whole(np.array([0]), 1).tolist() == [int(word)]
