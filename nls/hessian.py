@@ -28,7 +28,11 @@ if TYPE_CHECKING:
 __all__ = ["Blocks", "Hessian"]
 
 
-_triangle = cache(np.tril_indices)
+@cache
+def _triangle(d: int) -> tuple[Index, Index]:
+    """Rows and columns of the lower triangle of a (d, d) block, by rows (`numpy.tril_indices` takes 180 us)."""
+    rows, columns = np.nonzero(np.tri(d))
+    return rows, columns
 
 
 @cache
