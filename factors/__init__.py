@@ -7,17 +7,24 @@ from factors.between import Between
 from factors.between_sensors import BetweenSensors
 from factors.bundle import BundleProjection
 from factors.check import check_jacobians
+from factors.elevation import Elevation, ElevationHinge
 from factors.heading import Heading
 from factors.landmark import Landmark
 from factors.noise import Covariance, Diagonal, Information, Isotropic, Noise, SqrtInformation
 from factors.position import Position
 from factors.prior import Prior
 from factors.range import Range
+from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
 from factors.seen import Seen
+from factors.sonar import sonar_factors
+from factors.xyh import XYH
+from factors.zpr import ZPR
 
 __all__ = [
     "DCS",
+    "XYH",
+    "ZPR",
     "Bearing",
     "BearingRange",
     "Between",
@@ -26,6 +33,8 @@ __all__ = [
     "Cauchy",
     "Covariance",
     "Diagonal",
+    "Elevation",
+    "ElevationHinge",
     "Factor",
     "GemanMcClure",
     "Heading",
@@ -38,10 +47,12 @@ __all__ = [
     "Position",
     "Prior",
     "Range",
+    "RangeAzimuth",
     "Robust",
     "Seen",
     "SqrtInformation",
     "Tukey",
     "Welsch",
     "check_jacobians",
+    "sonar_factors",
 ]

@@ -61,6 +61,7 @@ class Factor(Abstract):
         anchor a part of the graph nor join two parts.
     each : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part of the batch
         takes its rows of them.
+    limit_only : True when it says that something is within limits: no measurement, so its rows are no degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     """
@@ -69,6 +70,7 @@ class Factor(Abstract):
     relative: ClassVar[bool] = False
     unmoved: ClassVar[tuple[int, ...]] = ()
     each: ClassVar[tuple[str, ...]] = ()
+    limit_only: ClassVar[bool] = False
     damped: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:

@@ -208,9 +208,12 @@ class Pattern:
 
 
 def measured_rows(pattern: Pattern) -> int:
-    """Rows of A that say something: a semi-definite information leaves rows of zeros, which are no measurements."""
+    """Rows of A that measure something: not those of limits, nor the zeros of a semi-definite information."""
     empty = 0
     for batch in pattern.batches:
+        if batch.model.factor.limit_only:
+            empty += len(batch) * batch.model.dim
+            continue
         W = batch.model.W
         zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
         empty += zero * (len(batch) if len(W) == 1 else 1)

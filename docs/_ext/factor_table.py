@@ -22,6 +22,7 @@ __all__ = ["FactorTable", "public_factors", "row", "setup"]
 
 HEADER = ("factor", "prediction", "variables", "measured, and its noise")
 WIDTHS = (20, 30, 24, 26)
+MEASURED = (("z", "noise"), ("limit", "softness"))  # a measurement, or a bound that is not to be passed
 JACOBIAN = re.compile(r"[HJ](_| =)")
 EQUATION = re.compile(r"^\.\. math::(.*?)(?:\n[ \t]*\n|\Z)", flags=re.MULTILINE | re.DOTALL)
 
@@ -38,7 +39,7 @@ def row(factor: type[factors.Factor]) -> dict[str, Any]:
     Raises
     ------
     KeyError
-        The docstring has no equation, or does not describe z or the noise.
+        The docstring has no equation, or does not describe z and the noise (of a bound: limit and softness).
     """
     text = inspect.getdoc(factor) or ""
     equation = EQUATION.search(text)
@@ -46,14 +47,15 @@ def row(factor: type[factors.Factor]) -> dict[str, Any]:
         raise KeyError("an equation, '.. math::'")
     said = {p.name: " ".join(p.type.split() + " ".join(p.desc).split()) for p in NumpyDocString(text)["Parameters"]}
     names = list(said)
-    if "z" not in names or "noise" not in names:
-        raise KeyError("parameters 'z' and 'noise'")
-    variables = [*names[: names.index("z")], *(name for name in names if name == "offset")]
+    measured = next((pair for pair in MEASURED if set(pair) <= set(names)), None)
+    if measured is None:
+        raise KeyError(" or ".join(f"parameters '{value}' and '{noise}'" for value, noise in MEASURED))
+    variables = [*names[: names.index(measured[0])], *(name for name in names if name == "offset")]
     return {
         "meaning": text.split("\n\n")[0].replace("\n", " "),
         "prediction": [e for e in re.split(r",\s*\\quad\s*", equation[1].strip()) if not JACOBIAN.match(e)],
         "variables": [(name, said[name]) for name in variables],
-        "measured": [(name, said[name]) for name in ("z", "noise")],
+        "measured": [(name, said[name]) for name in measured],
     }
 
 

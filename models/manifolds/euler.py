@@ -20,8 +20,18 @@ import numpy.typing as npt
 from models.algebra import Array, components, matrix, pack, wrap
 from models.errors import SingularGeometryError
 from models.manifolds.se3 import SE3, join
+from models.manifolds.so3 import rotation3
 
-__all__ = ["angles_from_quaternion", "from_se3", "quaternion_from_angles", "rate_matrix", "rate_matrix_inv", "to_se3"]
+__all__ = [
+    "angles_from_quaternion",
+    "covariance_from_se3",
+    "covariance_to_se3",
+    "from_se3",
+    "quaternion_from_angles",
+    "rate_matrix",
+    "rate_matrix_inv",
+    "to_se3",
+]
 
 GIMBAL_LOCK = 1e-6  # cos(pitch) below this (0.00006 deg from vertical): ten digits of roll and yaw are noise
 
@@ -106,6 +116,54 @@ def from_se3(T: npt.ArrayLike) -> Array:
     """
     T = np.asarray(T, dtype=float)
     return np.concatenate([angles_from_quaternion(T[..., 3:]), SE3.position(T)], axis=-1)
+
+
+def covariance_to_se3(state: npt.ArrayLike, P: npt.ArrayLike) -> Array:
+    """Covariances (..., 6, 6) in the tangent space of SE(3), translation first, body axes, from those of Euler vectors.
+
+    The tangent step of errors d of the Euler vector is (R' d(x, y, z), T d(roll, pitch, yaw)).
+
+    Parameters
+    ----------
+    state : (..., 6) roll, pitch, yaw, x, y, z, rad and m, where the covariances hold.
+    P : (..., 6, 6) covariances of that vector.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> level = np.zeros(6)
+    >>> np.diag(covariance_to_se3(level, np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))).tolist()
+    [4.0, 5.0, 6.0, 1.0, 2.0, 3.0]
+    """
+    state = np.asarray(state, dtype=float)
+    G = np.zeros((*state.shape[:-1], 6, 6))
+    G[..., :3, 3:] = rotation3(quaternion_from_angles(state[..., :3])).mT
+    G[..., 3:, :3] = rate_matrix(state[..., :3])
+    return np.asarray(G @ P @ G.mT)
+
+
+def covariance_from_se3(T: npt.ArrayLike, Sigma: npt.ArrayLike) -> Array:
+    """Covariances (..., 6, 6) of Euler vectors (roll, pitch, yaw, x, y, z) from those in the tangent space at T.
+
+    Parameters
+    ----------
+    T : (..., 7) poses SE3.
+    Sigma : (..., 6, 6) covariances of tangent steps, translation first, in body axes.
+
+    Raises
+    ------
+    SingularGeometryError
+        At gimbal lock.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> T, P = to_se3([0.1, -0.2, 0.3, 1.0, 2.0, 5.0]), np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    >>> np.diag(covariance_from_se3(T, covariance_to_se3(from_se3(T), P))).round(9).tolist()
+    [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    """
+    J = SE3.euler_axes(np.asarray(T, dtype=float))
+    return np.asarray(J @ Sigma @ J.mT)
 
 
 def _refuse_gimbal_lock(cos_pitch: Array) -> None:

@@ -6,17 +6,45 @@ Each function returns (h, J): the prediction (n, size) and its derivative (n, si
 from models.sensors.bundle import project
 from models.sensors.direction import direction, point_from_direction_range
 from models.sensors.distance import distance
+from models.sensors.dvl import DVL, HOLOOCEAN_DVL, dvl_velocity
 from models.sensors.frame import point_in_frame, point_on_body
 from models.sensors.heading import heading
+from models.sensors.imaging_sonar import (
+    ARIS_3000,
+    BLUEVIEW_M900,
+    DIDSON_HIGH,
+    DIDSON_LOW,
+    OCULUS_M750D,
+    ImagingSonar,
+)
+from models.sensors.odometry import levelled, relative_xyh, zpr
 from models.sensors.singular import SingularAt
+from models.sensors.spherical import cartesian, elevation, plane_projection, range_azimuth, spherical
 
 __all__ = [
+    "ARIS_3000",
+    "BLUEVIEW_M900",
+    "DIDSON_HIGH",
+    "DIDSON_LOW",
+    "DVL",
+    "HOLOOCEAN_DVL",
+    "OCULUS_M750D",
+    "ImagingSonar",
     "SingularAt",
+    "cartesian",
     "direction",
     "distance",
+    "dvl_velocity",
+    "elevation",
     "heading",
+    "levelled",
+    "plane_projection",
     "point_from_direction_range",
     "point_in_frame",
     "point_on_body",
     "project",
+    "range_azimuth",
+    "relative_xyh",
+    "spherical",
+    "zpr",
 ]

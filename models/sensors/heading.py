@@ -17,7 +17,7 @@ from models.manifolds.base import LieGroup
 from models.manifolds.euler import GIMBAL_LOCK
 from models.sensors.singular import refuse
 
-__all__ = ["heading"]
+__all__ = ["heading", "refuse_gimbal_lock"]
 
 
 def heading(group: LieGroup, X: Array) -> tuple[Array, Array]:
@@ -50,9 +50,22 @@ def heading(group: LieGroup, X: Array) -> tuple[Array, Array]:
         return wrap(X[:, 2:].copy()), np.array([[[0.0, 0.0, 1.0]]])
     R = group.rotation(X)
     R11, R21, R32, R33 = R[:, 0, 0], R[:, 1, 0], R[:, 2, 1], R[:, 2, 2]
-    cos2 = R11 * R11 + R21 * R21
+    cos2 = refuse_gimbal_lock(R)
+    return pack([wrap(np.arctan2(R21, R11))]), matrix([[0.0, 0.0, 0.0, 0.0, R32 / cos2, R33 / cos2]])
+
+
+def refuse_gimbal_lock(R: Array) -> Array:
+    """cos^2 pitch (n,) of rotations R (n, 3, 3), body to world.
+
+    Raises
+    ------
+    SingularAt
+        A rotation at gimbal lock.
+    """
+    R11, R21 = R[:, 0, 0], R[:, 1, 0]
+    cos2 = np.asarray(R11 * R11 + R21 * R21)
     refuse(
         cos2 < GIMBAL_LOCK**2,
         "the pose is at gimbal lock (pitch = +-90 deg), where yaw is not defined; measure its attitude by a Prior",
     )
-    return pack([wrap(np.arctan2(R21, R11))]), matrix([[0.0, 0.0, 0.0, 0.0, R32 / cos2, R33 / cos2]])
+    return cos2

@@ -22,16 +22,36 @@ from nls.linear.threads import single_thread
 from nls.stages import stage
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
+from nls.starts.dead_reckoning import dead_reckoning, walks
 from nls.starts.edges import pose_batches
+from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
 from nls.values import Values
 
-__all__ = ["STARTS", "chain", "chordal", "incremental", "initialize", "locate_points", "spanning_tree"]
+__all__ = [
+    "STARTS",
+    "chain",
+    "chordal",
+    "dead_reckoning",
+    "first_sighting",
+    "incremental",
+    "initialize",
+    "locate_points",
+    "search_elevation",
+    "spanning_tree",
+]
+
+
+def odometry(graph: FactorGraph, values: Values) -> Values:
+    """Poses chained from `Between` and `XYH`, points where they saw them, contacts of a sonar along their arcs."""
+    poses = dead_reckoning(graph, chain(graph, values))
+    return search_elevation(graph, locate_points(graph, poses))
+
 
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "file": lambda graph, values: values,
-    "odometry": lambda graph, values: locate_points(graph, chain(graph, values)),
+    "odometry": odometry,
     "spanning-tree": lambda graph, values: locate_points(graph, spanning_tree(graph, values)),
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
     "incremental": incremental,
@@ -47,11 +67,13 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ----------
     graph, values : the graph and what the file, or the user, gave.
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
-        to where these poses saw them; ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest
-        chi2 among the file's own and chordal; above 10 per measured row it tries the odometry chain too, and above 100,
-        where the graph has measurements between poses and points, ``incremental``, which costs several solves. A start
-        that does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where
-        placeholders are usual.
+        to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from `Between`, and puts a
+        point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
+        ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
+        chordal; above 10 per measured row it tries the odometry chain too, and above 100, where the graph has
+        measurements between poses and points, ``incremental``, which costs several solves. A start that does not exist
+        or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where placeholders are
+        usual.
 
     Returns
     -------
@@ -89,10 +111,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     pattern = graph.pattern(values)
     groups, rows = pose_batches(pattern), measured_rows(pattern)
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
-    if groups:
-        candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
-        candidates |= {"odometry": NEAR}
-        candidates |= {"incremental": POOR} if sees_points(graph, values) else {}
+    candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
+    candidates |= {"odometry": NEAR} if groups or walks(graph) else {}
+    candidates |= {"incremental": POOR} if groups and sees_points(graph, values) else {}
     for candidate, limit in candidates.items():
         if chi2.get(name, np.inf) < limit * rows:
             continue

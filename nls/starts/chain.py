@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
+from models.algebra import Array
 from nls.graph import FactorGraph
-from nls.starts.edges import pose_edges
+from nls.starts.edges import PoseEdges, pose_edges
 from nls.values import Values
 
-__all__ = ["chain", "spanning_tree"]
+__all__ = ["along_chain", "chain", "spanning_tree"]
 
 
 def chain(graph: FactorGraph, values: Values) -> Values:
@@ -40,20 +41,25 @@ def chain(graph: FactorGraph, values: Values) -> Values:
     [[0.0, 0.0, 0.0], [1.0, 0.0, 1.5], [1.071, 0.997, 1.5]]
     """
     for edges in pose_edges(graph, values):
-        place = np.empty(edges.n, dtype=np.intp)
-        place[edges.order] = np.arange(edges.n)
-        pairs = edges.first_pairs()
-        jump = np.abs(place[edges.i[pairs]] - place[edges.j[pairs]]).astype(float)
-        steps = pairs[jump == 1]
-        if len(steps) < edges.n - 1:
-            from scipy.sparse.csgraph import minimum_spanning_tree
-
-            lookup = sp.csr_array((jump, (edges.i[pairs], edges.j[pairs])), shape=(edges.n, edges.n))
-            tree = sp.coo_array(minimum_spanning_tree(lookup))
-            kept = np.isin(edges.i[pairs] * edges.n + edges.j[pairs], tree.row.astype(np.intp) * edges.n + tree.col)
-            steps = pairs[kept]
-        values = edges.replaced(values, edges.along(*edges.tree(steps, edges.roots), edges.stack(values)))
+        values = edges.replaced(values, along_chain(edges, edges.stack(values)))
     return values
+
+
+def along_chain(edges: PoseEdges, X: Array) -> Array:
+    """Poses (n, size) composed from one number to the next, from those of X at the roots."""
+    place = np.empty(edges.n, dtype=np.intp)
+    place[edges.order] = np.arange(edges.n)
+    pairs = edges.first_pairs()
+    jump = np.abs(place[edges.i[pairs]] - place[edges.j[pairs]]).astype(float)
+    steps = pairs[jump == 1]
+    if len(steps) < edges.n - 1:
+        from scipy.sparse.csgraph import minimum_spanning_tree
+
+        lookup = sp.csr_array((jump, (edges.i[pairs], edges.j[pairs])), shape=(edges.n, edges.n))
+        tree = sp.coo_array(minimum_spanning_tree(lookup))
+        kept = np.isin(edges.i[pairs] * edges.n + edges.j[pairs], tree.row.astype(np.intp) * edges.n + tree.col)
+        steps = pairs[kept]
+    return edges.along(*edges.tree(steps, edges.roots), X)
 
 
 def spanning_tree(graph: FactorGraph, values: Values) -> Values:

@@ -12,14 +12,14 @@ import scipy.sparse as sp
 
 from factors.base import Model
 from factors.between import Between
-from models import LieGroup
+from models import LieGroup, Manifold
 from models.algebra import Array
 from nls.assemble import Batch, Pattern
 from nls.components import connected, firsts
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
-__all__ = ["PoseEdges", "pose_batches", "pose_edges"]
+__all__ = ["PoseEdges", "edges_of", "pose_batches", "pose_edges"]
 
 Index = npt.NDArray[np.intp]
 
@@ -157,15 +157,22 @@ def pose_batches(pattern: Pattern) -> dict[LieGroup, list[Batch]]:
 def pose_edges(graph: FactorGraph, values: Values) -> Iterator[PoseEdges]:
     """The relative poses of a graph, group by group."""
     for group, batches in pose_batches(graph.pattern(values)).items():
-        kinds = tuple(name for name, stack in values.stacks.items() if stack.manifold is group)
-        first, n = {}, 0
-        for kind in kinds:
-            first[kind], n = n, n + len(values.stacks[kind])
-        i, j = (np.concatenate([first[b.kinds[slot]] + b.index[slot] for b in batches]) for slot in (0, 1))
-        order = np.concatenate([first[k] + np.argsort(values.stacks[k].numbers, kind="stable") for k in kinds])
-        fixed = np.zeros(n, dtype=bool)
-        for keys in graph.fixed:
-            if keys.kind in kinds:
-                fixed[first[keys.kind] + values.stacks[keys.kind].index(keys)] = True
-        models = [batch.model for batch in batches]
-        yield PoseEdges(group, kinds, n, order, fixed, i, j, np.concatenate([model.z for model in models]), models)
+        yield edges_of(graph, values, batches, group, group)
+
+
+def edges_of(
+    graph: FactorGraph, values: Values, batches: list[Batch], manifold: Manifold, group: LieGroup
+) -> PoseEdges:
+    """Measurements between two variables in a manifold, as differences of elements of a group."""
+    kinds = tuple(name for name, stack in values.stacks.items() if stack.manifold is manifold)
+    first, n = {}, 0
+    for kind in kinds:
+        first[kind], n = n, n + len(values.stacks[kind])
+    i, j = (np.concatenate([first[b.kinds[slot]] + b.index[slot] for b in batches]) for slot in (0, 1))
+    order = np.concatenate([first[k] + np.argsort(values.stacks[k].numbers, kind="stable") for k in kinds])
+    fixed = np.zeros(n, dtype=bool)
+    for keys in graph.fixed:
+        if keys.kind in kinds:
+            fixed[first[keys.kind] + values.stacks[keys.kind].index(keys)] = True
+    models = [batch.model for batch in batches]
+    return PoseEdges(group, kinds, n, order, fixed, i, j, np.concatenate([model.z for model in models]), models)

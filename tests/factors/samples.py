@@ -160,7 +160,7 @@ def logarithm(group: Manifold, M: Array) -> Array:
 def innovation_by_hand(group: Manifold, h: Array, z: Array, convention: str) -> Array:
     """z [-] h of one measurement, in the four conventions."""
     if isinstance(group, MeasuredNumbers):
-        angular = np.isin(group.components, ["bearing", "azimuth", "elevation", "yaw"])
+        angular = np.isin(group.components, ["bearing", "azimuth", "elevation", "yaw", "pitch", "roll"])
         return np.where(angular, np.arctan2(np.sin(z - h), np.cos(z - h)), z - h)
     H, Z = homogeneous(group, h), homogeneous(group, z)
     if convention == "g2o":

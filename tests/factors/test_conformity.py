@@ -31,9 +31,10 @@ from tests.factors.samples import (
 )
 from tests.factors.samples import SAMPLES as POSE_SAMPLES
 from tests.factors.samples_sensors import SENSOR_SAMPLES
+from tests.factors.samples_sonar import SONAR_SAMPLES
 
 Array = npt.NDArray[np.float64]
-SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES]
+SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES]
 every_sample = pytest.mark.parametrize("sample", SAMPLES, ids=str)
 every_case = pytest.mark.parametrize("case", CASES)
 every_size = pytest.mark.parametrize("n", [1, 7])

@@ -158,3 +158,24 @@ def test_quaternion_of_a_matrix(angle: float) -> None:
     np.testing.assert_allclose(q[:, :3] * sign, expected, atol=1e-15)
     np.testing.assert_array_equal(quaternion_from_matrix(matrices[7]), q[7])
     np.testing.assert_array_equal(quaternion_from_matrix(matrices[:6].reshape(3, 1, 2, 3, 3)).reshape(6, 4), q[:6])
+
+
+@every_shape
+def test_covariances_there_and_back(shape: tuple[int, ...]) -> None:
+    """Against errors of the vector pushed through, and back again."""
+    rng = np.random.default_rng(9)
+    state = np.concatenate([random_angles(shape, 8), rng.normal(size=(*shape, 3))], axis=-1)
+    root = rng.normal(size=(*shape, 6, 6))
+    P = root @ root.mT
+    Sigma = euler.covariance_to_se3(state, P)
+    T, eps = euler.to_se3(state), 1e-6
+    pushed = [SE3.local(T, euler.to_se3(state + eps * root[..., k])) for k in range(6)]
+    by_differences = sum(np.asarray(d[..., :, None] * d[..., None, :]) for d in pushed) / eps**2
+    np.testing.assert_allclose(Sigma, by_differences, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(euler.covariance_from_se3(T, Sigma), P, rtol=1e-9, atol=1e-9)
+
+
+def test_covariances_have_no_euler_form_at_gimbal_lock() -> None:
+    T = euler.to_se3([0.0, np.pi / 2, 0.0, 1.0, 2.0, 3.0])
+    with pytest.raises(SingularGeometryError, match="gimbal lock"):
+        euler.covariance_from_se3(T, np.eye(6))

@@ -1,0 +1,6 @@
+"""Dead reckoning: DVL velocities and gyro rates or attitudes, integrated into relative poses with covariances."""
+
+from models.dead_reckoning.chain import chained
+from models.dead_reckoning.legs import Legs, integrate
+
+__all__ = ["Legs", "chained", "integrate"]

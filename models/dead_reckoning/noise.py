@@ -1,0 +1,78 @@
+r"""The covariance of integrated legs: every error of a sample followed, to first order, to the end of its legs.
+
+A leg is the product of steps Exp(xi_k), xi_k = (v dt, turn) in the frame of the DVL. An error dxi_k of one step moves
+the end of the leg, z, by the right increment
+
+    delta = Ad_z^-1 L_k dxi_k,    L_k = Ad_{T_k} J_l(xi_k)      T_k: from the start of the leg to the start of the step
+
+and steps depend on the values at the nodes of the time grid on either side of them, these on samples:
+
+    dxi_k = A_k n_k + B_k n_k+1,    n = (1 - s) e_a + s e_b
+
+So delta is a sum over independent sample errors e, each with a 6 x 3 coefficient G, and its covariance the sum of
+G sigma^2 G'. Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.3.3 (compounding of uncertain poses).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from models.dead_reckoning.samples import Mixture
+
+__all__ = ["at_nodes", "from_samples", "sum_by_leg"]
+
+Index = npt.NDArray[np.intp]
+
+
+def at_nodes(LA: Array, LB: Array, leg: Index) -> Array:
+    """Coefficients of the nodes of every leg, from those of the steps.
+
+    Parameters
+    ----------
+    LA, LB : (m, 6, 3) L_k A_k and L_k B_k of the m steps.
+    leg : (m,) the leg of each step, 0 to k - 1, rising.
+
+    Returns
+    -------
+    C : (m + k, 6, 3) for the nodes of the k legs one after the other: a node on a boundary is in two legs, and there
+        twice. The nodes of step i are at i + leg[i] and the next place.
+    """
+    left = np.arange(len(leg)) + leg
+    C = np.zeros((len(leg) + leg[-1] + 1, 6, 3))
+    C[left] = LA
+    C[left + 1] += LB
+    return C
+
+
+def from_samples(C: Array, leg: Index, mix: Mixture, sigma: Array, k: int) -> Array:
+    """Sum of G sigma^2 G' over the samples, leg by leg.
+
+    Parameters
+    ----------
+    C : (m, 6, 3) coefficients of nodes.
+    leg : (m,) their legs, rising.
+    mix : the samples each node is mixed from.
+    sigma : (n, 3) standard deviations of the samples.
+    k : how many legs there are.
+
+    Returns
+    -------
+    Sigma : (k, 6, 6) array.
+    """
+    n, two = len(sigma), np.flatnonzero(mix.s > 0)
+    source = np.concatenate([leg * n + mix.a, leg[two] * n + mix.b[two]])  # one number for a leg and a sample
+    part = np.concatenate([(1 - mix.s)[:, None, None] * C, mix.s[two, None, None] * C[two]])
+    order = np.argsort(source, kind="stable")
+    source, first = np.unique(source[order], return_index=True)
+    G = np.add.reduceat(part[order], first) * sigma[source % n, None, :]
+    return sum_by_leg(G @ G.mT, source // n, k)
+
+
+def sum_by_leg(terms: Array, leg: Index, k: int) -> Array:
+    """Sums (k, ...) of terms (m, ...) over their legs (m,), rising; 0 for a leg without terms."""
+    out = np.zeros((k, *terms.shape[1:]))
+    found, first = np.unique(leg, return_index=True)
+    out[found] = np.add.reduceat(terms, first)
+    return out

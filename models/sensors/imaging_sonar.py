@@ -1,0 +1,145 @@
+r"""Imaging sonars: how many beams and range bins, how wide and how high, and what that makes of a measurement.
+
+A beam is fan / beams wide, a bin (far - near) / bins long, and a contact is known to one of each: an error spread
+evenly over a cell of width w has the standard deviation w / sqrt(12). Finding a contact in a real image is worse than
+that; `quality` is how many times worse, and is the user's to say.
+
+Every other sonar is its numbers, and a range window is set with `dataclasses.replace`:
+
+    my_sonar = ImagingSonar("mine", beams=256, bins=1000, fan=radians(90), aperture=radians(15), window=(0.5, 20.0))
+    close_up = replace(DIDSON_HIGH, window=(1.0, 6.0))
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, components, pack
+from models.errors import OptionError
+
+__all__ = ["ARIS_3000", "BLUEVIEW_M900", "DIDSON_HIGH", "DIDSON_LOW", "OCULUS_M750D", "ImagingSonar"]
+
+Cells = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ImagingSonar:
+    """A multibeam imaging sonar that measures range and azimuth in its own frame: x forward, y right, z down.
+
+    Parameters
+    ----------
+    name : for reports.
+    beams : number of beams over the fan.
+    bins : number of range bins over the window.
+    fan : whole width in azimuth, rad; the fan is -fan/2 to fan/2.
+    aperture : whole height in elevation, rad.
+    window : nearest and farthest range, m.
+    quality : standard deviation of a contact over that of quantization alone.
+
+    Raises
+    ------
+    OptionError
+        A number no sonar can have.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> sonar = replace(DIDSON_HIGH, window=(1.0, 6.0))
+    >>> round(1e3 * sonar.sigma_range, 2), round(1e3 * sonar.sigma_azimuth, 2)  # mm, mrad
+    (2.82, 1.51)
+    """
+
+    name: str
+    beams: int
+    bins: int
+    fan: float
+    aperture: float
+    window: tuple[float, float]
+    quality: float = 1.0
+
+    def __post_init__(self) -> None:
+        near, far = self.window
+        for option, value, good, allowed in (
+            ("beams", self.beams, self.beams >= 1, "at least 1"),
+            ("bins", self.bins, self.bins >= 1, "at least 1"),
+            ("fan", self.fan, 0 < self.fan <= 2 * pi, "an angle in (0, 2 pi], rad"),
+            ("aperture", self.aperture, 0 < self.aperture < pi, "an angle in (0, pi), rad"),
+            ("window", self.window, 0 < near < far < np.inf, "nearest and farthest range, m, 0 < nearest < farthest"),
+            ("quality", self.quality, 0 < self.quality < np.inf, "above 0"),
+        ):
+            if not good:
+                raise OptionError(f"ImagingSonar {self.name}: {option}", value, allowed)
+
+    @property
+    def sigma_range(self) -> float:
+        """Standard deviation of a range, m."""
+        return (self.window[1] - self.window[0]) / self.bins / sqrt(12) * self.quality
+
+    @property
+    def sigma_azimuth(self) -> float:
+        """Standard deviation of an azimuth, rad."""
+        return self.fan / self.beams / sqrt(12) * self.quality
+
+    @property
+    def noise_sigmas(self) -> Array:
+        """(sigma_range, sigma_azimuth) (2,), m and rad: ``Diagonal(sonar.noise_sigmas)`` is its noise."""
+        return np.array([self.sigma_range, self.sigma_azimuth])
+
+    def sees(self, p: Array) -> npt.NDArray[np.bool_]:
+        """Which points p (n, 3), m, in the frame of the sonar are inside the window, the fan and the aperture, (n,).
+
+        A point behind the sonar is in no fan of less than 180 deg; what stands between is not asked.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> DIDSON_HIGH.sees(np.array([[3.0, 0.0, 0.0], [-3.0, 0.0, 0.0], [3.0, 0.0, 1.0]]))
+        array([ True, False, False])
+        """
+        x, y, z = components(p)
+        rho = np.hypot(x, y)
+        beam, bin = self.beam(np.arctan2(y, x)), self.bin(np.hypot(rho, z))
+        inside = (beam >= 0) & (beam < self.beams) & (bin >= 0) & (bin < self.bins)
+        return np.asarray(inside & (np.abs(np.arctan2(z, rho)) <= self.aperture / 2))
+
+    def beam(self, azimuth: npt.ArrayLike) -> Cells:
+        """Number of the beam of azimuths (n,), rad; 0 to beams - 1 from port to starboard, other numbers outside."""
+        return np.floor((np.asarray(azimuth) / self.fan + 0.5) * self.beams).astype(np.int64)
+
+    def bin(self, range: npt.ArrayLike) -> Cells:
+        """Number of the range bin of ranges (n,), m; 0 to bins - 1 from near to far, other numbers outside."""
+        near, far = self.window
+        return np.floor((np.asarray(range) - near) / (far - near) * self.bins).astype(np.int64)
+
+    def quantized(self, z: Array) -> Array:
+        """Measurements z (n, 2) of range and azimuth moved to the center of their bin and beam, m and rad.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from dataclasses import replace
+        >>> coarse = replace(DIDSON_HIGH, bins=5, window=(1.0, 6.0))
+        >>> coarse.quantized(np.array([[2.9, 0.001]])).round(4)
+        array([[2.5   , 0.0026]])
+        """
+        r, azimuth = components(z)
+        near, far = self.window
+        center_r = near + (self.bin(r) + 0.5) / self.bins * (far - near)
+        center_azimuth = ((self.beam(azimuth) + 0.5) / self.beams - 0.5) * self.fan
+        return pack([center_r, center_azimuth])
+
+
+# Beams, fan and aperture: soundmetrics.com, SONAR 101, "DIDSON resolution" (both modes; 512 bins in every window; the
+# 48 beams are spaced by 0.6 deg); Ocean Networks Canada, "ARIS sonar data" (128 beams, 28 x 14 deg);
+# jake3991/sonar-SLAM, bruce_slam/src/bruce_slam/sonar.py (Oculus: 130 deg, and 20 deg at its low frequency);
+# phan1007/MFLS50, README (512 and 768 beams, 130 deg, of Oculus M750d and BlueView M900-130). The aperture of the
+# BlueView, every window, and the bins of all but the DIDSON are our choice, to be replaced by those of your recording.
+DIDSON_HIGH = ImagingSonar("DIDSON, high frequency", 96, 512, radians(28.8), radians(14.0), (1.0, 11.0))
+DIDSON_LOW = ImagingSonar("DIDSON, low frequency", 48, 512, radians(28.8), radians(14.0), (1.0, 41.0))
+ARIS_3000 = ImagingSonar("ARIS Explorer 3000", 128, 1000, radians(28.0), radians(14.0), (0.7, 5.7))
+OCULUS_M750D = ImagingSonar("Oculus M750d, low frequency", 512, 1000, radians(130.0), radians(20.0), (0.5, 40.5))
+BLUEVIEW_M900 = ImagingSonar("BlueView M900-130", 768, 1000, radians(130.0), radians(20.0), (0.5, 40.5))

@@ -1,0 +1,72 @@
+r"""A cruising AUV at sea, 400 s a trajectory at 1 Hz: its DVL, and position and attitude of a post-processed INS.
+
+Files ``DVL_trajectoryN.csv`` and ``GT_trajectoryN.csv``. Geodetic positions become meters north, east and down of the
+first by the radii of curvature M and N of the WGS 84 ellipsoid there, good to millimeters over a kilometer:
+
+    north = (lat - lat_0) (M + altitude_0),   east = (lon - lon_0) (N + altitude_0) cos lat_0
+
+Source of the data: N. Cohen, I. Klein, "Adaptive Kalman-informed transformer", Engineering Applications of Artificial
+Intelligence 146, 2025; of the radii: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+Systems, 2013, section 2.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import GraphFileError
+from nls.io.logs.table import columns
+
+__all__ = ["AuvDvl", "read_auv_dvl"]
+
+SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
+INS = (
+    "Longitude [rad],Latitude [rad],Altitude [m],V North [m/s],V East [m/s],V Down [m/s],"
+    "Roll [rad],Pitch [rad],Yaw [rad]"
+)
+
+
+@dataclass(frozen=True)
+class AuvDvl:
+    """One trajectory; world north, east, down; body forward, starboard, down.
+
+    Attributes
+    ----------
+    t : (n,) s.
+    v_d : (n, 3) velocity of the DVL in body axes, m/s, as measured: with the lever arm, which is not given.
+    p : (n, 3) true position from the first, m.
+    v : (n, 3) true velocity in the world, m/s.
+    rpy : (n, 3) true roll, pitch, yaw, rad.
+    """
+
+    t: Array
+    v_d: Array
+    p: Array
+    v: Array
+    rpy: Array
+
+
+def read_auv_dvl(folder: str | Path, number: int) -> AuvDvl:
+    """Trajectory of a number.
+
+    Raises
+    ------
+    GraphFileError
+        A file that cannot be read, or two whose times differ.
+    """
+    dvl, ins = (Path(folder) / f"{what}_trajectory{number}.csv" for what in ("DVL", "GT"))
+    measured = columns(dvl, ("Time [s]", "DVL X [m/s]", "DVL Y [m/s]", "DVL Z [m/s]"))
+    true = columns(ins, ("Time [s]", *INS.split(",")))
+    if not np.array_equal(measured[:, 0], true[:, 0]):
+        raise GraphFileError(f"its times are not those of {ins.name}", str(dvl))
+    lon, lat, altitude = true[:, 1:4].T
+    e2 = FLATTENING * (2 - FLATTENING)
+    N = SEMI_MAJOR / np.sqrt(1 - e2 * np.sin(lat[0]) ** 2)
+    M = N * (1 - e2) / (1 - e2 * np.sin(lat[0]) ** 2)
+    north, east = (lat - lat[0]) * (M + altitude[0]), (lon - lon[0]) * (N + altitude[0]) * np.cos(lat[0])
+    p = np.column_stack([north, east, altitude[0] - altitude])
+    return AuvDvl(true[:, 0], measured[:, 1:], p, true[:, 4:7], true[:, 7:])

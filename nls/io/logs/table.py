@@ -1,0 +1,40 @@
+"""Columns of numbers from a text file, plain or gzip-compressed."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import GraphFileError
+from nls.io.files import read_bytes
+
+__all__ = ["columns"]
+
+
+def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
+    """The named columns (n, k) of a comma-separated file with a header, or all of a file (skip = 0: without a header).
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read, has no such column, no rows, or words that are no numbers.
+    """
+    data = read_bytes(path)
+    use = None
+    if names is not None:
+        header = data.split(b"\n", 1)[0].decode(errors="replace").strip().split(",")
+        missing = [name for name in names if name not in header]
+        if missing:
+            raise GraphFileError(f"has no column {missing[0]!r}; its header is {header}", str(path), 1)
+        use = [header.index(name) for name in names]
+    rows = data.split(b"\n")[skip:]
+    if not any(row.strip() for row in rows):
+        raise GraphFileError("has no rows", str(path))
+    try:
+        return np.loadtxt(io.BytesIO(b"\n".join(rows)), delimiter=",", usecols=use, ndmin=2)
+    except ValueError as error:
+        raise GraphFileError(f"is no table of numbers after line {skip}: {error}", str(path)) from error

@@ -1,0 +1,118 @@
+"""Steps in the horizontal and tilts: by hand, against SE(2), against the Euler-angle derivatives, at gimbal lock."""
+
+from __future__ import annotations
+
+from math import pi, radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from models import SE2, SE3, euler
+from models.sensors import SingularAt, levelled, relative_xyh, zpr
+
+Array = npt.NDArray[np.float64]
+same = np.testing.assert_allclose
+
+
+def states(n: int, seed: int) -> Array:
+    """Euler vectors (roll, pitch, yaw, x, y, z), pitched up to 89 deg."""
+    limit = np.array([pi, radians(89), pi, 5.0, 5.0, 5.0])
+    return np.random.default_rng(seed).uniform(-limit, limit, size=(n, 6))
+
+
+def tangent_of_euler(e: Array) -> Array:
+    """d(roll, pitch, yaw, x, y, z) / d(rho, phi) (n, 6, 6): T^-1 phi and R rho."""
+    J = np.zeros((len(e), 6, 6))
+    J[:, :3, 3:] = euler.rate_matrix_inv(e[:, :3])
+    J[:, 3:, :3] = SE3.rotation(euler.to_se3(e))
+    return J
+
+
+def test_a_step_by_hand() -> None:
+    """Heading east and rolled; 3 m east, 1 m north, down 4 m, turned to south-west: 3 ahead, 1 to port, 135 deg."""
+    i, j = [[0.5, -0.3, pi / 2, 1.0, 2.0, 5.0]], [[-0.2, 0.1, -3 * pi / 4, 2.0, 5.0, 9.0]]
+    h, _ = levelled(euler.to_se3(i), euler.to_se3(j))
+    same(h, [[3.0, -1.0, 3 * pi / 4]], atol=1e-14)
+
+
+def test_levelled_steps_are_differences_of_poses_of_the_plane() -> None:
+    a, b = states(300, 1), states(300, 2)
+    plane = SE2.between(a[:, [3, 4, 2]], b[:, [3, 4, 2]])
+    h, _ = levelled(euler.to_se3(a), euler.to_se3(b))
+    same(h[:, :2], plane[:, :2], atol=1e-12)
+    same(np.exp(1j * h[:, 2]), np.exp(1j * plane[:, 2]), atol=1e-12)
+    assert (np.abs(h[:, 2]) <= pi).all()
+
+
+def test_derivatives_of_a_levelled_step_by_the_euler_formula() -> None:
+    """-Rz', Rz', (-s dx + c dy, -c dx - s dy, -1), in Euler parameters; carried to the tangent by T^-1 and R."""
+    a, b = states(50, 3), states(50, 4)
+    _, (H_i, H_j) = levelled(euler.to_se3(a), euler.to_se3(b))
+    c, s, (dx, dy) = np.cos(a[:, 2]), np.sin(a[:, 2]), (b - a)[:, 3:5].T
+    E_i, E_j = np.zeros((2, 50, 3, 6))
+    E_i[:, 0, 3], E_i[:, 0, 4], E_i[:, 1, 3], E_i[:, 1, 4] = -c, -s, s, -c
+    E_i[:, :, 2] = np.stack([-s * dx + c * dy, -c * dx - s * dy, -np.ones(50)], axis=1)
+    E_j[:, :2, 3:5] = -E_i[:, :2, 3:5]
+    E_j[:, 2, 2] = 1.0
+    for H, E, e in ((H_i, E_i, a), (H_j, E_j, b)):
+        expected = E @ tangent_of_euler(e)
+        same(H, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_derivatives_of_depth_pitch_and_roll_select_them() -> None:
+    e = states(50, 5)
+    h, H = zpr(euler.to_se3(e))
+    same(h, e[:, [5, 1, 0]], atol=1e-11)
+    same(H, tangent_of_euler(e)[:, [5, 1, 0]], atol=1e-9)
+
+
+def test_the_two_forms_agree_without_tilt() -> None:
+    a, b = states(100, 6), states(100, 7)
+    a[:, :2] = b[:, :2] = 0.0
+    (level, H), (tilted, G) = (f(euler.to_se3(a), euler.to_se3(b)) for f in (levelled, relative_xyh))
+    same(level, tilted, atol=1e-12)
+    same(H[1][:, 2], G[1][:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize(("tilt", "off"), [(5.0, 0.0038), (20.0, 0.0603)])
+def test_the_two_forms_differ_with_tilt(tilt: float, off: float) -> None:
+    """A level step of 1 m of a pitched vehicle loses 1 - cos(tilt); a step straight down gains sin(tilt) of it."""
+    still = euler.to_se3([[0.0, radians(tilt), 0.0, 0.0, 0.0, 0.0]])
+    ahead = euler.to_se3([[0.0, radians(tilt), 0.0, 1.0, 0.0, 0.0]])
+    down = euler.to_se3([[0.0, radians(tilt), 0.0, 0.0, 0.0, 1.0]])
+    assert levelled(still, ahead)[0][0, 0] - relative_xyh(still, ahead)[0][0, 0] == pytest.approx(off, abs=5e-5)
+    same(levelled(still, down)[0], 0.0, atol=1e-15)
+    assert abs(relative_xyh(still, down)[0][0, 0]) == pytest.approx(np.sin(radians(tilt)))
+
+
+def test_levelled_steps_know_no_north_but_know_down() -> None:
+    """Turned about the vertical, everything is the same; tilted, it is not. The relative form is the same then, too."""
+    a, b = (euler.to_se3(states(20, seed) * [0.3, 0.3, 1, 1, 1, 1]) for seed in (8, 9))
+    turn, tilt = euler.to_se3([[0.0, 0.0, 2.0, 7.0, 8.0, 9.0]]), euler.to_se3([[0.0, 0.1, 0.0, 0.0, 0.0, 0.0]])
+    for motion in (turn, tilt):
+        moved = [SE3.compose(motion, X) for X in (a, b)]
+        same(relative_xyh(*moved)[0], relative_xyh(a, b)[0], atol=1e-11)
+        level = np.abs(levelled(*moved)[0] - levelled(a, b)[0])[:, :2].max()
+        assert level < 1e-11 if motion is turn else level > 0.05
+
+
+@pytest.mark.parametrize("pitch", [pi / 2, -pi / 2])
+def test_gimbal_lock(pitch: float) -> None:
+    good = euler.to_se3(states(3, 10))
+    bad = np.array(good)
+    bad[2] = euler.to_se3([0.3, pitch, 0.1, 1.0, 2.0, 3.0])
+    for at_lock in (
+        lambda: levelled(good, bad),
+        lambda: levelled(bad, good),
+        lambda: zpr(bad),
+        lambda: relative_xyh(good, SE3.compose(good, bad)),
+    ):
+        with pytest.raises(SingularAt, match="gimbal lock") as caught:
+            at_lock()
+        assert caught.value.index == 2
+
+
+def test_a_relative_step_between_two_poses_at_gimbal_lock_has_a_value() -> None:
+    up = euler.to_se3([[0.0, pi / 2, 0.0, 0.0, 0.0, 0.0]])
+    same(relative_xyh(up, SE3.compose(up, euler.to_se3([[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]])))[0], [[1.0, 2.0, 0.3]])
