@@ -139,7 +139,7 @@ def covariance_to_se3(state: npt.ArrayLike, P: npt.ArrayLike) -> Array:
     G = np.zeros((*state.shape[:-1], 6, 6))
     G[..., :3, 3:] = rotation3(quaternion_from_angles(state[..., :3])).mT
     G[..., 3:, :3] = rate_matrix(state[..., :3])
-    return np.asarray(G @ P @ G.mT)
+    return np.asarray(G @ np.asarray(P, dtype=float) @ G.mT)
 
 
 def covariance_from_se3(T: npt.ArrayLike, Sigma: npt.ArrayLike) -> Array:
@@ -163,7 +163,7 @@ def covariance_from_se3(T: npt.ArrayLike, Sigma: npt.ArrayLike) -> Array:
     [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     """
     J = SE3.euler_axes(np.asarray(T, dtype=float))
-    return np.asarray(J @ Sigma @ J.mT)
+    return np.asarray(J @ np.asarray(Sigma, dtype=float) @ J.mT)
 
 
 def _refuse_gimbal_lock(cos_pitch: Array) -> None:

@@ -1,4 +1,4 @@
-"""Linear solvers: one job, dx = argmin |A dx - b|, seven ways."""
+"""Linear solvers: one job, dx = argmin |A dx - b|, eight ways."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from nls.linear.lu import LU
 from nls.linear.normal import Factorization, NormalEquations
 from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
+from nls.linear.schur import Schur
 
 __all__ = [
     "LU",
@@ -21,13 +22,14 @@ __all__ = [
     "LinearSolution",
     "LinearSolver",
     "Pinv",
+    "Schur",
     "backends",
     "best_factorization",
     "default_solver",
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Cholesky, CholeskyPCG, QR, LU, DenseCholesky, DenseQR, Pinv)
+    solver.name: solver for solver in (Cholesky, CholeskyPCG, Schur, QR, LU, DenseCholesky, DenseQR, Pinv)
 }
 
 

@@ -1,0 +1,204 @@
+"""What the order of elimination costs: landmarks first, AMD over all unknowns, and no order at all.
+
+    python benchmarks/schur.py [--quick] [--gigabytes 8] [--flops 3e11] [--out DIR]
+
+One row is one linear solve in a fresh process with one BLAS thread: a bundle adjustment where `LEADLINE_DATA` names the
+folder of the data sets, and surveys of the sea floor by a hovering vehicle with an imaging sonar (`sim.hauv_floor`),
+up to 5,000 poses and 20,000 landmarks. A solve that would pass a limit is not begun; its row says what it would take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from math import radians
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pinv import ONE_THREAD, RESULTS, machine, peak_memory, positive  # the script beside this one
+
+if TYPE_CHECKING:
+    from nls import FactorGraph, LinearSystem, Values
+    from nls.hessian import Blocks
+
+SOLVERS = {"schur": "landmarks first", "cholesky": "AMD over all", "natural": "none"}
+BAL = "bal/problem-49-7776-pre.txt.gz"
+FLOORS = {  # legs, poses a leg, points; two passes over legs of 0.25 m a pose
+    "floor 250": (4, 25, 2_000),
+    "floor 500": (8, 25, 3_600),
+    "floor 1,000": (15, 25, 6_000),
+    "floor 2,000": (31, 25, 11_000),
+    "floor 5,000": (76, 25, 24_500),
+}
+RUNS = 3
+
+
+def problem(name: str) -> tuple[FactorGraph, Values]:
+    """The graph, and where it is linearized: the start of the bundle adjustment, the truth of a survey."""
+    import nls
+    import sim
+
+    if name == "problem-49-7776":
+        graph, values, _ = nls.load(Path(os.environ["LEADLINE_DATA"]) / BAL)
+        return graph, values
+    legs, per_leg, points = FLOORS[name]
+    mission = sim.hauv_floor(
+        np.random.default_rng(1), legs=legs, per_leg=per_leg, points=points, aperture=radians(14), elevation="free"
+    )
+    return mission.graph, mission.truth
+
+
+def linear_solver(name: str) -> Any:
+    """`natural` is CHOLMOD with the unknowns in the order of the graph."""
+    from nls.elimination import Index
+    from nls.linear import Cholesky, Schur
+    from nls.linear.cholesky import CholmodFactorization
+
+    class Unordered(CholmodFactorization):
+        @staticmethod
+        def order(u: Index, v: Index, V: int) -> Index:
+            return np.arange(V)
+
+    class Natural(Cholesky):
+        name = "natural"
+        factorization = Unordered
+
+    return {"schur": Schur, "cholesky": Cholesky, "natural": Natural}[name](memory_limit=np.inf)
+
+
+def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
+    """Order of the variables by a solver."""
+    from nls.elimination import Elimination
+    from nls.linear import Schur
+
+    if solver == "schur":
+        hessian = Schur(memory_limit=np.inf).analyze(system.pattern)[1].hessian
+        owner = np.repeat(np.arange(len(blocks.dims)), blocks.dims)[hessian.permutation]
+        return owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]
+    order = linear_solver(solver).factorization.order
+    return Elimination(blocks.u, blocks.v, len(blocks.dims), order).variables
+
+
+def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str, Any]:
+    """Fill, seconds and bytes of one solver on one problem; no seconds where it would pass a limit."""
+    from nls.hessian import Blocks
+    from nls.linear.fill import counted
+    from nls.optimizers.undamped import diagonal
+
+    graph, values = problem(name)
+    system = graph.linearize(values)
+    damping = 1e-4 * diagonal(system) if name == "problem-49-7776" else None  # its gauge and scale are free
+    blocks = Blocks(system.pattern)
+    fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system, blocks))
+    sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
+    contacts = max(len(factor) for factor in graph.factors)
+    found: dict[str, Any] = {"sizes": sizes, "contacts": contacts, "nnz": fill.nnz, "flops": fill.flops}
+    if fill.flops > flops or 17 * fill.nnz > gigabytes * 1e9:
+        return found
+    del blocks
+    way = linear_solver(solver)
+    before = peak_memory(reset=True)
+    began = process_time()
+    analyzed = way.analyze(system.pattern)
+    found["analyze"] = process_time() - began
+    seconds = []
+    while len(seconds) < RUNS and sum(seconds) < 20:
+        began = process_time()
+        dx = way.solve(analyzed, system, damping).dx
+        seconds.append(process_time() - began)
+    added, residual = peak_memory() - before, normal_residual(system, dx, damping)
+    return found | {"solve": float(np.median(seconds)), "bytes": added, "residual": residual}
+
+
+def normal_residual(system: LinearSystem, dx: Any, damping: Any) -> float:
+    """Largest |A'(A dx - b) + damping dx|, each entry beside the length of its column and of b."""
+    from nls.system import LinearSystem
+
+    left = LinearSystem(system.pattern, system.blocks, system.b - system.times(dx)).gradient
+    if damping is not None:
+        left = left - damping * dx
+    return float((np.abs(left) / (system.column_norms * np.linalg.norm(system.b))).max())
+
+
+def rows(names: list[str], gigabytes: float, flops: float) -> list[dict[str, Any]]:
+    """All solvers on all problems, each in a process of its own."""
+    found = []
+    for name in names:
+        for solver in SOLVERS:
+            command = [sys.executable, __file__, "--child", name, solver, str(gigabytes), str(flops)]
+            done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True)
+            if done.returncode:
+                print(done.stderr, file=sys.stderr)
+                raise SystemExit(f"{name}, {solver}: {(done.stderr.strip() or 'killed').splitlines()[-1]}")
+            one = {"name": name, "solver": solver, **json.loads(done.stdout)}
+            print(f"  {name:18s}{solver:10s}{one.get('solve', float('nan')):10.3f} s", flush=True)
+            found.append(one)
+    return found
+
+
+def table(found: list[dict[str, Any]]) -> list[str]:
+    """Markdown: one row per problem and solver."""
+    lines = [
+        "| problem | poses | landmarks | contacts | order | analysis, s | solve, s | relative | numbers in R | "
+        "10^9 flops | memory, MB | residual |",
+        "|:--|--:|--:|--:|:--|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for one in found:
+        poses, landmarks = (one["sizes"].get(kind, 0) for kind in ("x", "l"))
+        poses = poses or one["sizes"]["c"]
+        best = next(o for o in found if o["name"] == one["name"] and o["solver"] == "schur")["solve"]
+        cells = [one["name"], f"{poses:,}", f"{landmarks:,}", f"{one['contacts']:,}", f"`{one['solver']}`"]
+        if "solve" in one:
+            cells += [f"{one['analyze']:.2f}", f"{one['solve']:.3g}", f"{one['solve'] / best:.2f}"]
+        else:
+            cells += ["-", "not run", "-"]
+        cells += [f"{one['nnz']:.3g}", f"{one['flops'] / 1e9:,.3g}"]
+        cells += [f"{one['bytes'] / 1e6:,.0f}", f"{one['residual']:.0e}"] if "solve" in one else ["-", "-"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--gigabytes", type=positive, default=8.0, help="no solve that would take more memory")
+    parser.add_argument("--flops", type=positive, default=3e11, help="or more multiplications and additions")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for schur.md")
+    parser.add_argument("--quick", action="store_true", help="the smallest survey only")
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        name, solver, gigabytes, flops = options.child
+        print(json.dumps(measure(name, solver, float(gigabytes), float(flops))))
+        return 0
+    options.out.mkdir(parents=True, exist_ok=True)
+    names = list(FLOORS)[: 1 if options.quick else None]
+    data = os.environ.get("LEADLINE_DATA")
+    if data and (Path(data) / BAL).exists() and not options.quick:
+        names = ["problem-49-7776", *names]
+    keep = [line for line in machine() if not line.startswith(("- graph:", "- seconds:", "- memory:", "- difference:"))]
+    notes = [
+        "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, damped by 1e-4 "
+        "of the diagonal, at the start of the file (not run where the data set is missing)",
+        "- floor: `sim.hauv_floor`, seed 1, two passes over legs of 6 m, 14 deg of elevation, `XYH`, `ZPR` and "
+        "`RangeAzimuth` factors, elevation free, linearized at the truth",
+        f"- order: {', '.join(f'`{solver}` {order}' for solver, order in SOLVERS.items())}: the last is CHOLMOD with "
+        "the unknowns as the graph numbers them, poses before landmarks in a survey",
+        "- analysis: ordering and symbolic factorization, once per graph; solve: filling A'A, factorization, solution, "
+        f"median of up to {RUNS} runs; relative: to `schur`",
+        "- memory: what analysis and solve add to the process at their peak; a fresh process for every row",
+        "- residual: largest cosine between A dx - b (damping included) and a column of A",
+        f"- not run: more than {options.flops:g} flops, or than {options.gigabytes:g} GB at 17 bytes a number of R",
+    ]
+    lines = ["# The order of elimination", "", *keep, *notes, "", *table(rows(names, options.gigabytes, options.flops))]
+    print("\n" + "\n".join(lines))
+    (options.out / "schur.md").write_text("\n".join(lines) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""Unknowns that share no factor with each other, found from the structure alone.
+
+Their part of A'A is block diagonal: each can be eliminated without the others. Landmarks that are only seen from poses
+are such a set, and so are the points of a bundle adjustment; but nothing here knows what a landmark is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+    from nls.elimination import Index
+    from nls.hessian import Blocks
+
+__all__ = ["independent", "separate"]
+
+Flags = npt.NDArray[np.bool_]
+
+
+def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
+    """The free variables that can be eliminated one by one.
+
+    All variables of the kinds of which no two variables share a factor; where several sets of kinds will do, the one
+    with the most columns. In a graph without such a kind (a pose graph: poses are joined to poses) single variables,
+    few neighbors first.
+
+    Parameters
+    ----------
+    pattern : the numbering of the graph.
+    blocks : which of its free variables share a factor.
+
+    Returns
+    -------
+    gone : (V,) which of the free variables.
+    said : in words.
+    """
+    names, u, v, V = list(pattern.numbers), blocks.u, blocks.v, len(blocks.dims)
+    kind = np.repeat(np.arange(len(names)), [len(numbers) for numbers in pattern.numbers.values()])[~pattern.held]
+    columns = np.bincount(kind, weights=blocks.dims, minlength=len(names)).astype(np.intp)
+    joined = np.zeros((len(names), len(names)), dtype=bool)
+    joined[kind[u], kind[v]] = joined[kind[v], kind[u]] = True
+    chosen = _heaviest([k for k in range(len(names)) if columns[k] > 0 and not joined[k, k]], joined, columns)
+    gone = np.isin(kind, chosen) if chosen else separate(u, v, V)
+    count, total = np.bincount(kind[gone], minlength=len(names)), np.bincount(kind, minlength=len(names))
+    parts = [
+        names[k] if count[k] == total[k] else f"{count[k]:,} of {total[k]:,} {names[k]}" for k in np.flatnonzero(count)
+    ]
+    what = " and ".join(parts) if parts else "nothing"
+    return gone, f"{what} eliminated: {int(blocks.dims[gone].sum()):,} of {int(blocks.dims.sum()):,} columns"
+
+
+def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
+    """The set of kinds, no two of them joined, with the most columns; the first of equals."""
+    if not kinds:
+        return []
+    first, rest = kinds[0], kinds[1:]
+    apart = [k for k in rest if not joined[first, k]]
+    taken = [first, *_heaviest(apart, joined, columns)]
+    if len(apart) == len(rest):
+        return taken
+    left = _heaviest(rest, joined, columns)
+    return taken if columns[taken].sum() >= columns[left].sum() else left
+
+
+def separate(u: Index, v: Index, V: int) -> Flags:
+    """A maximal set of nodes (V,) of which no two are neighbors; those of few neighbors first.
+
+    In every round the nodes that come before all their neighbors are taken, and the neighbors left out: about log V
+    rounds when nodes of equally many neighbors come in random order (fixed seed).
+
+    Source: M. Luby, "A simple parallel algorithm for the maximal independent set problem", SIAM J. Comput. 15 (1986).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> separate(np.array([0, 0, 0]), np.array([1, 2, 3]), 5).tolist()
+    [False, True, True, True, True]
+    """
+    a, b = np.concatenate([u, v]), np.concatenate([v, u])
+    rank = np.empty(V, dtype=np.intp)
+    rank[np.lexsort((np.random.default_rng(0).permutation(V), np.bincount(a, minlength=V)))] = np.arange(V)
+    taken, left = np.zeros((2, V), dtype=bool)
+    while len(a):
+        before = np.full(V, V)
+        np.minimum.at(before, a, rank[b])
+        taken[a[rank[a] < before[a]]] = True
+        left[b[taken[a]]] = True
+        on = ~(taken[a] | left[a] | left[b])
+        a, b = a[on], b[on]
+    return ~left

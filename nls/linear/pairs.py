@@ -1,0 +1,97 @@
+"""All pairs of neighbors of eliminated variables, sorted by the block of S they belong to.
+
+The lists of pairs are filled up to one of the lengths 1, 2, 3, 4, 6, 8, 12, ... with a block of zeros, so that
+there are few stacked products however many lengths there are.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from nls.elimination import Index
+
+__all__ = ["Pairs", "Products"]
+
+
+class Products(NamedTuple):
+    """Stacked products of one shape: block `target` of S loses sum_k Y[first[., k]]' Y[second[., k]]."""
+
+    first: npt.NDArray[np.int32]  # (m, length), which of the Y_lp of its dimension
+    second: npt.NDArray[np.int32]
+    target: Index  # (m,)
+    shape: tuple[int, int]
+
+
+class Pairs:
+    """All pairs of neighbors of every eliminated variable, by the block of S they belong to.
+
+    Parameters
+    ----------
+    l, p : (n,) neighbors p of every l, by rising l and then p, each once.
+    count, kept : how many l and p there are.
+
+    Attributes
+    ----------
+    first, second : (pairs,) places in l and p; the p of the second is not above that of the first.
+    length, high, low : (blocks,) how many pairs every block of S has, one block after the other, and its p.
+    """
+
+    def __init__(self, l: Index, p: Index, count: int, kept: int) -> None:
+        degree = np.bincount(l, minlength=count)
+        begin = np.cumsum(degree) - degree
+        firsts, seconds = [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=np.int32)]
+        for k in np.flatnonzero(np.bincount(degree)):
+            i, j = np.tril_indices(int(k))
+            at = begin[degree == k, None]
+            firsts.append((at + i).reshape(-1).astype(np.int32))
+            seconds.append((at + j).reshape(-1).astype(np.int32))
+        first, second = np.concatenate(firsts), np.concatenate(seconds)
+        block = p[first] * kept + p[second]
+        order = np.argsort(block, kind="stable")
+        block = block[order]
+        begins = np.flatnonzero(np.append(True, block[1:] != block[:-1])[: len(block)])
+        self.first, self.second = first[order], second[order]
+        self.length = np.diff(np.append(begins, len(block)))
+        self.count = count
+        self.high, self.low = np.divmod(block[begins], max(kept, 1))
+
+    def products(self, height: Index, dims: Index, target: Index) -> list[Products]:
+        """The pairs as stacked products.
+
+        Parameters
+        ----------
+        height : (n,) dimension of the p of every pair (l, p), which are counted anew for each dimension.
+        dims : dimension of every p.
+        target : where every block of S begins.
+        """
+        local = np.empty(len(height), dtype=np.int32)
+        dummy = {}
+        for D in np.unique(height):
+            same = np.flatnonzero(height == D)
+            local[same], dummy[int(D)] = np.arange(len(same)), len(same)
+        filled, base = _filled_up(self.length), int(dims.max(initial=0)) + 1
+        shape = (filled * base + dims[self.high]) * base + dims[self.low]
+        within = np.arange(len(self.first)) - np.repeat(np.cumsum(self.length) - self.length, self.length)
+        every, out = np.repeat(shape, self.length), []
+        for one in np.unique(shape):
+            rest, C = divmod(int(one), base)
+            length, D = divmod(rest, base)
+            blocks, pairs = np.flatnonzero(shape == one), np.flatnonzero(every == one)
+            at = np.repeat(np.arange(len(blocks)), self.length[blocks]) * length + within[pairs]
+            sides = []
+            for side, size in ((self.first, D), (self.second, C)):
+                index = np.full(len(blocks) * length, dummy[size], dtype=np.int32)
+                index[at] = local[side[pairs]]
+                sides.append(index.reshape(-1, length))
+            out.append(Products(sides[0], sides[1], target[blocks], (D, C)))
+        return out
+
+
+def _filled_up(length: Index) -> Index:
+    """The next of 1, 2, 3, 4, 6, 8, 12, 16, ..., at most a third longer."""
+    power = 1 << np.ceil(np.log2(np.maximum(length, 1))).astype(np.intp)
+    return np.where(length <= 3 * power // 4, np.maximum(3 * power // 4, 1), power)

@@ -1,0 +1,202 @@
+r"""Landmarks first: every one is eliminated by itself, and only the graph of poses is factorized.
+
+    [ H_ll  H_lp ] [ dx_l ]   [ g_l ]       S    = H_pp - H_pl H_ll^-1 H_lp
+    [ H_pl  H_pp ] [ dx_p ] = [ g_p ]       S dx_p = g_p - H_pl H_ll^-1 g_l
+                                            dx_l   = H_ll^-1 (g_l - H_lp dx_p)
+
+l are variables that share no factor with each other (`nls.linear.independent`), so that H_ll is block diagonal; p are
+all others. S is formed block by block (`nls.linear.complement`) and factorized by the best factorization installed, in
+the order it gives to the graph of p in which everything that sees one l is joined.
+
+It is the Cholesky factorization of H in one particular order, and judged like every other: pivots of H_ll and of S are
+compared with the diagonal of H, and a free direction that rounding hides is looked for in A.
+
+Source: D. C. Brown, "The bundle adjustment: progress and prospects", 1976; B. Triggs, P. McLauchlan, R. Hartley,
+A. Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.1.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array
+from models.errors import OptionError, ResourceLimitError
+from nls.elimination import Elimination
+from nls.hessian import Blocks, Hessian
+from nls.linear.complement import Complement
+from nls.linear.independent import independent
+from nls.linear.limits import default_limit, refuse_above
+from nls.linear.normal import Factorization, NormalEquations, NormalState
+from nls.linear.roots import BlockInverse
+from nls.linear.threads import single_thread
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from nls.assemble import Pattern
+    from nls.elimination import Index
+
+__all__ = ["Schur", "SchurFactorization", "SchurState"]
+
+PER_PAIR = 60.0  # bytes at the peak per pair of neighbors of one eliminated variable, while the lists are sorted
+
+
+def _best() -> NormalEquations:
+    """The default solver: its factorization is the one of S."""
+    from nls.linear import default_solver
+
+    solver = default_solver()
+    assert isinstance(solver, NormalEquations)
+    return solver
+
+
+class SchurFactorization(Factorization):
+    """H = L L' of a `Hessian` whose first columns are eliminated block by block.
+
+    Parameters
+    ----------
+    complement : S, its structure.
+    exact : whether the blocks are inverted exactly, so that there is an L.
+    """
+
+    @staticmethod
+    def order(u: Index, v: Index, V: int) -> Index:
+        """Order of the variables that are kept, as S is factorized."""
+        return _best().factorization.order(u, v, V)
+
+    def __init__(self, complement: Complement, exact: bool) -> None:
+        self._complement, self._exact = complement, exact
+        self._rest = _best().factorization(complement.hessian)
+
+    def factorize(self, S: Array) -> Array:
+        with single_thread():
+            flat, self._L, self._roots, pivots = self._complement.fill(S)
+        return np.concatenate([pivots, self._rest.factorize(flat)])
+
+    def solve(self, g: Array) -> Array:
+        n = self._complement.n
+        y = self._blockwise(self._roots, g[:n])
+        x = np.zeros(g.shape)
+        x[n:] = self._rest.solve(g[n:] - (self._L @ y)[n:])
+        x[:n] = self._blockwise([X.mT for X in self._roots], y - self._L.T @ x)
+        return x
+
+    def _blockwise(self, stacks: list[Array], g: Array) -> Array:
+        """Every block times its rows of g."""
+        parts = [
+            np.matmul(X, g[group.columns].reshape(len(X), group.d, -1)).reshape(-1, *g.shape[1:])
+            for group, X in zip(self._complement.groups, stacks, strict=True)
+        ]
+        return np.concatenate([*parts, g[:0]])
+
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        if not self._exact:
+            raise OptionError("block_inverse", "another than the exact inverse", "None: H has no factor L otherwise")
+        n, (L, order) = self._complement.n, self._rest.lower()
+        p = np.concatenate([np.arange(n), n + order])
+        right = sp.csc_array((L.data, L.indices + n, L.indptr), shape=(len(p), len(order)))
+        return sp.csc_array(sp.hstack([self._L[p], right])), p
+
+
+class SchurState(NormalState):
+    """H, its first columns eliminated block by block, and in words which they are."""
+
+    def __init__(self, hessian: Hessian, factorization: SchurFactorization, said: str) -> None:
+        self.hessian, self.factorization, self._judged = hessian, factorization, np.inf
+        self.said = said
+
+
+class Schur(NormalEquations):
+    """A'A dx = A'b by the Schur complement of all variables that share no factor with each other, such as landmarks.
+
+    Which they are is found from the graph, and the result says it. Where no whole kind of variables will do, as in a
+    pose graph, single ones are eliminated. On surveys and bundle adjustments a solve takes 0.9 to 1.3 times that of
+    `Cholesky`, whose minimum degree finds almost the same order (benchmarks/results/schur.md); more on other graphs.
+
+    Parameters
+    ----------
+    block_inverse : a function from the blocks of H_ll, (k, d, d), to what is taken for their inverses, symmetric and
+        positive semi-definite; called once for every dimension d in every solve. Exact when omitted, and a singular
+        block is refused. Another inverse gives another step than argmin |A dx - b|, and no covariances.
+    memory_limit : as in `Cholesky`.
+
+    Raises
+    ------
+    OptionError
+        An option that is not possible.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic, Landmark, Prior
+    >>> from models import R, SE2
+    >>> from nls import FactorGraph, Schur, Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(1)), Between(x[0], x[1], [1, 0, 0], Isotropic(0.1))])
+    >>> seen = graph.add(Landmark(x[[0, 1, 0, 1]], l[[0, 0, 1, 1]], [[2, 1], [1, 1], [3, 1], [2, 1]], Isotropic(0.1)))
+    >>> start = Values({x: (SE2, np.zeros((2, 3))), l: (R(2), np.zeros((2, 2)))})
+    >>> result = graph.optimize(start, linear_solver=Schur())
+    >>> result.linear_solver, result.values[l].round(6).tolist()
+    ('schur, l eliminated: 4 of 10 columns', [[2.0, 1.0], [3.0, 1.0]])
+    """
+
+    name = "schur"
+    per_number = 37.0  # as measured for surveys of 2,000 (37) and 5,000 poses (34)
+
+    def __init__(self, block_inverse: BlockInverse | None = None, memory_limit: float | None = None) -> None:
+        super().__init__(memory_limit)
+        if block_inverse is not None and not callable(block_inverse):
+            raise OptionError("block_inverse", block_inverse, "a function of blocks (k, d, d), or None")
+        self.block_inverse = block_inverse
+
+    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
+        limit = self.memory_limit or default_limit()
+        blocks = Blocks(pattern)
+        gone, said = independent(pattern, blocks)
+        order = self._order(blocks, gone, limit)
+        elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
+        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
+        refuse_above(limit, max(self.per_number, _best().per_number), blocks, hessian, self.name)
+        complement = Complement(blocks, elimination, int(gone.sum()), hessian, self.block_inverse)
+        factorization = SchurFactorization(complement, self.block_inverse is None)
+        return blocks, SchurState(hessian, factorization, said)
+
+    def _order(self, blocks: Blocks, gone: npt.NDArray[np.bool_], limit: float) -> Index:
+        """The eliminated variables by dimension, then the others as the factorization of S orders them.
+
+        Raises
+        ------
+        ResourceLimitError
+            One eliminated variable joins so many others that S would not fit.
+        """
+        first, others = np.flatnonzero(gone), np.flatnonzero(~gone)
+        number = np.empty(len(gone), dtype=np.intp)
+        number[first], number[others] = np.arange(len(first)), np.arange(len(others))
+        u, v = blocks.u, blocks.v
+        across, rest = gone[u] != gone[v], ~(gone[u] | gone[v])
+        l, p = np.where(gone[u], u, v)[across], np.where(gone[u], v, u)[across]
+        seen = sp.csr_array((np.ones(len(l), dtype=bool), (number[l], number[p])), shape=(len(first), len(others)))
+        degree = np.diff(seen.indptr)
+        pairs = float((degree * (degree + 1.0) / 2).sum())
+        if PER_PAIR * pairs > limit:
+            raise ResourceLimitError(
+                f"linear solver {self.name!r}: eliminating {len(first):,} variables joins {pairs:,.0f} pairs of "
+                f"others, which needs {PER_PAIR * pairs / 1e9:.3g} GB, the limit is {limit / 1e9:.3g} GB; take linear "
+                "solver 'cholesky', or allow more with memory_limit",
+                PER_PAIR * pairs,
+                limit,
+                "Schur complement",
+            )
+        joined = sp.coo_array(sp.tril(seen.T @ seen, -1))
+        i, j = (np.concatenate([number[a[rest]], b]) for a, b in ((u, joined.row), (v, joined.col)))
+        poses = Elimination(i, j, len(others), SchurFactorization.order).variables if len(others) else others
+        return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others[poses]])
+
+    def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
+        """Name, and what is eliminated."""
+        state = analyzed[1]
+        assert isinstance(state, SchurState)
+        return f"{self.name}, {state.said}"
