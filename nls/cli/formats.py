@@ -38,14 +38,15 @@ def output_format(path: str, named: str | None) -> str:
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
-    """The graph, start and report of the file of a command; a trajectory is a graph without measurements."""
+    """The graph, start and report of the file or folder of a command; a trajectory is a graph without measurements."""
     import nls
     from nls.io.dialects import no_information
     from nls.io.trajectory import load_trajectory
 
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
     if form not in TRAJECTORIES or options.dialect != "auto":
-        return nls.load(options.file, options.convention, options.dialect, options.repair_information)
+        elevation = getattr(options, "elevation", None)
+        return nls.load(options.file, options.convention, options.dialect, options.repair_information, elevation)
     if options.repair_information:
         raise no_information(options.file, form)
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)

@@ -9,12 +9,14 @@ from typing import NoReturn
 
 __all__ = ["parser"]
 
+TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
   nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
+  nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
@@ -55,7 +57,10 @@ def parser() -> Parser:
         return added
 
     solve = command("solve", "find the optimum", _solve)
-    solve.add_argument("-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format")
+    solve.add_argument(
+        "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
+    )
+    solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
@@ -89,7 +94,7 @@ def _input(command: argparse.ArgumentParser) -> None:
     from factors.conventions import CONVENTIONS
     from nls.io import DIALECTS
 
-    command.add_argument("file", metavar="FILE", help="graph file, also gzip-compressed (*.gz)")
+    command.add_argument("file", metavar="FILE", help="graph file, also gzip-compressed (*.gz), or folder of a mission")
     command.add_argument("--dialect", default="auto", choices=DIALECTS, help="how its lines read (default: auto)")
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")

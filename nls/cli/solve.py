@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, writ
 
 if TYPE_CHECKING:
     from models.errors import LeadlineError
+    from nls.cli.mission import Solved
     from nls.graph import FactorGraph
     from nls.io import LoadReport
     from nls.linear import LinearSolver
@@ -32,10 +34,16 @@ def solve(options: argparse.Namespace) -> int:
 
     clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
-    refuse_unwritable(options.output, options.covariance, options.plot, json=options.json)
+    mission, form = Path(options.file).is_dir(), ""
+    refuse_unwritable(None if mission else options.output, options.covariance, options.plot, json=options.json)
     refuse_no_picture("--plot", options.plot)
-    form = output_format(options.output, options.to) if options.output else ""
-    _refuse_no_values(options.output, form)
+    if mission:
+        from nls.cli.mission import refuse_unwritable_folder
+
+        refuse_unwritable_folder(options.output, options.file, options.to)
+    elif options.output:
+        form = output_format(options.output, options.to)
+        _refuse_no_values(options.output, form)
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
     clock.lap("imports")
     with collected() as stages:
@@ -46,13 +54,15 @@ def solve(options: argparse.Namespace) -> int:
         chi2_read = _chi2_read(graph, values, tried)
         before = start if chi2_read is None else values  # what a picture can show
         clock.lap("init")
-    if options.output:  # what has no line in the format is refused before the work
+    if form:  # what has no line in the format is refused before the work
         refuse_unwritable_graph(options.output, form, as_read, start, report)
     clock.lap("check")
     with _Progress(options) as progress:
         result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
     clock.lap("optimize")
-    written, failed = _write(options, form, as_read, before, graph, result, solver, report)
+    solved = _solved(graph, values, result, report, solver, options.gauge)
+    written, failed = _write(options, form, as_read, before, graph, result, solver, report, solved)
+    said = {} if solved is None else {"mission": solved.record()}
     clock.lap("write")
     timings = clock.timings(result.timings, stages)
 
@@ -78,6 +88,7 @@ def solve(options: argparse.Namespace) -> int:
         "converged": result.converged,
         "status": result.status.name,
         "reason": f"{result.status.value}: {result.reason}",
+        **said,
         "history": [_record(iteration) for iteration in result.history],
         "timings": timings,
         "underconstrained": list(result.underconstrained),
@@ -134,6 +145,7 @@ def _write(
     result: Result,
     solver: LinearSolver,
     report: LoadReport,
+    solved: Solved | None,
 ) -> tuple[list[str], list[LeadlineError]]:
     """Write every output, whether or not another can be; returns the names of those written, and the errors."""
     from models.errors import GraphFileError, LeadlineError
@@ -158,12 +170,20 @@ def _write(
 
         write_picture(path, before_after(graph, before, result, title=Path(options.file).name))
 
-    outputs = [(optimum, options.output), (covariance, options.covariance), (plot, options.plot)]
+    outputs: list[tuple[Callable[[str], None], str | None]] = [(covariance, options.covariance)]
     if options.covariance and not result.converged:
         report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
-        del outputs[1]
+        outputs = []
+    outputs.append((plot, options.plot))
     written: list[str] = []
     failed: list[LeadlineError] = []
+    if solved is None:
+        outputs = [(optimum, options.output), *outputs]
+    elif options.output:
+        try:
+            outputs = [*solved.outputs(options.output), *outputs]
+        except GraphFileError as error:  # no folder, no files in it
+            failed.append(error)
     for write, path in outputs:
         try:
             if path:
@@ -174,6 +194,19 @@ def _write(
         except (LeadlineError, OSError, MemoryError) as error:
             failed.append(LeadlineError(f"{path} was not written: {error}"))
     return written, failed
+
+
+def _solved(
+    graph: FactorGraph, dead: Values, result: Result, report: LoadReport, solver: LinearSolver, gauge: str
+) -> Solved | None:
+    """The solution of a mission; None of a file."""
+    if report.format != "mission":
+        return None
+    from nls.cli.mission import Solved
+    from nls.io.mission import MissionReport
+
+    assert isinstance(report, MissionReport)
+    return Solved(graph, dead, result, report, solver, gauge)
 
 
 def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -> FactorGraph:
@@ -215,6 +248,10 @@ def _table(report: dict[str, Any], verbose: Result | None) -> str:
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",
     ]
+    if "mission" in report:
+        from nls.cli.mission import lines as worth
+
+        lines += worth(report["mission"])
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"]]
     lines += [f"written     {name}" for name in report["written"]]

@@ -1,12 +1,14 @@
-"""Files: `load` reads a graph, its start and a report; `save` writes one that reads back the same."""
+"""Files: `load` reads a graph, its start and a report, from a file or a mission folder; `save` writes a graph file."""
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from pathlib import Path
 
-from models.errors import GraphWarning
+from factors.conventions import check_convention
+from models.errors import GraphWarning, OptionError
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
 from nls.io.files import read_bytes, write_bytes
@@ -27,27 +29,33 @@ NAME = re.compile(rb"[A-Za-z]+[0-9]+")
 
 
 def load(
-    path: str | Path, convention: str = "g2o", dialect: str = "auto", repair_information: bool = False
+    path: str | Path,
+    convention: str = "g2o",
+    dialect: str = "auto",
+    repair_information: bool = False,
+    elevation: str | None = None,
 ) -> tuple[FactorGraph, Values, LoadReport]:
-    """Read a graph file (also gzip-compressed).
+    """Read a graph file (also gzip-compressed), or a folder that holds a mission.
 
     Parameters
     ----------
-    path : the file.
+    path : the file, or the folder of a mission: its track, sonar contacts and truth as CSV files.
     convention : residual of pose measurements, see `factors.conventions`.
     dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
         `nls.io.dialects`), ``pyfg`` or ``bal``. Files whose lines have several readings must be named.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones (with
         a warning) instead of refusing the file; for the dialects g2o and toro.
+    elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see
+        `factors.sonar_factors`.
 
     Returns
     -------
-    graph, values, report
+    graph, values, report : of a mission, dead reckoning as values, and a `nls.io.mission.MissionReport`.
 
     Raises
     ------
     GraphFileError
-        The file cannot be right; says where. Or its lines have several readings.
+        The file cannot be right; says where. Or its lines have several readings. Or the folder holds no mission.
     ResourceLimitError
         The file, or what it unpacks to, is too large.
     OptionError
@@ -62,6 +70,27 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
+    graph, values, report = _read(path, convention, dialect, repair_information, elevation)
+    for note in report.warnings:
+        warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
+    return graph, values, report
+
+
+def _read(
+    path: str | Path, convention: str, dialect: str, repair_information: bool, elevation: str | None
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """The graph of a file or folder, without its warnings; parameters and errors as for `load`."""
+    if isinstance(path, str | os.PathLike) and os.path.isdir(path):
+        from nls.io.mission import read_mission
+
+        if dialect != "auto":
+            raise OptionError("dialect", dialect, f"auto: {path} is a folder, and folders are missions")
+        if repair_information:
+            raise no_information(str(path), "mission")
+        check_convention(convention)
+        return read_mission(path, "hinge" if elevation is None else elevation)
+    if elevation is not None:
+        raise OptionError("elevation", elevation, f"None: {path} is no folder of a mission, whose contacts have one")
     with stage("read file"):
         data, reason = read_bytes(path), "as asked for"
     if dialect == "auto":
@@ -80,8 +109,6 @@ def load(
         report.reason = reason
     else:
         graph, values, report = read_graph(data, str(path), convention, dialect, repair_information)
-    for note in report.warnings:
-        warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
     return graph, values, report
 
 

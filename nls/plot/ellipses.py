@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors.keys import Keys
+from factors.keys import Keys, Kind
 from models.errors import OptionError
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def ellipses(
     probability: float = 0.95,
     every: int | None = None,
     scale: float = 1.0,
+    kind: Kind | None = None,
 ) -> Figure:
     """Where the positions are, each with the ellipse that holds it with the given probability.
 
@@ -48,6 +49,7 @@ def ellipses(
     every : draw that of every so many variables of a kind, in the order of their numbers; as many as can be told apart
         (120) when omitted.
     scale : ellipses are drawn so many times as large as they are, and the legend says so.
+    kind : only variables of this kind; all when omitted.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def ellipses(
     for stack in marginals.values.stacks.values():
         position = np.asarray(stack.manifold.position(stack.X))
         chosen = np.flatnonzero(np.array(marginals.status(stack.kind)) == "estimated")
-        if not position.shape[1] or not len(chosen):
+        if not position.shape[1] or not len(chosen) or (kind is not None and stack.kind != kind.name):
             continue
         chosen = chosen[np.argsort(stack.numbers[chosen])]
         step = every or -(-len(chosen) // MOST)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.nls.gallery import Case
 from tests.nls.gallery_files import FILES
+from tests.nls.gallery_missions import MISSIONS
 from tests.nls.gallery_python import PYTHON
 
 __all__ = ["CHAPTERS"]
@@ -175,4 +176,5 @@ CHAPTERS = {
     "Graphs made in Python": PYTHON,
     "Too large": SIZE,
     "Files": FILES,
+    "Mission folders": MISSIONS,
 }

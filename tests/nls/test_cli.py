@@ -249,7 +249,7 @@ def test_an_underconstrained_graph(file: str, tmp_path: Path, capsys: pytest.Cap
         (["solve", "FILE", "--quiet", "--verbose"], "not allowed with argument"),
         (["solve", "none.g2o"], "none.g2o: cannot be read: No such file"),
         (["info", "none.g2o"], "none.g2o: cannot be read: No such file"),
-        (["solve", "."], "is a folder; expected a file"),
+        (["solve", "."], "is a folder, but no mission: a mission is odometry.csv and zpr.csv, or"),
         (["solve", "FILE", "-o", "nowhere/out.g2o"], "nowhere/out.g2o"),
         (["solve", "FILE", "--plot", "nowhere/out.png"], "nowhere/out.png"),
         (["solve", "FILE", "--json", "nowhere/out.json"], "nowhere/out.json"),

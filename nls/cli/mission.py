@@ -1,0 +1,226 @@
+"""``nls solve DIR``: what the solution of a mission adds to the table, and the files it is written to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from factors import Position, RangeAzimuth
+from factors.keys import kinds
+from models.errors import GraphFileError, OptionError, UnderconstrainedError
+from nls.io.dialects import SUFFIXES
+from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+
+if TYPE_CHECKING:
+    from nls.covariance import Marginals
+    from nls.graph import FactorGraph
+    from nls.linear import LinearSolver
+    from nls.optimizers import Result
+    from nls.values import Values
+
+__all__ = ["Solved", "lines", "refuse_unwritable_folder"]
+
+x, l = kinds("x", "l")
+FILES = ("trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png")
+
+
+def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:
+    """Find out before the work that a folder cannot hold the solution of a mission; one that is not there is made.
+
+    Raises
+    ------
+    OptionError
+    """
+    if form is not None:
+        raise OptionError("--to", form, "nothing: the solution of a mission is a folder with files of their own")
+    if folder is None:
+        return
+    if Path(folder).suffix in SUFFIXES and not Path(folder).is_dir():
+        raise OptionError("output folder", folder, "a folder: the solution of a mission is several files")
+    path = Path(folder)
+    there = next((p for p in (path, *path.absolute().parents) if p.exists()), path)
+    if not folder or folder == "-" or not there.is_dir():
+        raise OptionError("output folder", folder, "a folder, or the name of one to be made: the input is a mission")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OptionError("output folder", folder, "a folder you may write to")
+    if path.exists() and os.path.samefile(path, mission):
+        raise OptionError("output folder", folder, "another folder than that of the mission")
+
+
+class Solved:
+    """A solved mission: everything that is said of it and written.
+
+    Parameters
+    ----------
+    graph, dead, result, report : the mission, its dead reckoning, its solution, and what its folder holds.
+    solver, gauge : for the covariances.
+    """
+
+    def __init__(
+        self,
+        graph: FactorGraph,
+        dead: Values,
+        result: Result,
+        report: MissionReport,
+        solver: LinearSolver,
+        gauge: str,
+    ) -> None:
+        self.graph, self.dead, self.result, self.report = graph, dead, result, report
+        self.solver, self.gauge = solver, gauge
+        self.values = result.values
+        self.contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+
+    @cached_property
+    def tracks(self) -> dict[str, Track]:
+        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none."""
+        if "x" in self.report.truth.stacks:
+            estimates, judge = {"dead reckoning": self.dead, "solution": self.values}, "truth"
+        else:
+            estimates, judge = {"dead reckoning": self.dead}, "solution"
+        against = self.report.truth if judge == "truth" else self.values
+        return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
+
+    @cached_property
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None, with a note that says why, where there are none."""
+        from nls.covariance import Marginals
+
+        if not self.result.converged:
+            self.report.notes.append("the files have no sigmas: this is no optimum")
+            return None
+        try:
+            return Marginals(self.graph, self.values, self.solver, self.gauge)
+        except UnderconstrainedError as error:
+            self.report.notes.append(f"the files have no sigmas: {error}")
+            return None
+
+    @cached_property
+    def elevations(self) -> Elevations:
+        """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
+        return elevations(self.graph, self.values, sigmas=self.marginals is not None)
+
+    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
+        """What to write where, in a folder that is made: functions that take the name of the file, and the names.
+
+        Raises
+        ------
+        GraphFileError
+            The folder cannot be made.
+        """
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GraphFileError(f"cannot be made: {error.strerror or error}", folder) from error
+        writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
+        seen = self.contacts and self.report.sonar is not None
+        return [
+            (write, str(Path(folder, name)))
+            for write, name in zip(writers, FILES, strict=True)
+            if seen or name.startswith("tra")
+        ]
+
+    def _tum(self, path: str) -> None:
+        from nls.io.trajectory import write_tum
+
+        stack = self.values.stack("x")
+        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
+        order = np.argsort(times, kind="stable")
+        write_tum(path, times[order], np.asarray(stack.X)[order])
+
+    def _trajectory(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import trajectory_text
+
+        write_bytes(path, trajectory_text(self.values, self.marginals))
+
+    def _map(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import map_text
+
+        write_bytes(path, map_text(self.values, self.marginals, self.elevations))
+
+    def _track(self, path: str) -> None:
+        from nls.plot.mission import track
+        from nls.plot.picture import write_picture
+
+        write_picture(path, track(self.values, self.dead, self.report.truth, self.marginals, self.tracks))
+
+    def _landmarks(self, path: str) -> None:
+        from nls.plot.mission import landmark_map
+        from nls.plot.picture import write_picture
+
+        write_picture(path, landmark_map(self.values, self.elevations, self.report.truth))
+
+    def _sonar(self, path: str) -> None:
+        """The fan of the pose with the most contacts."""
+        from nls.plot.picture import write_picture
+        from nls.plot.sonar import arcs
+
+        poses, count = np.unique(self.contacts[0].keys[0].numbers, return_counts=True)
+        pose = x[int(poses[np.argmax(count)])]
+        assert self.report.sonar is not None
+        figure = arcs(self.contacts[0], self.values, pose, self.report.sonar)
+        figure.axes[0].set_title(f"{self.report.sonar.name}: contacts of {pose!r}", fontsize=9)
+        write_picture(path, figure)
+
+    def record(self) -> dict[str, Any]:
+        """What the report for programs says of the mission."""
+        first = next(iter(self.tracks.values()))
+        anchors = [factor.keys[0] for factor in self.graph.factors if isinstance(factor, Position)]
+        out: dict[str, Any] = {
+            "poses": len(self.values.stack("x")),
+            "landmarks": len(self.values.stacks.get("l", ())),
+            "contacts": sum(map(len, self.contacts)),
+            "sonar": None if self.report.sonar is None else self.report.sonar.name,
+            "anchor": ", ".join(map(repr, anchors)),
+            "judge": first.against,
+            "distance_m": first.distance,
+        }
+        for name, found in self.tracks.items():
+            out[name.replace(" ", "_")] = {
+                "drift_percent": 100 * found.drift,
+                "end_error_m": found.end,
+                "ate_rmse_m": found.ate.rmse,
+                "ate_alignment": found.ate.align,
+            }
+        if self.contacts and "l" in self.report.truth.stacks:
+            known = self.report.truth.stack("l").numbers
+            both = l[known[np.isin(known, self.values.stack("l").numbers)]]
+            away = self.values[both] - self.report.truth[both]
+            out["landmark_rmse_m"] = float(np.sqrt(np.square(away).sum(axis=1).mean())) if len(both) else None
+        if "elevations" in vars(self) and np.isfinite(self.elevations.sigma).all():  # where files were asked for
+            sigma = np.degrees(self.elevations.sigma)
+            out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
+        return out
+
+
+def lines(mission: dict[str, Any]) -> list[str]:
+    """The lines of the table that say what a mission's solution is worth."""
+    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
+    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
+    drift = ", ".join(
+        f"{name} {_short(s['drift_percent'])} % ({_short(s['end_error_m'])} m)" for name, s in named.items()
+    )
+    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
+    out = [
+        f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
+        f"{mission['contacts']} contacts" + (f" of a {mission['sonar']}" if mission["sonar"] else ""),
+        f"drift       {drift} of the distance at the end, against {judge}",
+        f"ATE         {ate} rmse (no alignment: {mission['anchor']} is anchored)",
+    ]
+    if mission.get("landmark_rmse_m") is not None:
+        out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
+    if "elevation_sigma_deg" in mission:
+        s = mission["elevation_sigma_deg"]
+        out.append(f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma)")
+    return out
+
+
+def _short(number: float) -> str:
+    """Three digits; what is below a millionth is rounding."""
+    return f"{round(number, 6):.3g}"

@@ -1,0 +1,79 @@
+"""Which files of a mission a folder has, each read as the table it must be; what is missing or not read is said."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from models.errors import GraphFileError
+from nls.io.mission.columns import COLUMNS, LOG, TRACK
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.io.unused import note_comments
+
+__all__ = ["EXPECTED", "read_tables"]
+
+EXPECTED = (
+    "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
+    "sonar.csv where the sonar saw something"
+)
+
+
+def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
+    """The tables of a mission folder by name, and a report that counts their rows and names what was not read.
+
+    Raises
+    ------
+    GraphFileError
+        No mission, or not all of one; a file that is not the table its name says.
+    """
+    path = Path(folder)
+    try:
+        names = sorted(os.listdir(path))
+    except OSError as error:
+        raise GraphFileError(f"cannot be read: {error.strerror or error}", str(folder)) from error
+    files: dict[str, Path] = {}
+    others = []
+    for name in names:
+        table = name.removesuffix(".gz").removesuffix(".csv")
+        if name not in (f"{table}.csv", f"{table}.csv.gz") or table not in COLUMNS:
+            others.append(name)
+        elif table in files:
+            raise GraphFileError(f"there is {files[table].name} beside it; leave one of them", str(path / name))
+        else:
+            files[table] = path / name
+    _refuse_parts(str(folder), set(files), others)
+
+    report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
+    tables = {name: Table(file, COLUMNS[name]) for name, file in files.items()}
+    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    note_comments(report, sum(table.comments for table in tables.values()))
+    if tabular := [name for name in others if ".csv" in name.lower()]:
+        report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
+    if rest := [name for name in others if name not in tabular]:
+        report.notes.append(f"not read: {_listed(rest)}")
+    return tables, report
+
+
+def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:
+    """Refuse a folder that is no mission, half of one or two in one."""
+    if not files & {*TRACK, *LOG}:
+        found = f"it has {_listed(sorted(files) + others)}" if files or others else "it is empty"
+        raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {found}", folder)
+    if (track := files & set(TRACK)) and (log := files & {*LOG, "dvl_mount"}):
+        raise GraphFileError(
+            f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; leave either the integrated "
+            "odometry or the raw log",
+            folder,
+        )
+    if missing := [name for name in (TRACK if track else LOG) if name not in files]:
+        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}", folder)
+    if "contacts" in files and "sonar" not in files:
+        raise GraphFileError(
+            "has contacts.csv and no sonar.csv, which says what sonar saw them, and from where", folder
+        )
+
+
+def _listed(names: list[str], most: int = 12) -> str:
+    shown = ", ".join(repr(name)[1:-1] for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,210 @@
+"""A mission folder as a graph, its start and a report; and the choice between integrated odometry and a raw log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import XYH, ZPR, Diagonal, Heading, Position, sonar_factors
+from factors.base import Factor
+from factors.keys import Keys, Kind, kinds
+from models import SE3, Manifold, R, euler
+from models.algebra import Array
+from models.errors import OptionError
+from models.sensors import ImagingSonar
+from nls.graph import FactorGraph
+from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
+from nls.io.mission.folder import read_tables
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.stages import stage
+from nls.starts import dead_reckoning, first_sighting
+from nls.values import Values
+
+__all__ = ["ANCHORED", "read_mission"]
+
+Numbers = npt.NDArray[np.int64]
+ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
+x, l = kinds("x", "l")
+
+
+def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGraph, Values, MissionReport]:
+    """The graph of a mission folder, dead reckoning as its start, and a report; see the page on formats.
+
+    Parameters
+    ----------
+    folder : a folder of CSV files.
+    elevation : what is done about the elevation a sonar does not measure, see `factors.sonar_factors`.
+
+    Returns
+    -------
+    graph : over the poses ``x`` and the landmarks ``l``, numbered as in the files: `XYH` and `ZPR`, `Position` and
+        `Heading` of the anchor, and the factors of the contacts.
+    values : poses by dead reckoning, landmarks where they were seen first.
+    report : with the truth, the sonar and its mounting.
+
+    Raises
+    ------
+    GraphFileError
+        No mission, or one that cannot be right; says which file and line.
+    OptionError
+        No such treatment of the elevation.
+    """
+    tables, report = read_tables(folder)
+    if "odometry" in tables:
+        numbers, factors = _track(tables, report)
+    else:
+        from nls.io.mission.log import integrated
+
+        numbers, factors = integrated(tables, report)
+    report.truth = _truth(tables, numbers, report)
+    graph = FactorGraph(factors)
+    anchors, first = _anchor(tables, numbers, graph, report)
+    for factor in anchors:
+        graph.add(factor)
+    points = _contacts(tables, numbers, graph, report, elevation)
+    with stage("read start"):
+        return graph, _start(graph, numbers, points, first), report
+
+
+def _start(graph: FactorGraph, numbers: Numbers, points: Numbers, first: tuple[Keys, Array]) -> Values:
+    """Dead reckoning, moved to where its anchor is by a turn about the vertical and a step in the horizontal."""
+    spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {x: (SE3, SE3.identity(len(numbers)), numbers)}
+    if len(points):
+        spaces[l] = (R(3), np.zeros((len(points), 3)), points)
+    start = dead_reckoning(graph, Values(spaces))
+    anchor, (x_m, y_m, yaw) = first
+    here = euler.from_se3(start[anchor])[0]
+    turn = euler.to_se3([0.0, 0.0, yaw - here[2], 0.0, 0.0, 0.0])
+    there = SE3.act(turn, here[3:])
+    turn[:2] = x_m - there[0], y_m - there[1]
+    start[x] = SE3.compose(turn, start[x])
+    return first_sighting(graph, start) if len(points) else start
+
+
+def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
+    odometry, zpr = tables["odometry"], tables["zpr"]
+    i, j = odometry.integers("i"), odometry.integers("j")
+    if (same := i == j).any():
+        k = int(np.argmax(same))
+        raise odometry.at(k, f"the step joins pose {i[k]} to itself")
+    numbers = np.unique(np.concatenate([i, j]))
+    again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
+    if again:
+        report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")
+    tilted = zpr.unique("i", "pose")
+    zpr.known("i", numbers, "odometry.csv has no such pose")
+    if len(bare := np.setdiff1d(numbers, tilted)):
+        report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
+    if "poses" in tables:
+        report.vertex_times["x"] = _times(tables["poses"], numbers)
+    return numbers, [
+        XYH(x[i], x[j], odometry.floats(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
+        ZPR(x[tilted], zpr.floats(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
+    ]
+
+
+def _times(poses: Table, numbers: Numbers) -> Array:
+    """Times (n,) of the poses, s, in the order of their numbers."""
+    given, t = poses.unique("i", "pose"), poses.rising("time_s")
+    poses.known("i", numbers, "nothing measures this pose; leave it out")
+    if len(missing := np.setdiff1d(numbers, given)):
+        raise poses.at(
+            len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
+        )
+    return t[np.argsort(given)]
+
+
+def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
+    """True poses and landmarks, where there are files of them."""
+    true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+    if (table := tables.get("truth")) is not None:
+        given = table.unique("i", "pose")
+        true[x] = (SE3, euler.to_se3(table.floats(*ANGLES, *PLACE)), given)
+        if not np.isin(given, numbers).any():
+            raise table.at(0, f"pose {given[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
+        if missing := len(np.setdiff1d(numbers, given)):
+            report.notes.append(f"truth.csv has no row for {missing} of {len(numbers)} poses: errors are of the others")
+        if more := len(np.setdiff1d(given, numbers)):
+            report.notes.append(f"truth.csv has {more} poses nothing measures: not used")
+    if (table := tables.get("landmarks")) is not None:
+        true[l] = (R(3), table.floats(*PLACE), table.unique("landmark", "landmark"))
+    return Values(true)
+
+
+def _anchor(
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport
+) -> tuple[list[Factor], tuple[Keys, Array]]:
+    """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
+
+    Where nobody says so it is the first pose, and its heading only where no compass measures it.
+    """
+    if (table := tables.get("anchor")) is not None:
+        table.unique("i", "pose")
+        i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
+        z, sigmas = table.floats(*LEVEL), table.positive(*suffixed(LEVEL))
+        return _held(x[i], z, sigmas), (x[i[:1]], z[0])
+    anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
+    if "x" in report.truth.stacks and anchor in report.truth:
+        z, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
+    factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
+    for factor in graph.factors:
+        if isinstance(factor, Heading):
+            z[2] = factor.z[factor.keys[0].numbers == anchor.numbers][0]
+            factors, held = factors[:1], "x and y"
+    report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
+    return factors, (anchor, z)
+
+
+def _held(poses: Keys, z: Array, sigmas: Array) -> list[Factor]:
+    """x, y and yaw (n, 3) of poses with their standard deviations."""
+    return [
+        Position(poses, z[:, :2], Diagonal(sigmas[:, :2]), components=("x", "y")),
+        Heading(poses, z[:, 2:], Diagonal(sigmas[:, 2:])),
+    ]
+
+
+def _contacts(
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, elevation: str
+) -> Numbers:
+    """Add what the sonar saw to the graph; returns the numbers of the landmarks, rising."""
+    if (table := tables.get("sonar")) is not None:
+        report.sonar, report.offset = _sonar(table)
+    if (table := tables.get("contacts")) is None:
+        return np.zeros(0, dtype=np.int64)
+    assert report.sonar is not None
+    i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
+    k = table.integers("landmark")
+    table.positive("range_m")
+    z = table.floats(*CONTACT)
+    r, azimuth = z.T
+    if (behind := ~(np.abs(azimuth) <= np.pi)).any():
+        row = int(np.argmax(behind))
+        raise table.at(row, f"azimuth_rad is {float(azimuth[row])!r}; expected radians, -pi to pi")
+    near, far = report.sonar.window
+    outside = (np.abs(azimuth) > report.sonar.fan / 2) | (r < near) | (r > far)
+    if count := int(outside.sum()):
+        first = int(table.lines[np.argmax(outside)]) + 1
+        report.notes.append(
+            f"{count} contacts are outside the fan or range window of sonar.csv (first on line {first}); they are used"
+        )
+    noise = Diagonal(table.positive(*suffixed(CONTACT)))
+    for factor in sonar_factors(x[i], l[k], z, noise, report.sonar, report.offset, elevation):
+        graph.add(factor)
+    return np.unique(k)
+
+
+def _sonar(table: Table) -> tuple[ImagingSonar, Array]:
+    """The sonar of the one row of sonar.csv, and its mounting (7,)."""
+    if len(table) > 1:
+        raise table.at(1, "a second sonar; a mission has one")
+    fan, aperture, near, far = table.floats("fan_rad", "aperture_rad", "range_min_m", "range_max_m")[0].tolist()
+    beams, bins = int(table.integers("beams")[0]), int(table.integers("bins")[0])
+    try:
+        sonar = ImagingSonar(table.text_of("name")[0], beams, bins, fan, aperture, (near, far))
+    except OptionError as error:
+        raise table.at(0, str(error)) from error
+    return sonar, euler.to_se3(table.floats(*ANGLES, *PLACE)[0])

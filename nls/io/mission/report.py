@@ -1,0 +1,31 @@
+"""What a mission folder holds besides its graph: the report that comes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from models.algebra import Array
+from nls.io.report import LoadReport
+from nls.values import Values
+
+if TYPE_CHECKING:
+    from models.sensors import ImagingSonar
+
+__all__ = ["MissionReport"]
+
+
+@dataclass
+class MissionReport(LoadReport):
+    """The report of a mission folder; `vertex_times` has the times of its poses where poses.csv gives them.
+
+    Attributes
+    ----------
+    truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
+    sonar : the sonar its contacts were seen with; None without contacts.
+    offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    """
+
+    truth: Values = field(default_factory=Values)
+    sonar: ImagingSonar | None = None
+    offset: Array | None = field(default=None, compare=False)

@@ -1,0 +1,59 @@
+"""The solution of a mission as CSV files: the trajectory and the map, with what is known of how good they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors.keys import kinds
+from models import euler
+from models.algebra import Array
+from nls.covariance import Marginals
+from nls.io.mission.columns import COLUMNS, PLACE, suffixed
+from nls.io.mission.solution import Elevations
+from nls.io.mission.table import csv_text
+from nls.values import Values
+
+__all__ = ["MAP", "TRAJECTORY", "map_text", "trajectory_text"]
+
+x, l = kinds("x", "l")
+TRAJECTORY = (*COLUMNS["truth"], *suffixed(COLUMNS["truth"][1:]))
+UPPER = np.triu_indices(3)
+MAP = (
+    *("landmark", *PLACE),
+    *(f"cov_{'xyz'[row]}_{'xyz'[column]}_m2" for row, column in zip(*UPPER, strict=True)),
+    *("views", "first_i", "elevation_rad", "sigma_elevation_rad"),
+)
+
+
+def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
+    """trajectory.csv: the Euler 6-vector of every pose and its standard deviations, empty where there are none.
+
+    Raises
+    ------
+    SingularGeometryError
+        A pose at gimbal lock.
+    """
+    stack = values.stack("x")
+    sigmas = None
+    if marginals is not None:
+        sigmas = np.sqrt(np.diagonal(marginals.all(x, view="euler"), axis1=1, axis2=2))
+    return csv_text(TRAJECTORY, stack.numbers, euler.from_se3(stack.X), _or_empty(sigmas, (len(stack), 6)))
+
+
+def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> bytes:
+    """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
+
+    The elevation is the one in the frame of the sonar at the first view. Cells are empty where there are no sigmas.
+    """
+    n, keys = len(found.landmarks), l[found.landmarks]
+    Sigma = None if marginals is None else marginals.covariance(keys)[:, *UPPER]
+    sigma = None if marginals is None else found.sigma[:, None]
+    return csv_text(
+        MAP,
+        *(found.landmarks, values[keys], _or_empty(Sigma, (n, 6)), found.views, found.poses),
+        *(found.elevation[:, None], _or_empty(sigma, (n, 1))),
+    )
+
+
+def _or_empty(numbers: Array | None, shape: tuple[int, int]) -> Array | list[list[str]]:
+    return [[""] * shape[1]] * shape[0] if numbers is None else numbers

@@ -1,0 +1,174 @@
+r"""What a solved mission is worth: the drift of its track, and how well the elevation of its landmarks is known.
+
+    drift = |t_n - t_n,true| / distance,    distance = sum |t_k+1 - t_k|
+
+of dead reckoning and of the solution, nothing aligned. The elevation of a landmark is the one in its first view:
+
+    sigma^2 = H Sigma H',    H = [H_X, H_l] of the elevation, Sigma the joint covariance of that pose and landmark
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import Elevation, Factor, Isotropic, RangeAzimuth
+from factors.keys import kinds
+from models import SE3, LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError
+from models.sensors import cartesian, spherical
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.io.mission.report import MissionReport
+from nls.metrics import TrajectoryError, ate
+from nls.values import Values
+
+__all__ = ["Elevations", "Track", "elevations", "track_of"]
+
+Numbers = npt.NDArray[np.int64]
+FOLLOWS = 1e-3  # rad
+x, l, e = kinds("x", "l", "e")
+
+
+@dataclass(frozen=True)
+class Track:
+    """A track beside the one it is judged by: the truth, or the solution where there is none.
+
+    Attributes
+    ----------
+    against : ``truth`` or ``solution``.
+    numbers : (n,) poses that both have, in the order of time.
+    along : (n,) distance travelled up to every pose, along the path it is judged by, m.
+    error : (n,) distance between the two at every pose, m.
+    ate : absolute trajectory error, nothing aligned.
+    """
+
+    against: str
+    numbers: Numbers = field(repr=False)
+    along: Array = field(repr=False)
+    error: Array = field(repr=False)
+    ate: TrajectoryError
+
+    @property
+    def distance(self) -> float:
+        """Distance travelled, m."""
+        return float(self.along[-1])
+
+    @property
+    def end(self) -> float:
+        """Error at the last pose, m."""
+        return float(self.error[-1])
+
+    @property
+    def drift(self) -> float:
+        """Error at the last pose over the distance, a fraction; nan where nothing moved."""
+        return self.end / self.distance if self.distance > 0 else float("nan")
+
+
+def track_of(estimate: Values, judge: Values, report: MissionReport, against: str) -> Track:
+    """The poses of an estimate beside those of a judge.
+
+    Parameters
+    ----------
+    estimate, judge : poses ``x``; those that both have are compared, in the order of their times or numbers.
+    report : of the mission: the times.
+    against : what the judge is, for the reader.
+
+    Raises
+    ------
+    GraphError
+        No pose is in both.
+    """
+    stack, known = estimate.stack("x"), judge.stack("x").numbers
+    times = report.vertex_times.get("x", stack.numbers)
+    numbers = stack.numbers[np.argsort(times, kind="stable")]
+    numbers = numbers[np.isin(numbers, known)]
+    if not len(numbers):
+        raise GraphError(f"the {against} has none of the poses of the mission")
+    P, Q = estimate[x[numbers]], judge[x[numbers]]
+    found = ate(P, Q)
+    steps = np.linalg.norm(np.diff(SE3.position(Q), axis=0), axis=1)
+    return Track(against, numbers, np.append(0.0, np.cumsum(steps)), found.distances, found)
+
+
+@dataclass(frozen=True)
+class Elevations:
+    """Landmarks as their first view has them, by their number.
+
+    Attributes
+    ----------
+    landmarks, poses : (n,) numbers of the landmarks and of the poses that saw them first.
+    views : (n,) contacts of each.
+    range, azimuth, elevation : (n,) of the estimate, in the frame of the sonar at that pose, m and rad.
+    sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for.
+    along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
+    """
+
+    landmarks: Numbers
+    poses: Numbers
+    views: npt.NDArray[np.intp]
+    range: Array
+    azimuth: Array
+    elevation: Array
+    sigma: Array
+    along: Array
+
+
+def elevations(graph: FactorGraph, values: Values, sigmas: bool = False) -> Elevations:
+    """The elevation of every landmark of a mission at its first view, and how well it is known.
+
+    Parameters
+    ----------
+    graph : its `RangeAzimuth` factors; their offset is fixed.
+    values : poses ``x`` and landmarks ``l``.
+    sigmas : whether to compute the standard deviations, from the covariances at these values.
+
+    Raises
+    ------
+    UnderconstrainedError
+        Sigmas where the measurements leave something free.
+    """
+    seen = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+    pose = np.concatenate([factor.keys[0].numbers for factor in seen])
+    point = np.concatenate([factor.keys[1].numbers for factor in seen])
+    order = np.lexsort((pose, point))
+    landmarks, first, views = np.unique(point[order], return_index=True, return_counts=True)
+    poses = pose[order][first]
+    view = Elevation(x[poses], l[landmarks], np.zeros(len(poses)), Isotropic(1.0), seen[0].offset)
+    model, X = values.gather(view)
+    group = model.manifolds[0]
+    assert isinstance(group, LieGroup)
+    S = view.sensor_pose(group, X[0])
+    r, azimuth, elevation = spherical(group.act(group.inverse(S), X[1]))[0].T
+    _, J = cartesian(np.column_stack([r, azimuth, elevation]))
+    along = (group.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
+    sigma = _sigmas(graph, values, view, elevation) if sigmas else np.full(len(r), np.nan)
+    return Elevations(landmarks, poses, views, r, azimuth, elevation, sigma, along)
+
+
+def _sigmas(graph: FactorGraph, values: Values, view: Elevation, elevation: Array) -> Array:
+    """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`.
+
+    A variable that only follows adds nothing to what is known of the others, and its variance is H Sigma H' +
+    FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
+    with its pose are nine columns of the inverse each (1,321 landmarks of 2,143 poses: 3 s, not 47).
+    """
+    manifolds = values.gather(view)[0].manifolds
+
+    def away(X: Array, L: Array, E: Array) -> Array:
+        return view.predict(manifolds, X, L)[0] - E
+
+    def jacobians(X: Array, L: Array, E: Array) -> tuple[Array, Array, Array]:
+        H = view.predict(manifolds, X, L)[1]
+        assert H is not None
+        H_x, H_l = (np.asarray(each) for each in H)
+        return H_x, H_l, np.full((len(E), 1, 1), -1.0)
+
+    follow = Factor.from_function(away, [*view.keys, e[np.arange(len(view))]], 1, Isotropic(FOLLOWS), jacobians)
+    wider = FactorGraph([*graph.factors, follow])
+    wider.fixed = list(graph.fixed)
+    both = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
+    return np.asarray(np.sqrt(Marginals(wider, both).all(e)[:, 0, 0] - FOLLOWS**2))

@@ -1,0 +1,250 @@
+"""A graph as a mission folder: the files `read_mission` reads, numbers bit for bit."""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import XYH, ZPR, Diagonal, Elevation, Heading, Isotropic, Position, Prior, RangeAzimuth
+from factors.base import Factor
+from models import SE3, euler
+from models.algebra import Array
+from models.errors import GraphError, GraphFileError
+from nls.graph import FactorGraph
+from nls.io.files import write_bytes
+from nls.io.mission.columns import COLUMNS, TRACK
+from nls.io.mission.table import csv_text
+from nls.values import Values
+
+if TYPE_CHECKING:
+    from models.sensors import ImagingSonar
+
+__all__ = ["mission_files", "write_mission"]
+
+Numbers = npt.NDArray[np.int64]
+Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
+MEASURED = {"odometry": ("x", "y", "yaw"), "zpr": ("z", "pitch", "roll"), "contacts": ("range", "azimuth")}
+
+
+def write_mission(
+    folder: str | Path,
+    graph: FactorGraph,
+    sonar: ImagingSonar | None = None,
+    offset: npt.ArrayLike | None = None,
+    truth: Values | None = None,
+    times: npt.ArrayLike | None = None,
+) -> list[str]:
+    """Write a mission folder, which is made where there is none.
+
+    Parameters
+    ----------
+    folder : where.
+    graph : `XYH` and `ZPR` of poses ``x``; the anchor, a `Prior` of x, y and yaw, or `Position` and `Heading`;
+        `RangeAzimuth` of landmarks ``l``. Factors of the elevation have no file: sonar.csv says the aperture, and
+        `read_mission` makes them. Of an anchor that is a `Prior`, x, y and yaw are written.
+    sonar, offset : the sonar and its mounting (7,), SE3; None where it saw nothing, and where it is the vehicle.
+    truth : true poses ``x`` and landmarks ``l``.
+    times : (n,) of the poses, s, in the order of their numbers.
+
+    Returns
+    -------
+    list of str
+        The files that were written.
+
+    Raises
+    ------
+    GraphError
+        A factor, kind of variable or noise that no file has columns for; a pose that is not in the track.
+    GraphFileError
+        The folder cannot be written, or holds files of another mission that would be mixed with these.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from factors import XYH, ZPR, Diagonal
+    >>> from nls import FactorGraph, kinds
+    >>> (x,) = kinds("x")
+    >>> step = XYH(x[0], x[1], [1.0, 0.2, 0.5], Diagonal(x=0.01, y=0.01, yaw=0.004))
+    >>> tilt = ZPR(x[[0, 1]], [[5.0, 0.1, 0.0], [5.5, 0.2, -0.1]], Diagonal(z=0.01, pitch=0.002, roll=0.002))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = write_mission(folder, FactorGraph([step, tilt]))
+    ...     print(Path(folder, "odometry.csv").read_text())
+    i,j,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad
+    0,1,1.0,0.2,0.5,0.01,0.01,0.004
+    >>> [Path(file).name for file in files]
+    ['odometry.csv', 'zpr.csv']
+    """
+    files = mission_files(graph, sonar, offset, truth, times)
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GraphFileError(f"cannot be made: {error.strerror or error}", str(folder)) from error
+    for name in COLUMNS:
+        for file in (path / f"{name}.csv", path / f"{name}.csv.gz"):
+            if file.exists() and file.name not in files:
+                raise GraphFileError(
+                    "is of another mission, which would be mixed with this one; remove it, or give another folder",
+                    str(file),
+                )
+    for file_name, data in files.items():
+        write_bytes(path / file_name, data)
+    return [str(path / name) for name in files]
+
+
+def mission_files(
+    graph: FactorGraph,
+    sonar: ImagingSonar | None = None,
+    offset: npt.ArrayLike | None = None,
+    truth: Values | None = None,
+    times: npt.ArrayLike | None = None,
+) -> dict[str, bytes]:
+    """The files `write_mission` writes, by name; parameters and errors as there."""
+    mount = SE3.identity()[0] if offset is None else SE3.stack(offset)[0]
+    rows: dict[str, list[Rows]] = {}
+    for factor in graph.factors:
+        if (name := _file_of(factor, mount)) in MEASURED:
+            numbers = [keys.numbers for keys in factor.keys]
+            rows.setdefault(name, []).append((*numbers, _z(factor), _sigmas(factor, MEASURED[name])))
+    if anchors := _anchors(graph):
+        rows["anchor"] = anchors
+    if sonar is not None:
+        rows["sonar"] = [_sonar(sonar, mount)]
+    for name, kind in (("truth", "x"), ("landmarks", "l")):
+        if truth is not None and kind in truth.stacks:
+            X = np.asarray(truth.stack(kind).X)
+            rows[name] = [(truth.stack(kind).numbers, euler.from_se3(X) if kind == "x" else X)]
+    if missing := [name for name in TRACK if name not in rows]:
+        raise GraphError(f"write_mission: the graph has no factors for {missing[0]}.csv; a mission needs XYH and ZPR")
+    if "contacts" in rows and sonar is None:
+        raise GraphError("write_mission: the graph has contacts; give the sonar that saw them")
+    poses = _refuse_stray(rows)
+    if times is not None:
+        rows["poses"] = [_times(poses, times)]
+    return {
+        f"{name}.csv": csv_text(names, *(np.concatenate(column) for column in zip(*rows[name], strict=True)))
+        for name, names in COLUMNS.items()
+        if name in rows
+    }
+
+
+def _file_of(factor: Factor, mount: Array) -> str:
+    """The file a factor is written to; anchor for its parts, and none for the elevation.
+
+    Raises
+    ------
+    GraphError
+        No file has columns for it.
+    """
+    kinds = [keys.kind for keys in factor.keys]
+    seen = isinstance(factor, RangeAzimuth | Elevation)
+    wanted = ["x", "l"] if seen else ["x"] * len(kinds)
+    if kinds != wanted:
+        raise _no_file(factor, f"its variables are {kinds}, expected {wanted}")
+    if factor.kernel is not None:
+        raise _no_file(factor, "it has a robust kernel; write the graph without")
+    if isinstance(factor, RangeAzimuth | Elevation):
+        own = SE3.identity() if factor.offset is None else np.asarray(factor.offset)
+        if not (own == mount).all():
+            raise _no_file(factor, "its offset is not the one given for sonar.csv")
+        return "contacts" if isinstance(factor, RangeAzimuth) else ""
+    if isinstance(factor, XYH) and factor.form != "levelled":
+        raise _no_file(factor, "odometry.csv holds the levelled form")
+    for name, kind in (("odometry", XYH), ("zpr", ZPR), ("anchor", Prior), ("anchor", Position), ("anchor", Heading)):
+        if isinstance(factor, kind):
+            return name
+    raise _no_file(factor, "files hold XYH, ZPR, RangeAzimuth, and an anchor: Prior, or Position and Heading")
+
+
+def _refuse_stray(rows: dict[str, list[Rows]]) -> Numbers:
+    """Numbers of the poses of the track, rising; refuses what `read_mission` would.
+
+    Raises
+    ------
+    GraphError
+        A pose that is not in the track; two rows for a pose that has one.
+    """
+    poses = np.unique(np.concatenate([np.concatenate(row[:2]) for row in rows["odometry"]]))
+    for name in ("zpr", "anchor", "contacts"):
+        given = np.concatenate([np.asarray(row[0]) for row in rows.get(name, [])] or [poses[:0]])
+        each, count = np.unique(given, return_counts=True)
+        if len(stray := np.setdiff1d(each, poses)):
+            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
+        if name != "contacts" and (count > 1).any():
+            raise GraphError(f"write_mission: x{each[np.argmax(count)]} is measured twice in {name}.csv; expected once")
+    return poses
+
+
+def _times(poses: Numbers, times: npt.ArrayLike) -> Rows:
+    """The rows of poses.csv, in the order of time."""
+    t = np.asarray(times, dtype=float)
+    if t.shape != poses.shape or len(np.unique(t)) < len(t):
+        raise GraphError(
+            f"write_mission: times of shape {t.shape}, expected {poses.shape}: one of its own for each pose"
+        )
+    order = np.argsort(t)
+    return poses[order], t[order]
+
+
+def _no_file(factor: Factor, why: str) -> GraphError:
+    return GraphError(f"{factor!r} has no file in a mission folder: {why}", factor.keys, factor.name)
+
+
+def _anchors(graph: FactorGraph) -> list[Rows]:
+    """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading."""
+    rows: list[Rows] = []
+    for factor in graph.factors:
+        if isinstance(factor, Prior):
+            if factor.components != ("x", "y", "yaw") or factor.offset is not None:
+                raise _no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
+            z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
+            rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], _sigmas(factor, ("x", "y", "yaw"))))
+    positions = [factor for factor in graph.factors if isinstance(factor, Position)]
+    headings = [factor for factor in graph.factors if isinstance(factor, Heading)]
+    for p, h in zip_longest(positions, headings):
+        if p is None or h is None or p.keys != h.keys or p.components != ("x", "y") or p.offset is not None:
+            raise _no_file(
+                h if p is None else p,
+                "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose",
+            )
+        sigmas = np.hstack([_sigmas(p, ("x", "y")), _sigmas(h, ("yaw",))])
+        rows.append((p.keys[0].numbers, np.hstack([_z(p), _z(h)]), sigmas))
+    return rows
+
+
+def _z(factor: Factor) -> Array:
+    """Measurements (n, m); of one number each they may be (n,)."""
+    n = len(factor)
+    z = factor.z.reshape(-1, 1) if isinstance(factor, Heading) else np.atleast_2d(factor.z)
+    return np.broadcast_to(z, (n, z.shape[1]))
+
+
+def _sigmas(factor: Factor, names: tuple[str, ...]) -> Array:
+    """Standard deviations (n, m) of the named components of each measurement.
+
+    Raises
+    ------
+    GraphError
+        The noise has correlations, for which there are no columns.
+    """
+    noise, shape = factor.noise, (len(factor), len(names))
+    if isinstance(noise, Isotropic):
+        return np.broadcast_to(noise.sigma[:, None], shape)
+    if isinstance(noise, Diagonal) and noise.sigmas is not None:
+        return np.broadcast_to(noise.sigmas, shape)
+    if isinstance(noise, Diagonal):
+        return np.stack([np.broadcast_to(noise.named[name], shape[0]) for name in names], axis=1)
+    raise _no_file(factor, f"its noise is {noise!r}; files hold standard deviations, Diagonal or Isotropic")
+
+
+def _sonar(sonar: ImagingSonar, mount: Array) -> Rows:
+    """The row of sonar.csv."""
+    if "\n" in sonar.name:
+        raise GraphError(f"write_mission: the name of the sonar, {sonar.name!r}, has more than one line")
+    quoted = '"' + sonar.name.replace('"', '""') + '"'
+    numbers = [[sonar.fan, sonar.aperture, *sonar.window, *mount[:3], *euler.from_se3(mount)[:3]]]
+    return [quoted], [sonar.beams], [sonar.bins], np.array(numbers)
