@@ -61,7 +61,7 @@ class Factor(Abstract):
         anchor a part of the graph nor join two parts.
     each : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part of the batch
         takes its rows of them.
-    limit_only : True when it says that something is within limits: no measurement, so its rows are no degrees of freedom.
+    limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     """

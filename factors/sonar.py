@@ -15,7 +15,7 @@ from factors.range_azimuth import RangeAzimuth
 from models.errors import OptionError
 from models.sensors import ImagingSonar
 
-__all__ = ["sonar_factors"]
+__all__ = ["first_contacts", "sonar_factors"]
 
 
 def sonar_factors(

@@ -174,7 +174,7 @@ class FactorGraph:
         return Result(
             values=watch.best,
             status=watch.status,
-            reason=watch.reason,
+            reason=watch.reason + (f"; {len(free)} directions are free, see `underconstrained`" if free else ""),
             history=watch.history,
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,

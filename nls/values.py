@@ -175,8 +175,17 @@ class Values:
         """An independent copy."""
         return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})
 
-    def replaced(self, X: Mapping[str, Array]) -> Values:
-        """The same variables with other stacks for some kinds."""
+    def replaced(self, X: Mapping[Any, Array]) -> Values:
+        """The same variables with other stacks (n, size) for some kinds (a `Kind` or its name), taken as they are.
+
+        Raises
+        ------
+        GraphError
+            A kind there is none of.
+        """
+        X = {kind.name if isinstance(kind, Kind) else kind: stack for kind, stack in X.items()}
+        for kind in X:
+            self.stack(kind)
         return Values.of(stack.moved(X[n]) if n in X else stack for n, stack in self.stacks.items())
 
     def retract(self, delta: Array) -> Values:

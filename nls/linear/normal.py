@@ -107,7 +107,7 @@ class NormalState:
         pivots = self.factorization.factorize(S)
         if not (pivots > SINGULAR * diagonal).all():
             raise SingularSystemError("a pivot of A'A vanishes")
-        self._kept, self.diagonal = pivots / diagonal, diagonal
+        self._kept, self.diagonal = pivots / np.where(diagonal > 0, diagonal, 1.0), diagonal
         return diagonal
 
     def refuse_free(self, system: LinearSystem) -> None:
@@ -124,7 +124,7 @@ class NormalState:
         weak = self._kept < WEAK
         if not (weak & (self._kept < 0.5 * self._judged)).any():
             return
-        D = 1 / system.column_norms
+        D = 1 / np.where(system.column_norms > 0, system.column_norms, 1.0)
         v = np.random.default_rng(0).normal(size=len(D))
         for _ in range(3):
             v = self.solve(v / D) / D

@@ -1,8 +1,19 @@
-"""Pictures: trajectories, ellipses, sparsity, convergence. matplotlib is imported in this folder only, and lazily."""
+"""Pictures: trajectories, ellipses, sparsity, convergence, sonar. Here alone is matplotlib imported, and lazily."""
 
 from nls.plot.convergence import convergence
+from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
+from nls.plot.sonar import fan_image, polar_image
 from nls.plot.sparsity import spy
 from nls.plot.trajectory import before_after, trajectory
 
-__all__ = ["before_after", "convergence", "ellipses", "spy", "trajectory"]
+__all__ = [
+    "before_after",
+    "convergence",
+    "elevation_map",
+    "ellipses",
+    "fan_image",
+    "polar_image",
+    "spy",
+    "trajectory",
+]

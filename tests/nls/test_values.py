@@ -141,3 +141,12 @@ def test_gather_gives_one_stack_per_slot() -> None:
     assert model.manifolds == (SE2, SE2)
     assert np.array_equal(Xi, X[[0, 4]])
     assert np.array_equal(Xj, X[[3, 1]])
+
+
+def test_other_stacks_for_kinds_that_exist() -> None:
+    x, l = kinds("x", "l")
+    values = Values({x: (R(1), [[1.0], [2.0]]), l: (R(2), [[3.0, 4.0]])})
+    assert values.replaced({l: np.array([[5.0, 6.0]])})[l].tolist() == [[5.0, 6.0]]
+    assert values.replaced({"x": np.array([[7.0], [8.0]])})[x].tolist() == [[7.0], [8.0]]
+    with pytest.raises(GraphError, match="no variable of kind 'p'"):
+        values.replaced({"p": np.zeros((1, 1))})

@@ -1,0 +1,188 @@
+"""What an imaging sonar saw: by beam and range, as a fan, and with the arcs on which landmarks must lie.
+
+A contact of range r and azimuth az is one place in the fan, r (cos az, sin az), whatever its elevation: seen from the
+same pose the whole arc of elevations falls onto it. Seen from another pose it does not. There an arc is drawn from the
+lower to the upper edge of the aperture, and the landmark must lie where its other contacts cross it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.range_azimuth import RangeAzimuth
+from models import SE3
+from models.errors import GraphError
+from models.sensors import ImagingSonar, cartesian, plane_projection
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from factors.keys import Keys
+    from models.algebra import Array
+    from nls.values import Values
+
+__all__ = ["arcs", "fan_image", "polar_image"]
+
+ARC, LANDMARK, CONTACT = "#e07a2f", "#3f8f4f", "#3aa0d8"
+ALONG = 33  # points an arc is drawn through
+
+
+def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
+    """The image as the sonar delivers it: a column a beam, a row a range bin, near at the bottom.
+
+    Parameters
+    ----------
+    image : (beams, bins) amplitudes.
+    sonar : its fan and window.
+    axes : where; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models.sensors import DIDSON_LOW
+    >>> polar_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
+    'range [m]'
+    """
+    _check(image, sonar)
+    axes = _axes(axes, (4, 6))
+    half = np.degrees(sonar.fan) / 2
+    axes.imshow(
+        np.asarray(image).T, cmap="gray", origin="lower", aspect="auto", extent=(-half, half, *sonar.window), vmin=0.0
+    )
+    axes.set(xlabel="azimuth [deg]", ylabel="range [m]")
+    return _figure(axes)
+
+
+def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
+    """The image as a map: every cell where it lies in the plane of the sonar, ahead upwards, starboard to the right.
+
+    Parameters
+    ----------
+    image : (beams, bins) amplitudes.
+    sonar : its fan and window.
+    axes : where; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models.sensors import DIDSON_LOW
+    >>> fan_image(np.zeros((48, 512)), DIDSON_LOW).axes[0].get_ylabel()
+    'ahead [m]'
+    """
+    _check(image, sonar)
+    axes = _axes(axes, (5, 6))
+    azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
+    r = np.linspace(*sonar.window, sonar.bins + 1)
+    ahead, starboard = r * np.cos(azimuth)[:, None], r * np.sin(azimuth)[:, None]
+    axes.pcolormesh(starboard, ahead, np.asarray(image), cmap="gray", vmin=0.0, rasterized=True)
+    return _as_map(axes)
+
+
+def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
+    """In the fan of one pose: its contacts, the landmarks, and each landmark's arc of another pose.
+
+    Of every landmark with a contact here, the contact of the pose farthest from here is spread over the aperture, to
+    the arc on which the landmark must lie, and that arc is seen from here.
+
+    Parameters
+    ----------
+    contacts : what the sonar measured, with a fixed offset or none.
+    values : poses and landmarks.
+    pose : one pose, ``x[17]``.
+    sonar : its fan, window and aperture.
+    axes : where, such as those of `fan_image`; a new figure when omitted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    GraphError
+        The pose has no contact.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls import kinds
+    >>> (x,) = kinds("x")
+    >>> mission = sim.hauv_floor(np.random.default_rng(0), legs=2, per_leg=8)
+    >>> axes = arcs(mission.contacts, mission.truth, x[5], mission.sonar).axes[0]
+    >>> [text.get_text() for text in axes.get_legend().get_texts()]
+    ['contact', 'landmark', 'arc of its farthest contact']
+    """
+    of, target = contacts.keys[:2]
+    here = np.flatnonzero(of.numbers == pose.numbers[0])
+    if not len(here):
+        raise GraphError(f"{pose!r} has no contact among {contacts!r}", [pose])
+    _, X = values.gather(contacts)
+    S = np.asarray(contacts.sensor_pose(SE3, X[0], *X[2:]))
+    away = np.linalg.norm(SE3.position(S) - SE3.position(S[here[:1]]), axis=1)
+    order = np.lexsort((away, target.numbers))
+    last = np.append(target.numbers[order][1:] != target.numbers[order][:-1], True)  # of each landmark the farthest
+    farthest = order[last]
+    farthest = farthest[np.isin(target.numbers[farthest], target.numbers[here]) & (away[farthest] > 0)]
+
+    from_here = SE3.inverse(S[here[:1]])
+    elevation = np.linspace(-sonar.aperture / 2, sonar.aperture / 2, ALONG)
+    each = np.repeat(farthest, ALONG)
+    p = cartesian(np.column_stack([contacts.z[each], np.tile(elevation, len(farthest))]))[0]
+    arc = plane_projection(SE3.act(from_here, SE3.act(S[each], p))).reshape(-1, ALONG, 2)
+    landmark = plane_projection(SE3.act(from_here, X[1][here]))
+    r, azimuth = contacts.z[here].T
+
+    from matplotlib.collections import LineCollection
+
+    alone = axes is None
+    axes = _axes(axes, (5, 6))
+    at = r * np.sin(azimuth), r * np.cos(azimuth)
+    axes.plot(*at, "o", markerfacecolor="none", color=CONTACT, markersize=7, label="contact")
+    axes.plot(*landmark[:, ::-1].T, "+", color=LANDMARK, markersize=7, label="landmark")
+    label = "arc of its farthest contact"
+    axes.add_collection(LineCollection(list(arc[:, :, ::-1]), color=ARC, linewidth=1.0, label=label))
+    if alone:
+        edge = np.linspace(-sonar.fan / 2, sonar.fan / 2, ALONG)
+        edges = [
+            np.append(sonar.window[0] * np.sin(edge), sonar.window[1] * np.sin(edge[::-1])),
+            np.append(sonar.window[0] * np.cos(edge), sonar.window[1] * np.cos(edge[::-1])),
+        ]
+        axes.fill(*edges, facecolor="none", edgecolor="0.7", linewidth=0.8)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
+    return _as_map(axes)
+
+
+def _check(image: Array, sonar: ImagingSonar) -> None:
+    if np.shape(image) != (sonar.beams, sonar.bins):
+        raise GraphError(
+            f"an image of shape {np.shape(image)}; {sonar.name} makes ({sonar.beams}, {sonar.bins}): beams, bins"
+        )
+
+
+def _axes(axes: Axes | None, size: tuple[float, float]) -> Axes:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=size, layout="constrained").add_subplot() if axes is None else axes
+
+
+def _as_map(axes: Axes) -> Figure:
+    axes.set(xlabel="starboard [m]", ylabel="ahead [m]")
+    axes.set_aspect("equal")
+    return _figure(axes)
+
+
+def _figure(axes: Axes) -> Figure:
+    figure = axes.get_figure()
+    assert figure is not None
+    return figure  # type: ignore[return-value]

@@ -1,0 +1,231 @@
+"""Weak directions of landmarks, and steps that leave them out."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from factors import Between, Isotropic, Landmark, Prior
+from models import SE2, SE3, R, euler
+from models.algebra import Array
+from nls import (
+    Cholesky,
+    FactorGraph,
+    GaussNewton,
+    GraphError,
+    Marginals,
+    OptionError,
+    Pinv,
+    Schur,
+    UnderconstrainedError,
+    Values,
+)
+from nls.degeneracy import landmark_information, truncated_inverse
+from nls.linear import LU, LinearSolver
+from tests.nls.planar import l, mission, x
+
+SOLVERS = [solver for solver in (LU, Cholesky) if solver.missing() is None]
+
+
+def rotated(rng: np.random.Generator, eigenvalues: Array) -> tuple[Array, Array]:
+    """Symmetric matrices (n, d, d) of given eigenvalues (n, d), and their eigenvectors."""
+    V = np.linalg.qr(rng.normal(size=(*eigenvalues.shape, eigenvalues.shape[-1])))[0]
+    return (V * eigenvalues[:, None, :]) @ V.mT, V
+
+
+def test_directions_above_the_threshold_are_inverted_and_the_others_left_out() -> None:
+    w = np.array([[1e4, 2e3, 11.0], [1e4, 2e3, 9.0], [5.0, 5.0, 5.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    H, V = rotated(np.random.default_rng(1), w)
+    kept = np.array([[1, 1, 1], [1, 1, 0], [1, 1, 1], [1, 0, 0], [0, 0, 0]])
+    expected = (V * np.where(kept, kept / np.where(kept, w, 1), 0)[:, None, :]) @ V.mT
+    np.testing.assert_allclose(truncated_inverse(H), expected, atol=1e-12)
+    np.testing.assert_allclose(truncated_inverse(H[0], tau=0.0), np.linalg.inv(H[0]), rtol=1e-9)
+
+
+def test_the_threshold_is_a_value_and_relative() -> None:
+    """Not a place in a list, nor a number of measurements: as many views again, or other units, change nothing."""
+    H, _ = rotated(np.random.default_rng(2), np.array([[1e4, 5e3, 15.0], [1e4, 5e3, 5.0]]))
+    for scale in (1e-6, 1.0, 50.0, 1e8):
+        np.testing.assert_allclose(truncated_inverse(scale * H) * scale, truncated_inverse(H), rtol=1e-9, atol=1e-12)
+        rank = np.linalg.matrix_rank(truncated_inverse(scale * H), tol=1e-8 / scale)
+        assert rank.tolist() == [3, 2]
+
+
+def test_a_floor_leaves_out_what_is_known_better_without() -> None:
+    H, _ = rotated(np.random.default_rng(3), np.array([[900.0, 800.0, 30.0], [900.0, 800.0, 30.0]]))
+    rank = np.linalg.matrix_rank(truncated_inverse(H, floor=[20.0, 40.0]), tol=1e-9)
+    assert rank.tolist() == [3, 2]
+
+
+@pytest.mark.parametrize("tau", [-0.1, 1.0, np.nan, True, "small"])
+def test_a_threshold_that_cannot_be(tau: object) -> None:
+    with pytest.raises(OptionError, match="tau"):
+        truncated_inverse(np.eye(3), tau)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="floor"):
+        truncated_inverse(np.eye(3), floor=-1.0)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_level_motion_at_elevation_0_is_singular_and_every_landmark_is_named(solver: type[LinearSolver]) -> None:
+    graph, _, start = mission(np.random.default_rng(0), np.zeros(5))
+    with pytest.raises(UnderconstrainedError) as caught:
+        graph.optimize(start, GaussNewton(), solver())
+    error = caught.value
+    assert error.nullity == 5
+    assert [repr(key) for key in error.keys] == [f"l{k}" for k in range(5)]
+    assert sorted(error.components) == [f"l{k}: z" for k in range(5)]
+    assert all(f"l{k}: z" in str(error) for k in range(5))
+    with pytest.raises(UnderconstrainedError):
+        graph.optimize(start, GaussNewton(), Schur())
+
+
+def test_truncated_blocks_solve_it_and_move_no_landmark_along_its_elevation() -> None:
+    graph, _, start = mission(np.random.default_rng(0), np.zeros(12))
+    result = graph.optimize(start, GaussNewton(), Schur(block_inverse=truncated_inverse))
+    assert result.converged
+    assert 60 < result.chi2_final < 180 < result.chi2_initial  # 180 rows, 60 unknowns that are not elevations
+    assert np.abs(result.values[l][:, 2]).max() == 0.0
+    shortest = graph.optimize(
+        start, GaussNewton(), Pinv()
+    )  # of all minimizers the one with no part along the null space
+    np.testing.assert_allclose(result.values[l], shortest.values[l], atol=2e-6)
+    np.testing.assert_allclose(SE3.local(result.values[x], shortest.values[x]), 0.0, atol=2e-6)
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.2])
+def test_the_step_is_the_one_of_the_formula(tau: float) -> None:
+    """Weak and free directions together, against dense matrices: S, D_p and D_l of nls/degeneracy/truncated.py."""
+    heights = np.array([0.0, 0.0, 0.02, 0.3, -0.4, 0.5])
+    graph, _, start = mission(np.random.default_rng(4), heights, roll=0.02, heave=0.01)
+    system = graph.linearize(start)
+    solver = Schur(block_inverse=partial(truncated_inverse, tau=tau))
+    dx = solver.solve(solver.analyze(system.pattern), system).dx
+    H, g, p = (system.A.T @ system.A).toarray(), system.gradient, slice(0, 36)
+    blocks = [slice(36 + 3 * k, 39 + 3 * k) for k in range(6)]
+    P = [truncated_inverse(H[b, b], tau) for b in blocks]
+    S = H[p, p] - sum(H[p, b] @ P_b @ H[b, p] for b, P_b in zip(blocks, P, strict=True))
+    g_S = g[p] - sum(H[p, b] @ P_b @ g[b] for b, P_b in zip(blocks, P, strict=True))
+    D_p = np.linalg.solve(S, g_S)
+    np.testing.assert_allclose(dx[p], D_p, rtol=1e-6, atol=1e-9)
+    left_out = 0
+    for b, P_b in zip(blocks, P, strict=True):
+        np.testing.assert_allclose(dx[b], P_b @ (g[b] - H[b, p] @ D_p), rtol=1e-6, atol=1e-9)
+        w, V = np.linalg.eigh(H[b, b])
+        weak = w <= tau * w[-1]
+        left_out += int(weak.sum())
+        assert np.abs(V[:, weak].T @ dx[b]).max(initial=0.0) < 1e-12
+    assert left_out >= 2
+
+
+def test_where_nothing_is_weak_the_step_is_the_usual_one() -> None:
+    graph, _, start = mission(np.random.default_rng(5), np.linspace(-0.4, 0.4, 6), roll=0.3, heave=0.3)
+    assert not landmark_information(graph, start, l).degenerate().any()
+    system = graph.linearize(start)
+    solver = Schur(block_inverse=truncated_inverse)
+    np.testing.assert_allclose(solver.solve(solver.analyze(system.pattern), system).dx, system.solve(), rtol=1e-6)
+
+
+def test_information_of_a_landmark_is_its_block_of_AtA() -> None:
+    graph, _, start = mission(np.random.default_rng(6), np.array([0.0, 0.1, 0.4]), roll=0.1)
+    found = landmark_information(graph, start, "l")
+    H = (graph.linearize(start).A.T @ graph.linearize(start).A).toarray()
+    for k in range(3):
+        b = slice(36 + 3 * k, 39 + 3 * k)
+        np.testing.assert_allclose(found.information[k], H[b, b], rtol=1e-12)
+        np.testing.assert_allclose(
+            found.information[k] @ found.weak[k], found.eigenvalues[k, 0] * found.weak[k], atol=1e-6
+        )
+        assert found.condition[k] == pytest.approx(found.eigenvalues[k, 0] / found.eigenvalues[k, 2])
+        assert found.sigma[k] == pytest.approx(found.eigenvalues[k, 0] ** -0.5)
+    np.testing.assert_allclose(np.linalg.norm(found.weak, axis=1), 1.0)
+
+
+def test_the_weak_direction_of_level_motion_is_the_elevation() -> None:
+    graph, _, start = mission(np.random.default_rng(7), np.zeros(4))
+    found = landmark_information(graph, start, l)
+    np.testing.assert_allclose(found.weak, np.tile([0.0, 0.0, 1.0], (4, 1)), atol=1e-9)
+    np.testing.assert_allclose(found.elevation_angle, 0.0, atol=1e-7)
+    assert found.degenerate().all()
+    assert (found.condition < 1e-15).all()
+    text = found.report(2)
+    assert text.startswith("4 of 4 landmarks")
+    assert "free along (0.00, 0.00, 1.00), 0 deg from the elevation at its first sighting" in text
+    assert len(text.splitlines()) == 3
+
+
+def test_the_elevation_is_that_of_the_first_pose_in_the_world() -> None:
+    """A sonar rolled and pitched: one view alone, whose arc is the weak direction; then two, in either order."""
+    from factors import Diagonal, RangeAzimuth
+
+    X = euler.to_se3(np.array([[0.4, 0.3, 0.5, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+    O = euler.to_se3([0.0, -0.6, 0.0, 0.3, 0.0, 0.1])
+    S = SE3.compose(X, O)
+    p = np.array([[3.0, 0.4, 0.25]])
+    L = SE3.act(S[:1], p)
+    arc = np.cross(np.cross([0, 0, 1.0], p), p) * -1  # dp/del is normal to p, in the plane of p and the z axis
+    arc = SE3.rotation(S[0]) @ (arc / np.linalg.norm(arc)).ravel()
+    values = Values({x: (SE3, X[[0, 0]], [7, 3]), l: (R(3), L)})
+    other = RangeAzimuth(x[7], l[0], [3.0, 0.1], Diagonal([0.01, 0.01]))
+    seen = RangeAzimuth(x[3], l[0], [3.0, 0.1], Diagonal([0.01, 0.01]), offset=O)
+    found = landmark_information(FactorGraph([seen]), values, l)
+    assert abs(found.weak[0] @ arc) == pytest.approx(1.0)
+    assert found.elevation_angle[0] == pytest.approx(0.0, abs=1e-6)
+    both = landmark_information(FactorGraph([other, seen]), values, l)
+    assert both.elevation_angle[0] == pytest.approx(np.arccos(abs(both.weak[0] @ arc)), abs=1e-6)
+    assert both.elevation_angle[0] > 0.01
+    turned = landmark_information(FactorGraph([seen, other]), values, l)
+    np.testing.assert_allclose(turned.elevation_angle, both.elevation_angle, atol=1e-6)
+
+
+def test_marginal_information_is_the_inverse_of_the_marginal_covariance() -> None:
+    graph, _, start = mission(np.random.default_rng(8), np.linspace(-0.4, 0.4, 90), roll=0.3, heave=0.3)
+    found = landmark_information(graph, start, l, marginal=True)
+    assert found.marginal is not None
+    expected = np.linalg.inv(Marginals(graph, start).all(l))
+    np.testing.assert_allclose(found.marginal, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    assert (found.eigenvalues <= np.linalg.eigvalsh(found.information) * (1 + 1e-9)).all()
+
+
+def test_marginal_information_where_landmarks_are_free() -> None:
+    """Against the Schur complement by a dense pseudo-inverse; the free directions stay free."""
+    graph, _, start = mission(np.random.default_rng(9), np.array([0.0, 0.0, 0.3, -0.2]), roll=0.0)
+    found = landmark_information(graph, start, l, marginal=True)
+    assert found.marginal is not None
+    H = (graph.linearize(start).A.T @ graph.linearize(start).A).toarray()
+    for k in range(4):
+        own = np.arange(36 + 3 * k, 39 + 3 * k)
+        rest = np.setdiff1d(np.arange(len(H)), own)
+        M = (
+            H[np.ix_(own, own)]
+            - H[np.ix_(own, rest)] @ np.linalg.pinv(H[np.ix_(rest, rest)], rcond=1e-13) @ H[np.ix_(rest, own)]
+        )
+        np.testing.assert_allclose(found.marginal[k], M, atol=1e-5 * np.abs(M).max())
+    assert (found.condition[:2] < 1e-12).all()
+
+
+def test_marginal_information_needs_what_is_not_a_landmark_to_be_determined() -> None:
+    graph, _, start = mission(np.random.default_rng(10), np.array([0.3, -0.3]), roll=0.2)
+    anchor = graph.factors[1]
+    graph.remove(anchor)
+    with pytest.raises(UnderconstrainedError, match="leave 1 direction free"):
+        landmark_information(graph, start, l, marginal=True)
+    graph.fix(x[range(6)])
+    fixed = landmark_information(graph, start, l, marginal=True)
+    assert fixed.marginal is not None
+    np.testing.assert_array_equal(fixed.marginal, fixed.information)
+
+
+def test_landmarks_of_the_plane_and_kinds_that_are_none() -> None:
+    values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0]]), l: (R(2), [[2.0, 1.0]])})
+    graph = FactorGraph([Landmark(x[0], l[0], [2, 1], Isotropic(0.1)), Prior(x[0], [0, 0, 0], Isotropic(1))])
+    found = landmark_information(graph, values, l)
+    np.testing.assert_allclose(found.information, [100 * np.eye(2)])
+    assert np.isnan(found.elevation_angle).all()
+    with pytest.raises(GraphError, match="x is in SE2, expected points"):
+        landmark_information(graph, values, x)
+    graph.add(Between(l[0], l[1], [1.0, 0.0], Isotropic(0.1)))
+    two = Values({x: (SE2, [[0, 0, 0]]), l: (R(2), [[2.0, 1.0], [3.0, 1.0]])})
+    with pytest.raises(GraphError, match="joins two landmarks"):
+        landmark_information(graph, two, l, marginal=True)
