@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import math
 import re
 import sys
 import textwrap
@@ -15,22 +16,28 @@ from typing import Any, NoReturn
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
+from sim.mission import Mission
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
+from sim.worlds.hauv_floor import hauv_floor
+from sim.worlds.hauv_hull import hauv_hull
 from sim.worlds.manhattan import manhattan
 from sim.worlds.ring import ring
 from sim.worlds.sphere import sphere
 from sim.worlds.torus import torus
 
-__all__ = ["WORLDS", "main"]
+__all__ = ["MISSIONS", "WORLDS", "main"]
 
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
+MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
 FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
 EXAMPLES = """examples:
   nls-sim sphere --out demo                       graph and truth in the folder demo, and a table
   nls-sim manhattan --poses 1000 --seed 7         the table only
   nls-sim sphere --rings 20 --per-ring 30 --sigma-r 0.05
   nls-sim torus --help                            sizes and noise of this world, with their defaults
+  nls-sim hauv-floor --seed 1 --out survey        a sonar mission as a folder of CSV files, for nls solve survey
+  nls-sim hauv-hull --aperture 28deg --outliers 0.05
 """
 
 
@@ -61,8 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if out == "":
             raise OptionError("out", out, "a folder")
-        world = WORLDS[name](np.random.default_rng(seed), **given)
-        table = rows(world)
+        rng = np.random.default_rng(seed)
+        world = MISSIONS[name](rng, **given) if name in MISSIONS else WORLDS[name](rng, **given)
+        table = mission_rows(world) if isinstance(world, Mission) else rows(world)
         if out is not None:
             table.append(("written", write(world, Path(out), aligned(table), command(name, seed, given))))
     except OptionError as error:
@@ -94,21 +102,41 @@ def rows(world: World) -> list[tuple[str, str]]:
     ]
 
 
-def write(world: World, folder: Path, table: str, call: str) -> str:
-    """Write graph.g2o, truth.g2o and README.txt into the folder, which is made; returns what was written."""
+def mission_rows(mission: Mission) -> list[tuple[str, str]]:
+    """The table of a sonar mission."""
+    wrong = int(mission.wrong.sum())
+    return [
+        ("world", f"{mission.name}, seed {mission.seed}"),
+        ("poses", f"{mission.poses} in SE3, {mission.distance:.4g} m of way"),
+        ("landmarks", f"{mission.landmarks}"),
+        ("contacts", f"{len(mission.contacts)}" + (f", {wrong} of them wrong" if wrong else "")),
+        ("elevation", mission.elevation),
+        ("chi2 at truth", f"{mission.sensed.chi2(mission.truth):.6g}, expected {mission.rows} (numbers not wrong)"),
+        ("dead reckoning", f"{mission.ate(mission.start):.4g} m (ATE, rmse of positions, nothing aligned)"),
+    ]
+
+
+def write(world: World | Mission, folder: Path, table: str, call: str) -> str:
+    """Write the world and README.txt into the folder, which is made; returns what was written."""
     from nls import save  # only here: a table needs no file formats
+    from nls.io.mission import write_mission
 
     folder.mkdir(parents=True, exist_ok=True)
-    save(folder / "graph.g2o", world.graph, world.start)
-    save(folder / "truth.g2o", world.graph, world.truth)
+    if isinstance(world, Mission):
+        files = write_mission(folder, world.graph, world.sonar, world.offset, world.truth)
+        holds = "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
+    else:
+        files = [str(folder / "graph.g2o"), str(folder / "truth.g2o")]
+        save(files[0], world.graph, world.start)
+        save(files[1], world.graph, world.truth)
+        holds = (
+            "graph.g2o: the measurements, and the chained odometry as the start.\n"
+            "truth.g2o: the same measurements, and the true poses.\n"
+        )
     (folder / "README.txt").write_text(
-        f"{textwrap.fill(world.description, 100)}\n\n{table}\n\n"
-        "graph.g2o: the measurements, and the chained odometry as the start.\n"
-        "truth.g2o: the same measurements, and the true poses.\n"
-        f"Made by: {call}\n",
-        encoding="utf-8",
+        f"{textwrap.fill(world.description, 100)}\n\n{table}\n\n{holds}Made by: {call}\n", encoding="utf-8"
     )
-    return ", ".join(str(folder / file) for file in ("graph.g2o", "truth.g2o", "README.txt"))
+    return ", ".join([*files, str(folder / "README.txt")])
 
 
 def command(name: str, seed: int, given: dict[str, Any]) -> str:
@@ -121,13 +149,13 @@ def parser() -> Parser:
     """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
     top = Parser(
         prog="nls-sim",
-        description="Simulate a SLAM problem whose answer is known: a pose graph with seeded noise.",
+        description="Simulate a SLAM problem whose answer is known: a pose graph or sonar mission with seeded noise.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     worlds = top.add_subparsers(dest="NAME", metavar="NAME", required=True, title="worlds", parser_class=Parser)
-    for name, make in WORLDS.items():
+    for name, make in {**WORLDS, **MISSIONS}.items():
         doc = inspect.getdoc(make) or ""
         said = re.split(r"\nParameters\n-+\n", doc)[0]
         sub = worlds.add_parser(
@@ -139,23 +167,31 @@ def parser() -> Parser:
             allow_abbrev=False,
         )
         sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
-        sub.add_argument("--out", metavar="DIR", help="write graph.g2o, truth.g2o and README.txt into this folder")
+        files = "graph.g2o, truth.g2o" if name in WORLDS else "a mission (CSV files, for nls solve)"
+        sub.add_argument("--out", metavar="DIR", help=f"write {files} and README.txt into this folder")
         helps = dict(re.findall(r"^(\w+) : (.+)$", doc, re.MULTILINE))
         hints = typing.get_type_hints(make)
         for option, parameter in inspect.signature(make).parameters.items():
             if parameter.default is parameter.empty:
                 continue  # the generator
-            whole = hints[option] is not float
-            default = "" if parameter.default is None else f" (default {parameter.default})"
+            default = parameter.default
+            shown = f"{default:.4g}" if hints[option] is float else default
+            hint = "" if default is None else f" (default {shown})"
             sub.add_argument(
                 flag(option),
                 dest=option,
-                type=whole_number if whole else number,
-                default=parameter.default,
-                metavar="N" if whole else "X",
-                help=(helps[option].rstrip(".") + default).replace("`", "").replace("%", "%%"),
+                default=default,
+                help=(helps[option].rstrip(".") + hint).replace("`", "").replace("%", "%%"),
+                **values_of(hints[option]),
             )
     return top
+
+
+def values_of(hint: Any) -> dict[str, Any]:
+    """What argparse needs to know of a parameter with this type: words, a number or a whole number."""
+    if typing.get_origin(hint) is typing.Literal:
+        return {"choices": typing.get_args(hint)}
+    return {"type": number, "metavar": "X"} if hint is float else {"type": whole_number, "metavar": "N"}
 
 
 def flag(option: str) -> str:
@@ -178,10 +214,10 @@ def seed_number(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """A float, or the sentence argparse prints."""
-    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text):
+    """A float, in radians where it ends in deg, or the sentence argparse prints."""
+    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?(deg)?", text):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
-    return float(text)
+    return math.radians(float(text[:-3])) if text.endswith("deg") else float(text)
 
 
 def complain(message: str) -> int:

@@ -20,7 +20,7 @@ from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from sim.checks import check_not_negative, check_positive, check_rng
 
-__all__ = ["Index", "World", "build", "chain", "measure", "position_error", "start_from_odometry"]
+__all__ = ["Index", "World", "build", "chain", "measure", "position_error", "seed_of", "start_from_odometry"]
 
 Index = npt.NDArray[np.intp]
 
@@ -181,7 +181,7 @@ def build(
         f"{sigma_t:g} m and {sigma_r:g} rad. Relative measurements only: the gauge is free."
     )
     truth = Values({x: (group, X)})
-    return World(name, truth, graph, start_from_odometry(truth, odometry), _seed(rng), said)
+    return World(name, truth, graph, start_from_odometry(truth, odometry), seed_of(rng), said)
 
 
 def start_from_odometry(truth: Values, odometry: Array) -> Values:
@@ -228,7 +228,7 @@ def position_error(estimate: Values, truth: Values) -> float:
     return float(np.sqrt(np.mean(np.sum(away * away, axis=-1))))
 
 
-def _seed(rng: np.random.Generator) -> int | None:
+def seed_of(rng: np.random.Generator) -> int | None:
     """The whole number given to `numpy.random.default_rng`, where there was one."""
     sequence = getattr(rng.bit_generator, "seed_seq", None)
     entropy = getattr(sequence, "entropy", None)

@@ -19,7 +19,7 @@ class Status(Enum):
     MAX_ITERATIONS = "the iteration limit was reached before it converged"
     MAX_TIME = "the time limit was reached before it converged"
     STALLED = "no further step lowers chi2 although its gradient is not small"
-    CYCLING = "chi2 returns to earlier values without falling"
+    CYCLING = "chi2 goes up and down without falling"
     DIVERGED = "chi2 or the update grew beyond bounds or is not finite"
     STOPPED = "stopped by the callback"
     INTERRUPTED = "interrupted by the user"

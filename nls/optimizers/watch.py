@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ __all__ = ["Watch"]
 
 BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
+ROUND = 20  # steps up and down without a new best, and none above those before: at the limit, no search still going on
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
 PLATEAU = 6  # so many such steps in a row, while chi2 hardly falls; a tail such as exp(-x) gives 11 before rounding
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that
@@ -230,11 +232,21 @@ class Watch:
         recent = self.history[-PATIENCE:-1]
         return self._since_best >= PATIENCE and any(abs(chi2 - h.chi2) <= 1e-6 * chi2 for h in recent)
 
+    def _goes_round(self) -> bool:
+        """Whether chi2 has gone up and down for long, no lower than the best point and no higher than before."""
+        since = [h.chi2 for h in self.history[len(self.history) - self._since_best :]]
+        before, latest = since[:-ROUND], since[-ROUND:]
+        falls = sum(b < a for a, b in pairwise(latest))
+        return len(before) >= ROUND and max(latest) <= max(before) and 0 < falls < ROUND - 1
+
     def _limits(self) -> None:
         taken, seconds = self.history[-1].number, perf_counter() - self.began
         if self.status is not None:
             return
-        if taken >= self.stop.max_iterations:
+        if taken >= self.stop.max_iterations and self._goes_round():
+            said = f"chi2 has gone up and down for {self._since_best} steps, at {self.history[-1].chi2:.6g} now"
+            self.end(Status.CYCLING, f"{said}; the lowest is {self.lowest:.6g}")
+        elif taken >= self.stop.max_iterations:
             self.end(Status.MAX_ITERATIONS, f"after {taken} iterations")
         elif seconds > self.stop.max_seconds:
             self.end(Status.MAX_TIME, f"after {seconds:.1f} s")

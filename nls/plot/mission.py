@@ -98,8 +98,8 @@ def landmark_map(values: Values, found: Elevations, truth: Values | None = None)
             ends = np.stack([points - reach, points + reach], axis=1)[:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors=POINT, linewidths=0.8, label="one sigma of elevation"))
         dots = ax.scatter(
-            *points[:, rows].T, c=sigma, s=12, cmap="viridis" if known else None, zorder=3, label="landmark"
-        )
+            *points[:, rows].T, c=sigma, s=12, norm="log" if known else None, zorder=3, label="landmark"
+        )  # by powers: most landmarks are known to tenths of a degree, some to no better than the aperture
         ax.plot(*values[x][:, [0, 1, 2]][:, rows].T, color=SOLUTION, linewidth=0.6, alpha=0.6, label="track")
     if known:
         figure.colorbar(dots, ax=axes, label="sigma of elevation at first view [deg]", shrink=0.8)

@@ -160,10 +160,10 @@ def test_columns_in_any_order_blanks_comments_and_gzip(tmp_path: Path) -> None:
 
 def test_what_is_not_read_is_said(tmp_path: Path) -> None:
     here = folder(tmp_path / "m", contact=TINY["contacts"])
-    (here / "README.txt").write_text("a mission")
+    (here / "notes.txt").write_text("a mission")
     with pytest.warns(GraphWarning, match=r"no file of a mission, not read: contact\.csv; expected names: sonar, cont"):
         report = nls.load(here)[2]
-    assert "not read: README.txt" in report.notes
+    assert "not read: notes.txt" in report.notes
     (here / "contact.csv").unlink()
     lines = TINY["contacts"].replace("0,11,4.7457,0.0625", "0,11,6.7457,0.0625") + "3,14,4.23,0.107,0.01,0.004\n"
     odometry = TINY["odometry"] + "0,1,0.53,-0.03,0.05,0.02,0.02,0.005\n"

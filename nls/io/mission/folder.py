@@ -13,6 +13,7 @@ from nls.io.unused import note_comments
 
 __all__ = ["EXPECTED", "read_tables"]
 
+README = "README.txt"  # for people: nothing in it is missed
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
     "sonar.csv where the sonar saw something"
@@ -50,7 +51,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     note_comments(report, sum(table.comments for table in tables.values()))
     if tabular := [name for name in others if ".csv" in name.lower()]:
         report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
-    if rest := [name for name in others if name not in tabular]:
+    if rest := [name for name in others if name not in tabular and name != README]:
         report.notes.append(f"not read: {_listed(rest)}")
     return tables, report
 

@@ -27,6 +27,7 @@ __all__ = ["ANCHORED", "read_mission"]
 
 Numbers = npt.NDArray[np.int64]
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
+SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
 
 
@@ -185,14 +186,15 @@ def _contacts(
         row = int(np.argmax(behind))
         raise table.at(row, f"azimuth_rad is {float(azimuth[row])!r}; expected radians, -pi to pi")
     near, far = report.sonar.window
-    outside = (np.abs(azimuth) > report.sonar.fan / 2) | (r < near) | (r > far)
+    sigmas = table.positive(*suffixed(CONTACT))
+    slack_r, slack_azimuth = SLACK * sigmas.T
+    outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
     if count := int(outside.sum()):
         first = int(table.lines[np.argmax(outside)]) + 1
         report.notes.append(
             f"{count} contacts are outside the fan or range window of sonar.csv (first on line {first}); they are used"
         )
-    noise = Diagonal(table.positive(*suffixed(CONTACT)))
-    for factor in sonar_factors(x[i], l[k], z, noise, report.sonar, report.offset, elevation):
+    for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
         graph.add(factor)
     return np.unique(k)
 

@@ -1,0 +1,65 @@
+"""The statistics of the evidence about the hovering vehicle, and which landmarks it takes for well observed."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sim
+from nls import GaussNewton, LevenbergMarquardt, kinds
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "evidence"
+x, l = kinds("x", "l")
+
+
+@pytest.fixture
+def hauv(monkeypatch: pytest.MonkeyPatch) -> Any:
+    if not FOLDER.is_dir():
+        pytest.skip("there are no benchmarks here (an installed copy has none)")
+    monkeypatch.syspath_prepend(str(FOLDER))
+    return import_module("hauv")
+
+
+@pytest.mark.parametrize("dim", [3, 6])
+def test_normalized_errors_of_their_own_covariance(hauv: Any, dim: int) -> None:
+    rng = np.random.default_rng(dim)
+    L = np.tril(rng.standard_normal((400, dim, dim))) + 3 * np.eye(dim)
+    P, v = L @ L.mT, rng.standard_normal((400, dim))
+    e = (L @ v[..., None])[..., 0]
+    np.testing.assert_allclose(hauv.normalized(e, P), (v**2).sum(axis=1))
+    low, high = hauv.bounds(400, dim)
+    assert low < hauv.normalized(e, P).mean() < high
+    assert (low, high) == pytest.approx(
+        (dim - 1.96 * np.sqrt(2 * dim / 400), dim + 1.96 * np.sqrt(2 * dim / 400)), rel=0.01
+    )
+
+
+def test_spread_leaves_out_what_has_no_number(hauv: Any) -> None:
+    assert hauv.spread([1.0, 2.0, 6.0]) == "3.000 (1.000-6.000)"
+    assert hauv.spread([1.0, float("nan"), 2.0], 1) == "1.5 (1.0-2.0)"
+
+
+@pytest.mark.parametrize("make", [sim.hauv_floor, sim.hauv_hull])
+def test_alone_keeps_the_well_observed(hauv: Any, make: Any) -> None:
+    mission = make(np.random.default_rng(1), passes=1, elevation="free")
+    well, kept = hauv.well_observed(mission), hauv.alone(mission)
+    assert 0 < kept.landmarks == well.sum() < mission.landmarks
+    np.testing.assert_array_equal(kept.truth.stack("l").numbers, np.flatnonzero(well))
+    np.testing.assert_array_equal(kept.truth[l], mission.truth[l][well])
+    assert hauv.well_observed(kept).all()
+    found = hauv.nees(kept)
+    assert len(found.all) == kept.landmarks
+    assert found.landmark == found.all[kept.landmarks // 2]
+
+
+@pytest.mark.parametrize("scene", ["floor, +-7 deg", "hull, +-7 deg"])
+def test_solve_says_how_it_ended(hauv: Any, scene: str) -> None:
+    mission = hauv.mission(scene, "hinge", 0)
+    found = {type(o).__name__: hauv.solve(mission, o) for o in (GaussNewton(), LevenbergMarquardt())}
+    assert found["LevenbergMarquardt"].status == "CONVERGED"
+    assert found["GaussNewton"].status in {"CONVERGED", "CYCLING", "MAX_ITERATIONS"}
+    assert all(f.ate < mission.ate(mission.start) and f.iterations > 1 for f in found.values())

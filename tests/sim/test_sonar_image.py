@@ -1,0 +1,153 @@
+"""Synthetic sonar images: echoes where the points are, speckle as stated, contacts within a cell of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+import pytest
+
+import sim
+from models import SE3
+from models.errors import GraphError, OptionError
+from models.sensors import ARIS_3000, DIDSON_HIGH, DIDSON_LOW, ImagingSonar, cartesian, range_azimuth
+from nls import kinds
+
+x, l = kinds("x", "l")
+NEAR = replace(DIDSON_HIGH, window=(1.0, 6.0))
+every_sonar = pytest.mark.parametrize("sonar", [NEAR, DIDSON_LOW, ARIS_3000], ids=lambda s: s.name)
+
+
+def cell(sonar: ImagingSonar) -> np.ndarray:
+    return np.array([(sonar.window[1] - sonar.window[0]) / sonar.bins, sonar.fan / sonar.beams])
+
+
+def spread_points(sonar: ImagingSonar, seed: int) -> np.ndarray:
+    """Points (30, 3) on a grid of the fan, well apart, at random elevations."""
+    rng = np.random.default_rng(seed)
+    near, far = sonar.window
+    r, azimuth = np.meshgrid(np.linspace(near, far, 8)[1:-1], np.linspace(-0.45, 0.45, 5) * sonar.fan)
+    h = np.column_stack([r.ravel(), azimuth.ravel(), rng.uniform(-0.5, 0.5, 30) * sonar.aperture])
+    h[:, :2] += rng.uniform(-2, 2, (30, 2)) * cell(sonar)
+    return cartesian(h)[0]
+
+
+@every_sonar
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_contacts_are_found_within_a_cell(sonar: ImagingSonar, seed: int) -> None:
+    p = spread_points(sonar, seed)
+    image = sim.sonar_image(p, sonar, np.random.default_rng(seed))
+    found = sim.contacts(image, sonar, threshold=0.5)
+    true = range_azimuth(p)[0]
+    assert len(found) == len(true) == 30
+    away = np.abs(found[:, None] - true[None]) / cell(sonar)
+    nearest = away.max(axis=2).argmin(axis=0)
+    assert len(set(nearest)) == 30  # each point its own contact
+    assert away.max(axis=2).min(axis=0).max() <= 1.0
+
+
+@every_sonar
+def test_without_speckle_an_echo_is_a_bell(sonar: ImagingSonar) -> None:
+    """At the center of a cell: the peak is the amplitude, one cell beside it exp(-1/2) of that, or exp(-1/8)."""
+    b, k = sonar.beams // 3, sonar.bins // 2
+    near, _ = sonar.window
+    h = np.array([[near + (k + 0.5) * cell(sonar)[0], ((b + 0.5) / sonar.beams - 0.5) * sonar.fan, 0.05]])
+    for spread in (1.0, 2.0):
+        image = sim.sonar_image(
+            cartesian(h)[0], sonar, np.random.default_rng(0), echo=3.0, background=0.0, spread=spread
+        )
+        assert image[b, k] == pytest.approx(3.0)
+        for at in ((b + 1, k), (b - 1, k), (b, k + 1), (b, k - 1)):
+            assert image[at] == pytest.approx(3.0 * np.exp(-0.5 / spread**2))
+        assert image[b + 2, k - 1] == pytest.approx(3.0 * np.exp(-2.5 / spread**2))
+        assert image.sum() == pytest.approx(3.0 * 2 * np.pi * spread**2, rel=1e-3)
+        np.testing.assert_allclose(sim.contacts(image, sonar, 1.0), h[:, :2], atol=1e-9)
+
+
+def test_elevation_leaves_no_trace() -> None:
+    images = [
+        sim.sonar_image(cartesian(np.array([[4.0, 0.1, el]]))[0], NEAR, np.random.default_rng(0))
+        for el in radians(1.0) * np.array([-6.5, 0.0, 3.0, 6.5])
+    ]
+    for image in images[1:]:
+        np.testing.assert_allclose(image, images[0], atol=1e-12)
+    above = sim.sonar_image(cartesian(np.array([[4.0, 0.1, radians(8)]]))[0], NEAR, np.random.default_rng(0))
+    assert above.max() < 0.5 < images[0].max()
+
+
+def test_points_at_the_edge_stay_at_the_edge() -> None:
+    h = np.array([[1.001, 0.0, 0.0], [5.999, 0.1, 0.0], [3.0, -radians(14.39), 0.0], [4.0, radians(14.39), 0.0]])
+    image = sim.sonar_image(cartesian(h)[0], NEAR, np.random.default_rng(0), background=0.0)
+    rows, columns = np.nonzero(image > 0.1)
+    assert set(rows) >= {0, 95}
+    assert set(columns) >= {0, 511}
+    found = sim.contacts(image, NEAR, 0.3)
+    assert len(found) == 4  # and none at the opposite edge
+    away = np.abs(found[:, None] - h[None, :, :2]) / cell(NEAR)
+    assert away.max(axis=2).min(axis=0).max() <= 1.0
+
+
+def test_speckle_of_the_background() -> None:
+    """Rayleigh: mean sqrt(pi/2) w, mean square 2 w^2, above 4 w once in 2,981 cells."""
+    for w in (0.05, 1.0):
+        image = sim.sonar_image(np.zeros((0, 3)), NEAR, np.random.default_rng(1), background=w)
+        n = image.size
+        assert image.min() > 0
+        assert image.mean() == pytest.approx(np.sqrt(np.pi / 2) * w, rel=4 * 0.523 / np.sqrt(n))
+        assert (image**2).mean() == pytest.approx(2 * w**2, rel=4 / np.sqrt(n))
+        above = (image > 4 * w).sum()
+        assert abs(above - n * np.exp(-8)) < 4 * np.sqrt(n * np.exp(-8))
+
+
+def test_speckle_of_an_echo() -> None:
+    h = np.array([[1.0 + 256.5 * 5 / 512, 0.5 / 96 * radians(28.8), 0.0]])
+    peaks = np.array(
+        [sim.sonar_image(cartesian(h)[0], NEAR, np.random.default_rng(s), background=0.05)[48, 256] for s in range(300)]
+    )
+    assert peaks.std() == pytest.approx(0.05, rel=4 / np.sqrt(600))
+    assert peaks.mean() == pytest.approx(1.0 + 0.05**2 / 2, abs=4 * 0.05 / np.sqrt(300))
+
+
+@every_sonar
+def test_a_seed_gives_the_same_bits(sonar: ImagingSonar) -> None:
+    p = spread_points(sonar, 0)
+    images = [sim.sonar_image(p, sonar, np.random.default_rng(s)) for s in (1, 1, 2)]
+    assert images[0].shape == (sonar.beams, sonar.bins)
+    assert images[0].tobytes() == images[1].tobytes() != images[2].tobytes()
+
+
+@pytest.mark.parametrize("pose", [0, 40, 100])
+def test_contacts_of_a_mission(pose: int) -> None:
+    """What is detected in the image of a pose is what the mission says it saw there, but for points too close."""
+    mission = sim.hauv_floor(np.random.default_rng(0), passes=1, noise_scale=0.0)
+    S = SE3.compose(mission.truth[x[[pose]]], mission.offset[None])
+    image = sim.sonar_image(SE3.act(SE3.inverse(S), mission.truth[l]), mission.sonar, np.random.default_rng(pose))
+    found = sim.contacts(image, mission.sonar, 0.5)
+    seen = mission.contacts.z[mission.contacts.keys[0].numbers == pose]
+    away = (np.abs(found[:, None] - seen[None]) / cell(mission.sonar)).max(axis=2)
+    assert len(seen) > 3
+    assert len(found) >= 0.8 * len(seen)
+    assert np.median(away.min(axis=1)) <= 1.0
+    assert away.min(axis=1).max() <= 3.0  # two echoes that overlap
+
+
+def test_peaks_that_are_equal_are_one() -> None:
+    image = np.zeros((96, 512))
+    image[10, 20] = image[10, 21] = 1.0
+    image[50, 100] = 1.0
+    found = sim.contacts(image, NEAR, 0.5)
+    assert len(found) == 2
+    assert found[0, 0] == pytest.approx(1.0 + 21 * 5 / 512)
+    assert len(sim.contacts(image, NEAR, 1.1)) == 0
+    assert sim.contacts(image, NEAR, 1.1).shape == (0, 2)
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(GraphError, match=r"shape \(512, 96\).*makes \(96, 512\): beams, bins"):
+        sim.contacts(np.zeros((512, 96)), NEAR, 0.5)
+    for option, value in {"echo": -1.0, "background": -0.1, "spread": 0.0}.items():
+        with pytest.raises(OptionError, match=option):
+            sim.sonar_image(np.zeros((0, 3)), NEAR, np.random.default_rng(0), **{option: value})
+    with pytest.raises(OptionError, match="a generator such as"):
+        sim.sonar_image(np.zeros((0, 3)), NEAR, 1)
