@@ -93,7 +93,7 @@ class Factor(Abstract):
         except (TypeError, ValueError, OverflowError) as error:
             raise GraphError(f"{name}: z is not an array of numbers: {error}", keys, name) from error
         self._z.setflags(write=False)
-        self.noise = noise
+        self._noise = noise
         self.convention = check_convention(convention)
         self._model: Model | None = None
 
@@ -131,7 +131,7 @@ class Factor(Abstract):
         other = copy(self)
         other.keys = tuple(k[index] for k in self.keys)
         other._z = rows(self._z, index, n) if each else self._z
-        other.noise = self.noise.take(index, n)
+        other._noise = self.noise.take(index, n)
         for name in self.each:
             setattr(other, name, rows(getattr(self, name), index, n))
         other._model = None
@@ -149,6 +149,11 @@ class Factor(Abstract):
     def z(self) -> Array:
         """The measured values, as given; read-only."""
         return self._z
+
+    @property
+    def noise(self) -> Noise:
+        """The noise model, as given; read-only."""
+        return self._noise
 
     @property
     def name(self) -> str:
@@ -180,7 +185,7 @@ class Factor(Abstract):
     def robust(self, kernel: Kernel) -> Factor:
         """The same measurements under a robust kernel, instead of the one they may have."""
         other = copy(self)
-        other.noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
+        other._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
         other._model = None
         return other
 

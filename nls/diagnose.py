@@ -68,8 +68,7 @@ def underconstrained(system: LinearSystem, values: Values | None = None) -> Unde
             keys,
             values=values,
         )
-    directions = "1 direction" if len(carried.T) == 1 else f"{len(carried.T)} directions"
-    count = f"at least {directions}" if len(carried.T) == MAX_DIRECTIONS else directions
+    count = directions(len(carried.T))
     if s[null].max() > EXACT:
         cure += (
             " If a prior is meant to hold that, it is a billion times weaker than the rest: tighten it, check sigmas, "
@@ -82,6 +81,11 @@ def underconstrained(system: LinearSystem, values: Values | None = None) -> Unde
         [_listed(_by_variable(pattern, owner[c], component[c])) for c in carried.T],
         values,
     )
+
+
+def directions(count: int) -> str:
+    """So many free directions, in words; no more than `MAX_DIRECTIONS` were looked for."""
+    return "1 direction" if count == 1 else f"{'at least ' if count == MAX_DIRECTIONS else ''}{count} directions"
 
 
 def _unmeasured(pattern: Pattern, zero: npt.NDArray[np.bool_], values: Values | None) -> UnderconstrainedError:

@@ -13,7 +13,7 @@ from factors.keys import Keys
 from factors.robust import Kernel
 from models.errors import GraphError, OptionError
 from nls.assemble import Pattern, measured_rows
-from nls.diagnose import underconstrained
+from nls.diagnose import directions, underconstrained
 from nls.gauge import FreeGauge, choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
 from nls.linear.threads import single_thread
@@ -166,7 +166,8 @@ class FactorGraph:
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
-        if dof < 0 and isinstance(method, LevenbergMarquardt):  # it would not notice
+        limited = any(factor.limit_only for factor in self.factors)  # what is free may be meant to be, within them
+        if dof < 0 and not limited and isinstance(method, LevenbergMarquardt):  # it would not notice
             raise underconstrained(pattern.linearize(values), values)
         watch = method.run(problem, values.copy())
         assert watch.status is not None
@@ -174,7 +175,7 @@ class FactorGraph:
         return Result(
             values=watch.best,
             status=watch.status,
-            reason=watch.reason + (f"; {len(free)} directions are free, see `underconstrained`" if free else ""),
+            reason=watch.reason + (f"; free: {directions(len(free))}, see `underconstrained`" if free else ""),
             history=watch.history,
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,

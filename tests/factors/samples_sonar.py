@@ -29,7 +29,7 @@ def bounded(limit: float) -> Callable[..., Factor]:
 
     def build(pose: Keys, target: Keys, z: Array, noise: Noise, offset: Array | Keys | None) -> Factor:
         factor = ElevationHinge(pose, target, limit, 1.0, offset)
-        factor._z, factor.noise = z.copy(), noise
+        factor._z, factor._noise = z.copy(), noise
         factor._z.setflags(write=False)
         return factor
 

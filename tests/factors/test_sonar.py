@@ -25,7 +25,7 @@ from factors import (
 from factors.keys import Keys
 from models import SE2, SE3, R, euler
 from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError, UnderconstrainedError
-from models.sensors import DIDSON_HIGH, cartesian, spherical
+from models.sensors import DIDSON_HIGH, cartesian, range_azimuth, spherical
 from nls import FactorGraph, GaussNewton, Marginals, Values, kinds
 
 Array = npt.NDArray[np.float64]
@@ -310,3 +310,18 @@ def test_a_prior_at_first_sight_is_biased_and_a_hinge_is_not() -> None:
     assert bias["prior"][0] < -10 * bias["prior"][1]
     assert bias["prior"][0] == pytest.approx(-1.0, abs=0.2)
     assert bias["hinge"][0] == pytest.approx(-0.26, abs=0.2)
+
+
+def test_targets_seen_once_are_free_within_the_hinge_and_the_rest_is_solved() -> None:
+    """Fewer measurements than unknowns, which is no mistake where limits hold what is free."""
+    n = 3
+    z = np.stack([np.linspace(3.0, 5.0, n), np.linspace(-0.2, 0.2, n)], axis=1)
+    graph = FactorGraph(sonar_factors(x[[0] * n], l[0:n], z, None, DIDSON_HIGH))
+    graph.fix(x[0])
+    near = cartesian(np.column_stack([z + 0.1, np.full(n, 0.05)]))[0]
+    result = graph.optimize(Values({x: (SE3, SE3.identity()), l: (R(3), near)}))
+    assert result.converged
+    assert len(result.underconstrained) == n
+    assert result.dof == 0
+    assert "free: 3 directions" in result.reason
+    same(range_azimuth(result.values[l])[0], z, atol=1e-6)
