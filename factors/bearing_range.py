@@ -29,7 +29,7 @@ class BearingRange(Seen):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit.
+        Spaces or shapes that do not fit; a range below 0.
     SingularGeometryError
         At evaluation: zero range, or a target on the z axis of the sensor in space.
 

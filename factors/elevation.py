@@ -14,6 +14,7 @@ from factors.range_azimuth import InSpace
 from models import Manifold
 from models.algebra import Array
 from models.errors import OptionError
+from models.options import is_number
 from models.sensors import elevation
 
 __all__ = ["Elevation", "ElevationHinge"]
@@ -118,7 +119,7 @@ class ElevationHinge(Elevation):
         softness: float = pi / 180,
         offset: npt.ArrayLike | Keys | None = None,
     ) -> None:
-        if not 0 < limit < pi / 2:
+        if not (is_number(limit) and 0 < limit < pi / 2):
             raise OptionError("ElevationHinge: limit", limit, "half an aperture in (0, pi / 2), rad")
         super().__init__(pose, target, 0.0, Isotropic(softness), offset)
         self.limit = float(limit)

@@ -26,7 +26,7 @@ class Range(Seen):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit.
+        Spaces or shapes that do not fit; a range below 0.
     SingularGeometryError
         At evaluation: zero range, where there is no line of sight.
 

@@ -49,6 +49,11 @@ class Seen(Factor):
     ----------
     offset : None, the fixed offsets (1 or n, size), or the `Keys` of the variable(s).
     locates : whether one measurement is enough to say where its target is.
+
+    Raises
+    ------
+    GraphError
+        A range below 0; keys, measurements and offset that do not fit together.
     """
 
     relative = True
@@ -60,10 +65,23 @@ class Seen(Factor):
     ) -> None:
         keys = [pose, target, offset] if isinstance(offset, Keys) else [pose, target]
         super().__init__(keys, z, noise)
+        self._refuse_negative_range()
         self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))  # type: ignore[misc]
         self.offset: Array | Keys | None = (
             self.keys[2] if len(keys) == 3 else None if offset is None else fixed_offset(self, offset)  # type: ignore[arg-type]
         )
+
+    def _refuse_negative_range(self) -> None:
+        """No distance is below 0; where one marks an echo that is missing, nothing was measured."""
+        z = self._z
+        for space in (self.measured(2), self.measured(3)):
+            if "range" in space.components and z.size and (space.size == 1 or z.shape[-1:] == (space.size,)):
+                r = z.reshape(-1, space.size)[:, space.components.index("range")]
+                if (below := r < 0).any():
+                    k = int(np.argmax(below))
+                    named = self.describe(k) if k < len(self) else repr(self)
+                    message = f"{named}: its range is {r[k]:g} m; none is below 0. Leave out what was not received"
+                    raise GraphError(message, self.keys, self.name)
 
     @abstractmethod
     def measured(self, d: int) -> Manifold:

@@ -72,7 +72,7 @@ class XYH(Factor):
     slots = (SE3, SE3)
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, form: str = "levelled") -> None:
-        if form not in FORMS:
+        if not isinstance(form, str) or form not in FORMS:
             raise OptionError("XYH: form", form, "levelled or relative")
         super().__init__([i, j], z, noise)
         self.form = form

@@ -204,7 +204,7 @@ class FreeGauge(LinearSolver):
 
     def __init__(self, solver: LinearSolver, held: Pattern) -> None:
         self.solver, self.held = solver, held
-        self.name = solver.name  # type: ignore[misc]
+        self.name, self.exact = solver.name, solver.exact  # type: ignore[misc]
 
     def analyze(self, pattern: Pattern) -> FreeState:
         return FreeState(self.solver.analyze(self.held), *gauge_columns(self.held, pattern))

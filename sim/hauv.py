@@ -10,13 +10,15 @@ azimuth. The data of the vehicle, with DVL, depth sensor and inertial unit: F. H
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians
+from math import pi, radians
 
 import numpy as np
 import numpy.typing as npt
 
 from models import euler
 from models.algebra import Array, pack, wrap
+from models.errors import OptionError
+from models.options import is_number
 from models.sensors import DIDSON_HIGH, ImagingSonar
 from sim.checks import check_rng, check_whole
 
@@ -29,7 +31,15 @@ SIGMA_SONAR = np.array([0.01, radians(0.25)])  # range, m, azimuth, rad
 
 
 def didson(aperture: float) -> ImagingSonar:
-    """The sonar: 28.8 deg wide, 1 to 6 m, `aperture` (rad) high; a spreader lens makes it 28 deg."""
+    """The sonar: 28.8 deg wide, 1 to 6 m, `aperture` (rad) high; a spreader lens makes it 28 deg.
+
+    Raises
+    ------
+    OptionError
+        No such aperture.
+    """
+    if not (is_number(aperture) and 0 < aperture < pi):
+        raise OptionError("aperture", aperture, "an angle in (0, pi), rad")
     return replace(DIDSON_HIGH, window=(1.0, 6.0), aperture=aperture)
 
 

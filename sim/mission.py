@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimuth, sonar_factors
 from models import SE3, R, euler
 from models.algebra import Array, wrap
-from models.errors import OptionError
+from models.errors import GraphError, OptionError
 from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
 from nls.metrics import ate
@@ -148,7 +148,9 @@ def survey(
     Raises
     ------
     OptionError
-        No such treatment of the elevation, a scale below 0; no point is seen often enough.
+        No such treatment of the elevation; a scale below 0, or so large that a range is.
+    GraphError
+        No point is seen often enough.
     """
     check_rng(rng)
     check_not_negative(noise_scale=noise_scale)
@@ -157,7 +159,10 @@ def survey(
     often = np.bincount(k, minlength=len(points)) >= FEWEST
     i, k, points = i[often[k]], (np.cumsum(often) - 1)[k[often[k]]], points[often]
     if not len(points):
-        raise OptionError("points", len(often), f"more: none of them is seen {FEWEST} times")
+        raise GraphError(
+            f"{name}: none of {len(often)} points is seen {FEWEST} times from {len(X)} poses; make the way or the "
+            "aperture larger, or the points more"
+        )
     step, n = np.arange(len(X) - 1), len(X)
 
     def noisy(h: Array, sigmas: Array, *angles: int) -> Array:
@@ -169,6 +174,8 @@ def survey(
     tilt = noisy(zpr(X)[0], SIGMA_ZPR, 1, 2)
     p = SE3.act(SE3.inverse(SE3.compose(X, offset[None]))[i], points[k])
     z = noisy(range_azimuth(p)[0], SIGMA_SONAR, 1)
+    if (z[:, 0] < 0).any():
+        raise OptionError("noise_scale", noise_scale, f"less: a range comes out at {z[:, 0].min():.3g} m")
     first = euler.from_se3(X[:1])
     graph = FactorGraph(
         [

@@ -10,6 +10,7 @@ from models.errors import GraphError, OptionError
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.se3 import SE3
 from models.manifolds.so3 import not_unit
+from models.options import is_number
 
 __all__ = [
     "attitudes",
@@ -98,7 +99,7 @@ def positive(name: str, sigma: npt.ArrayLike | None, n: int) -> Array:
 
 def fraction(scale: float) -> float:
     """The standard deviation of a scale factor."""
-    if not 0 <= scale < np.inf:
+    if not (is_number(scale) and 0 <= scale < np.inf):
         raise OptionError("scale", scale, "a fraction of the speed, 0 or above: 0.002 for 0.2 %")
     return scale
 
@@ -129,7 +130,7 @@ def unused(name: str, sigma: npt.ArrayLike | None, given: str) -> None:
 
 def bridge(sigma: float | None, begin: float, end: float) -> float:
     """The density of what a bridge over the drop-out from begin to end does not know."""
-    if sigma is None or not 0 <= sigma < np.inf:
+    if sigma is None or not (is_number(sigma) and 0 <= sigma < np.inf):
         raise OptionError(
             "sigma_bridge",
             sigma,

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.dead_reckoning.noise import sum_by_leg
 from models.errors import OptionError
+from models.options import is_number
 
 __all__ = ["from_bridges", "inside", "losses"]
 
@@ -40,7 +41,7 @@ def losses(t: Array, ok: Mask, longest: float | None) -> Mask:
     OptionError
         A longest step that is not positive.
     """
-    if longest is not None and not longest > 0:
+    if longest is not None and not (is_number(longest) and longest > 0):
         raise OptionError("longest", longest, "a time above 0, s")
     most = 2 * float(np.median(np.diff(t))) if longest is None else longest
     lost = (np.diff(np.flatnonzero(ok)) > 1) | (np.diff(t[ok]) > most)

@@ -20,6 +20,7 @@ from models.algebra import Array, apply, product, skew
 from models.errors import OptionError
 from models.manifolds.se3 import SE3, split
 from models.manifolds.so3 import rotation3
+from models.options import is_number
 
 __all__ = ["DVL", "HOLOOCEAN_DVL", "dvl_velocity"]
 
@@ -52,7 +53,8 @@ def dvl_velocity(v: Array, w: Array, mount: Array) -> tuple[Array, tuple[Array, 
     R_inv = rotation3(q).mT  # R_bd'
     v_d = apply(R_inv, v + np.cross(w, a))
     H_mount = np.concatenate([skew(apply(R_inv, w)), skew(v_d)], axis=-1)
-    return v_d, (np.broadcast_to(R_inv, (len(v_d), 3, 3)), -product(R_inv, skew(a)), H_mount)
+    each = (len(v_d), 3, 3)
+    return v_d, (np.broadcast_to(R_inv, each), np.broadcast_to(-product(R_inv, skew(a)), each), H_mount)
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,9 @@ class DVL:
     mount: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        if not 0 < self.sigma < np.inf:
+        if not (is_number(self.sigma) and 0 < self.sigma < np.inf):
             raise OptionError("sigma", self.sigma, "a standard deviation above 0, m/s")
-        if not 0 <= self.scale < np.inf:
+        if not (is_number(self.scale) and 0 <= self.scale < np.inf):
             raise OptionError("scale", self.scale, "a fraction of the speed, 0 or above: 0.002 for 0.2 %")
         mount = np.asarray(self.mount, dtype=float)
         if mount.shape != (7,) or SE3.invalid(mount[None]) is not None:

@@ -12,14 +12,17 @@ Every other sonar is its numbers, and a range window is set with `dataclasses.re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, radians, sqrt
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, components, pack
 from models.errors import OptionError
+from models.options import is_number, is_whole
 
 __all__ = ["ARIS_3000", "BLUEVIEW_M900", "DIDSON_HIGH", "DIDSON_LOW", "OCULUS_M750D", "ImagingSonar"]
 
@@ -62,17 +65,21 @@ class ImagingSonar:
     quality: float = 1.0
 
     def __post_init__(self) -> None:
-        near, far = self.window
-        for option, value, good, allowed in (
-            ("beams", self.beams, self.beams >= 1, "at least 1"),
-            ("bins", self.bins, self.bins >= 1, "at least 1"),
-            ("fan", self.fan, 0 < self.fan <= 2 * pi, "an angle in (0, 2 pi], rad"),
-            ("aperture", self.aperture, 0 < self.aperture < pi, "an angle in (0, pi), rad"),
-            ("window", self.window, 0 < near < far < np.inf, "nearest and farthest range, m, 0 < nearest < farthest"),
-            ("quality", self.quality, 0 < self.quality < np.inf, "above 0"),
+        window = self.window
+        for option, good, allowed in (
+            ("beams", is_whole(self.beams) and self.beams >= 1, "a whole number of at least 1"),
+            ("bins", is_whole(self.bins) and self.bins >= 1, "a whole number of at least 1"),
+            ("fan", is_number(self.fan) and 0 < self.fan <= 2 * pi, "an angle in (0, 2 pi], rad"),
+            ("aperture", is_number(self.aperture) and 0 < self.aperture < pi, "an angle in (0, pi), rad"),
+            (
+                "window",
+                _is_pair(window) and 0 < window[0] < window[1] < np.inf,
+                "nearest and farthest range, m, 0 < nearest < farthest",
+            ),
+            ("quality", is_number(self.quality) and 0 < self.quality < np.inf, "a number above 0"),
         ):
             if not good:
-                raise OptionError(f"ImagingSonar {self.name}: {option}", value, allowed)
+                raise OptionError(f"ImagingSonar {self.name}: {option}", getattr(self, option), allowed)
 
     @property
     def sigma_range(self) -> float:
@@ -92,7 +99,8 @@ class ImagingSonar:
     def sees(self, p: Array) -> npt.NDArray[np.bool_]:
         """Which points p (n, 3), m, in the frame of the sonar are inside the window, the fan and the aperture, (n,).
 
-        A point behind the sonar is in no fan of less than 180 deg; what stands between is not asked.
+        Their edges are inside; a point that is not finite is not. A point behind the sonar is in no fan of less than
+        180 deg; what stands between is not asked.
 
         Examples
         --------
@@ -101,22 +109,26 @@ class ImagingSonar:
         array([ True, False, False])
         """
         x, y, z = components(p)
-        rho = np.hypot(x, y)
-        beam, bin = self.beam(np.arctan2(y, x)), self.bin(np.hypot(rho, z))
-        inside = (beam >= 0) & (beam < self.beams) & (bin >= 0) & (bin < self.bins)
-        return np.asarray(inside & (np.abs(np.arctan2(z, rho)) <= self.aperture / 2))
+        rho, (near, far) = np.hypot(x, y), self.window
+        r, azimuth, elevation = np.hypot(rho, z), np.arctan2(y, x), np.arctan2(z, rho)
+        within = (np.abs(azimuth) <= self.fan / 2) & (np.abs(elevation) <= self.aperture / 2)
+        return np.asarray((near <= r) & (r <= far) & within)
 
     def beam(self, azimuth: npt.ArrayLike) -> Cells:
-        """Number of the beam of azimuths (n,), rad; 0 to beams - 1 from port to starboard, other numbers outside."""
-        return np.floor((np.asarray(azimuth) / self.fan + 0.5) * self.beams).astype(np.int64)
+        """Number of the beam of azimuths (n,), rad; 0 to beams - 1 from port to starboard, -1 or beams outside."""
+        return _cells(azimuth, -self.fan / 2, self.fan / 2, self.beams)
 
     def bin(self, range: npt.ArrayLike) -> Cells:
-        """Number of the range bin of ranges (n,), m; 0 to bins - 1 from near to far, other numbers outside."""
-        near, far = self.window
-        return np.floor((np.asarray(range) - near) / (far - near) * self.bins).astype(np.int64)
+        """Number of the range bin of ranges (n,), m; 0 to bins - 1 from near to far, -1 or bins outside."""
+        return _cells(range, *self.window, self.bins)
 
     def quantized(self, z: Array) -> Array:
         """Measurements z (n, 2) of range and azimuth moved to the center of their bin and beam, m and rad.
+
+        Raises
+        ------
+        OptionError
+            A measurement outside of the window or the fan: it has no cell.
 
         Examples
         --------
@@ -127,10 +139,28 @@ class ImagingSonar:
         array([[2.5   , 0.0026]])
         """
         r, azimuth = components(z)
-        near, far = self.window
-        center_r = near + (self.bin(r) + 0.5) / self.bins * (far - near)
-        center_azimuth = ((self.beam(azimuth) + 0.5) / self.beams - 0.5) * self.fan
+        (near, far), bin, beam = self.window, self.bin(r), self.beam(azimuth)
+        outside = (bin < 0) | (bin >= self.bins) | (beam < 0) | (beam >= self.beams)
+        if outside.any():
+            k = int(np.argmax(outside))
+            allowed = f"a range from {near:g} to {far:g} m and an azimuth within {self.fan / 2:.4g} rad"
+            raise OptionError(f"ImagingSonar {self.name}: z[{k}]", np.asarray(z)[k].tolist(), allowed)
+        center_r = near + (bin + 0.5) / self.bins * (far - near)
+        center_azimuth = ((beam + 0.5) / self.beams - 0.5) * self.fan
         return pack([center_r, center_azimuth])
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, Sequence | np.ndarray) and len(value) == 2 and all(map(is_number, value))
+
+
+def _cells(u: npt.ArrayLike, low: float, high: float, count: int) -> Cells:
+    """Which of `count` equal cells from low to high each u is in; -1 below (and for nan), `count` above."""
+    u = np.asarray(u, dtype=float)
+    inside = (low <= u) & (u <= high)
+    cell = np.floor((np.where(inside, u, low) - low) / (high - low) * count)
+    cell = np.minimum(cell, count - 1)  # high is the edge of the last one
+    return np.where(inside, cell, np.where(u > high, count, -1)).astype(np.int64)
 
 
 # Beams, fan and aperture: soundmetrics.com, SONAR 101, "DIDSON resolution" (both modes; 512 bins in every window; the

@@ -44,7 +44,7 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     from nls.io.trajectory import load_trajectory
 
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
-    if form not in TRAJECTORIES or options.dialect != "auto":
+    if form not in TRAJECTORIES or options.dialect != "auto" or Path(options.file).is_dir():
         elevation = getattr(options, "elevation", None)
         return nls.load(options.file, options.convention, options.dialect, options.repair_information, elevation)
     if options.repair_information:
@@ -54,6 +54,7 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
 
 def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> tuple[bytes, list[str]]:
     """The bytes of a file in a format, and remarks about what it does not hold."""
+    from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
     from nls.io.unused import left_out
@@ -61,6 +62,11 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
     if form in TRAJECTORIES:
         data, notes = _trajectory(path, form, graph, values, report)
         return data, notes + left_out(report, form)
+    if report.format == "mission":
+        raise GraphError(
+            f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
+            "--to tum or --to kitti writes its poses"
+        )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
     with _renamed(graph, values) as (graph, values, said):

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors import Position, RangeAzimuth
-from factors.keys import kinds
+from factors.keys import Keys, kinds
 from models.errors import GraphFileError, OptionError, UnderconstrainedError
 from nls.io.dialects import SUFFIXES
-from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
 
 if TYPE_CHECKING:
     from nls.covariance import Marginals
@@ -86,23 +86,47 @@ class Solved:
         return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
 
     @cached_property
-    def marginals(self) -> Marginals | None:
-        """Covariances at the optimum; None, with a note that says why, where there are none."""
+    def determined(self) -> tuple[FactorGraph, Marginals | None, Keys]:
+        """A graph that determines everything, its covariances at the optimum, and the landmarks it had to hold.
+
+        Notes say which these are, and where there are no covariances (None), why.
+        """
         from nls.covariance import Marginals
 
+        graph, free = self.graph, l[[]]
         if not self.result.converged:
             self.report.notes.append("the files have no sigmas: this is no optimum")
-            return None
+            return graph, None, free
         try:
-            return Marginals(self.graph, self.values, self.solver, self.gauge)
+            return graph, Marginals(graph, self.values, self.solver, self.gauge), free
         except UnderconstrainedError as error:
-            self.report.notes.append(f"the files have no sigmas: {error}")
-            return None
+            why = error
+        if self.contacts:
+            graph, free = held_free(graph, self.values)
+        try:
+            marginals = Marginals(graph, self.values, self.solver, self.gauge) if len(free) else None
+        except UnderconstrainedError as error:
+            marginals, why = None, error
+        if marginals is None:
+            self.report.notes.append(f"the files have no sigmas: {why}")
+            return self.graph, None, l[[]]
+        listed = ", ".join(map(repr, free[:5])) + (f" and {len(free) - 5} more" if len(free) > 5 else "")
+        self.report.notes.append(
+            f"nothing measures the elevation of {listed}: no sigmas there, all others are given; a contact from "
+            "elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+        )
+        return graph, marginals, free
+
+    @property
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none."""
+        return self.determined[1]
 
     @cached_property
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
-        return elevations(self.graph, self.values, sigmas=self.marginals is not None)
+        graph, marginals, free = self.determined
+        return elevations(graph, self.values, marginals is not None, self.solver, self.gauge, free)
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
         """What to write where, in a folder that is made: functions that take the name of the file, and the names.
@@ -193,8 +217,8 @@ class Solved:
             both = l[known[np.isin(known, self.values.stack("l").numbers)]]
             away = self.values[both] - self.report.truth[both]
             out["landmark_rmse_m"] = float(np.sqrt(np.square(away).sum(axis=1).mean())) if len(both) else None
-        if "elevations" in vars(self) and np.isfinite(self.elevations.sigma).all():  # where files were asked for
-            sigma = np.degrees(self.elevations.sigma)
+        if "elevations" in vars(self) and (known := np.isfinite(self.elevations.sigma)).any():  # with files
+            sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
         return out
 
@@ -204,7 +228,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
     judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
     named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
     drift = ", ".join(
-        f"{name} {_short(s['drift_percent'])} % ({_short(s['end_error_m'])} m)" for name, s in named.items()
+        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
     )
     ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
     out = [
@@ -219,6 +243,11 @@ def lines(mission: dict[str, Any]) -> list[str]:
         s = mission["elevation_sigma_deg"]
         out.append(f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma)")
     return out
+
+
+def _percent(number: float) -> str:
+    """Percent of the distance; a dash where there is none."""
+    return "-" if np.isnan(number) else f"{_short(number)} %"
 
 
 def _short(number: float) -> str:

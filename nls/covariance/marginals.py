@@ -46,7 +46,7 @@ class Marginals:
     values : where it is linearized. Factors with a robust kernel count with their weight there, as in the last step of
         the optimizer: an outlier that was switched off adds no information.
     linear_solver : its factorization of A'A is used; a solver that keeps none (QR, the dense ones) and none at all mean
-        the best factorization installed. The covariance is the same.
+        the best factorization installed. The covariance is the same. A `Schur` with a `block_inverse` is refused.
     gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
         `gauge` below is the sentence that says which. ``free``: the pseudo-inverse, where nobody is held.
     memory_limit : bytes; what would take more is refused beforehand.
@@ -60,6 +60,8 @@ class Marginals:
     ------
     UnderconstrainedError
         The measurements leave something free: named, with cures.
+    OptionError
+        A linear solver that does not factorize A'A itself.
 
     Notes
     -----
@@ -102,6 +104,9 @@ class Marginals:
             raise GraphError("the graph has no factors: nothing has a covariance")
         if not isinstance(linear_solver, LinearSolver | None):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.LU()")
+        if linear_solver is not None and not linear_solver.exact:
+            allowed = "a solver that factorizes A'A itself, such as nls.Schur() without block_inverse"
+            raise OptionError("linear_solver", linear_solver, f"{allowed}; no other has its inverse")
         self.values, self.memory_limit = values.copy(), memory_limit
         fixed = fixed_variables(graph.fixed, values)
         every = graph.pattern(values)

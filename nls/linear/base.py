@@ -50,9 +50,12 @@ class LinearSolver(Abstract):
     Attributes
     ----------
     name : the name on the command line and in results.
+    exact : whether its steps are the minimizer, up to rounding or a tolerance. One that says no gives no covariances,
+        and its steps prove convergence only where the measurements do not pull otherwise.
     """
 
     name: ClassVar[str]
+    exact: bool = True
 
     @classmethod
     def missing(cls) -> str | None:

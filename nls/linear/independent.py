@@ -21,13 +21,15 @@ __all__ = ["independent", "separate"]
 
 Flags = npt.NDArray[np.bool_]
 
+SEARCHED = 16  # kinds among which the best set is searched for
+
 
 def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
     """The free variables that can be eliminated one by one.
 
     All variables of the kinds of which no two variables share a factor; where several sets of kinds will do, the one
-    with the most columns. In a graph without such a kind (a pose graph: poses are joined to poses) single variables,
-    few neighbors first.
+    with the most columns (of more than 16 such kinds one with many). In a graph without such a kind (a pose graph:
+    poses are joined to poses) single variables, few neighbors first.
 
     Parameters
     ----------
@@ -55,15 +57,29 @@ def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
 
 
 def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
-    """The set of kinds, no two of them joined, with the most columns; the first of equals."""
+    """The set of kinds, no two of them joined, with the most columns; the first of equals.
+
+    A search takes time exponential in the number of kinds (24: 1 s; 40: half an hour). Of more than `SEARCHED` the one
+    with the most columns is taken, and those it is joined to left out, until so few are left.
+    """
+    taken: list[int] = []
+    while len(kinds) > SEARCHED:
+        most = max(kinds, key=lambda k: columns[k])
+        taken.append(most)
+        kinds = [k for k in kinds if k != most and not joined[most, k]]
+    return taken + _searched(kinds, joined, columns)
+
+
+def _searched(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
+    """The best set with the first of the kinds, or the best without it."""
     if not kinds:
         return []
     first, rest = kinds[0], kinds[1:]
     apart = [k for k in rest if not joined[first, k]]
-    taken = [first, *_heaviest(apart, joined, columns)]
+    taken = [first, *_searched(apart, joined, columns)]
     if len(apart) == len(rest):
         return taken
-    left = _heaviest(rest, joined, columns)
+    left = _searched(rest, joined, columns)
     return taken if columns[taken].sum() >= columns[left].sum() else left
 
 

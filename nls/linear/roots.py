@@ -10,7 +10,7 @@ from models.algebra import Array
 from models.errors import OptionError
 from nls.linear.base import SINGULAR, SingularSystemError
 
-__all__ = ["BlockInverse", "cholesky_root", "inverse_root"]
+__all__ = ["BlockInverse", "cholesky_root", "inverse_root", "missing_directions"]
 
 BlockInverse = Callable[[Array], Array]
 """Blocks (k, d, d), symmetric, -> their inverses or what stands for them (k, d, d), positive semi-definite."""
@@ -62,3 +62,16 @@ def inverse_root(block_inverse: BlockInverse, H: Array) -> Array:
     if (w < -1e-9 * size).any() or (np.abs(V - V.mT).max(axis=2, initial=0.0) > 1e-9 * size).any():
         raise OptionError("block_inverse", "a result", "symmetric positive semi-definite inverses")
     return np.asarray(np.sqrt(np.maximum(w, 0.0))[:, :, None] * Q.mT)
+
+
+def missing_directions(X: Array) -> int:
+    """How many directions the roots X (k, d, d) of `inverse_root` leave out, all blocks together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> missing_directions(inverse_root(lambda H: H, np.array([np.diag([4.0, 0.0]), np.eye(2), np.zeros((2, 2))])))
+    3
+    """
+    w = np.square(X).sum(axis=2)  # eigenvalues of the inverses
+    return int(np.count_nonzero(w <= SINGULAR * w.max(axis=1, initial=0.0)[:, None]))

@@ -1,8 +1,9 @@
 r"""Landmarks first: every one is eliminated by itself, and only the graph of poses is factorized.
 
-    [ H_ll  H_lp ] [ dx_l ]   [ g_l ]       S    = H_pp - H_pl H_ll^-1 H_lp
-    [ H_pl  H_pp ] [ dx_p ] = [ g_p ]       S dx_p = g_p - H_pl H_ll^-1 g_l
-                                            dx_l   = H_ll^-1 (g_l - H_lp dx_p)
+    [H_ll H_lp; H_pl H_pp] [dx_l; dx_p] = [g_l; g_p]
+    S = H_pp - H_pl H_ll^-1 H_lp
+    S dx_p = g_p - H_pl H_ll^-1 g_l
+    dx_l = H_ll^-1 (g_l - H_lp dx_p)
 
 l are variables that share no factor with each other (`nls.linear.independent`), so that H_ll is block diagonal; p are
 all others. S is formed block by block (`nls.linear.complement`) and factorized by the best factorization installed, in
@@ -30,7 +31,7 @@ from nls.linear.complement import Complement
 from nls.linear.independent import independent
 from nls.linear.limits import default_limit, refuse_above
 from nls.linear.normal import Factorization, NormalEquations, NormalState
-from nls.linear.roots import BlockInverse
+from nls.linear.roots import BlockInverse, missing_directions
 from nls.linear.threads import single_thread
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
     from nls.assemble import Pattern
     from nls.elimination import Index
+    from nls.linear.base import LinearSolution
+    from nls.system import LinearSystem
 
 __all__ = ["Schur", "SchurFactorization", "SchurState"]
 
@@ -60,7 +63,13 @@ class SchurFactorization(Factorization):
     ----------
     complement : S, its structure.
     exact : whether the blocks are inverted exactly, so that there is an L.
+
+    Attributes
+    ----------
+    left_alone : directions on which the inverses of the latest blocks are 0.
     """
+
+    left_alone = 0
 
     @staticmethod
     def order(u: Index, v: Index, V: int) -> Index:
@@ -74,6 +83,8 @@ class SchurFactorization(Factorization):
     def factorize(self, S: Array) -> Array:
         with single_thread():
             flat, self._L, self._roots, pivots = self._complement.fill(S)
+        if not self._exact:
+            self.left_alone = sum(map(missing_directions, self._roots))
         return np.concatenate([pivots, self._rest.factorize(flat)])
 
     def solve(self, g: Array) -> Array:
@@ -106,7 +117,12 @@ class SchurState(NormalState):
 
     def __init__(self, hessian: Hessian, factorization: SchurFactorization, said: str) -> None:
         self.hessian, self.factorization, self._judged = hessian, factorization, np.inf
-        self.said = said
+        self.said, self._schur = said, factorization
+
+    @property
+    def left_alone(self) -> int:
+        """Directions of what is eliminated along which the latest step could not move."""
+        return self._schur.left_alone
 
 
 class Schur(NormalEquations):
@@ -120,7 +136,8 @@ class Schur(NormalEquations):
     ----------
     block_inverse : a function from the blocks of H_ll, (k, d, d), to what is taken for their inverses, symmetric and
         positive semi-definite; called once for every dimension d in every solve. Exact when omitted, and a singular
-        block is refused. Another inverse gives another step than argmin |A dx - b|, and no covariances.
+        block is refused. Another inverse gives another step than argmin |A dx - b|, and no covariances. The
+        result says along how many directions nothing moved, and is STALLED where one is pulled by more than 5 sigmas.
     memory_limit : as in `Cholesky`.
 
     Raises
@@ -150,7 +167,7 @@ class Schur(NormalEquations):
         super().__init__(memory_limit)
         if block_inverse is not None and not callable(block_inverse):
             raise OptionError("block_inverse", block_inverse, "a function of blocks (k, d, d), or None")
-        self.block_inverse = block_inverse
+        self.block_inverse, self.exact = block_inverse, block_inverse is None
 
     def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
         limit = self.memory_limit or default_limit()
@@ -161,8 +178,11 @@ class Schur(NormalEquations):
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         refuse_above(limit, max(self.per_number, _best().per_number), blocks, hessian, self.name)
         complement = Complement(blocks, elimination, int(gone.sum()), hessian, self.block_inverse)
-        factorization = SchurFactorization(complement, self.block_inverse is None)
+        factorization = SchurFactorization(complement, self.exact)
         return blocks, SchurState(hessian, factorization, said)
+
+    def __repr__(self) -> str:
+        return "Schur()" if self.exact else "Schur(block_inverse=...)"
 
     def _order(self, blocks: Blocks, gone: npt.NDArray[np.bool_], limit: float) -> Index:
         """The eliminated variables by dimension, then the others as the factorization of S orders them.
@@ -196,7 +216,11 @@ class Schur(NormalEquations):
         return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others[poses]])
 
     def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
-        """Name, and what is eliminated."""
+        """Name, what is eliminated, and how many directions of that another inverse left alone in the latest solve."""
         state = analyzed[1]
         assert isinstance(state, SchurState)
-        return f"{self.name}, {state.said}"
+        left = "" if self.exact else f", {state.left_alone:,} directions left alone"
+        return f"{self.name}, {state.said}{left}"
+
+    def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
+        return super().again(analyzed, system) if self.exact else None  # it is not this H that was factorized

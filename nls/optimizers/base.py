@@ -65,6 +65,8 @@ class Optimizer(Abstract):
         watch = Watch(self.stop, self.callback, values, system.chi2, problem.lap())
         try:
             self.iterate(problem, values, system, watch)
+            if watch.status is Status.CONVERGED and not problem.solver.exact:
+                watch.doubt(problem.linearize(watch.best), problem.solver.said(problem.state))
         except SingularSystemError as error:
             raise underconstrained(problem.solver.seen(problem.latest), watch.best) from error
         except (EvaluationError, SingularGeometryError) as error:

@@ -34,6 +34,7 @@ ALMOST = 10  # times chi2_rtol: a fall not worth a factorization, and ten times 
 CHECK = "check the Jacobians with factors.check_jacobians"
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
+PULL = 5.0  # sigmas by which noise hardly pulls an unknown that a solver leaves alone
 ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
 
 
@@ -187,6 +188,20 @@ class Watch:
             self._settled(f"no step lowers chi2 within its 16 digits; scaled gradient {system.scaled_gradient:.1e}")
         else:
             self.end(Status.STALLED, f"every step was refused, the last one led {led}; {CHECK}")
+
+    def doubt(self, system: LinearSystem, solver: str) -> None:
+        """Converged by the steps of a solver that is not exact: not where the best point, linearized, still pulls.
+
+        A_k'b / |A_k| is what b pulls unknown k by, in sigmas; chi2 would fall by its square along k alone. Noise pulls
+        what is left alone by one or two (0.02 as a gradient on `hauv_hull`), so a small gradient cannot be asked for.
+        """
+        pull, small = system.scaled_gradient * math.sqrt(system.chi2), math.sqrt(AGREEMENT * self.stop.chi2_rtol)
+        if pull > PULL and system.scaled_gradient > small:
+            self.end(
+                Status.STALLED,
+                f"{self.reason}, but the measurements still pull one unknown by {pull:.3g} sigmas: chi2 can fall where "
+                f"the steps of the linear solver do not lead ({solver})",
+            )
 
     def _summed(self, fall: float, chi2: float, little: float) -> bool:
         """Whether this fall and the latest, continued as a geometric series, add up to little."""

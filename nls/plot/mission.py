@@ -88,20 +88,27 @@ def landmark_map(values: Values, found: Elevations, truth: Values | None = None)
     figure = Figure(figsize=(12, 5.5), layout="constrained")
     axes = figure.subplots(1, 2)
     points = values[l[found.landmarks]]
-    known = bool(np.isfinite(found.sigma).all())
-    sigma = np.degrees(found.sigma) if known else None
+    known = np.isfinite(found.sigma)
     reach = (found.range * found.sigma)[:, None] * found.along  # one sigma along the arc, m
     for ax, rows in ((axes[0], [0, 1]), (axes[1], [0, 2])):
         if truth is not None and "l" in truth.stacks:
             ax.plot(*truth[l][:, rows].T, "+", color=TRUE, markersize=5, alpha=0.5, label="truth")
-        if known:
-            ends = np.stack([points - reach, points + reach], axis=1)[:, :, rows]
+        if not known.all():
+            unknown = "landmark" if not known.any() else "landmark, free"
+            ax.scatter(*points[~known][:, rows].T, s=12, facecolors="none", edgecolors=POINT, zorder=3, label=unknown)
+        if known.any():
+            ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors=POINT, linewidths=0.8, label="one sigma of elevation"))
-        dots = ax.scatter(
-            *points[:, rows].T, c=sigma, s=12, norm="log" if known else None, zorder=3, label="landmark"
-        )  # by powers: most landmarks are known to tenths of a degree, some to no better than the aperture
+            dots = ax.scatter(
+                *points[known][:, rows].T,
+                c=np.degrees(found.sigma[known]),
+                s=12,
+                norm="log",
+                zorder=3,
+                label="landmark",
+            )  # by powers: most landmarks are known to tenths of a degree, some to no better than the aperture
         ax.plot(*values[x][:, [0, 1, 2]][:, rows].T, color=SOLUTION, linewidth=0.6, alpha=0.6, label="track")
-    if known:
+    if known.any():
         figure.colorbar(dots, ax=axes, label="sigma of elevation at first view [deg]", shrink=0.8)
     _from_above(axes[0])
     axes[1].set(xlabel="x, north [m]", ylabel="z, down [m]")

@@ -67,7 +67,7 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     >>> euler.from_se3(found[x[2]]).round(3)  # roll, pitch, yaw, x, y, z
     array([-0.2  ,  0.1  ,  1.5  ,  1.071,  0.997,  5.   ])
     """
-    batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH)]
+    batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH) and len(batch)]
     if not batches:
         return values
     edges = edges_of(graph, values, batches, SE3, SE2)
@@ -75,7 +75,7 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     tilt, measured = _tilts(graph, values, edges)
 
     kept = edges.touched & ~measured  # their z, pitch and roll
-    kept[edges.roots] = True  # their x, y and yaw
+    kept[edges.roots[edges.touched[edges.roots]]] = True  # their x, y and yaw
     state = np.zeros((edges.n, 6))
     state[kept] = _euler(values, edges, X, kept)
     state[:, Z_PITCH_ROLL] = np.where(measured[:, None], tilt, state[:, Z_PITCH_ROLL])

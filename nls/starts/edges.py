@@ -147,7 +147,7 @@ def pose_batches(pattern: Pattern) -> dict[LieGroup, list[Batch]]:
     """The relative measurements of a graph by group, in the order of the groups' names."""
     batches: dict[LieGroup, list[Batch]] = {}
     for batch in pattern.batches:
-        if isinstance(batch.model.factor, Between):
+        if isinstance(batch.model.factor, Between) and len(batch):
             group = batch.model.space
             assert isinstance(group, LieGroup)
             batches.setdefault(group, []).append(batch)

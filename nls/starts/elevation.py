@@ -28,6 +28,7 @@ from factors.seen import Seen
 from models import SE3
 from models.algebra import Array
 from models.errors import OptionError
+from models.options import is_number, is_whole
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
@@ -66,6 +67,11 @@ def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -
     -------
     Values
 
+    Raises
+    ------
+    OptionError
+        Not an elevation.
+
     Examples
     --------
     >>> from factors import Isotropic, RangeAzimuth
@@ -77,6 +83,8 @@ def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -
     >>> first_sighting(graph, values, elevation=0.6435)[l[0]].round(3)
     array([4., 0., 3.])
     """
+    if not is_number(elevation) or not -pi / 2 < elevation < pi / 2:
+        raise OptionError("first_sighting: elevation", elevation, "an angle in (-pi / 2, pi / 2), rad")
     return values.replaced({arcs.kind: _placed(values, arcs, arcs.points(elevation)) for arcs in _arcs(graph, values)})
 
 
@@ -117,10 +125,10 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
     >>> search_elevation(graph, Values({x: (SE3, poses), l: (R(3), [0, 0, 0])}), limit=0.8)[l[0]].round(2)
     array([4., 0., 3.])
     """
-    if limit is not None and not 0 < limit < pi / 2:
+    if limit is not None and not (is_number(limit) and 0 < limit < pi / 2):
         raise OptionError("search_elevation: limit", limit, "half an aperture in (0, pi / 2), rad")
-    if steps < 1:
-        raise OptionError("search_elevation: steps", steps, "at least 1 on either side")
+    if not is_whole(steps) or steps < 1:
+        raise OptionError("search_elevation: steps", steps, "a whole number of at least 1, on either side")
     found = {}
     for arcs in _arcs(graph, values):
         seen = [f for f in graph.factors if isinstance(f, Seen) and len(f) and f.keys[1].kind == arcs.kind]

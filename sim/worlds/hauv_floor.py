@@ -59,6 +59,8 @@ def hauv_floor(
     ------
     OptionError
         A size, part or scale that is not possible.
+    GraphError
+        No point is seen three times.
 
     Notes
     -----

@@ -93,7 +93,10 @@ def situation(sample: Sample, case: str, n: int, seed: int) -> tuple[tuple[Array
         "state near pi": (0.1, 0.1),
     }[case]
     z = np.asarray(sample.truth(*X), dtype=float)
-    return X, sample.space.retract(z, turned(sample.space, n, angle, length, rng))
+    step = turned(sample.space, n, angle, length, rng)
+    ranges = np.array(sample.space.components) == "range"
+    step[:, ranges] = np.abs(step[:, ranges])  # none is below 0
+    return X, sample.space.retract(z, step)
 
 
 def whiteners(n: int, m: int, seed: int) -> Array:

@@ -9,7 +9,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from factors import Bearing, BearingRange, Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range, Seen
+from factors import (
+    Bearing,
+    BearingRange,
+    Between,
+    Diagonal,
+    Factor,
+    Isotropic,
+    Landmark,
+    Prior,
+    Range,
+    RangeAzimuth,
+    Seen,
+)
 from factors.keys import Keys
 from models import SE2, SE3, SO2, LieGroup, R
 from models.errors import GraphError, NoiseModelError, SingularGeometryError, UnderconstrainedError
@@ -154,6 +166,37 @@ SPACE = Values({x: (SE3, SE3.identity(2)), l: (R(3), [[0, 0, 5.0], [1, 2, 3]]), 
 def test_what_does_not_fit(factor: Factor, values: Values, message: str) -> None:
     with pytest.raises(GraphError, match=message):
         values.gather(factor)
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Range(x[[0, 1]], l[0], [1.0, -2.0], UNIT), r"Range\(x1, l0\): its range is -2 m"),
+        (lambda: Range(x[0], l[0], -1e-9, UNIT), r"Range\(x0, l0\): its range is -1e-09 m"),
+        (lambda: Range(x[[0, 1]], l[0], [[1.0], [-2.0]], UNIT), r"Range\(x1, l0\)"),
+        (
+            lambda: BearingRange(x[[0, 1]], l[0], [[-1, 2], [-1, -3]], UNIT),
+            r"BearingRange\(x1, l0\): its range is -3 m",
+        ),
+        (lambda: BearingRange(x[[0, 1]], l[0], [[-1, -1, 2], [0, 0, -3]], UNIT), r"BearingRange\(x1, l0\)"),
+        (lambda: RangeAzimuth(x[[0, 1]], l[0], [[5, -1], [-5, 1]], UNIT), r"RangeAzimuth\(x1, l0\): its range is -5 m"),
+        (lambda: RangeAzimuth(x[3], l[0], [-5, 0.1], UNIT), r"RangeAzimuth\(x3, l0\)"),
+    ],
+)
+def test_no_range_is_below_zero(make: Callable[[], Factor], named: str) -> None:
+    with pytest.raises(GraphError, match=named):
+        make()
+
+
+def test_what_is_no_range_may_be_below_zero() -> None:
+    for factor in (
+        Landmark(x[0], l[0], [-1, -1], UNIT),
+        Bearing(x[0], l[0], -1.0, UNIT),
+        BearingRange(x[0], l[0], [-1, -1, 0.0], UNIT),
+        RangeAzimuth(x[0], l[0], [0.0, -1], UNIT),
+        Range(x[[]], l[[]], [], UNIT),
+    ):
+        assert len(factor) <= 1
 
 
 def test_offsets_that_are_no_numbers() -> None:

@@ -106,6 +106,9 @@ def test_contacts_are_made_in_space(kind: Callable[..., Factor]) -> None:
         ),
         (lambda: RangeAzimuth(x[0], l[0], [1, 2, 3], UNIT), GraphError, r"RangeAzimuth\(x0, l0\): .*shape \(3,\)"),
         (lambda: ElevationHinge(x[0], l[0], 7.0), OptionError, r"limit: 7.0 is not possible; .*\(0, pi / 2\), rad"),
+        (lambda: ElevationHinge(x[0], l[0], "a"), OptionError, "limit: 'a' is not possible"),  # type: ignore[arg-type]
+        (lambda: ElevationHinge(x[0], l[0], np.array([0.1, 0.2])), OptionError, "limit: array"),  # type: ignore[arg-type]
+        (lambda: XYH(x[0], x[1], [1, 2, 3], UNIT, form=["levelled"]), OptionError, "form: "),  # type: ignore[arg-type]
         (lambda: ElevationHinge(x[0], l[0], 0.1, softness=0.0), NoiseModelError, r"ElevationHinge\(x0, l0\)"),
     ],
 )

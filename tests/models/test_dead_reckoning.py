@@ -359,7 +359,12 @@ def test_wrong_arrays_are_refused_by_name(wrong: dict[str, Any], message: str) -
         ({"sigma_bias": np.nan}, "sigma_bias: nan"),
         ({"valid": np.arange(11) != 4}, r"sigma_bridge: None .* between 0\.3 and 0\.5 s"),
         ({"valid": np.arange(11) != 4, "sigma_bridge": -1.0}, r"sigma_bridge: -1\.0"),
+        ({"valid": np.arange(11) != 4, "sigma_bridge": "a"}, "sigma_bridge: 'a'"),
         ({"longest": 0.0}, r"longest: 0\.0 is not possible"),
+        ({"longest": "a"}, "longest: 'a' is not possible"),
+        ({"longest": np.nan}, "longest: nan is not possible"),
+        ({"scale": "a"}, "scale: 'a' is not possible"),
+        ({"scale": np.array([0.1, 0.2])}, r"scale: array\(\[0\.1, 0\.2\]\) is not possible"),
     ],
 )
 def test_wrong_numbers_are_refused_by_name(wrong: dict[str, Any], message: str) -> None:

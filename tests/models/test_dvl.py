@@ -43,6 +43,7 @@ def test_one_mounting_serves_all() -> None:
     rng = np.random.default_rng(6)
     v, w = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
     _, one = dvl_velocity(v, w, AFT_AND_TURNED)
+    assert [H.shape for H in one] == [(4, 3, 3), (4, 3, 3), (4, 3, 6)]
     _, each = dvl_velocity(v, w, np.repeat(AFT_AND_TURNED, 4, axis=0))
     for a, b in zip(one, each, strict=True):
         np.testing.assert_array_equal(np.broadcast_to(a, b.shape), b)
@@ -60,6 +61,7 @@ def test_a_dvl_is_a_value() -> None:
     [
         ({"sigma": 0.0}, r"sigma: 0\.0 is not possible; expected a standard deviation above 0"),
         ({"sigma": float("nan")}, "sigma: nan"),
+        ({"sigma": "a"}, "sigma: 'a' is not"),
         ({"scale": -0.1}, r"scale: -0\.1 is not possible; expected a fraction"),
         ({"mount": (0.0, 0.0, 0.0)}, "mount: .* expected a pose x y z qx qy qz qw"),
         ({"mount": (0.0,) * 7}, "mount: .* quaternion of length 1"),

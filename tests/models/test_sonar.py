@@ -172,17 +172,54 @@ def test_cells_and_their_centers(sonar: ImagingSonar) -> None:
     assert sonar.beam(half - 1e-9) == sonar.beams - 1
 
 
+def test_edges_are_inside() -> None:
+    """Of the window, the fan (here all around, where the two edges are one) and the aperture, and of the last cell."""
+    around = replace(DIDSON_HIGH, fan=2 * pi, window=(1.0, 11.0))
+    behind = np.array([[-3.0, 0.0, 0.0], [-3.0, -0.0, 0.0], [-3.0, 1e-9, 0.0], [-3.0, -1e-9, 0.0]])
+    assert around.sees(behind).all()
+    assert around.beam([-pi, pi]).tolist() == [0, around.beams - 1]
+    assert DIDSON_HIGH.sees(np.array([[1.0, 0.0, 0.0], [11.0, 0.0, 0.0]])).all()
+    assert not DIDSON_HIGH.sees(np.array([[np.nextafter(1.0, 0), 0.0, 0.0], [np.nextafter(11.0, 12), 0.0, 0.0]])).any()
+    assert DIDSON_HIGH.bin([1.0, 11.0]).tolist() == [0, DIDSON_HIGH.bins - 1]
+    square = replace(DIDSON_HIGH, fan=pi / 2, aperture=pi / 2)
+    assert square.sees(np.array([[2.0, 2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 0.0, 2.0], [2.0, 0.0, -2.0]])).all()
+    same(square.quantized(np.array([[11.0, pi / 4]])), [[11.0 - 5 / 512, pi / 4 - pi / 4 / 96]])
+
+
+def test_what_is_not_finite_is_not_in_sight() -> None:
+    p = np.array([[np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [3.0, -np.inf, np.nan], [3.0, 0.0, 0.0]])
+    assert DIDSON_HIGH.sees(p).tolist() == [False, False, False, True]
+    assert DIDSON_HIGH.bin([np.nan, -np.inf, np.inf]).tolist() == [-1, -1, DIDSON_HIGH.bins]
+
+
+@pytest.mark.parametrize("bad", [[0.5, 0.0], [12.0, 0.0], [5.0, 0.3], [5.0, -0.3], [np.nan, 0.0], [5.0, np.nan]])
+def test_what_is_outside_has_no_cell(bad: list[float]) -> None:
+    with pytest.raises(
+        OptionError, match=r"frequency: z\[1\]: \[.*a range from 1 to 11 m and an azimuth within 0.2513 rad"
+    ):
+        DIDSON_HIGH.quantized(np.array([[5.0, 0.1], bad, bad]))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"beams": 0}, "beams: 0 is not possible; expected at least 1"),
+        ({"beams": 0}, "beams: 0 is not possible; expected a whole number of at least 1"),
+        ({"beams": 1.5}, "beams: 1.5 is not"),
+        ({"beams": True}, "beams: True is not"),
+        ({"bins": float("inf")}, "bins: inf is not"),
         ({"bins": -1}, "bins: -1 is not"),
         ({"fan": 28.8}, r"fan: 28.8 is not possible; expected an angle in \(0, 2 pi\], rad"),
         ({"aperture": 14.0}, r"aperture: 14.0 is not possible; expected an angle in \(0, pi\), rad"),
         ({"window": (6.0, 1.0)}, r"window: \(6.0, 1.0\) is not possible; expected nearest and farthest"),
         ({"window": (0.0, 1.0)}, "0 < nearest < farthest"),
         ({"window": (1.0, float("nan"))}, "window"),
-        ({"quality": 0.0}, "quality: 0.0 is not possible; expected above 0"),
+        ({"window": None}, "window: None is not possible; expected nearest and farthest"),
+        ({"window": (1, 2, 3)}, r"window: \(1, 2, 3\) is not"),
+        ({"window": ("a", "b")}, r"window: \('a', 'b'\) is not"),
+        ({"fan": "wide"}, "fan: 'wide' is not"),
+        ({"aperture": None}, "aperture: None is not"),
+        ({"quality": 0.0}, "quality: 0.0 is not possible; expected a number above 0"),
+        ({"quality": np.array([1.0, 2.0])}, "quality: array"),
     ],
 )
 def test_no_such_sonar(change: dict[str, object], message: str) -> None:

@@ -63,6 +63,23 @@ MISSIONS = (
         WRITE + SOLVE,
     ),
     Case(
+        "Angles in degrees",
+        DIVE + "tilt = ZPR(x[[0, 1]], [[4.0, 0.0, 0.0], [4.2, 2.5, 0.1]], Isotropic(0.01))\n" + SEEN + WRITE + LOAD,
+        "GraphFileError",
+        ("zpr.csv:3:", "pitch_rad is 2.5", "expected radians"),
+        "tilt = ZPR(x[[0, 1]], [[4.0, 0.0, 0.0], [4.2, np.radians(2.5), 0.1]], Isotropic(0.01))\n" + WRITE + SOLVE,
+    ),
+    Case(
+        "A pose held by hand, which no table says",
+        DIVE + 'graph = FactorGraph([step, tilt])\ngraph.fix(x[0])\nwrite_mission("dive", graph)\n',
+        "GraphError",
+        ("x0 is fixed", "hold it by a factor", "Position of x and y and a Heading"),
+        'here = Prior(x[0], SE3.identity()[0], Isotropic(0.001), components=("x", "y", "yaw"))\n'
+        + 'files = write_mission("dive", FactorGraph([step, tilt, here]))\n'
+        + LOAD
+        + "assert len(graph) == 1 + 2 + 2\n",
+    ),
+    Case(
         "Two missions in one folder",
         DIVE + SEEN + WRITE + 'write_mission("dive", FactorGraph([step, tilt]))\n',
         "GraphFileError",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import nls
 from models import SE3, euler
 from nls.cli import main
 from nls.io import read_tum
-from nls.io.mission import elevations
+from nls.io.mission import elevations, held_free
 from nls.io.mission.results import MAP, TRAJECTORY
 from nls.io.mission.table import Table
 from tests.nls.mission_files import TINY, folder, raw
@@ -124,19 +125,62 @@ def test_a_raw_log_has_no_map(tmp_path: Path, capsys: Captured) -> None:
     assert read_tum(out / "trajectory.tum")[0].tolist() == np.arange(31.0).tolist()
 
 
-def test_no_sigmas_where_there_are_none(tmp_path: Path, capsys: Captured) -> None:
-    """One view of a landmark leaves its elevation free: the files are written, their sigmas are empty."""
+def test_a_landmark_seen_once_costs_no_sigmas_but_its_own(tmp_path: Path, capsys: Captured) -> None:
+    """One view leaves its elevation free: all other sigmas are those of the mission without it."""
     once = TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n"
-    here, out = folder(tmp_path / "m", contacts=once), tmp_path / "out"
-    assert main(["solve", str(here), "-o", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "note        the files have no sigmas: " in said
-    assert "free " in said
-    assert {path.name for path in out.iterdir()} == FILES
-    assert all(row.endswith(",,,,,,") for row in (out / "trajectory.csv").read_text().splitlines()[1:])
-    free = (out / "map.csv").read_text().splitlines()[-1].split(",")
+    outs = {}
+    for name, contacts in (("with", once), ("without", TINY["contacts"])):
+        here = folder(tmp_path / name, contacts=contacts)
+        assert main(["solve", str(here), "-o", str(tmp_path / f"{name}-out")]) == 0
+        outs[name] = tmp_path / f"{name}-out"
+        said = capsys.readouterr().out
+        assert ("note        nothing measures the elevation of l20: no sigmas there" in said) == (name == "with")
+        assert ("--elevation prior" in said) == (name == "with")
+        assert "known to " in line(said, "elevation")
+        assert {path.name for path in outs[name].iterdir()} == FILES
+    tables = [Table(outs[name] / "trajectory.csv", TRAJECTORY).floats(*TRAJECTORY[1:]) for name in outs]
+    assert tables[0] == pytest.approx(tables[1], rel=1e-4, abs=1e-7)
+    rows = [[row.split(",") for row in (out / "map.csv").read_text().splitlines()[1:]] for out in outs.values()]
+    assert np.array(rows[0][:-1], dtype=float) == pytest.approx(np.array(rows[1], dtype=float), rel=1e-4, abs=1e-7)
+    free = rows[0][-1]
     assert (free[0], free[4:10], free[10:12], free[-1]) == ("20", [""] * 6, ["1", "0"], "")
     assert float(free[-2]) == pytest.approx(0.0, abs=1e-3)  # where it began
+
+    assert main(["solve", str(tmp_path / "with"), "-o", str(tmp_path / "prior"), "--elevation", "prior"]) == 0
+    assert "nothing measures" not in capsys.readouterr().out
+    last = Table(tmp_path / "prior" / "map.csv", MAP).floats("sigma_elevation_rad")[-1]
+    assert last == pytest.approx(0.2443 / np.sqrt(12), rel=0.01)
+
+
+def test_landmarks_that_nothing_is_known_of_and_others(tmp_path: Path) -> None:
+    """Twenty of them, more than are named one by one; and held along what is free alone."""
+    once = TINY["contacts"] + "".join(f"1,{k},4.0,{0.01 * (k - 30)!r},0.01,0.004\n" for k in range(20, 40))
+    graph, values, _ = nls.load(folder(tmp_path / "m", contacts=once))
+    values = graph.optimize(values, nls.LevenbergMarquardt()).values
+    with pytest.raises(nls.UnderconstrainedError):
+        nls.Marginals(graph, values)
+    held, free = held_free(graph, values)
+    assert free == l[np.arange(20, 40)]
+    assert held.chi2(values) == pytest.approx(graph.chi2(values), rel=1e-12)
+    found = elevations(held, values, sigmas=True, free=free)
+    assert np.isnan(found.sigma).tolist() == [False] * 3 + [True] * 20
+    Sigma = nls.Marginals(held, values).all(l)[3:]
+    r = np.sqrt(np.einsum("ni,nij,nj->n", found.along[3:], Sigma, found.along[3:]))
+    assert (r < 1.0).all()  # held there, by no more than what is known across
+
+
+@pytest.mark.filterwarnings("default::nls.GraphWarning")
+def test_no_sigmas_where_there_are_none(tmp_path: Path, capsys: Captured) -> None:
+    here, out = folder(tmp_path / "m"), tmp_path / "out"
+    lost = TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", "")
+    few = "".join(row + "\n" for row in TINY["contacts"].splitlines() if not row.startswith("2,"))
+    assert main(["solve", str(folder(tmp_path / "n", zpr=lost, contacts=few)), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "note        the files have no sigmas: 3 unknowns have factors that do not react" in said
+    assert "x2: z, roll, pitch" in said
+    assert {path.name for path in out.iterdir()} == FILES
+    assert all(row.endswith(",,,,,,") for row in (out / "trajectory.csv").read_text().splitlines()[1:])
+    assert all(row.split(",")[4:10] == [""] * 6 for row in (out / "map.csv").read_text().splitlines()[1:])
     assert not any(row.startswith("elevation ") for row in said.splitlines())
     status = main(["solve", str(folder(here)), "-o", str(out), "--max-iterations", "1", "--allow-unconverged"])
     assert status == 0
@@ -161,7 +205,11 @@ def test_the_other_commands(tmp_path: Path, capsys: Captured) -> None:
     assert len(read_tum(tmp_path / "a.tum")[1]) == 4
     capsys.readouterr()
     assert main(["convert", here, str(tmp_path / "a.g2o")]) == 2
-    assert "XYH(x[0, 1, 2], x[1, 2, 3]) cannot be written to a g2o file" in capsys.readouterr().err
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "a.g2o: a mission cannot be written as g2o, which has no lines for its steps and contacts; --to tum" in err
+    assert err.endswith("writes its poses\n")  # and no remark on a file that is not there
+    assert not (tmp_path / "a.g2o").exists()
 
 
 @pytest.mark.parametrize(
@@ -221,3 +269,38 @@ def test_a_trajectory_is_in_the_order_of_time(tmp_path: Path) -> None:
     times, poses = read_tum(tmp_path / "out" / "trajectory.tum")
     assert times.tolist() == [0.0, 3.3, 19.0]
     assert poses[:, 2] == pytest.approx([2.0, 2.33, 3.9], abs=1e-6)
+
+
+def test_no_percent_of_no_distance(tmp_path: Path, capsys: Captured) -> None:
+    """One true pose, or a vehicle that does not move: a dash, null for programs."""
+    one = "".join(row + "\n" for row in TINY["truth"].splitlines()[:3:2])
+    still = {"odometry": "".join(r + "\n" for r in TINY["odometry"].splitlines()[:1]) + "0,1,0,0,0,0.02,0.02,0.005\n"}
+    still["zpr"] = TINY["zpr"].splitlines()[0] + "\n0,5,0,0,0.01,0.002,0.002\n1,5,0,0,0.01,0.002,0.002\n"
+    for here in (folder(tmp_path / "one", truth=one), folder(tmp_path / "still", still)):
+        assert main(["solve", str(here), "--json", str(tmp_path / "r.json")]) == 0
+        out = capsys.readouterr().out
+        assert "nan" not in out
+        assert line(out, "drift").startswith("dead reckoning - (")
+        assert json.loads((tmp_path / "r.json").read_text())["mission"]["dead_reckoning"]["drift_percent"] is None
+
+
+def test_a_folder_named_like_a_trajectory(tmp_path: Path, capsys: Captured) -> None:
+    for name in ("dive.tum", "dive.kitti"):
+        assert main(["solve", str(folder(tmp_path / name))]) == 0
+        assert line(capsys.readouterr().out, "mission").startswith("4 poses")
+
+
+def test_sigmas_come_from_the_solver_and_gauge_that_were_asked_for(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str]] = []
+    init = nls.Marginals.__init__
+
+    def noted(self: nls.Marginals, graph: nls.FactorGraph, values: nls.Values, solver: Any, gauge: str) -> None:
+        asked.append((type(solver).__name__, gauge))
+        init(self, graph, values, solver, gauge)
+
+    monkeypatch.setattr(nls.Marginals, "__init__", noted)
+    options = ["--linear-solver", "lu", "--gauge", "none", "-o", str(tmp_path / "out")]
+    assert main(["solve", str(folder(tmp_path / "m")), *options]) == 0
+    assert asked == [("LU", "none")] * 2  # of the poses and landmarks, and of the elevations

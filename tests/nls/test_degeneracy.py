@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 
 import numpy as np
 import pytest
 
+import sim
 from factors import Between, Isotropic, Landmark, Prior
 from models import SE2, SE3, R, euler
 from models.algebra import Array
@@ -19,6 +21,7 @@ from nls import (
     OptionError,
     Pinv,
     Schur,
+    Status,
     UnderconstrainedError,
     Values,
 )
@@ -92,6 +95,39 @@ def test_truncated_blocks_solve_it_and_move_no_landmark_along_its_elevation() ->
     )  # of all minimizers the one with no part along the null space
     np.testing.assert_allclose(result.values[l], shortest.values[l], atol=2e-6)
     np.testing.assert_allclose(SE3.local(result.values[x], shortest.values[x]), 0.0, atol=2e-6)
+
+
+def test_a_gradient_of_rounding_is_no_gradient() -> None:
+    graph, truth, start = mission(np.random.default_rng(0), np.zeros(12), noise=0.0)
+    result = graph.optimize(start, GaussNewton(), Schur(block_inverse=truncated_inverse))
+    assert result.converged
+    assert result.chi2_final < 1e-12
+    assert result.linear_solver.endswith(", 12 directions left alone")
+    np.testing.assert_allclose(result.values[l], truth[l], atol=1e-6)
+
+
+@pytest.mark.parametrize("height", [0.1, 10.0])
+def test_what_is_left_alone_may_be_pulled_by_noise_and_by_no_more(height: float) -> None:
+    """The height of the points is known to 1 m, too weakly for tau: they stay at 0, wherever that is in sigmas."""
+    graph, _, start = mission(np.random.default_rng(0), np.zeros(12))
+    graph.add(Prior(l[range(12)], np.full((12, 3), height), Isotropic(1.0), components=("z",)))
+    result = graph.optimize(start, GaussNewton(), Schur(block_inverse=truncated_inverse))
+    assert np.abs(result.values[l][:, 2]).max() == 0.0
+    assert result.linear_solver.endswith("12 directions left alone")
+    assert result.status is (Status.CONVERGED if height < 1 else Status.STALLED)
+    if height > 1:
+        assert "pull one unknown by 10 sigmas" in result.reason
+        exact = graph.optimize(start, GaussNewton(), Schur())
+        assert exact.converged
+        assert exact.chi2_final < result.chi2_final - 100
+
+
+def test_a_weak_direction_of_a_real_survey_is_left_alone_and_the_rest_converges() -> None:
+    mission = sim.hauv_hull(np.random.default_rng(0), levels=2, per_level=13)
+    result = mission.graph.optimize(mission.start, GaussNewton(), Schur(block_inverse=truncated_inverse))
+    assert result.converged
+    assert re.search(r"[1-9]\d* directions left alone", result.linear_solver)
+    assert mission.ate(result.values) < mission.ate(mission.start)
 
 
 @pytest.mark.parametrize("tau", [1e-3, 0.2])

@@ -194,3 +194,27 @@ def test_the_name_of_a_sonar(tmp_path: Path) -> None:
         assert report.sonar.name == name
     with pytest.raises(GraphError, match="has more than one line"):
         write_mission(tmp_path / "m", graph, replace(DIDSON_HIGH, name="a\nb"))
+
+
+def test_what_is_fixed_is_not_lost_in_silence(tmp_path: Path) -> None:
+    graph = FactorGraph([STEP, TILT])
+    graph.fix(x[[1, 0]])
+    with pytest.raises(
+        GraphError, match=r"x1 is fixed, which no file .* an anchor is a Position of x and y and a Heading"
+    ):
+        write_mission(tmp_path / "m", graph)
+    assert not (tmp_path / "m").exists()
+
+
+def test_factors_without_measurements_have_no_rows(tmp_path: Path) -> None:
+    none: Any = x[np.zeros(0, dtype=int)]
+    nothing = [
+        XYH(none, none, np.zeros((0, 3)), Isotropic(1)),
+        RangeAzimuth(none, l[none.numbers], np.zeros((0, 2)), Isotropic(1)),
+        ZPR(none, np.zeros((0, 3)), Isotropic(1)),
+        Position(none, np.zeros((0, 2)), Isotropic(1), components=("x", "y")),
+        Bearing(none, l[none.numbers], np.zeros((0, 2)), Isotropic(1)),
+    ]
+    files = write_mission(tmp_path / "m", FactorGraph([*nothing, STEP, TILT, *nothing]))
+    assert [Path(file).name for file in files] == ["odometry.csv", "zpr.csv"]
+    assert len((tmp_path / "m" / "odometry.csv").read_text().splitlines()) == 2

@@ -177,6 +177,7 @@ def test_why_a_file_was_read_so(tmp_path: Path) -> None:
         ("EDGE_RANGE 0.5 A0 L4 5.1 0.1", "L4 is measured, but no vertex line gives it"),
         ("EDGE_RANGE 0.5 C0 L3 5.1 0.1", "C0 is measured, but no vertex line gives it"),
         ("EDGE_RANGE 0.5 A0 A0 5.1 0.1", "joins A0 to itself"),
+        ("EDGE_RANGE 0.5 A0 L3 -5.1 0.1", "a range is at least 0 m"),
         ("EDGE_RANGE 0.5 A0 L3 5.1 0", "Covariance of range, measurement 2, is 0, expected > 0"),
         ("EDGE_RANGE 0.5 L3 A0 5.1 0.1", "expected a pose"),
         ("EDGE_SE2 1 A0 A1 1 0 0 1 2 0 1 0 1", "not positive definite"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Huber
+from factors import Huber, Isotropic, Landmark, Prior
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Values
@@ -230,10 +231,49 @@ def test_options_are_checked() -> None:
         Schur(memory_limit=-1.0)
 
 
-def test_no_covariance_from_another_inverse() -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [lambda m: m.covariance(l[0]), lambda m: m.all(l), lambda m: m.joint([l[0], l[1]])],
+    ids=["covariance", "all", "joint"],
+)
+def test_no_covariance_from_another_inverse(ask: Callable[[nls.Marginals], object]) -> None:
     sample = landmarks(SE2)
-    with pytest.raises(nls.OptionError, match="block_inverse"):
-        nls.Marginals(sample.graph, sample.values, Schur(truncated)).all(l)
+    ask(nls.Marginals(sample.graph, sample.values, Schur()))
+    for another in (truncated, np.linalg.inv):
+        with pytest.raises(
+            nls.OptionError, match=r"linear_solver: Schur\(block_inverse=...\) is .* factorizes A'A itself"
+        ):
+            ask(nls.Marginals(sample.graph, sample.values, Schur(another)))
+
+
+@pytest.mark.parametrize("optimizer", [GaussNewton(), LevenbergMarquardt(), nls.Dogleg()])
+def test_where_nothing_may_move_nothing_has_converged(optimizer: nls.Optimizer) -> None:
+    """x, of more columns, is eliminated, and 0 is taken for its inverse: it stays 5 m from where it is known to be."""
+    graph = FactorGraph(
+        [Prior(x[0], [0, 0, 0], Isotropic(0.1)), Landmark(x[0], l[0], [1.0, 2.0], Isotropic(0.1))],
+    )
+    start = Values({x: (SE2, [5.0, 0.0, 0.0]), l: (R(2), [0.0, 0.0])})
+    result = graph.optimize(start, optimizer, Schur(block_inverse=lambda H: 0 * H))
+    assert result.status is nls.Status.STALLED
+    assert re.fullmatch(
+        r".*, but the measurements still pull one unknown by 35\.4 sigmas: chi2 can fall where the steps of the linear "
+        r"solver do not lead \(schur, x eliminated: 3 of 5 columns, 3 directions left alone\)",
+        result.reason,
+    )
+    assert result.values[x[0]].tolist() == [5.0, 0.0, 0.0]
+    exact = graph.optimize(start, optimizer, Schur(block_inverse=np.linalg.inv))
+    assert exact.converged
+    assert exact.linear_solver == "schur, x eliminated: 3 of 5 columns, 0 directions left alone"
+    assert exact.values[l[0]] == pytest.approx([1.0, 2.0])
+
+
+def test_what_is_left_alone_is_counted_in_the_latest_solve() -> None:
+    sample = seen_by_range(4)
+    solver = Schur(truncated)
+    analyzed = solver.analyze(sample.graph.linearize(sample.values).pattern)
+    solver.solve(analyzed, sample.graph.linearize(sample.values))
+    assert solver.said(analyzed).endswith(", 1 directions left alone")
+    assert solver.again(analyzed, sample.graph.linearize(sample.values)) is None
 
 
 def test_a_root_of_an_inverse() -> None:

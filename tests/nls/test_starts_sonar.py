@@ -28,7 +28,7 @@ from models import SE2, SE3, R, euler
 from models.errors import OptionError, SingularGeometryError
 from models.sensors import DIDSON_HIGH, cartesian, spherical
 from nls import FactorGraph, Values, initialize, kinds
-from nls.starts import dead_reckoning, first_sighting, search_elevation
+from nls.starts import chain, dead_reckoning, first_sighting, search_elevation, spanning_tree
 
 Array = npt.NDArray[np.float64]
 same = np.testing.assert_allclose
@@ -122,6 +122,29 @@ def test_what_is_not_measured_is_kept() -> None:
     assert dead_reckoning(alone, start) is start
 
 
+def test_empty_batches_are_no_steps() -> None:
+    """Alone, and beside others: of XYH, Between, ZPR and contacts."""
+    e = path(3)
+    truth = Values({x: (SE3, euler.to_se3(e)), l: (R(3), [[1.0, 2.0, 3.0]])})
+    none, nothing = x[[]], np.zeros((0, 3))
+    empty = [
+        XYH(none, none, nothing, UNIT),
+        Between(none, none, np.zeros((0, 7)), UNIT),
+        ZPR(none, nothing, UNIT),
+        RangeAzimuth(none, l[[]], np.zeros((0, 2)), UNIT),
+    ]
+    for factor in empty:
+        for start in (dead_reckoning, chain, spanning_tree, first_sighting, search_elevation):
+            found = start(FactorGraph([factor]), truth)
+            assert np.array_equal(found[x], truth[x])
+    start = lost(truth, x[0])
+    linked = Between(x[[0, 1]], x[[1, 2]], SE3.between(truth[x][:-1], truth[x][1:]), UNIT)
+    for measured in (navigation(e, np.arange(3)), [linked]):
+        graph = FactorGraph([*empty, *measured, *empty])
+        same_poses(initialize(graph, start, "odometry")[0][x], truth[x])
+        assert initialize(graph, start)[1] == initialize(FactorGraph(measured), start)[1]
+
+
 def test_a_kept_pose_at_gimbal_lock_is_named() -> None:
     """But one that is measured may be anything before."""
     e = path(3)
@@ -133,6 +156,12 @@ def test_a_kept_pose_at_gimbal_lock_is_named() -> None:
     with pytest.raises(SingularGeometryError, match=r"dead reckoning from x5: the pose is at gimbal lock") as caught:
         dead_reckoning(FactorGraph(measured[:1]), values)
     assert caught.value.keys == (x[5],)
+    fixed = FactorGraph(navigation(e, np.array([4, 5, 6])))
+    fixed.fix(x[9])  # which no step touches
+    beside = Values({x: (SE3, np.concatenate([euler.to_se3(e), X[[1]]]), [4, 5, 6, 9])})
+    found = dead_reckoning(fixed, beside)
+    same_poses(found[x[[4, 5, 6]]], euler.to_se3(e))
+    assert np.array_equal(found[x[9]], X[1])
 
 
 def dive(n: int = 12, k: int = 60, seed: int = 0) -> tuple[Values, Array, Array, Array]:
@@ -289,7 +318,23 @@ def test_fixed_landmarks_and_other_variables_stay() -> None:
     assert search_elevation(FactorGraph([graph.factors[1]]), values)[l].tolist() == values[l].tolist()
 
 
-@pytest.mark.parametrize(("more", "message"), [({"limit": 7.0}, "limit: 7.0"), ({"steps": 0}, "steps: 0 is not")])
+@pytest.mark.parametrize("bad", [np.nan, 4.0, -np.pi / 2, "a", None, np.array([0.1, 0.2])])
+def test_no_such_elevation(bad: object) -> None:
+    truth, i, k, z = dive()
+    with pytest.raises(OptionError, match="first_sighting: elevation"):
+        first_sighting(FactorGraph(contacts(i, k, z)), truth, elevation=bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"limit": 7.0}, "limit: 7.0"),
+        ({"limit": "a"}, "limit: 'a'"),
+        ({"steps": 0}, "steps: 0 is not"),
+        ({"steps": 1.5}, "steps: 1.5 is not possible; expected a whole number"),
+        ({"steps": True}, "steps: True"),
+    ],
+)
 def test_bad_options_of_the_search(more: dict[str, float], message: str) -> None:
     truth, i, k, z = dive()
     with pytest.raises(OptionError, match=f"search_elevation: {message}"):

@@ -81,7 +81,16 @@ def test_folders_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
         (["hauv-floor", "--elevation", "guess"], "--elevation: invalid choice: 'guess' (choose from"),
         (["hauv-floor", "--aperture", "28 deg"], "'28 deg' is not a number"),
         (["hauv-floor", "--aperture", "deg"], "'deg' is not a number"),
-        (["hauv-floor", "--aperture", "200deg"], "an angle in (0, pi), rad"),
+        (["hauv-floor", "--aperture", "180deg"], "nls-sim: --aperture: 3.14159"),
+        (["hauv-hull", "--aperture", "200deg"], "is not possible; give an angle in (0, pi), rad"),
+        (
+            ["hauv-floor", "--per-leg", "2", "--legs", "1", "--passes", "1"],
+            "hauv-floor: none of 399 points is seen 3 times",
+        ),
+        (
+            ["hauv-hull", *SMALL["hauv-hull"], "--noise-scale", "1e300"],
+            "--noise-scale: 1e+300 is not possible; give less",
+        ),
         (["hauv-floor", "--passes", "0"], "--passes: 0 is not possible; give a whole number from 1"),
         (["hauv-floor", "--outliers", "2"], "--outliers: 2.0 is not possible; give a number from 0 to 1"),
         (["hauv-hull", "--wrong-associations", "1"], "--wrong-associations: 1.0 is not possible; give less"),

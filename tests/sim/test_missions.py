@@ -11,7 +11,7 @@ import pytest
 import sim
 from factors import Elevation, ElevationHinge
 from models import SE3, euler
-from models.errors import OptionError
+from models.errors import GraphError, OptionError
 from models.sensors import ImagingSonar, cartesian, spherical
 from nls import kinds
 from sim.cli import MISSIONS
@@ -224,7 +224,9 @@ def test_larger_missions_keep_the_density() -> None:
         (sim.hauv_floor, {"per_leg": 1}, "per_leg"),
         (sim.hauv_floor, {"legs": 10**6, "per_leg": 10**6}, "per_leg"),
         (sim.hauv_floor, {"points": 0}, "points"),
-        (sim.hauv_floor, {"legs": 1, "per_leg": 2, "points": 1}, "points"),
+        (sim.hauv_floor, {"noise_scale": 1e300}, "noise_scale"),
+        (sim.hauv_hull, {"noise_scale": 1e4}, "noise_scale"),
+        (sim.hauv_hull, {"aperture": np.pi}, "aperture"),
         (sim.hauv_floor, {"aperture": 0.0}, "aperture"),
         (sim.hauv_floor, {"elevation": "guess"}, "elevation"),
         (sim.hauv_floor, {"noise_scale": -1.0}, "noise_scale"),
@@ -240,6 +242,12 @@ def test_impossible_options_are_refused(make: Make, options: dict[str, float], r
     with pytest.raises(OptionError, match=r"is not possible; expected") as caught:
         make(np.random.default_rng(0), **options)
     assert refused in caught.value.option
+
+
+@pytest.mark.parametrize("options", [{"legs": 1, "per_leg": 2, "passes": 1}, {"legs": 1, "per_leg": 2, "points": 1}])
+def test_points_that_are_seen_too_seldom_are_nobodys_option(options: dict[str, int]) -> None:
+    with pytest.raises(GraphError, match=r"hauv-floor: none of \d+ points is seen 3 times from \d poses"):
+        sim.hauv_floor(np.random.default_rng(0), **options)
 
 
 @every_mission

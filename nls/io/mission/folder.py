@@ -42,7 +42,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
         elif table in files:
             raise GraphFileError(f"there is {files[table].name} beside it; leave one of them", str(path / name))
         else:
-            files[table] = path / name
+            files[table] = _regular(path / name)
     _refuse_parts(str(folder), set(files), others)
 
     report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
@@ -54,6 +54,13 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     if rest := [name for name in others if name not in tabular and name != README]:
         report.notes.append(f"not read: {_listed(rest)}")
     return tables, report
+
+
+def _regular(file: Path) -> Path:
+    """Refuse a pipe or a device, which would be waited for; what a folder or a lost link is, reading says."""
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        raise GraphFileError("is a pipe or a device; expected a file", str(file))
+    return file
 
 
 def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:

@@ -14,6 +14,7 @@ from models import SE3, Manifold, R, euler
 from models.algebra import Array
 from models.errors import OptionError
 from models.sensors import ImagingSonar
+from nls.components import connected
 from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.folder import read_tables
@@ -66,6 +67,7 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
+    _compare(report, points)
     with stage("read start"):
         return graph, _start(graph, numbers, points, first), report
 
@@ -93,6 +95,12 @@ def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, li
         k = int(np.argmax(same))
         raise odometry.at(k, f"the step joins pose {i[k]} to itself")
     numbers = np.unique(np.concatenate([i, j]))
+    pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
+    if len(pieces) > 1:
+        report.warn(
+            f"odometry.csv leaves the track in {len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}: "
+            "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
+        )
     again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
     if again:
         report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")
@@ -103,8 +111,8 @@ def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, li
     if "poses" in tables:
         report.vertex_times["x"] = _times(tables["poses"], numbers)
     return numbers, [
-        XYH(x[i], x[j], odometry.floats(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
-        ZPR(x[tilted], zpr.floats(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
+        XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
+        ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
     ]
 
 
@@ -124,7 +132,7 @@ def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) ->
     true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
     if (table := tables.get("truth")) is not None:
         given = table.unique("i", "pose")
-        true[x] = (SE3, euler.to_se3(table.floats(*ANGLES, *PLACE)), given)
+        true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), given)
         if not np.isin(given, numbers).any():
             raise table.at(0, f"pose {given[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
         if missing := len(np.setdiff1d(numbers, given)):
@@ -132,8 +140,30 @@ def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) ->
         if more := len(np.setdiff1d(given, numbers)):
             report.notes.append(f"truth.csv has {more} poses nothing measures: not used")
     if (table := tables.get("landmarks")) is not None:
-        true[l] = (R(3), table.floats(*PLACE), table.unique("landmark", "landmark"))
+        true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
     return Values(true)
+
+
+def _compare(report: MissionReport, points: Numbers) -> None:
+    """Say which landmarks cannot be judged by landmarks.csv, and which of its rows judge none."""
+    if "l" not in report.truth.stacks:
+        return
+    known = report.truth.stack("l").numbers
+    missing, more = len(np.setdiff1d(points, known)), len(np.setdiff1d(known, points))
+    if not len(points):
+        report.notes.append("landmarks.csv is not used: there is no contacts.csv")
+    elif missing == len(points):
+        report.notes.append(
+            f"landmarks.csv is not used: none of its landmarks, {known[0]} the first, is in contacts.csv, where "
+            f"{points[0]} is; their errors are not known"
+        )
+    else:
+        if missing:
+            report.notes.append(
+                f"landmarks.csv has no row for {missing} of {len(points)} landmarks: errors are of the others"
+            )
+        if more:
+            report.notes.append(f"landmarks.csv has {more} landmarks nothing measures: not used")
 
 
 def _anchor(
@@ -146,7 +176,7 @@ def _anchor(
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
         i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
-        z, sigmas = table.floats(*LEVEL), table.positive(*suffixed(LEVEL))
+        z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
     if "x" in report.truth.stacks and anchor in report.truth:
@@ -180,7 +210,7 @@ def _contacts(
     i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
     k = table.integers("landmark")
     table.positive("range_m")
-    z = table.floats(*CONTACT)
+    z = table.measured(*CONTACT)
     r, azimuth = z.T
     if (behind := ~(np.abs(azimuth) <= np.pi)).any():
         row = int(np.argmax(behind))
@@ -209,4 +239,4 @@ def _sonar(table: Table) -> tuple[ImagingSonar, Array]:
         sonar = ImagingSonar(table.text_of("name")[0], beams, bins, fan, aperture, (near, far))
     except OptionError as error:
         raise table.at(0, str(error)) from error
-    return sonar, euler.to_se3(table.floats(*ANGLES, *PLACE)[0])
+    return sonar, euler.to_se3(table.measured(*ANGLES, *PLACE)[0])

@@ -43,10 +43,11 @@ def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
 def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> bytes:
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
-    The elevation is the one in the frame of the sonar at the first view. Cells are empty where there are no sigmas.
+    The elevation is the one in the frame of the sonar at the first view. Cells are empty where there are no sigmas:
+    of all landmarks without marginals, else of those that are free.
     """
-    n, keys = len(found.landmarks), l[found.landmarks]
-    Sigma = None if marginals is None else marginals.covariance(keys)[:, *UPPER]
+    n, keys, known = len(found.landmarks), l[found.landmarks], np.isfinite(found.sigma)[:, None]
+    Sigma = None if marginals is None else np.where(known, marginals.covariance(keys)[:, *UPPER], np.nan)
     sigma = None if marginals is None else found.sigma[:, None]
     return csv_text(
         MAP,
@@ -55,5 +56,7 @@ def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> 
     )
 
 
-def _or_empty(numbers: Array | None, shape: tuple[int, int]) -> Array | list[list[str]]:
-    return [[""] * shape[1]] * shape[0] if numbers is None else numbers
+def _or_empty(numbers: Array | None, shape: tuple[int, int]) -> list[list[str]]:
+    """Cells, empty where a number is not known."""
+    rows = np.full(shape, np.nan) if numbers is None else numbers
+    return [["" if np.isnan(number) else repr(number) for number in row] for row in rows.tolist()]

@@ -14,22 +14,25 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from factors import Elevation, Factor, Isotropic, RangeAzimuth
-from factors.keys import kinds
+from factors import Elevation, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
+from factors.keys import Keys, kinds
 from models import SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
 from nls.covariance import Marginals
+from nls.degeneracy import landmark_information
 from nls.graph import FactorGraph
 from nls.io.mission.report import MissionReport
+from nls.linear import LinearSolver
 from nls.metrics import TrajectoryError, ate
 from nls.values import Values
 
-__all__ = ["Elevations", "Track", "elevations", "track_of"]
+__all__ = ["Elevations", "Track", "elevations", "held_free", "track_of"]
 
 Numbers = npt.NDArray[np.int64]
 FOLLOWS = 1e-3  # rad
+FREE = 1e-10  # of the information along the best known direction: 1 km where that is known to 1 cm
 x, l, e = kinds("x", "l", "e")
 
 
@@ -103,7 +106,8 @@ class Elevations:
     landmarks, poses : (n,) numbers of the landmarks and of the poses that saw them first.
     views : (n,) contacts of each.
     range, azimuth, elevation : (n,) of the estimate, in the frame of the sonar at that pose, m and rad.
-    sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for.
+    sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
+        landmark is free.
     along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
     """
 
@@ -117,7 +121,47 @@ class Elevations:
     along: Array
 
 
-def elevations(graph: FactorGraph, values: Values, sigmas: bool = False) -> Elevations:
+def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
+    r"""A graph with covariances for everything that is determined, and the landmarks that are not.
+
+    A landmark that was seen once may move along its arc, and no measurement notices: with H_l its own information,
+
+        H_l v = 0,   so A (0, ..., v, ..., 0) = 0
+
+    It is held along v, by a prior that says nothing else. As v is a direction of the null space, holding it changes no
+    covariance but that landmark's, which is none: it is named, so that it can be left out.
+
+    Parameters
+    ----------
+    graph : with landmarks ``l``.
+    values : where it is linearized, usually the optimum.
+
+    Returns
+    -------
+    graph : that graph and the priors.
+    free : the landmarks with a direction of less than `FREE` of the information along their best one.
+    """
+    found = landmark_information(graph, values, l)
+    w, V = np.linalg.eigh(found.information)
+    most = w[:, -1:]
+    unknown = w <= FREE * most
+    weak = unknown.any(axis=1)
+    keys = l[found.keys.numbers[weak]]
+    scale = np.sqrt(np.where(most > 0, most, 1.0))[weak]
+    W = (scale * unknown[weak])[:, :, None] * V[weak].mT
+    held = FactorGraph([*graph.factors, Prior(keys, values[keys], SqrtInformation(W))] if len(keys) else graph.factors)
+    held.fixed = list(graph.fixed)
+    return held, keys
+
+
+def elevations(
+    graph: FactorGraph,
+    values: Values,
+    sigmas: bool = False,
+    linear_solver: LinearSolver | None = None,
+    gauge: str = "first",
+    free: Keys | None = None,
+) -> Elevations:
     """The elevation of every landmark of a mission at its first view, and how well it is known.
 
     Parameters
@@ -125,6 +169,8 @@ def elevations(graph: FactorGraph, values: Values, sigmas: bool = False) -> Elev
     graph : its `RangeAzimuth` factors; their offset is fixed.
     values : poses ``x`` and landmarks ``l``.
     sigmas : whether to compute the standard deviations, from the covariances at these values.
+    linear_solver, gauge : for the covariances, as in `nls.Marginals`.
+    free : landmarks that are free along a direction, which have no standard deviation, see `held_free`.
 
     Raises
     ------
@@ -145,11 +191,16 @@ def elevations(graph: FactorGraph, values: Values, sigmas: bool = False) -> Elev
     r, azimuth, elevation = spherical(group.act(group.inverse(S), X[1]))[0].T
     _, J = cartesian(np.column_stack([r, azimuth, elevation]))
     along = (group.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
-    sigma = _sigmas(graph, values, view, elevation) if sigmas else np.full(len(r), np.nan)
+    sigma = np.full(len(r), np.nan)
+    if sigmas:
+        known = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
+        sigma[known] = _sigmas(graph, values, view, elevation, linear_solver, gauge)[known]
     return Elevations(landmarks, poses, views, r, azimuth, elevation, sigma, along)
 
 
-def _sigmas(graph: FactorGraph, values: Values, view: Elevation, elevation: Array) -> Array:
+def _sigmas(
+    graph: FactorGraph, values: Values, view: Elevation, elevation: Array, solver: LinearSolver | None, gauge: str
+) -> Array:
     """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`.
 
     A variable that only follows adds nothing to what is known of the others, and its variance is H Sigma H' +
@@ -171,4 +222,4 @@ def _sigmas(graph: FactorGraph, values: Values, view: Elevation, elevation: Arra
     wider = FactorGraph([*graph.factors, follow])
     wider.fixed = list(graph.fixed)
     both = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
-    return np.asarray(np.sqrt(Marginals(wider, both).all(e)[:, 0, 0] - FOLLOWS**2))
+    return np.asarray(np.sqrt(Marginals(wider, both, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))

@@ -2,7 +2,7 @@
 
 Cells are what stands between commas; blanks around them do not count. Text may stand in quotation marks, and must where
 it has a comma. Blank lines and lines that begin with ``#`` are skipped. Columns are found by name and may stand in any
-order; none may be missing, unknown or there twice.
+order; none may be missing, unknown or there twice. Their names say the unit, and so what a number can be (`LIMITS`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from models.algebra import Array
 from models.errors import GraphError, GraphFileError
+from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
 from nls.io.text import Text, printable
@@ -23,6 +24,15 @@ __all__ = ["Table", "csv_text"]
 
 Index = npt.NDArray[np.intp]
 Numbers = npt.NDArray[np.int64]
+SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
+TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
+LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
+    ("time_s", 1e15, "seconds, within 1e15"),
+    ("_m_s", 1e9, "meters per second, within 1e9"),
+    ("_rad", TURNS, "radians, -2 pi to 2 pi"),
+    ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
+    ("", LARGEST, "a number within 1e12"),
+)
 
 
 class Table(Text):
@@ -128,18 +138,55 @@ class Table(Text):
         """
         return self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
 
-    def positive(self, *names: str) -> Array:
-        """Numbers (n, k) of columns that must be above 0, such as standard deviations.
+    def measured(self, *names: str, rows: npt.NDArray[np.bool_] | None = None) -> Array:
+        """Numbers (n, k) of columns, each within what its unit allows, see `LIMITS`.
+
+        Parameters
+        ----------
+        names : of the columns.
+        rows : (n,) those that count; the others may hold anything.
 
         Raises
         ------
         GraphFileError
         """
         found = self.floats(*names)
-        if (bad := ~(found > 0)).any():
-            k, column = divmod(int(np.argmax(bad)), len(names))
-            raise self.at(k, f"{names[column]} is {float(found[k, column])!r}; expected a number above 0")
+        limits, said = zip(*(next(rest for end, *rest in LIMITS if name.endswith(end)) for name in names), strict=True)
+        bad = ~(np.abs(found) <= np.array(limits))
+        if rows is not None:
+            bad &= rows[:, None]
+        self._refuse(bad, found, names, said)
         return found
+
+    def attitude(self, *names: str) -> Array:
+        """As `measured`, of a vehicle: its pitch is less than a right angle, where it has no heading.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        found = self.measured(*names)
+        upright = np.array([UPRIGHT if name == "pitch_rad" else np.inf for name in names])
+        self._refuse(np.abs(found) > upright, found, names, ["radians, between -pi/2 and pi/2"] * len(names))
+        return found
+
+    def positive(self, *names: str) -> Array:
+        """Numbers (n, k) of columns that must be above 0: standard deviations, ranges.
+
+        Raises
+        ------
+        GraphFileError
+        """
+        found = self.floats(*names)
+        self._refuse(~(found > 0), found, names, ["a number above 0"] * len(names))
+        self._refuse((found < SMALLEST) | (found > LARGEST), found, names, ["1e-12 to 1e12"] * len(names))
+        return found
+
+    def _refuse(self, bad: npt.NDArray[np.bool_], found: Array, names: Sequence[str], expected: Sequence[str]) -> None:
+        """An error for the first of the numbers (n, k) that is bad."""
+        if bad.any():
+            k, column = divmod(int(np.argmax(bad)), len(names))
+            raise self.at(k, f"{names[column]} is {float(found[k, column])!r}; expected {expected[column]}")
 
     def integers(self, name: str) -> Numbers:
         """Whole numbers (n,) of one column.
@@ -176,7 +223,7 @@ class Table(Text):
         GraphFileError
             One that does not.
         """
-        t = self.floats(name)[:, 0]
+        t = self.measured(name)[:, 0]
         if (late := t[1:] <= t[:-1]).any():
             k = int(np.argmax(late)) + 1
             raise self.at(

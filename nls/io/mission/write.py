@@ -58,7 +58,8 @@ def write_mission(
     Raises
     ------
     GraphError
-        A factor, kind of variable or noise that no file has columns for; a pose that is not in the track.
+        A factor, kind of variable or noise that no file has columns for; a pose that is not in the track; a fixed
+        variable.
     GraphFileError
         The folder cannot be written, or holds files of another mission that would be mixed with these.
 
@@ -106,11 +107,19 @@ def mission_files(
     """The files `write_mission` writes, by name; parameters and errors as there."""
     mount = SE3.identity()[0] if offset is None else SE3.stack(offset)[0]
     rows: dict[str, list[Rows]] = {}
-    for factor in graph.factors:
+    factors = [factor for factor in graph.factors if len(factor)]  # what measures nothing needs no file
+    if held := [keys for keys in graph.fixed if len(keys)]:
+        first = next(iter(held[0]))
+        raise GraphError(
+            f"write_mission: {first!r} is fixed, which no file of a mission says; hold it by a factor instead: an "
+            "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
+            [first],
+        )
+    for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
             numbers = [keys.numbers for keys in factor.keys]
             rows.setdefault(name, []).append((*numbers, _z(factor), _sigmas(factor, MEASURED[name])))
-    if anchors := _anchors(graph):
+    if anchors := _anchors(factors):
         rows["anchor"] = anchors
     if sonar is not None:
         rows["sonar"] = [_sonar(sonar, mount)]
@@ -194,17 +203,17 @@ def _no_file(factor: Factor, why: str) -> GraphError:
     return GraphError(f"{factor!r} has no file in a mission folder: {why}", factor.keys, factor.name)
 
 
-def _anchors(graph: FactorGraph) -> list[Rows]:
+def _anchors(factors: list[Factor]) -> list[Rows]:
     """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading."""
     rows: list[Rows] = []
-    for factor in graph.factors:
+    for factor in factors:
         if isinstance(factor, Prior):
             if factor.components != ("x", "y", "yaw") or factor.offset is not None:
                 raise _no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
             z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
             rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], _sigmas(factor, ("x", "y", "yaw"))))
-    positions = [factor for factor in graph.factors if isinstance(factor, Position)]
-    headings = [factor for factor in graph.factors if isinstance(factor, Heading)]
+    positions = [factor for factor in factors if isinstance(factor, Position)]
+    headings = [factor for factor in factors if isinstance(factor, Heading)]
     for p, h in zip_longest(positions, headings):
         if p is None or h is None or p.keys != h.keys or p.components != ("x", "y") or p.offset is not None:
             raise _no_file(
