@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from numbers import Real
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from factors.noise import Noise
 from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import NoiseModelError, OptionError
+from models.options import is_number
 
 __all__ = [
     "DCS",
@@ -63,7 +63,7 @@ class Kernel(Abstract):
     c: float
 
     def __init__(self, c: float) -> None:
-        if isinstance(c, bool) or not isinstance(c, Real) or not c > 0 or not 0 < float(c) * float(c) < math.inf:
+        if not is_number(c) or not c > 0 or not 0 < float(c) * float(c) < math.inf:
             raise OptionError(f"{type(self).__name__}(c)", c, "a number above 0 whose square is finite, in sigmas")
         self.c = float(c)
 

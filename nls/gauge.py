@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +34,6 @@ from nls.linear.normal import NormalEquations
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from factors.base import Factor
     from nls.assemble import Index
     from nls.values import Values
 
@@ -55,14 +54,15 @@ GAUGES = ("first", "prior", "free", "none")
 
 @dataclass(frozen=True)
 class Gauge:
-    """What was decided: variables held, priors added, and the sentence for the report.
+    """What was decided: variables held, and the sentence for the report.
 
-    `fixed` are the held variables that are not the gauge: those the user fixed and those no factor touches.
+    `pattern` is the graph with the priors that were added, nothing held. `fixed` are the held variables that are not
+    the gauge: those the user fixed and those no factor touches.
     """
 
+    pattern: Pattern
     held: npt.NDArray[np.bool_]
     fixed: npt.NDArray[np.bool_]
-    priors: list[Factor] = field(default_factory=list)
     said: str = ""
     free: bool = False
 
@@ -109,7 +109,7 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
     if not isinstance(name, str) or name not in GAUGES:
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
-        return Gauge(fixed, fixed, said="nothing is held")
+        return Gauge(pattern, fixed, fixed, said="nothing is held")
     label = component_labels(pattern)
     touched, (anchored, moving) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
@@ -130,17 +130,18 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
         fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, moving, anchored)
     if not len(chosen):
-        return Gauge(fixed, fixed, said="fixed by the graph itself")
+        return Gauge(pattern, fixed, fixed, said="fixed by the graph itself")
     named = _named(pattern, chosen)
     if name == "prior":
         keys = [pattern.key(int(v)) for v in chosen]
-        priors: list[Factor] = [Prior(key, values[key], Isotropic(1.0)) for key in keys]
-        return Gauge(fixed, fixed, priors, f"a prior of unit information on {named}")
+        factors = [batch.model.factor for batch in pattern.batches]
+        every = Pattern([*factors, *(Prior(key, values[key], Isotropic(1.0)) for key in keys)], values)
+        return Gauge(every, fixed, fixed, f"a prior of unit information on {named}")
     held = fixed.copy()
     held[chosen] = True
     if name == "free":
-        return Gauge(held, fixed, said=f"free, shortest step; computed with {named} held", free=True)
-    return Gauge(held, fixed, said=f"{named} held")
+        return Gauge(pattern, held, fixed, said=f"free, shortest step; computed with {named} held", free=True)
+    return Gauge(pattern, held, fixed, said=f"{named} held")
 
 
 def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:

@@ -156,13 +156,10 @@ class FactorGraph:
         if not isinstance(solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
-        every = self.pattern(values)
-        decided = choose_gauge(gauge, every, values, fixed)
-        if decided.priors:
-            every = Pattern([*self.factors, *decided.priors], values)
-        pattern = every.holding(decided.held)
+        decided = choose_gauge(gauge, self.pattern(values), values, fixed)
+        pattern = decided.pattern.holding(decided.held)
         if decided.free:
-            solver, pattern = FreeGauge(solver, pattern), every.holding(decided.fixed)
+            solver, pattern = FreeGauge(solver, pattern), decided.pattern.holding(decided.fixed)
         problem = Problem(pattern, solver)
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())

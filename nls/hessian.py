@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["Blocks", "Hessian"]
+__all__ = ["Blocks", "Hessian", "triangle"]
 
 
 @cache
-def _triangle(d: int) -> tuple[Index, Index]:
+def triangle(d: int) -> tuple[Index, Index]:
     """Rows and columns of the lower triangle of a (d, d) block, by rows (`numpy.tril_indices` takes 180 us)."""
     rows, columns = np.nonzero(np.tri(d))
     return rows, columns
@@ -38,7 +38,7 @@ def _triangle(d: int) -> tuple[Index, Index]:
 @cache
 def _lower(d: int) -> Index:
     """Places of the lower triangle of a (d, d) block stored by rows."""
-    rows, columns = _triangle(d)
+    rows, columns = triangle(d)
     return np.asarray(rows * d + columns)
 
 
@@ -82,7 +82,7 @@ class Hessian:
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
         for d in np.flatnonzero(np.bincount(widths)):
             k = np.flatnonzero(widths == d)[:, None]
-            r, c = _triangle(int(d))
+            r, c = triangle(int(d))
             target = self.indptr[starts[k] + c] + (r - c)
             self.indices[target] = starts[k] + r
             self.source[target] = diagonal[e.variables[k]] + r * d + c
@@ -196,7 +196,7 @@ class Blocks:
         diagonal[:] = 0.0
         for k, blocks in enumerate(system.blocks):
             for slot, A in enumerate(blocks):
-                self.squares.add(diagonal, k, slot, gram(A).transpose(1, 2, 0)[_triangle(A.shape[2])])
+                self.squares.add(diagonal, k, slot, gram(A).transpose(1, 2, 0)[triangle(A.shape[2])])
         for k, a, c, where in self.pairs:
             A, C = system.blocks[k][a], system.blocks[k][c]
             S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)

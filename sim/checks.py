@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from models.errors import OptionError
+from models.options import is_whole
 
 __all__ = [
     "MAX_POSES",
@@ -41,7 +42,7 @@ def check_whole(option: str, value: int, least: int) -> None:
     ------
     OptionError
     """
-    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value <= MAX_POSES:
+    if not is_whole(value) or not least <= value <= MAX_POSES:
         raise OptionError(option, value, f"a whole number from {least} to {MAX_POSES}")
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from factors.keys import Keys, Kind
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
-from nls.assemble import Index, Pattern
+from nls.assemble import Index
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
@@ -109,11 +109,8 @@ class Marginals:
             raise OptionError("linear_solver", linear_solver, f"{allowed}; no other has its inverse")
         self.values, self.memory_limit = values.copy(), memory_limit
         fixed = fixed_variables(graph.fixed, values)
-        every = graph.pattern(values)
-        decided = choose_gauge(gauge, every, values, fixed)
-        if decided.priors:
-            every = Pattern([*graph.factors, *decided.priors], values)
-        pattern = self._pattern = every.holding(decided.held)
+        decided = choose_gauge(gauge, graph.pattern(values), values, fixed)
+        pattern = self._pattern = decided.pattern.holding(decided.held)
         solver = linear_solver if isinstance(linear_solver, NormalEquations) else default_solver()
         assert isinstance(solver, NormalEquations)
         self._blocks, self._state = solver.analyze(pattern)  # refuses what would not fit
@@ -127,7 +124,7 @@ class Marginals:
         self.gauge = decided.said
         self._free: FreePart | None = None
         if decided.free:
-            self._free = free_part(pattern, every.holding(decided.fixed), self._state, values, memory_limit)
+            self._free = free_part(pattern, decided.pattern.holding(decided.fixed), self._state, values, memory_limit)
         zero = decided.fixed if decided.free else decided.held
         self._status = np.select(
             [fixed, decided.fixed, zero], ["fixed", "unmeasured", "gauge"], "estimated"

@@ -27,6 +27,7 @@ import scipy.sparse as sp
 
 from factors import RangeAzimuth
 from factors.keys import Keys, Kind
+from factors.sonar import first_contacts
 from models import SE3, R
 from models.algebra import Array, apply, dot, gram
 from models.errors import GraphError
@@ -178,8 +179,7 @@ def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -
         if not isinstance(factor, RangeAzimuth) or batch.kinds[1] != kind:
             continue
         pose, at = factor.keys[0].numbers, batch.index[1]
-        order = np.lexsort((pose, at))
-        k = order[np.unique(at[order], return_index=True)[1]]  # its first sighting in this batch
+        k = first_contacts(*factor.keys[:2])  # of this batch
         k = k[pose[k] < first[at[k]]]
         first[at[k]] = pose[k]
         _, X = values.gather(factor)

@@ -14,13 +14,12 @@ poses: leave out what the measurements see worse than it is known without them, 
 
 from __future__ import annotations
 
-from numbers import Real
-
 import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
 from models.errors import OptionError
+from models.options import is_number
 
 __all__ = ["truncated_inverse"]
 
@@ -57,7 +56,7 @@ def truncated_inverse(H: npt.ArrayLike, tau: float = 1e-3, floor: npt.ArrayLike 
            [0.  , 0.5 , 0.  ],
            [0.  , 0.  , 0.  ]])
     """
-    if isinstance(tau, bool) or not isinstance(tau, Real) or not 0 <= tau < 1:
+    if not is_number(tau) or not 0 <= tau < 1:
         raise OptionError("tau", tau, "a number of at least 0 and below 1, such as 1e-3")
     if not (np.asarray(floor) >= 0).all():
         raise OptionError("floor", floor, "information of at least 0")

@@ -30,7 +30,6 @@ here it is eliminated like the rest, and the aperture and the odometry say what 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +39,7 @@ from factors.keys import Keys
 from models import SE3
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, OptionError
+from models.options import is_number
 from nls.degeneracy.arcs import Contacts
 from nls.degeneracy.relative_pose import RelativePose, descended
 
@@ -158,7 +158,7 @@ def two_views(
     Between(x0, x1)
     """
     contacts = _contacts(z_i, z_j, sigmas, limit)
-    if isinstance(tau, bool) or not isinstance(tau, Real) or not 0 < tau <= 1:
+    if not is_number(tau) or not 0 < tau <= 1:
         raise OptionError("tau", tau, "a number above 0, at most 1")
     Z = SE3.stack(start)
     O = SE3.identity() if offset is None else SE3.stack(offset)
@@ -224,7 +224,7 @@ def _contacts(z_i: npt.ArrayLike, z_j: npt.ArrayLike, sigmas: npt.ArrayLike, lim
         raise GraphError(f"two_views: sigmas {sigma.shape}, expected (2,) or {a.shape}, above 0: range and azimuth")
     if not (np.isfinite(a).all() and np.isfinite(b).all() and (a[:, 0] > 0).all() and (b[:, 0] > 0).all()):
         raise GraphError("two_views: a range that is not above 0, or a number that is not finite")
-    if isinstance(limit, bool) or not isinstance(limit, Real) or not 0 < limit < np.pi / 2:
+    if not is_number(limit) or not 0 < limit < np.pi / 2:
         raise OptionError("limit", limit, "half the aperture in elevation, rad, between 0 and pi/2")
     return Contacts(a, b, np.broadcast_to(sigma, a.shape), float(limit))
 

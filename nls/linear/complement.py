@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from models.algebra import Array
 from nls.elimination import Elimination
-from nls.hessian import Hessian
+from nls.hessian import Hessian, triangle
 from nls.linear.pairs import Pairs, Products
 from nls.linear.roots import BlockInverse, cholesky_root, inverse_root
 
@@ -134,7 +134,7 @@ class Complement:
             here = pivots[group.columns].reshape(-1, group.d)
             if self._block_inverse is None:
                 L_ll, X, here[:] = cholesky_root(H_ll)
-                r, c = np.tril_indices(group.d)
+                r, c = triangle(group.d)
                 below[group.diagonal[:, r, c]] = L_ll[:, r, c]
             else:
                 X, known = inverse_root(self._block_inverse, H_ll), H_ll.diagonal(axis1=1, axis2=2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from numbers import Real
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import OptionError, ResourceLimitError
+from models.options import is_number
 from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
 from nls.linear.limits import checked_limit, default_limit
 from nls.linear.threads import single_thread
@@ -121,7 +121,7 @@ class Pinv(_Dense):
 
     def __init__(self, rtol: float = 1e-12, memory_limit: float = 4e9) -> None:
         super().__init__(memory_limit)
-        if isinstance(rtol, bool) or not isinstance(rtol, Real) or not 0 <= rtol < 1:
+        if not is_number(rtol) or not 0 <= rtol < 1:
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
         self.rtol: float = float(rtol)
 

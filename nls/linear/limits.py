@@ -19,12 +19,12 @@ import math
 import os
 import sys
 from functools import cache
-from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.errors import OptionError, ResourceLimitError
+from models.options import is_number
 from nls.linear.fill import counted
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def checked_limit(memory_limit: float | None) -> float | None:
     """
     if memory_limit is None:
         return None
-    if isinstance(memory_limit, bool) or not isinstance(memory_limit, Real) or not memory_limit > 0:
+    if not is_number(memory_limit) or not memory_limit > 0:
         raise OptionError("memory_limit", memory_limit, "bytes, a number above 0; None for half of the memory")
     return float(min(memory_limit, sys.float_info.max))
 

@@ -28,7 +28,6 @@ Methods for Sparse Linear Systems, 2003, sections 6.7.3 (Lanczos coefficients) a
 
 from __future__ import annotations
 
-from numbers import Integral, Real
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -36,6 +35,7 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import OptionError
+from models.options import is_number, is_whole
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
 from nls.linear.normal import Factorization, NormalState
@@ -225,9 +225,9 @@ class CholeskyPCG(Cholesky):
 
     def __init__(self, tol: float = 1e-8, max_steps: int = 6, memory_limit: float | None = None) -> None:
         super().__init__(memory_limit)
-        if isinstance(tol, bool) or not isinstance(tol, Real) or not 0 < tol < 1:
+        if not is_number(tol) or not 0 < tol < 1:
             raise OptionError("tol", tol, "a number above 0 and below 1")
-        if isinstance(max_steps, bool) or not isinstance(max_steps, Integral) or not max_steps > 0:
+        if not is_whole(max_steps) or not max_steps > 0:
             raise OptionError("max_steps", max_steps, "a whole number above 0")
         self.tol: float = float(tol)
         self.max_steps: int = int(max_steps)

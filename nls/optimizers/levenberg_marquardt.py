@@ -21,12 +21,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.errors import OptionError
+from models.options import is_number
 from nls.linear.base import SingularSystemError
 from nls.optimizers.base import Optimizer
 from nls.optimizers.stop import Status
@@ -79,7 +79,7 @@ class LevenbergMarquardt(Optimizer):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.damping, bool) or not isinstance(self.damping, Real) or not 0 < self.damping < HOPELESS:
+        if not is_number(self.damping) or not 0 < self.damping < HOPELESS:
             raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:

@@ -23,8 +23,10 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.elevation import ElevationHinge
+from factors.keys import Keys
 from factors.range_azimuth import RangeAzimuth
 from factors.seen import Seen
+from factors.sonar import first_contacts
 from models import SE3
 from models.algebra import Array
 from models.errors import OptionError
@@ -141,25 +143,24 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
 
 def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
     """The first contacts of all landmarks that are not fixed, kind by kind."""
-    contacts: dict[str, list[tuple[Array, Index, npt.NDArray[np.int64], Array]]] = {}
+    contacts: dict[str, list[tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64], Array]]] = {}
     for factor in graph.factors:
         if isinstance(factor, RangeAzimuth) and len(factor):
             model, X = values.gather(factor)
             if model.manifolds[1] is not SE3:
                 pose, target = factor.keys[:2]
-                row = values.stack(target.kind).index(target)
                 S = factor.sensor_pose(SE3, X[0], *X[2:])
-                contacts.setdefault(target.kind, []).append((S, row, pose.numbers, model.z))
+                contacts.setdefault(target.kind, []).append((S, pose.numbers, target.numbers, model.z))
     for kind, each in contacts.items():
-        S, row, number, z = (np.concatenate(parts) for parts in zip(*each, strict=True))
-        order = np.lexsort((number, row))
-        rows, place = np.unique(row[order], return_index=True)
+        S, pose_numbers, numbers, z = (np.concatenate(parts) for parts in zip(*each, strict=True))
+        first = first_contacts(Keys("pose", pose_numbers), Keys(kind, numbers))
+        rows = values.stack(kind).index(Keys(kind, numbers[first]))
         free = np.ones(len(values.stack(kind)), dtype=bool)
         for keys in graph.fixed:
             if keys.kind == kind:
                 free[values.stack(kind).index(keys)] = False
-        first = order[place][free[rows]]
-        yield Arcs(kind, row[first], S[first], z[first])
+        first = first[free[rows]]
+        yield Arcs(kind, rows[free[rows]], S[first], z[first])
 
 
 def _placed(values: Values, arcs: Arcs, points: Array) -> Array:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from factors import Elevation, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
 from factors.keys import Keys, kinds
+from factors.sonar import first_contacts
 from models import SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError
@@ -180,9 +181,8 @@ def elevations(
     seen = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
     pose = np.concatenate([factor.keys[0].numbers for factor in seen])
     point = np.concatenate([factor.keys[1].numbers for factor in seen])
-    order = np.lexsort((pose, point))
-    landmarks, first, views = np.unique(point[order], return_index=True, return_counts=True)
-    poses = pose[order][first]
+    landmarks, views = np.unique(point, return_counts=True)
+    poses = pose[first_contacts(x[pose], l[point])]
     view = Elevation(x[poses], l[landmarks], np.zeros(len(poses)), Isotropic(1.0), seen[0].offset)
     model, X = values.gather(view)
     group = model.manifolds[0]
