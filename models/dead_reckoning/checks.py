@@ -21,6 +21,7 @@ __all__ = [
     "not_negative",
     "positive",
     "rising",
+    "turning",
     "unused",
     "vectors",
     "within",
@@ -138,6 +139,23 @@ def bridge(sigma: float | None, begin: float, end: float) -> float:
             f"between {begin:.6g} and {end:.6g} s",
         )
     return sigma
+
+
+def turning(sigma: npt.ArrayLike | None, m: int, begin: float, end: float) -> Array:
+    """The densities (m, 3) by which the attitude wanders after each of m samples, where the next is far."""
+    if sigma is None:
+        raise OptionError(
+            "sigma_turn",
+            None,
+            "the density by which the attitude wanders in a drop-out, rad/sqrt(s), 0 or above: none is measured "
+            f"between {begin:.6g} and {end:.6g} s",
+        )
+    x = numbers("sigma_turn", sigma)
+    if x.shape not in ((), (3,), (m, 3)):
+        raise GraphError(f"integrate: sigma_turn has shape {x.shape}, expected a number, (3,) or ({m}, 3)")
+    if not (np.isfinite(x) & (x >= 0)).all():
+        raise OptionError("sigma_turn", sigma, "finite and 0 or above")
+    return np.broadcast_to(x, (m, 3))
 
 
 def within(b: Array, t: Array, what: str) -> None:

@@ -1,14 +1,27 @@
-r"""Drop-outs of the DVL: what counts as one, how it is bridged, and what is not known there.
+r"""Drop-outs: what counts as one, how it is bridged, and what is not known there.
 
-Between the valid velocities at t_a and t_b around a drop-out the velocity is taken to follow the straight line between
-them, in the axes of the DVL. The true one wanders about that line as a random walk tied down at both ends (a Brownian
-bridge) of density sigma_bridge, m/s/sqrt(s):
+**Velocity.** Between the valid velocities at t_a and t_b around a drop-out of length T the velocity is taken to follow
+the straight line between them, in the axes of the DVL. The true one wanders about that line as a random walk tied down
+at both ends (a Brownian bridge) of density sigma_bridge, m/s/sqrt(s):
 
-    cov(n(s), n(t)) = sigma_bridge^2 (s - t_a) (t_b - t) / (t_b - t_a),    s <= t
+    cov(n(s), n(t)) = sigma_bridge^2 (s - t_a) (t_b - t) / T,    s <= t
 
-The standard deviation of the velocity is 0 at the ends and sigma_bridge sqrt(T) / 2 in the middle of a gap T; that of
-the distance over the whole of it is sigma_bridge T^(3/2) / sqrt(12). A vehicle whose speed changes by about 0.1 m/s in
-4 s has 0.1 / sqrt(4) = 0.05. Source: I. Karatzas, S. Shreve, Brownian Motion and Stochastic Calculus, 1991, 5.6.B.
+Its standard deviation is 0 at the ends and sigma_bridge sqrt(T) / 2 in the middle, that of the distance over the whole
+of it sigma_bridge T^(3/2) / sqrt(12). A vehicle whose speed changes by about 0.1 m/s in 4 s has 0.1 / sqrt(4) = 0.05.
+
+Legs i, j in one drop-out share the error of its bridge, C_ij = cov(d_i, d_j) > 0, and factors cannot say so. Each leg
+therefore counts with its covariance with the whole of the drop-out, which has a closed form:
+
+    Sigma_i = sum_j C_ij = sigma_bridge^2 (F(end) - F(begin)),    F(t) = T t^2 / 4 - t^3 / 6,    t from t_a on
+
+Their sum is the variance T^3 / 12 over the whole, however many legs there are, and diag(Sigma_i) - C is positive
+semi-definite (its rows add up to 0, and nothing off its diagonal is above 0): no combination of legs is better known
+than the bridge allows. Where the vehicle turns meanwhile, which makes the distances less alike, that is on the safe
+side. Source: I. Karatzas, S. Shreve, Brownian Motion and Stochastic Calculus, 1991, 5.6.B.
+
+**Attitude.** Between two attitudes (or rates) that far apart the vehicle is taken to turn evenly, and its attitude to
+wander from that as a random walk of density sigma_turn, rad/sqrt(s), which every step adds to. It is not tied down at
+the far end: who measures the attitude there, as `Heading` does, ties it.
 """
 
 from __future__ import annotations
@@ -17,24 +30,17 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.dead_reckoning.noise import sum_by_leg
 from models.errors import OptionError
 from models.options import is_number
 
-__all__ = ["from_bridges", "inside", "losses"]
+__all__ = ["bridged_variance", "inside", "longest_step", "losses"]
 
-Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
-NODES = 8  # at least, in a drop-out: n of them see all of its variance but 1 / (n + 1)^2
+NODES = 8  # in a drop-out of the attitude, so that a turn late in it swings less of the way than an early one
 
 
-def losses(t: Array, ok: Mask, longest: float | None) -> Mask:
-    """Whether a drop-out follows each valid sample: a sample that is not valid, or more time than the longest step.
-
-    Parameters
-    ----------
-    t : (n,) times of all samples, s; ok: (n,) which are valid.
-    longest : s; twice the median step of t when None.
+def longest_step(t: Array, longest: float | None = None) -> float:
+    """The time between samples (n,) above which there is a drop-out, s: twice their median step, unless it is given.
 
     Raises
     ------
@@ -43,38 +49,49 @@ def losses(t: Array, ok: Mask, longest: float | None) -> Mask:
     """
     if longest is not None and not (is_number(longest) and longest > 0):
         raise OptionError("longest", longest, "a time above 0, s")
-    most = 2 * float(np.median(np.diff(t))) if longest is None else longest
+    return 2 * float(np.median(np.diff(t))) if longest is None else longest
+
+
+def losses(t: Array, ok: Mask, longest: float | None = None) -> Mask:
+    """Whether a drop-out follows each valid sample: a sample that is not valid, or more time than the longest step.
+
+    Parameters
+    ----------
+    t : (n,) times of all samples, s; ok: (n,) which are valid.
+    longest : s; twice the median step of t when None.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> losses(np.array([0.0, 1.0, 2.0, 5.0, 6.0]), np.array([True, True, True, True, True]))
+    array([False, False,  True, False, False])
+    """
+    most = longest_step(t, longest)
     lost = (np.diff(np.flatnonzero(ok)) > 1) | (np.diff(t[ok]) > most)
     return np.append(lost, False)
 
 
 def inside(t: Array, lost: Mask) -> Array:
-    """Times inside of drop-outs at which a bridge is looked at, evenly spaced, for valid samples at t."""
+    """Times evenly spaced inside of the drop-outs that follow some of the samples at t."""
     a = np.flatnonzero(lost)
-    length = t[a + 1] - t[a]
-    n = np.maximum(NODES, np.ceil(length / np.median(np.diff(t)))).astype(np.intp)
-    place = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n) + 1
-    return np.asarray(np.repeat(t[a], n) + np.repeat(length / (n + 1), n) * place)
+    return np.linspace(t[a], t[a + 1], NODES + 2)[1:-1].ravel()
 
 
-def from_bridges(C: Array, leg: Index, gap: Index, before: Array, after: Array, k: int) -> Array:
-    """Sum over pairs of nodes of C_i cov(n_i, n_j) C_j' for a random walk of density 1, leg by leg.
+def bridged_variance(begin: Array, end: Array, T: Array) -> Array:
+    """Covariance of the way in parts of drop-outs with the way over their whole, for a random walk of density 1, s^3.
 
     Parameters
     ----------
-    C : (m, 6, 3) coefficients of the nodes inside of drop-outs.
-    leg : (m,) their legs, rising; gap : (m,) their drop-outs, rising too.
-    before, after : (m,) time since the drop-out began and until it ends, s.
-    k : how many legs there are.
+    begin, end : (m,) of the parts, since the drop-out began, s.
+    T : (m,) lengths of the drop-outs, s.
 
-    Returns
-    -------
-    Sigma : (k, 6, 6) array.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 10.0, 6)
+    >>> parts = bridged_variance(t[:-1], t[1:], np.full(5, 10.0))
+    >>> parts.round(3), round(float(parts.sum()), 3), round(10**3 / 12, 3)
+    (array([ 8.667, 20.667, 24.667, 20.667,  8.667]), 83.333, 83.333)
     """
-    new = (np.diff(leg, prepend=-1) != 0) | (np.diff(gap, prepend=-1) != 0)
-    first = np.flatnonzero(new)  # node of each part of a drop-out in a leg
-    weighted = before[:, None, None] * C
-    Q = np.cumsum(weighted, axis=0) - weighted  # of all nodes before ...
-    Q -= Q[first][np.cumsum(new) - 1]  # ... in the same part
-    CQ = C @ (Q + 0.5 * weighted).mT
-    return sum_by_leg((after / (before + after))[:, None, None] * (CQ + CQ.mT), leg, k)
+    F = [T * t**2 / 4 - t**3 / 6 for t in (begin, end)]
+    return np.asarray(F[1] - F[0])

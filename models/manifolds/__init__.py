@@ -2,6 +2,7 @@
 
 from models.manifolds import euler
 from models.manifolds.base import LieGroup, Manifold
+from models.manifolds.line import LINE
 from models.manifolds.measured import Measured
 from models.manifolds.rn import R
 from models.manifolds.se2 import SE2
@@ -9,4 +10,4 @@ from models.manifolds.se3 import SE3
 from models.manifolds.so2 import SO2
 from models.manifolds.so3 import SO3
 
-__all__ = ["SE2", "SE3", "SO2", "SO3", "LieGroup", "Manifold", "Measured", "R", "euler"]
+__all__ = ["LINE", "SE2", "SE3", "SO2", "SO3", "LieGroup", "Manifold", "Measured", "R", "euler"]

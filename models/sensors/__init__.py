@@ -4,6 +4,7 @@ Each function returns (h, J): the prediction (n, size) and its derivative (n, si
 """
 
 from models.sensors.bundle import project
+from models.sensors.camera import Camera
 from models.sensors.direction import direction, point_from_direction_range
 from models.sensors.distance import distance
 from models.sensors.dvl import DVL, HOLOOCEAN_DVL, dvl_velocity
@@ -17,6 +18,7 @@ from models.sensors.imaging_sonar import (
     OCULUS_M750D,
     ImagingSonar,
 )
+from models.sensors.line import line_from_frame, line_in_frame, normalized
 from models.sensors.odometry import levelled, relative_xyh, zpr
 from models.sensors.singular import SingularAt
 from models.sensors.spherical import cartesian, elevation, plane_projection, range_azimuth, spherical
@@ -29,6 +31,7 @@ __all__ = [
     "DVL",
     "HOLOOCEAN_DVL",
     "OCULUS_M750D",
+    "Camera",
     "ImagingSonar",
     "SingularAt",
     "cartesian",
@@ -38,6 +41,9 @@ __all__ = [
     "elevation",
     "heading",
     "levelled",
+    "line_from_frame",
+    "line_in_frame",
+    "normalized",
     "plane_projection",
     "point_from_direction_range",
     "point_in_frame",

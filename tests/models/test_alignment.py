@@ -1,0 +1,188 @@
+"""Motions between points: exact without noise, never a reflection, 1 / sqrt(n) with noise, refused where not unique."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import polar
+
+from models import SE2, SE3, LieGroup
+from models.algebra import Array
+from models.alignment import align, three_points
+from models.errors import GraphError, SingularGeometryError
+from models.sensors import SingularAt
+
+GROUPS = [SE2, SE3]
+
+
+def motions(group: LieGroup, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """Random motions (*shape, size), turned by up to pi."""
+    delta = rng.normal(size=(*shape, group.dim))
+    turn = delta[..., group.point_dim :]
+    turn *= rng.uniform(0, np.pi, (*shape, 1)) / np.linalg.norm(turn, axis=-1, keepdims=True)
+    return np.asarray(group.exp(delta))
+
+
+def apart(group: LieGroup, S: Array, T: Array) -> float:
+    """Largest component of what is between motions."""
+    return float(np.abs(group.local(S, T)).max())
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
+@pytest.mark.parametrize("n", [3, 20])
+def test_exact_points_give_their_motion(group: LieGroup, shape: tuple[int, ...], n: int) -> None:
+    rng = np.random.default_rng(1)
+    T, v = motions(group, shape, rng), 5 * rng.normal(size=(*shape, n, group.point_dim)) + 100
+    u = group.act(T[..., None, :], v)
+    for weights in (None, rng.uniform(0.1, 9, n), rng.uniform(0.1, 9, (*shape, n))):
+        found = align(u, v, weights)
+        assert found.shape == T.shape
+        assert apart(group, T, found) < 1e-10
+
+
+def test_three_points_are_the_closed_form() -> None:
+    """D(u) = R D(v), a scalene triangle turned by 90 degrees about z, then about x."""
+    v = np.array([[1.0, 2, 3], [4, 2, 3], [1, 4, 4]])
+    u = np.column_stack([7 - v[:, 1], 8 - v[:, 2], 9 + v[:, 0]])
+    T = three_points(u, v)
+    assert SE3.rotation(T) == pytest.approx(np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), abs=1e-12)
+    assert T[:3] == pytest.approx([7, 8, 9])
+
+
+@pytest.mark.parametrize("shape", [(), (50,)])
+def test_three_exact_points_agree_with_least_squares(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(2)
+    T, v = motions(SE3, shape, rng), rng.normal(size=(*shape, 3, 3))
+    u = SE3.act(T[..., None, :], v)
+    assert apart(SE3, three_points(u, v), align(u, v)) < 1e-9
+    assert apart(SE3, three_points(u, v), T) < 1e-9
+
+
+def test_three_noisy_points_differ_by_their_noise() -> None:
+    rng = np.random.default_rng(3)
+    v, T = np.tile([[0.0, 0, 0], [3, 0, 0], [1, 2, 0]], (200, 1, 1)), motions(SE3, (200,), rng)
+    u = SE3.act(T[:, None], v)
+    noise = rng.normal(size=u.shape)
+    for sigma in (1e-2, 1e-4):
+        closed, least = three_points(u + sigma * noise, v), align(u + sigma * noise, v)
+        for k in range(20):  # the rotation nearest to the product
+            a, b = ((p[0] - p[1], p[0] - p[2]) for p in (u[k] + sigma * noise[k], v[k]))
+            product = np.column_stack([*a, np.cross(*a)]) @ np.linalg.inv(np.column_stack([*b, np.cross(*b)]))
+            assert SE3.rotation(closed[k]) == pytest.approx(polar(product)[0], abs=1e-12)
+        assert 0.05 * sigma < apart(SE3, closed, least) < 5 * sigma
+        error = np.linalg.norm(u + sigma * noise - SE3.act(closed[:, None], v), axis=-1)
+        best = np.linalg.norm(u + sigma * noise - SE3.act(least[:, None], v), axis=-1)
+        assert (np.square(error).sum(axis=1) >= np.square(best).sum(axis=1) * (1 - 1e-9)).all()
+
+
+def test_the_determinant_guards_against_reflections() -> None:
+    """Of noisy triangles, half would be mirrored; the guarded motion is better than any near it."""
+    rng = np.random.default_rng(4)
+    v, T = rng.normal(size=(400, 3, 3)), motions(SE3, (400,), rng)
+    u = SE3.act(T[:, None], v) + 1e-3 * rng.normal(size=v.shape)
+    M = (u - u.mean(axis=1, keepdims=True)).mT @ (v - v.mean(axis=1, keepdims=True))
+    U, _, Vt = np.linalg.svd(M)
+    assert 0.4 < np.mean(np.linalg.det(U @ Vt) < 0) < 0.6
+    found = align(u, v)
+    assert np.linalg.det(SE3.rotation(found)) == pytest.approx(np.ones(400))
+    assert np.median(np.abs(SE3.local(T, found)).max(axis=1)) < 3e-3
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_no_other_motion_is_better(group: LieGroup, mirrored: bool) -> None:
+    rng = np.random.default_rng(5)
+    v, w = rng.normal(size=(12, group.point_dim)), rng.uniform(0.2, 3, 12)
+    u = v + 0.3 * rng.normal(size=v.shape)
+    u[:, 0] *= -1 if mirrored else 1
+
+    def cost(T: Array) -> float:
+        return float(w @ np.square(u - group.act(T, v)).sum(axis=1))
+
+    best = align(u, v, w)
+    for size in 60 * [1e-3, 0.05, 2.0]:
+        assert cost(group.compose(best, group.exp(size * rng.normal(size=group.dim)))) > cost(best)
+
+
+def test_weights_count_points() -> None:
+    rng = np.random.default_rng(6)
+    u, v = rng.normal(size=(2, 5, 3))
+    again = [0, 1, 1, 2, 3, 3, 3]
+    assert align(u, v, [1, 2, 1, 3, 0]) == pytest.approx(align(u[again], v[again]), abs=1e-12)
+    assert align(u, v, 1e-200 * np.array([1, 2, 1, 3, 0])) == pytest.approx(align(u[again], v[again]), abs=1e-12)
+    both = align(np.stack([u, u]), np.stack([v, v]), [[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]])
+    assert both[0] == pytest.approx(align(u[:3], v[:3]), abs=1e-12)
+    assert both[1] == pytest.approx(align(u[2:], v[2:]), abs=1e-12)
+
+
+def test_errors_fall_with_the_square_root_of_the_number_of_points() -> None:
+    rng = np.random.default_rng(7)
+    error = []
+    for n in (20, 80, 320):
+        v, T = rng.uniform(-3, 3, size=(300, n, 3)), motions(SE3, (300,), rng)
+        found = align(SE3.act(T[:, None], v) + 0.05 * rng.normal(size=v.shape), v)
+        delta = SE3.local(T, found)
+        error.append([np.sqrt(np.mean(delta[:, :3] ** 2)), np.sqrt(np.mean(delta[:, 3:] ** 2))])
+    predicted = 0.05 / np.sqrt([[20.0, 20 * 6], [80, 80 * 6], [320, 320 * 6]])  # turn about an axis: 2 x 3 m^2 a point
+    assert np.array(error) == pytest.approx(predicted, rel=0.12)
+
+
+LINE = np.linspace(0, 3, 10)[:, None] * [1.0, 2, -1] + [40, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("v", "what"),
+    [(LINE, "10 points on one line"), (LINE[:2], "2 points on one line"), (np.ones((4, 3)), "4 points on one spot")],
+)
+def test_points_that_leave_a_rotation_free(v: Array, what: str) -> None:
+    with pytest.raises(SingularGeometryError, match=what + " leave a rotation free; align more"):
+        align(v, v)
+    other = np.random.default_rng(8).normal(size=v.shape)
+    with pytest.raises(SingularGeometryError, match="leave a rotation free"):
+        align(other, v)
+    with pytest.raises(SingularAt) as raised:
+        align(np.stack([other, other]), np.stack([other if len(v) > 2 else v, v]))
+    assert raised.value.index == (1 if len(v) > 2 else 0)
+
+
+def test_what_is_nearly_a_line_is_not_refused() -> None:
+    """Width over length 1e-3: coplanar and thin, but the turn about the length is told."""
+    v = LINE + 5e-3 * np.random.default_rng(9).normal(size=LINE.shape)
+    T = SE3.exp([1.0, 2, 3, 0.3, -0.2, 2.5])
+    assert apart(SE3, align(SE3.act(T, v), v), T) < 1e-8
+    assert apart(SE3, three_points(SE3.act(T, v[[0, 5, 9]]), v[[0, 5, 9]]), T) < 1e-8
+
+
+def test_three_points_in_line_and_weights_of_nothing() -> None:
+    turned = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    for u, v in ((LINE[:3], turned), (turned, LINE[:3]), (turned, np.ones((3, 3)))):
+        with pytest.raises(SingularGeometryError, match="3 points on one"):
+            three_points(u, v)
+    with pytest.raises(SingularGeometryError, match="leave a rotation free"):
+        align(turned, turned, [0, 0, 0])
+    with pytest.raises(SingularGeometryError, match="on one spot"):
+        align(np.zeros((3, 2)), np.zeros((3, 2)))
+    assert align([[1.0, 1], [1, 2]], [[0.0, 0], [1, 0]]) == pytest.approx([1, 1, np.pi / 2])  # two do in the plane
+
+
+def test_mistakes() -> None:
+    v = np.eye(3)
+    for u, wrong in ((v, v[:2]), (v[0], v[0]), (v[:, :1], v[:, :1]), (v[:0], v[:0])):
+        for function in (align, three_points):
+            with pytest.raises(GraphError, match="expected the same"):
+                function(u, wrong)
+    with pytest.raises(GraphError, match=r"three_points: shape \(4, 3\), expected"):
+        three_points(np.eye(4)[:, :3], np.eye(4)[:, :3])
+    for function in (align, three_points):
+        with pytest.raises(GraphError, match="v has a number that is not finite, nan"):
+            function(v, [[0, 0, 0], [0, np.nan, 0], [1, 0, 0]])
+        with pytest.raises(GraphError, match="u is not an array of numbers"):
+            function([["a"]], v)
+        with pytest.raises(GraphError, match="beyond the largest number"):
+            function(1e200 * v, 1e200 * v)
+    for weights in ([1, -1, 1], [1, 1], [[[1.0, 1, 1]]], 2.0):
+        with pytest.raises(GraphError, match=r"align: weights have shape .*, expected \(3,\), and none below 0"):
+            align(v, v, weights)
+    with pytest.raises(GraphError, match="weights has a number that is not finite"):
+        align(v, v, [1, np.inf, 1])
