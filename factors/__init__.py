@@ -8,16 +8,20 @@ from factors.between_sensors import BetweenSensors
 from factors.bundle import BundleProjection
 from factors.check import check_jacobians
 from factors.elevation import Elevation, ElevationHinge
+from factors.epipolar_arc import EpipolarArc
 from factors.heading import Heading
 from factors.landmark import Landmark
+from factors.line import Line
 from factors.noise import Covariance, Diagonal, Information, Isotropic, Noise, SqrtInformation
 from factors.position import Position
 from factors.prior import Prior
+from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
 from factors.seen import Seen
 from factors.sonar import sonar_factors
+from factors.wheels import Wheels
 from factors.xyh import XYH
 from factors.zpr import ZPR
 
@@ -35,6 +39,7 @@ __all__ = [
     "Diagonal",
     "Elevation",
     "ElevationHinge",
+    "EpipolarArc",
     "Factor",
     "GemanMcClure",
     "Heading",
@@ -43,9 +48,11 @@ __all__ = [
     "Isotropic",
     "Kernel",
     "Landmark",
+    "Line",
     "Noise",
     "Position",
     "Prior",
+    "Projection",
     "Range",
     "RangeAzimuth",
     "Robust",
@@ -53,6 +60,7 @@ __all__ = [
     "SqrtInformation",
     "Tukey",
     "Welsch",
+    "Wheels",
     "check_jacobians",
     "sonar_factors",
 ]

@@ -23,6 +23,7 @@ from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import Noise, whiten
+from factors.returned import checked_jacobians, checked_prediction, checked_space
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
@@ -62,6 +63,7 @@ class Factor(Abstract):
     each : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part of the batch
         takes its rows of them.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
+    eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     """
@@ -71,6 +73,7 @@ class Factor(Abstract):
     unmoved: ClassVar[tuple[int, ...]] = ()
     each: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
+    eliminated: ClassVar[int] = 0
     damped: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
@@ -230,7 +233,7 @@ class Factor(Abstract):
             for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
                 if wanted is not None and wanted is not manifold:
                     raise GraphError(f"{name}: {keys[[0]]} is in {manifold}, this factor needs {wanted}", [keys], name)
-            space = self.space(manifolds)
+            space = checked_space(self, self.space(manifolds))
             try:
                 z = space.stack(self.z)
                 if len(z) not in (1, len(self)):
@@ -357,29 +360,13 @@ class Model:
         return b, J
 
     def _predict(self, X: tuple[Array, ...], jacobians: bool) -> tuple[Array, tuple[Array | None, ...]]:
-        h, H = self.factor.predict(self.manifolds, *X)
-        if h.shape != self.z.shape:
-            raise self._wrong(f"the prediction has shape {h.shape}, expected {self.z.shape}")
+        h, H = checked_prediction(self.factor, self.factor.predict(self.manifolds, *X), self.z.shape)
         if not jacobians:
             return h, ()
         if H is None:
             predict = self.factor.predict
             H = central_differences(self.space, self.manifolds, lambda *Y: predict(self.manifolds, *Y)[0], X, h)
-        if len(H) != len(self.manifolds):
-            raise self._wrong(f"{len(H)} Jacobians, expected {len(self.manifolds)}: one per slot")
-        for slot, (H_k, manifold) in enumerate(zip(H, self.manifolds, strict=True)):
-            m, d = shape = (self.space.dim, manifold.dim)
-            if H_k is None and m != d:
-                raise self._wrong(
-                    f"None for slot {slot} means the identity, but its Jacobian is {m} x {d}; give it, or return None "
-                    "instead of all Jacobians for central differences"
-                )
-            if H_k is not None and H_k.shape not in ((len(h), *shape), (1, *shape), shape):
-                raise self._wrong(f"Jacobian of slot {slot} has shape {H_k.shape}, expected {(len(h), *shape)}")
-        return h, H
-
-    def _wrong(self, message: str) -> EvaluationError:
-        return EvaluationError(f"{self.factor!r}: {message}", self.factor.name, self.factor.keys)
+        return h, checked_jacobians(self.factor, H, len(h), self.space.dim, self.manifolds)
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""

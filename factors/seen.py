@@ -12,7 +12,8 @@ H_l = J_g R_S'                   of a pose as target: J_g R_S' [R_L, 0]
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from copy import copy
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -70,6 +71,38 @@ class Seen(Factor):
         self.offset: Array | Keys | None = (
             self.keys[2] if len(keys) == 3 else None if offset is None else fixed_offset(self, offset)  # type: ignore[arg-type]
         )
+
+    def mounted(self, offset: npt.ArrayLike | Keys | None) -> Self:
+        """The same measurements with the sensor elsewhere on the vehicle, or there as a variable to be estimated.
+
+        Parameters
+        ----------
+        offset : as for the factor itself.
+
+        Returns
+        -------
+        The factor with that offset; this one stays as it is.
+
+        Raises
+        ------
+        GraphError
+            An offset that does not fit the measurements.
+
+        Examples
+        --------
+        >>> from factors import Diagonal, RangeAzimuth
+        >>> from models import SE3
+        >>> from nls import kinds
+        >>> x, l, o = kinds("x", "l", "o")
+        >>> contact = RangeAzimuth(x[0], l[0], [5.0, 0.0], Diagonal(range=0.01, azimuth=0.005), SE3.identity())
+        >>> contact.mounted(o[0])
+        RangeAzimuth(x0, l0, o0)
+        """
+        other = copy(self)
+        pose, target = self.keys[:2]
+        Seen.__init__(other, pose, target, self.z, self.noise, offset)
+        other.slots = (*self.slots[:2], *other.slots[2:])  # type: ignore[misc]
+        return other
 
     def _refuse_negative_range(self) -> None:
         """No distance is below 0; where one marks an echo that is missing, nothing was measured."""

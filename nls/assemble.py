@@ -208,7 +208,7 @@ class Pattern:
 
 
 def measured_rows(pattern: Pattern) -> int:
-    """Rows of A that measure something: not those of limits, nor the zeros of a semi-definite information."""
+    """Rows of A that measure something: not limits, zeros of a semi-definite information, what a factor has spent."""
     empty = 0
     for batch in pattern.batches:
         if batch.model.factor.limit_only:
@@ -216,7 +216,7 @@ def measured_rows(pattern: Pattern) -> int:
             continue
         W = batch.model.W
         zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
-        empty += zero * (len(batch) if len(W) == 1 else 1)
+        empty += zero * (len(batch) if len(W) == 1 else 1) + len(batch) * batch.model.factor.eliminated
     return pattern.m - empty
 
 

@@ -16,12 +16,13 @@ from scipy.spatial.transform import Rotation
 from factors import Between, Factor, Noise, Prior, SqrtInformation
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import SE2, SE3, SO2, SO3, LieGroup, Manifold, R
+from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
 from models.manifolds.measured import ANGLES, MeasuredNumbers
 from nls import Values
 
 Array = npt.NDArray[np.float64]
 GROUPS: list[LieGroup] = [SO2, SE2, SO3, SE3, R(2), R(3)]
+NORMALS = ((0.0, 1.0), (np.pi, -1.0))
 CASES = ["truth", "large innovation", "near identity", "residual near pi", "state near pi"]
 
 
@@ -40,6 +41,7 @@ class Sample:
     convention : of the residual.
     around : where the variables are, one element (size,) each; about the identity when omitted. It keeps targets away
         from the sensor, and puts bearings where they wrap.
+    visible : takes the stacks of variables to others, in which the sensor sees its targets.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Sample:
     truth: Callable[..., Array]
     convention: str = "log"
     around: tuple[Array, ...] | None = None
+    visible: Callable[..., tuple[Array, ...]] | None = None
 
     def __str__(self) -> str:
         return self.name
@@ -85,6 +88,7 @@ def situation(sample: Sample, case: str, n: int, seed: int) -> tuple[tuple[Array
     rng = np.random.default_rng(seed)
     around = sample.around or (None,) * len(sample.manifolds)
     X = tuple(states(m, n, case, rng, center) for m, center in zip(sample.manifolds, around, strict=True))
+    X = X if sample.visible is None else sample.visible(*X)
     angle, length = {
         "truth": (0.0, 0.0),
         "large innovation": (2.0, 5.0),
@@ -162,6 +166,9 @@ def logarithm(group: Manifold, M: Array) -> Array:
 
 def innovation_by_hand(group: Manifold, h: Array, z: Array, convention: str) -> Array:
     """z [-] h of one measurement, in the four conventions."""
+    if group is LINE:  # of its two normals that of z which is nearer to that of h
+        both = [np.array([np.angle(np.exp(1j * (z[0] + turn - h[0]))), sign * z[1] - h[1]]) for turn, sign in NORMALS]
+        return min(both, key=lambda e: abs(e[0]))
     if isinstance(group, MeasuredNumbers):
         angular = np.isin(group.components, ["bearing", "azimuth", "elevation", "yaw", "pitch", "roll"])
         return np.where(angular, np.arctan2(np.sin(z - h), np.cos(z - h)), z - h)

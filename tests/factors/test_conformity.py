@@ -30,11 +30,13 @@ from tests.factors.samples import (
     whiteners,
 )
 from tests.factors.samples import SAMPLES as POSE_SAMPLES
+from tests.factors.samples_camera import CAMERA_SAMPLES
+from tests.factors.samples_plane import PLANE_SAMPLES
 from tests.factors.samples_sensors import SENSOR_SAMPLES
-from tests.factors.samples_sonar import SONAR_SAMPLES
+from tests.factors.samples_sonar import ELIMINATING_SAMPLES, SONAR_SAMPLES
 
 Array = npt.NDArray[np.float64]
-SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES]
+SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *CAMERA_SAMPLES, *PLANE_SAMPLES]
 every_sample = pytest.mark.parametrize("sample", SAMPLES, ids=str)
 every_case = pytest.mark.parametrize("case", CASES)
 every_size = pytest.mark.parametrize("n", [1, 7])
@@ -50,7 +52,7 @@ def concrete_factors() -> set[type[Factor]]:
 
 
 def without_sample(classes: set[type[Factor]]) -> set[str]:
-    sampled = {type(s.factor(situation(s, "truth", 1, 0)[1], Isotropic())) for s in SAMPLES}
+    sampled = {type(s.factor(situation(s, "truth", 1, 0)[1], Isotropic())) for s in [*SAMPLES, *ELIMINATING_SAMPLES]}
     return {c.__name__ for c in classes - sampled}
 
 

@@ -323,3 +323,51 @@ def test_slots_have_to_be_stated_for_every_variable() -> None:
 
     with pytest.raises(GraphError, match=r"Forgetful: its `slots` state 0 spaces, it has 1 variables"):
         FactorGraph([Forgetful()]).chi2(Values({x: (SE2, [0.0, 0.0, 0.0])}))
+
+
+class Own(Factor):
+    """Somebody's first factor: z = X, in the space and with the prediction that a test gives it."""
+
+    slots = (None,)
+
+    def __init__(self, space: object, predict: Callable[[Array], object], n: int = 1) -> None:
+        super().__init__([x[0:n]], np.zeros((n, 3)), UNIT)
+        self._space, self._predict = space, predict
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return self._space  # type: ignore[return-value]
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        return self._predict(X[0])  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("space", [3, None, "R(3)", R])
+def test_a_space_that_is_none(space: object) -> None:
+    with pytest.raises(GraphError, match=r"^Own: its `space` returned .*; expected the space of one measurement, such"):
+        PLANE.gather(Own(space, lambda X: (X, None)))
+
+
+@pytest.mark.parametrize(
+    ("predict", "message"),
+    [
+        (lambda X: X, r"Own\(x0\): its `predict` returned an array of shape \(1, 3\); expected two things"),
+        (lambda X: (X,), r"expected two things, .* or None for central differences: return h, None"),
+        (lambda X: None, r"`predict` returned None; expected two things, the prediction h, an array of shape \(1, 3\)"),
+        (lambda X: (X.tolist(), None), r"`predict` returned \(\[\["),
+        (lambda X: (X, np.eye(3)[None]), r"its Jacobians are a ndarray, expected a tuple of arrays, one per slot"),
+        (lambda X: (X, (1.0,)), r"Jacobian of slot 0 has shape \(\), expected \(1, 3, 3\)"),
+    ],
+)
+def test_predictions_that_are_none(predict: Callable[[Array], object], message: str) -> None:
+    model, X = PLANE.gather(Own(R(3), predict))
+    with pytest.raises(EvaluationError, match=message) as caught:
+        model.linearize(*X)
+    assert (caught.value.factor, [repr(key) for key in caught.value.keys]) == ("Own", ["x0"])
+
+
+def test_a_factor_of_ones_own_that_is_right() -> None:
+    values = Values({x: (R(3), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])})
+    for H in (None, (np.eye(3),), [None]):
+        model, X = values.gather(Own(R(3), lambda X, H=H: (X, H), 2))  # type: ignore[misc]
+        (A,), _ = model.linearize(*X)
+        np.testing.assert_allclose(A, np.broadcast_to(np.eye(3), (2, 3, 3)), atol=1e-8)

@@ -14,7 +14,9 @@ from factors import (
     BearingRange,
     Between,
     Diagonal,
+    ElevationHinge,
     Factor,
+    Huber,
     Isotropic,
     Landmark,
     Prior,
@@ -301,3 +303,33 @@ def test_a_known_mounting_does_not_hold_the_map() -> None:
     assert result.converged
     same(result.values[x[0]], start[x[0]], atol=0.0)
     same(result.values[o[0]], mount, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, RangeAzimuth])
+def test_mounted_elsewhere(kind: type[Seen]) -> None:
+    """The same as a factor made there; a variable at the place of the fixed offset measures the same."""
+    rng = np.random.default_rng(5)
+    X, O = SE3.exp(rng.normal(size=(2, 3, 6)))
+    values = Values({x: (SE3, X), l: (R(3), rng.normal(size=(3, 3)) + 9), o: (SE3, O[:1])})
+    z = np.full((3, 2 if kind is RangeAzimuth else NUMBERS[kind][1]), 0.1)
+    bare = kind(x[0:3], l[0:3], z, Isotropic(0.5))
+    fixed, free = bare.mounted(O[0]), bare.mounted(o[0])
+    assert type(fixed) is type(free) is kind
+    assert bare.offset is None
+    assert (len(bare.keys), len(fixed.keys), len(free.keys)) == (2, 2, 3)
+    assert free.unmoved == (2,)
+    same(error(fixed, values), error(kind(x[0:3], l[0:3], z, Isotropic(0.5), O[0]), values), atol=0)
+    same(error(free, values), error(fixed, values), atol=1e-13)
+    same(error(free.mounted(None), values), error(bare, values), atol=0)
+    same(error(free[1], values), error(fixed[1], values), atol=1e-13)
+    assert np.abs(error(bare, values) - error(fixed, values)).max() > 0.1
+    assert free.slots[0] is bare.slots[0]
+
+
+def test_mounted_keeps_what_else_a_factor_holds() -> None:
+    hinge = ElevationHinge(x[0], l[[0, 1]], 0.1, 0.02).mounted(o[0])
+    assert (hinge.limit, hinge.noise.sigma, hinge.slots[0]) == (0.1, 0.02, SE3)
+    robust = Range(x[0], l[0], 1.0, UNIT).robust(Huber(2.0)).mounted([1.0, 0.0, 0.0])
+    assert robust.kernel == Huber(2.0)
+    with pytest.raises(GraphError, match="joins l0 to itself"):
+        Range(x[0], l[0], 1.0, UNIT).mounted(l[0])

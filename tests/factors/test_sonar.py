@@ -15,11 +15,16 @@ from factors import (
     Diagonal,
     Elevation,
     ElevationHinge,
+    EpipolarArc,
     Factor,
     Heading,
+    Huber,
     Isotropic,
+    Noise,
     Position,
+    Prior,
     RangeAzimuth,
+    Robust,
     sonar_factors,
 )
 from factors.keys import Keys
@@ -33,6 +38,7 @@ same = np.testing.assert_allclose
 x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
 LIMIT = DIDSON_HIGH.aperture / 2
+MOUNTED = euler.to_se3(np.array([0.0, -0.6, 0.0, 0.3, 0.0, 0.1]))
 
 
 def poses(*e: list[float]) -> Array:
@@ -186,9 +192,48 @@ def test_treatments_of_the_elevation() -> None:
     same(prior.noise.sigma, radians(14) / sqrt(12))  # type: ignore[attr-defined]
     for factor in (contacts, hinge, prior):
         assert np.array_equal(factor.offset, SE3.identity())  # type: ignore[attr-defined]
-    for name in ("search", "bounded"):
-        with pytest.raises(OptionError, match=f"elevation: '{name}' .* free, hinge or prior; .*search_elevation"):
-            made(elevation=name)
+    with pytest.raises(OptionError, match=r"elevation: 'bounded' .* free, hinge, prior or search"):
+        made(elevation="bounded")
+
+
+def test_the_search_pairs_the_first_contact_of_every_target_with_its_later_ones() -> None:
+    """Targets 8, 5 and 6 from poses in any order; 6 is seen once."""
+    pose, target = x[[3, 1, 2, 4, 7, 2]], l[[8, 8, 5, 6, 8, 8]]
+    z = np.array([[5.0, 0.1], [4.0, 0.2], [3.0, -0.1], [6.0, 0.0], [5.5, 0.05], [4.5, 0.15]])
+    sigmas = np.arange(1.0, 13.0).reshape(6, 2) / 100
+
+    def made(noise: Noise | None = None, offset: object = None) -> EpipolarArc:
+        (factor,) = sonar_factors(pose, target, z, noise, DIDSON_HIGH, offset, elevation="search")  # type: ignore[arg-type]
+        assert isinstance(factor, EpipolarArc)
+        return factor
+
+    arcs = made(Diagonal(sigmas), MOUNTED)
+    assert arcs.keys == (x[[1, 1, 1]], x[[3, 7, 2]])
+    same(arcs.z, np.hstack([z[[1, 1, 1]], z[[0, 4, 5]]]))
+    W = arcs.noise.sqrt_information(3, EpipolarArc.measures)
+    same(W, np.eye(4) / np.hstack([np.sqrt(3) * sigmas[[1, 1, 1]], sigmas[[0, 4, 5]]])[:, None])  # divided by 3 pairs
+    assert arcs.limit == LIMIT
+    same(arcs.offset, MOUNTED[None])
+    same(
+        made().noise.sqrt_information(3, EpipolarArc.measures)[-1],
+        np.diag(1 / np.tile(DIDSON_HIGH.noise_sigmas, 2) / np.sqrt([3, 3, 1, 1])),
+    )
+    assert made(Robust(Isotropic(0.1), Huber(2.0))).kernel == Huber(2.0)
+    each = np.tile(MOUNTED, (6, 1))
+    same(made(offset=each).offset, each[:3])
+    each[4] = SE3.identity()[0]
+    with pytest.raises(GraphError, match=r"RangeAzimuth\(x\[1, 7\], l\[8, 8\]\): two offsets, .* needs one for both"):
+        made(offset=each)
+    with pytest.raises(GraphError, match="the offset o0 is a variable; the search needs it known"):
+        made(offset=o[0])
+    with pytest.raises(GraphError, match=r"RangeAzimuth.* shape \(3,\), expected"):
+        sonar_factors(x[[0, 1]], l[0], [1, 2, 3], None, DIDSON_HIGH, elevation="search")
+    with pytest.raises(GraphError, match="EpipolarArc: measurement 0 joins x2 to itself"):
+        sonar_factors(x[[2, 2]], l[0], [[4, 0.1], [4, 0.2]], None, DIDSON_HIGH, elevation="search")
+    (none,) = sonar_factors(x[0:3], l[0:3], z[:3], None, DIDSON_HIGH, elevation="search")
+    assert len(none) == 0
+    graph = FactorGraph([none, Prior(x[0], SE3.identity()[0], UNIT)])
+    assert graph.optimize(Values({x: (SE3, SE3.identity())})).dof == 0
 
 
 @pytest.mark.parametrize("elevation", ["free", "hinge", "prior"])

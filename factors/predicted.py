@@ -1,0 +1,61 @@
+"""The same measurements of other variables, as they would be: what one more view would measure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Any
+
+from factors.base import Factor
+from factors.keys import Keys
+from models.errors import GraphError
+
+__all__ = ["predicted"]
+
+
+def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
+    """A batch like a given one, with other variables, that measures without error: z = h(X).
+
+    Parameters
+    ----------
+    factor : kind, noise, fixed offsets and robust kernel are taken from it.
+    keys : one `Keys` per slot, as many variables each as it has measurements.
+    values : `nls.Values` that hold these variables.
+
+    Raises
+    ------
+    GraphError
+        Another number of slots or variables.
+    SingularGeometryError
+        There is nothing to measure from there: a target behind the camera, at the sonar.
+
+    Examples
+    --------
+    >>> from factors import Isotropic, Range
+    >>> from models import SE2, R
+    >>> from nls import Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> seen = Range(x[[0, 0]], l[[0, 1]], [9.9, 8.1], Isotropic([0.1, 0.2]))
+    >>> values = Values({x: (SE2, [[0, 0, 0], [6, 0, 0]]), l: (R(2), [[10, 3], [0, 8]])})
+    >>> again = predicted(seen, [x[[1, 1]], l[[0, 1]]], values)
+    >>> again, again.z.ravel(), again.noise.sigma
+    (Range(x[1, 1], l[0, 1]), array([ 5., 10.]), array([0.1, 0.2]))
+    """
+    if [len(k) for k in keys] != [len(factor)] * len(factor.keys):
+        raise GraphError(
+            f"{factor!r}: {[len(k) for k in keys]} variables; expected {len(factor)} for each of its "
+            f"{len(factor.keys)} slots",
+            factor.keys,
+            factor.name,
+        )
+    other = copy(factor)
+    other.keys, other._model = tuple(keys), None
+    for name in factor.each:
+        if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
+            setattr(other, name, other.keys[factor.keys.index(held)])
+    model, X = values.gather(other)
+    z, _ = other.predict(model.manifolds, *X)
+    z = z.copy()
+    z.setflags(write=False)
+    other._z, other._model = z, None
+    return other

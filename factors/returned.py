@@ -1,0 +1,83 @@
+"""What the methods of a factor must return: refused by the name of the factor, with what was expected."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models import Manifold
+from models.algebra import Array
+from models.errors import EvaluationError, GraphError
+
+if TYPE_CHECKING:
+    from factors.base import Factor, Jacobians
+
+__all__ = ["checked_jacobians", "checked_prediction", "checked_space"]
+
+
+def checked_space(factor: Factor, space: object) -> Manifold:
+    """What `Factor.space` returned, if it is a space.
+
+    Raises
+    ------
+    GraphError
+    """
+    if not isinstance(space, Manifold):
+        raise GraphError(
+            f"{factor.name}: its `space` returned {space!r:.60}; expected the space of one measurement, such as R(1), "
+            "SE2 or Measured('range', 'azimuth')",
+            factor.keys,
+            factor.name,
+        )
+    return space
+
+
+def checked_prediction(factor: Factor, found: object, shape: tuple[int, ...]) -> tuple[Array, Jacobians]:
+    """What `Factor.predict` returned, if it is an array of this shape and Jacobians or None.
+
+    Raises
+    ------
+    EvaluationError
+    """
+    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], np.ndarray)):
+        said = f"an array of shape {found.shape}" if isinstance(found, np.ndarray) else f"{found!r:.60}"
+        raise _wrong(
+            factor,
+            f"its `predict` returned {said}; expected two things, the prediction h, an array of shape {shape}, and a "
+            "tuple of Jacobians, one per slot, or None for central differences: return h, None",
+        )
+    h, H = found
+    if h.shape != shape:
+        raise _wrong(factor, f"the prediction has shape {h.shape}, expected {shape}")
+    return h, H
+
+
+def checked_jacobians(
+    factor: Factor, H: object, n: int, m: int, manifolds: tuple[Manifold, ...]
+) -> tuple[Array | None, ...]:
+    """The Jacobians `Factor.predict` returned, if there is one of (n, m, dim_k) for every slot.
+
+    Raises
+    ------
+    EvaluationError
+    """
+    if not isinstance(H, tuple | list):
+        raise _wrong(factor, f"its Jacobians are a {type(H).__name__}, expected a tuple of arrays, one per slot: (H,)")
+    if len(H) != len(manifolds):
+        raise _wrong(factor, f"{len(H)} Jacobians, expected {len(manifolds)}: one per slot")
+    for slot, (H_k, manifold) in enumerate(zip(H, manifolds, strict=True)):
+        shape = (m, manifold.dim)
+        if H_k is None and m != manifold.dim:
+            raise _wrong(
+                factor,
+                f"None for slot {slot} means the identity, but its Jacobian is {m} x {manifold.dim}; give it, or "
+                "return None instead of all Jacobians for central differences",
+            )
+        if H_k is not None and np.shape(H_k) not in ((n, *shape), (1, *shape), shape):
+            raise _wrong(factor, f"Jacobian of slot {slot} has shape {np.shape(H_k)}, expected {(n, *shape)}")
+    return tuple(H)
+
+
+def _wrong(factor: Factor, message: str) -> EvaluationError:
+    return EvaluationError(f"{factor!r}: {message}", factor.name, factor.keys)

@@ -1,0 +1,178 @@
+"""Projection: what is refused and by what name, whose offset it is, and how optimizers go around what is behind."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from factors import Diagonal, Isotropic, Projection, RangeAzimuth, check_jacobians
+from factors.keys import Keys
+from models import SE2, SE3, R
+from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError
+from models.sensors import Camera
+from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, Optimizer, Values, kinds
+
+Array = npt.NDArray[np.float64]
+same = np.testing.assert_allclose
+x, l, o = kinds("x", "l", "o")
+UNIT = Isotropic()
+CAMERA = Camera((600.0, 500.0), (640.0, 480.0), (-0.2, 0.05, 0.001, -0.002))
+HERE = SE3.identity()[0]
+
+
+def scene(n: int, seed: int = 1) -> tuple[Values, Array]:
+    """n poses near the origin, a camera somewhere on the vehicle, and a point 4 to 9 m in front of each camera."""
+    rng = np.random.default_rng(seed)
+    X, O = SE3.exp(rng.normal(scale=0.4, size=(n, 6))), SE3.exp(rng.normal(scale=0.8, size=(1, 6)))
+    p = rng.uniform([-1, -1, 4], [1, 1, 9], size=(n, 3))
+    L = SE3.act(SE3.compose(X, O), p)
+    return Values({x: (SE3, X), l: (R(3), L), o: (SE3, O)}), CAMERA.project(p)[0]
+
+
+def errors(factor: Projection, values: Values) -> Array:
+    model, X = values.gather(factor)
+    return model.error(*X)
+
+
+def test_pixels_by_hand() -> None:
+    """The camera 1 m to starboard of a vehicle at (0, 0, 5) that looks ahead: its right is the vehicle's y."""
+    offset = np.array([0.0, 1.0, 0.0, 0.5, 0.5, 0.5, 0.5])  # axes x right, y down, z forward in x ahead, y starboard
+    values = Values({x: (SE3, [0, 0, 5, 0, 0, 0, 1]), l: (R(3), [[4.0, 2.0, 5.5]])})
+    factor = Projection(x[0], l[0], [0, 0], UNIT, Camera((600.0, 500.0), (640.0, 480.0)), offset)
+    same(-errors(factor, values), [[640 + 600 / 4, 480 + 500 * 0.5 / 4]])
+    same(-errors(Projection(x[0], l[0], [0, 0], UNIT, offset=offset), values), [[1 / 4, 1 / 8]])
+
+
+@pytest.mark.parametrize("n", [1, 9])
+def test_offset_none_fixed_and_variable_are_one(n: int) -> None:
+    """The same pixels, and derivatives that agree with central differences far from the measurement."""
+    values, h = scene(n)
+    S = SE3.compose(values[x], values[o])
+    cameras = values.replaced({x: S})
+    z = h + np.random.default_rng(2).normal(scale=40, size=h.shape)
+    made = {
+        "none": (Projection(x[0:n], l[0:n], z, UNIT, CAMERA), cameras),
+        "fixed": (Projection(x[0:n], l[0:n], z, UNIT, CAMERA, values[o][0]), values),
+        "each": (Projection(x[0:n], l[0:n], z, UNIT, CAMERA, np.repeat(values[o], n, axis=0)), values),
+        "variable": (Projection(x[0:n], l[0:n], z, UNIT, CAMERA, o[0]), values),
+    }
+    for factor, here in made.values():
+        same(errors(factor, here), z - h, atol=1e-9)
+        model, X = here.gather(factor)
+        largest = max(np.abs(A).max() for A in model.linearize(*X)[0])
+        assert check_jacobians(factor, here) < 1e-7 * largest
+        assert factor.relative
+
+
+def test_a_part_of_the_measurements_keeps_camera_and_offsets() -> None:
+    values, h = scene(5)
+    offsets = np.repeat(values[o], 5, axis=0)
+    factor = Projection(x[0:5], l[0:5], h, Isotropic(2.0), CAMERA, offsets)
+    part = factor[[3, 1]]
+    assert isinstance(part, Projection)
+    assert part.camera is CAMERA
+    same(errors(part, values), 0.0, atol=1e-9)
+    same(part.z, h[[3, 1]])
+
+
+def test_a_point_behind_is_named_and_not_mirrored() -> None:
+    X = SE3.exp(np.array([[0, 0, 0, 0, 0, 0], [0, 0, 10, 0, 0, 0.0]]))
+    values = Values({x: (SE3, X), l: (R(3), [[1.0, 0.5, 5.0], [-1.0, -0.5, 5.0]])})
+    factor = Projection(x[[0, 1]], l[[0, 1]], [[0.2, 0.1], [0.2, 0.1]], UNIT)  # (-1, -0.5, -5): the mirrored image
+    model, stacks = values.gather(factor)
+    for evaluate in (model.error, model.linearize, lambda *_: FactorGraph([factor]).optimize(values)):
+        with pytest.raises(SingularGeometryError, match=r"Projection\(x1, l1\): the point is behind the cam") as caught:
+            evaluate(*stacks)
+        assert caught.value.factor == "Projection"
+        assert caught.value.keys == (x[[1]], l[[1]])
+    graph = FactorGraph([Projection(x[[1]], l[[1]], [[0.2, 0.1]], UNIT, offset=o[0])])
+    with pytest.raises(SingularGeometryError, match=r"Projection\(x1, l1, o0\): the point is behind"):
+        graph.chi2(Values({x: (SE3, X), l: (R(3), values[l]), o: (SE3, HERE)}))
+
+
+def two_views(start: list[float]) -> tuple[FactorGraph, Values, Array]:
+    """A point 4 m ahead of two known cameras, 0.3 m apart, that starts elsewhere."""
+    X, L = SE3.exp(np.array([[0.0] * 6, [0.3, 0, 0, 0, 0, 0]])), np.array([0.5, 0.1, 4.0])
+    camera = Camera((600.0, 600.0), (640.0, 480.0))
+    z = camera.project(SE3.act(SE3.inverse(X), L[None]))[0]
+    graph = FactorGraph([Projection(x[[0, 1]], l[0], z, UNIT, camera)])
+    graph.fix(x[[0, 1]])
+    return graph, Values({x: (SE3, X), l: (R(3), [start])}), L
+
+
+@pytest.mark.parametrize("optimizer", [LevenbergMarquardt(), LevenbergMarquardt(damping=1e-9), Dogleg(), None], ids=str)
+@pytest.mark.parametrize("start", [[0.5, 0.1, 60.0], [0.0, 0.0, 30.0]], ids=str)
+def test_damped_methods_turn_back_from_a_step_behind_the_camera(
+    start: list[float], optimizer: Optimizer | None
+) -> None:
+    """Depth is the inverse of what is measured: from too far away the full step overshoots, here through the camera."""
+    graph, values, L = two_views(start)
+    system = graph.linearize(values)
+    step = np.linalg.lstsq(system.A.toarray(), system.b, rcond=None)[0]
+    assert start[2] + step[2] < 0
+    result = graph.optimize(values, optimizer)
+    assert result.converged
+    same(result.values[l[0]], L, atol=1e-6)
+    chi2 = [iteration.chi2 for iteration in result.history]
+    assert (np.diff(chi2) <= 0).all()
+    assert result.method == ("dogleg" if isinstance(optimizer, Dogleg) else "levenberg-marquardt")
+
+
+def test_an_undamped_step_behind_the_camera_is_said_so() -> None:
+    graph, values, _ = two_views([0.5, 0.1, 60.0])
+    result = graph.optimize(values, GaussNewton())
+    assert result.status.name == "DIVERGED"
+    assert "Projection(x0, l0): the point is behind the camera" in result.reason
+    same(result.values[l[0]], [0.5, 0.1, 60.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: Projection(x[0], l[0], [0, 0], UNIT, o[0]), OptionError, r"camera: o0 is not possible; ex"),  # type: ignore[arg-type]
+        (lambda: Projection(x[0], l[0], [0, 0], UNIT, None), OptionError, r"camera: None .* such as Camera\(focal="),  # type: ignore[arg-type]
+        (
+            lambda: Projection(x[0], l[0:2], [0, 0, 0], UNIT),
+            GraphError,
+            r"\(u, v\): elements have shape .* expected \(n, 2\)",
+        ),
+        (lambda: Projection(x[0], l[0], [[0, 0]] * 3, UNIT), GraphError, r"3 measurements for 1 sets of variables"),
+        (lambda: Projection(o[0], l[0], [0, 0], UNIT), GraphError, r"Projection: o0 is in SE2, this factor needs SE3"),
+        (lambda: Projection(x[0], o[0], [0, 0], UNIT), GraphError, r"the target o0 is in SE2; from a pose of SE3"),
+        (lambda: Projection(x[0], l[0], [0, 0], UNIT, CAMERA, o[0]), GraphError, r"the offset o0 is in SE2, expected"),
+        (lambda: Projection(x[0], l[0], [0, 0], UNIT, CAMERA, [1, 2]), GraphError, r"offset: SE3: elements have shape"),
+        (lambda: Projection(x[0], l[0], [0, 0], Diagonal(x=1, y=2)), NoiseModelError, r"components are \['u', 'v'\]"),
+        (lambda: Projection(x[0], l[0], [0, np.nan], UNIT), GraphError, r"Projection\(x0, l0\): .* not finite"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit(make: object, error: type[Exception], message: str) -> None:
+    values = Values({x: (SE3, HERE), l: (R(3), [[0, 0, 5.0], [1, 0, 5]]), o: (SE2, [0.0, 0, 0])})
+    with pytest.raises(error, match=message):
+        values.gather(make())  # type: ignore[operator]
+
+
+def test_noise_by_name() -> None:
+    values, h = scene(3)
+    S = values.replaced({x: SE3.compose(values[x], values[o])})
+    off = Projection(x[0:3], l[0:3], h + np.array([3.0, 8.0]), Diagonal(v=4.0, u=1.5), CAMERA)
+    same(errors(off, S), [[2.0, 2.0]] * 3, atol=1e-9)
+
+
+def test_a_camera_alone_has_no_scale_and_a_sonar_gives_it() -> None:
+    """Two cameras and twelve points: seven directions free without ranges, six (the gauge) with them."""
+    rng = np.random.default_rng(5)
+    X = SE3.exp(np.array([[0.0] * 6, [1.0, 0.2, 0.3, 0.1, -0.2, 0.3]]))
+    L = rng.uniform([-2, -2, 5], [2, 2, 9], size=(12, 3))
+    values = Values({x: (SE3, X), l: (R(3), L)})
+    i, k = np.divmod(np.arange(24), 12)
+    p = SE3.act(SE3.inverse(X)[i], L[k])
+    images = Projection(x[i], l[k], CAMERA.project(p)[0], UNIT, CAMERA)
+    sonar = np.array([0.0, 0.3, 0.0, -0.5, -0.5, -0.5, 0.5])
+    q = SE3.act(SE3.inverse(sonar), p)
+    contacts = RangeAzimuth(x[i], l[k], np.column_stack([np.linalg.norm(q, axis=1), np.arctan2(q[:, 1], q[:, 0])]),
+                            Diagonal(range=0.01, azimuth=0.01), sonar)  # fmt: skip
+    for factors, free in (([images], 7), ([images, contacts], 6)):
+        S = np.linalg.svd(FactorGraph(factors).linearize(values).A.toarray(), compute_uv=False)
+        assert int((S < 1e-9 * S[0]).sum()) == free
+    assert isinstance(images.keys[0], Keys)
