@@ -26,7 +26,19 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io import LoadReport, load, save
-    from nls.linear import LU, QR, Cholesky, CholeskyPCG, DenseCholesky, DenseQR, LinearSolver, Pinv, Schur, backends
+    from nls.linear import (
+        LU,
+        PCG,
+        QR,
+        Cholesky,
+        CholeskyPCG,
+        DenseCholesky,
+        DenseQR,
+        LinearSolver,
+        Pinv,
+        Schur,
+        backends,
+    )
     from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
     from nls.starts import initialize
     from nls.system import LinearSystem
@@ -41,7 +53,7 @@ _WHERE = {
     "nls.covariance": "Marginals",
     "nls.graph": "FactorGraph",
     "nls.io": "LoadReport load save",
-    "nls.linear": "LU QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends",
+    "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends",
     "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop",
     "nls.starts": "initialize",
     "nls.system": "LinearSystem",
@@ -74,6 +86,7 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "LU",
+    "PCG",
     "QR",
     "Cholesky",
     "CholeskyPCG",

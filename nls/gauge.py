@@ -12,6 +12,7 @@ anything about them, so nothing can be wrong.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ __all__ = [
     "touched_variables",
 ]
 
+OURS = ("models", "factors", "nls", "sim")  # a warning is about the line that called them
 GAUGES = ("first", "prior", "free", "none")
 
 
@@ -125,7 +127,7 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
             f"{_named(pattern, isolated)}: no measurement touches {them}; held at the start value. Add the factors "
             f"that are missing, or leave {them} out of the values",
             GraphWarning,
-            stacklevel=3,
+            stacklevel=_outside(),
         )
         fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, moving, anchored)
@@ -142,6 +144,14 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
     if name == "free":
         return Gauge(pattern, held, fixed, said=f"free, shortest step; computed with {named} held", free=True)
     return Gauge(pattern, held, fixed, said=f"{named} held")
+
+
+def _outside() -> int:
+    """The stack level, for the function that calls this, of the first frame that is not in these packages."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_globals.get("__name__", "").partition(".")[0] in OURS and frame.f_back is not None:
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:

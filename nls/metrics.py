@@ -8,12 +8,7 @@ The absolute trajectory error compares positions, pose by pose, after one motion
 - ``first``: T = Q_0 o P_0^-1 takes the first estimated pose to the first true one: drift from the start
 - ``rigid``: the T of least rmse: the shape of the trajectory alone
 
-With the means p', q' and M = sum (q_i - q')(p_i - p')' = U S V', the last is R = U diag(1, .., det(U) det(V)) V' and
-t = q' - R p'. The determinant keeps R from being a reflection. No scale is estimated: sonar and odometry measure
-meters.
-
-Source: S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE PAMI 13(4),
-1991; B. Horn, "Closed-form solution of absolute orientation using unit quaternions", JOSA A 4, 1987.
+The last is that of `models.alignment`. No scale is estimated: sonar and odometry measure meters.
 """
 
 from __future__ import annotations
@@ -24,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from models import SE2, SE3, LieGroup
-from models.algebra import Array, apply
+from models.algebra import Array
+from models.alignment import align
 from models.errors import GraphError, OptionError, SingularGeometryError
-from models.manifolds.so3 import quaternion_from_matrix
+from models.sensors import SingularAt
 
 __all__ = ["ALIGNMENTS", "TrajectoryError", "ate"]
 
 ALIGNMENTS = ("none", "first", "rigid")
-UNIQUE = 1e-9  # of the largest singular value: below it, the rotation of an alignment is not determined
 
 
 @dataclass(frozen=True)
@@ -129,18 +124,12 @@ def _too_far() -> GraphError:
 
 def _rigid(group: LieGroup, p: Array, q: Array) -> Array:
     """The motion (1, size) that takes the points p (n, d) closest to q."""
-    p_mean, q_mean = p.mean(axis=0), q.mean(axis=0)
-    M = (q - q_mean).T @ (p - p_mean)
-    if not np.isfinite(M).all():
-        raise _too_far()
-    U, S, Vt = np.linalg.svd(M)
-    sign = np.ones(len(S))
-    sign[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    if not S[-2] + sign[-1] * S[-1] > UNIQUE * max(S[0], np.finfo(float).tiny):
-        what = "on one spot" if len(S) == 2 else "on one line"
+    try:
+        return align(q, p)[None]
+    except SingularAt as error:
+        what = "on one spot" if group is SE2 else "on one line"
         raise SingularGeometryError(
             f"ate: {len(p)} positions {what} do not determine the rotation of a rigid alignment; use align='first'"
-        )
-    R = U @ (sign[:, None] * Vt)
-    t = q_mean - apply(R, p_mean)
-    return np.concatenate([t, [np.arctan2(R[1, 0], R[0, 0])] if group is SE2 else quaternion_from_matrix(R)])[None]
+        ) from error
+    except GraphError as error:  # the positions are finite: their squares are not
+        raise _too_far() from error

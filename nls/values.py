@@ -88,16 +88,20 @@ class Values:
 
     Notes
     -----
-    The order of kinds, and of the rows in a stack, is the order of the columns of A.
+    The order of kinds, and of the rows in a stack, is the order of the columns of A. `add` is how values that were read
+    from a file get a kind that is not in it.
 
     Examples
     --------
     >>> from models import SE2
     >>> from nls import Values, kinds
-    >>> (x,) = kinds("x")
+    >>> x, o = kinds("x", "o")
     >>> values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0]])})
     >>> values[x].shape, values[x[1]]
     ((2, 3), array([1., 0., 0.]))
+    >>> values.add(o, SE2, [[0.5, 0, 0]])  # where a sensor is mounted
+    >>> values, values[o[0]]
+    (Values(x: 2 x SE2, o: 1 x SE2), array([0.5, 0. , 0. ]))
     """
 
     def __init__(self, stacks: Mapping[Any, tuple[Any, ...]] | None = None) -> None:
@@ -108,13 +112,35 @@ class Values:
             name = kind.name if isinstance(kind, Kind) else Kind(str(kind)).name
             if not isinstance(entry, tuple) or len(entry) not in (2, 3):
                 raise GraphError(f"Values: {name}: expected (manifold, X) or (manifold, X, numbers)")
-            if not isinstance(entry[0], Manifold):
-                raise GraphError(f"Values: {name}: {entry[0]!r:.60} is no space; expected SE2, SE3, R(2) ...")
-            X = entry[0].stack(entry[1])
-            numbers = Keys(name, entry[2] if len(entry) == 3 else np.arange(len(X))).numbers
-            if len(numbers) != len(X):
-                raise GraphError(f"Values: {name}: {len(X)} elements and {len(numbers)} numbers")
-            self.stacks[name] = Stack(name, entry[0], X, numbers)
+            self.add(Kind(name), *entry)
+
+    def add(self, kind: Kind, manifold: Manifold, X: npt.ArrayLike, numbers: npt.ArrayLike | None = None) -> None:
+        """Add the variables of a kind there is none of yet.
+
+        Parameters
+        ----------
+        kind : ``o`` of ``(o,) = kinds("o")``.
+        manifold : the space of these variables.
+        X : (n, size) stack in the stored form of the manifold, or one element.
+        numbers : (n,) of the variables, 0 .. n-1 when omitted.
+
+        Raises
+        ------
+        GraphError
+            The kind is there already; wrong shapes, numbers given twice, or no elements of the manifold.
+        """
+        if not isinstance(kind, Kind):
+            raise GraphError(f"Values: {kind!r:.60} is no kind of variable; expected o of (o,) = kinds('o')")
+        name = kind.name
+        if name in self.stacks:
+            raise GraphError(f"Values: there are variables of kind {name} already; values[{name}[i]] = X moves them")
+        if not isinstance(manifold, Manifold):
+            raise GraphError(f"Values: {name}: {manifold!r:.60} is no space; expected SE2, SE3, R(2) ...")
+        stack = manifold.stack(X)
+        named = Keys(name, np.arange(len(stack)) if numbers is None else numbers).numbers
+        if len(named) != len(stack):
+            raise GraphError(f"Values: {name}: {len(stack)} elements and {len(named)} numbers")
+        self.stacks[name] = Stack(name, manifold, stack, named)
 
     @classmethod
     def of(cls, stacks: Iterable[Stack]) -> Self:
@@ -123,25 +149,26 @@ class Values:
         values.stacks = {stack.kind: stack for stack in stacks}
         return values
 
-    def stack(self, kind: str) -> Stack:
-        """The stack of a kind.
+    def stack(self, kind: Kind | str) -> Stack:
+        """The stack of a kind, a `Kind` or its name.
 
         Raises
         ------
         GraphError
             There is none.
         """
-        if not isinstance(kind, str) or kind not in self.stacks:
+        name = kind.name if isinstance(kind, Kind) else kind
+        if not isinstance(name, str) or name not in self.stacks:
             raise GraphError(
-                f"no variable of kind {kind!r:.60} has a value; Values hold kinds {list(self.stacks)}. Add start "
-                "values, or leave out the factors that need them"
+                f"no variable of kind {name!r:.60} has a value; Values hold kinds {list(self.stacks)}. Add start "
+                "values with `Values.add`, or leave out the factors that need them"
             )
-        return self.stacks[kind]
+        return self.stacks[name]
 
     def __getitem__(self, key: Kind | Keys) -> Array:
         """A copy of the stack of a kind, of one variable, or of a batch of them."""
         if isinstance(key, Kind):
-            return np.array(self.stack(key.name).X, order="C")
+            return np.array(self.stack(key).X, order="C")
         stack = self.stack(_keys(key).kind)
         X = np.array(stack.X[stack.index(key)], order="C")
         return X[0] if key.single else X

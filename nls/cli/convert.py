@@ -22,5 +22,6 @@ def convert(options: argparse.Namespace) -> int:
     print(f"input       {options.file}: {report.format}, {len(values)} variables, {len(graph)} measurements")
     print(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:
-        print(f"note        {note}")
+        if note not in report.warnings:
+            print(f"note        {note}")
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 from nls.cli.outputs import refuse_unwritable, write_json
@@ -21,7 +22,7 @@ def info(options: argparse.Namespace) -> int:
     head = {"input": options.file, "format": report.format, "dimension": report.dimension}
     write_json(head | {"tags": report.tags, "notes": report.notes} | found, options.json)
     if options.json != "-":
-        print(report)
+        print(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
         print("\n".join(f"  {name.replace('_', ' '):26s} {_shown(value)}" for name, value in found.items()))
     return 0
 

@@ -122,6 +122,11 @@ class Solved:
         """Covariances at the optimum; None where there are none."""
         return self.determined[1]
 
+    @property
+    def free(self) -> Keys:
+        """Landmarks whose elevation nothing measures."""
+        return self.determined[2]
+
     @cached_property
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
@@ -178,7 +183,9 @@ class Solved:
         from nls.plot.mission import landmark_map
         from nls.plot.picture import write_picture
 
-        write_picture(path, landmark_map(self.values, self.elevations, self.report.truth))
+        assert self.report.sonar is not None
+        figure = landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
+        write_picture(path, figure)
 
     def _sonar(self, path: str) -> None:
         """The fan of the pose with the most contacts."""
@@ -189,7 +196,7 @@ class Solved:
         pose = x[int(poses[np.argmax(count)])]
         assert self.report.sonar is not None
         figure = arcs(self.contacts[0], self.values, pose, self.report.sonar)
-        figure.axes[0].set_title(f"{self.report.sonar.name}: contacts of {pose!r}", fontsize=9)
+        figure.axes[0].set_title(f"{self.report.sonar.name}: what it saw from {pose!r}", fontsize=9)
         write_picture(path, figure)
 
     def record(self) -> dict[str, Any]:

@@ -9,16 +9,29 @@ import sys
 from pathlib import Path
 from typing import Any
 
-__all__ = ["complain", "refuse_no_picture", "refuse_unwritable", "write_json"]
+__all__ = ["complain", "refuse_no_picture", "refuse_unwritable", "typed", "write_json"]
 
 PICTURES = (".png", ".pdf", ".svg")
+TYPED = {  # what messages of the library name, and the options of the command line in its place
+    "gauge='first'": "--gauge first",
+    "repair_information: True": "--repair-information",
+    "graph.robust(Cauchy(1))": "--robust cauchy:1",
+    "nls.initialize(graph, values)": "--init",
+    "linear solver 'qr'": "--linear-solver qr",
+    ", see `underconstrained`": "",
+}
+
+
+def typed(message: str) -> str:
+    """A message of the library with the options as they are typed on the command line."""
+    for named, option in TYPED.items():
+        message = message.replace(named, option)
+    return message
 
 
 def complain(message: object) -> None:
     """One line on standard error, with the options as they are typed here."""
-    said = str(message).replace("gauge='first'", "--gauge first")
-    said = said.replace("repair_information: True", "--repair-information")
-    print(f"nls: {' '.join(said.split())}", file=sys.stderr)
+    print(f"nls: {' '.join(typed(str(message)).split())}", file=sys.stderr)
 
 
 def refuse_unwritable(*names: str | None, json: str | None = None) -> None:

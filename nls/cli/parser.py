@@ -15,6 +15,7 @@ EXAMPLES = """examples:
   nls solve survey.g2o -o solved.g2o --plot solved.png
   nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
+  nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
@@ -65,7 +66,11 @@ def parser() -> Parser:
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
-    solve.add_argument("--robust", metavar="KERNEL:SIGMAS", help="robust kernel on every factor, such as huber:1.0")
+    solve.add_argument(
+        "--robust",
+        metavar="[TYPE=]KERNEL:SIGMAS",
+        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1",
+    )
     solve.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
     solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, write_json
+from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, typed, write_json
 
 if TYPE_CHECKING:
     from models.errors import LeadlineError
@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = ["solve"]
 
+SHOWN = 12  # free directions in the table
+
 
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
     from models.errors import GraphFileError
+    from nls.cli.doubts import doubts
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
     from nls.cli.timing import Clock
     from nls.linear import SOLVERS, default_solver
@@ -87,14 +90,14 @@ def solve(options: argparse.Namespace) -> int:
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
-        "reason": f"{result.status.value}: {result.reason}",
+        "reason": f"{result.status.value}: {typed(result.reason)}",
         **said,
         "history": [_record(iteration) for iteration in result.history],
         "timings": timings,
         "underconstrained": list(result.underconstrained),
         "written": written,
         "unwritten": [str(error) for error in failed],
-        "notes": report.notes,
+        "notes": report.notes + doubts(graph, result),
         "peak_rss_mb": _peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -105,7 +108,7 @@ def solve(options: argparse.Namespace) -> int:
         written.remove(options.json)
         failed.append(error)
     if not options.quiet and options.json != "-":
-        print(_table(record, result if options.verbose else None))
+        print(_table(record, result, report.warnings, options.verbose))
     if not result.converged and not options.quiet:
         print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
     for failure in failed:
@@ -162,7 +165,10 @@ def _write(
         from nls import Marginals
         from nls.io.covariance_csv import write_covariances
 
-        write_covariances(path, Marginals(graph, result.values, solver, options.gauge))
+        if solved is not None and solved.marginals is not None:
+            write_covariances(path, solved.marginals, free=[solved.free])
+        else:
+            write_covariances(path, Marginals(graph, result.values, solver, options.gauge))
 
     def plot(path: str) -> None:
         from nls.plot import before_after
@@ -217,7 +223,12 @@ def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -
     prepared = nls.FactorGraph(graph.factors)
     prepared.fixed = list(graph.fixed)
     if options.robust:
-        prepared = graph.robust(kernel_from_text(options.robust))
+        name, _, kernel = options.robust.rpartition("=")
+        names = list(dict.fromkeys(factor.name for factor in graph.factors))
+        if name and name not in names:
+            raise nls.OptionError("--robust", name, "no type, or one of those in the graph: " + ", ".join(names))
+        robust = kernel_from_text(kernel)
+        prepared.factors = [f.robust(robust) if name in ("", f.name) else f for f in graph.factors]
     for kind in options.hold:
         if kind not in values.stacks:
             raise nls.OptionError("--hold", kind, "one of the kinds " + ", ".join(values.stacks))
@@ -233,17 +244,19 @@ def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: _Progress) -
     return kind(stop, callback=progress.show)
 
 
-def _table(report: dict[str, Any], verbose: Result | None) -> str:
-    lines = [str(verbose)] if verbose else []
-    start = ", ".join(f"{name} {chi2:.6g}" for name, chi2 in report["starts"].items())
+def _table(report: dict[str, Any], result: Result, warned: list[str], verbose: bool) -> str:
+    lines = result.steps if verbose else []
+    names = {"file": "dead reckoning"} if "mission" in report else {}  # a mission has no start in a file
+    start = ", ".join(f"{names.get(name, name)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] else ""
+    ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
     lines += [
         f"input       {report['input']}: {report['variables']} variables, {report['factors']} measurements, "
         f"{report['dimension']}",
-        f"start       {report['init']} (chi2: {start})",
+        f"start       {names.get(report['init'], report['init'])} (chi2: {start})",
         f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in {report['iterations']} iterations, "
-        f"{report['dof']} degrees of freedom, convention {report['convention']}{robust}",
+        f"{report['dof']} degrees of freedom{ratio}, convention {report['convention']}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",
@@ -253,13 +266,15 @@ def _table(report: dict[str, Any], verbose: Result | None) -> str:
 
         lines += worth(report["mission"])
     lines += [f"held        all {kind}" for kind in report["held"]]
-    lines += [f"free        {direction}" for direction in report["underconstrained"]]
+    lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
+    if (more := len(report["underconstrained"]) - SHOWN) > 0:
+        lines.append(f"free        and {more} more directions (--json has them)")
     lines += [f"written     {name}" for name in report["written"]]
-    lines += [f"note        {note}" for note in report["notes"]]
+    lines += [f"note        {note}" for note in report["notes"] if note not in warned]
     if verbose:
         from nls.cli.timing import iterations, table
 
-        lines += [*iterations(verbose.history), *table(seconds)]
+        lines += [*iterations(result.history), *table(seconds)]
     return "\n".join(lines)
 
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from models import SE3
 from models.algebra import Array, apply, dot, product
 from models.errors import GraphError
-from nls.degeneracy.views import second_view
+from models.sensors.arcs import second_view
 
 __all__ = ["elevation_information"]
 

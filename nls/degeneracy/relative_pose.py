@@ -14,7 +14,8 @@ import numpy as np
 
 from models import SE3
 from models.algebra import Array, apply, dot, product
-from nls.degeneracy.arcs import Arcs, Contacts, least_information, search
+from models.sensors.arcs import Contacts, least_information
+from nls.degeneracy.arcs import Arcs, search
 from nls.degeneracy.truncated import truncated_inverse
 
 __all__ = ["RelativePose", "Sonar", "descended"]

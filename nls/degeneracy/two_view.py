@@ -40,7 +40,7 @@ from models import SE3
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, OptionError
 from models.options import is_number
-from nls.degeneracy.arcs import Contacts
+from models.sensors.arcs import Contacts
 from nls.degeneracy.relative_pose import RelativePose, descended
 
 __all__ = ["TwoView", "two_views"]
@@ -144,8 +144,8 @@ def two_views(
 
     >>> import numpy as np
     >>> from models import SE3
+    >>> from models.sensors.arcs import second_view
     >>> from nls import kinds
-    >>> from nls.degeneracy.views import second_view
     >>> h = np.array([[4, -0.2, 0.0], [3, 0.1, 0.05], [5, 0.2, 0.1], [4.5, 0.0, -0.05], [3.5, -0.1, 0.08]])
     >>> T = SE3.exp([0.1, 0, 0.5, 0, 0, 0.1])
     >>> seen_again, _ = second_view(T[None], h)
@@ -165,7 +165,7 @@ def two_views(
     if len(Z) != 1 or len(O) != 1:
         raise GraphError("two_views: expected one start (7,) and one offset (7,)")
     if odometry_information is None:
-        r = contacts.z_i[:, 0].mean()
+        r = contacts.z[:, 0].mean()
         known, prior, tau = np.diag([r**-2] * 3 + [1.0] * 3), np.zeros((6, 6)), 1.0
     else:
         known = prior = _positive(odometry_information)
@@ -226,7 +226,8 @@ def _contacts(z_i: npt.ArrayLike, z_j: npt.ArrayLike, sigmas: npt.ArrayLike, lim
         raise GraphError("two_views: a range that is not above 0, or a number that is not finite")
     if not is_number(limit) or not 0 < limit < np.pi / 2:
         raise OptionError("limit", limit, "half the aperture in elevation, rad, between 0 and pi/2")
-    return Contacts(a, b, np.broadcast_to(sigma, a.shape), float(limit))
+    W = np.tile(1 / np.atleast_2d(sigma), 2)
+    return Contacts(np.concatenate([a, b], axis=1), W[:, :, None] * np.eye(4), float(limit))
 
 
 def _positive(information: npt.ArrayLike) -> Array:

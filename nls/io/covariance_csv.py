@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from nls.io.files import write_bytes
 
 __all__ = ["write_covariances"]
 
+EMPTY = ("unmeasured", "free")  # what has no covariance
 
-def write_covariances(path: str | Path, marginals: Marginals, frame: str = "world") -> None:
+
+def write_covariances(path: str | Path, marginals: Marginals, frame: str = "world", free: Sequence[Keys] = ()) -> None:
     """Write the marginal covariance of every variable as CSV; numbers read back bit for bit.
 
     The first line names the columns:
@@ -22,8 +25,8 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     ``kind``, ``number``
         The variable: ``x``, ``17``. Rows come in the order of the values.
     ``status``
-        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has none, its row ends
-        here with empty cells.
+        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has none, ``free``: it
+        has none in some direction; the row ends here with empty cells.
     ``world_x_x``, ``world_x_y``, ... or ``body_x_x``, ...
         The upper triangle row by row. A name says the axes and the two components: ``world_x_yaw`` is the covariance of
         the position error along the x axis of the world and the yaw error. m^2, m rad and rad^2. Columns are those of
@@ -35,6 +38,7 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     path : the file; gzip-compressed where the name ends in ``.gz``. Written whole or not at all.
     marginals : covariances of a graph.
     frame : ``world`` or ``body``, see `Marginals`.
+    free : variables that the graph of the marginals holds along a direction in which nothing measures them.
 
     Raises
     ------
@@ -72,13 +76,16 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     lines = [",".join(["kind", "number", "status", *columns])]
     for stack in stacks:
         status = marginals.status(stack.kind)
-        known = np.array([word != "unmeasured" for word in status], dtype=bool)
+        for keys in (each for each in free if each.kind == stack.kind):
+            for row in stack.index(keys).tolist():
+                status[row] = "free"
+        known = np.array([word not in EMPTY for word in status], dtype=bool)
         Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[known]), frame=frame)
         upper = iter(Sigma[:, *np.triu_indices(stack.manifold.dim)].tolist())
         cells = np.array([place[name] for name in of_kind[stack.kind]], dtype=np.intp).tolist()
         for number, word in zip(stack.numbers.tolist(), status, strict=True):
             row = [""] * len(columns)
-            if word != "unmeasured":
+            if word not in EMPTY:
                 for cell, value in zip(cells, next(upper), strict=True):
                     row[cell] = repr(value)
             lines.append(",".join([stack.kind, str(number), word, *row]))

@@ -1,4 +1,4 @@
-"""Linear solvers: one job, dx = argmin |A dx - b|, eight ways."""
+"""Linear solvers: one job, dx = argmin |A dx - b|, nine ways."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from nls.linear.normal import Factorization, NormalEquations
 from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
 from nls.linear.schur import Schur
+from nls.linear.schur_pcg import PCG
 
 __all__ = [
     "LU",
+    "PCG",
     "QR",
     "SOLVERS",
     "Cholesky",
@@ -29,7 +31,7 @@ __all__ = [
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {
-    solver.name: solver for solver in (Cholesky, CholeskyPCG, Schur, QR, LU, DenseCholesky, DenseQR, Pinv)
+    solver.name: solver for solver in (Cholesky, CholeskyPCG, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
 }
 
 

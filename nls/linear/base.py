@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.system import LinearSystem
 
-__all__ = ["INSTALL_SUITESPARSE", "NULL", "SINGULAR", "WEAK", "LinearSolution", "LinearSolver", "SingularSystemError"]
+__all__ = [
+    "INSTALL_SUITESPARSE",
+    "NULL",
+    "SINGULAR",
+    "WEAK",
+    "LinearSolution",
+    "LinearSolver",
+    "SingularSystemError",
+    "UnsolvedSystemError",
+]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
@@ -34,6 +43,10 @@ INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0,
 
 class SingularSystemError(np.linalg.LinAlgError):
     """The system has no unique solution; optimizers turn this into `UnderconstrainedError` with names."""
+
+
+class UnsolvedSystemError(SingularSystemError):
+    """An iteration did not reach its tolerance: too near to singular for it, or given too few steps."""
 
 
 @dataclass(frozen=True)

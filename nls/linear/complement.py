@@ -9,13 +9,14 @@ With X_l the inverse of the Cholesky factor of H_ll nothing grows where a landma
 H_pp and no larger. (H_pl H_ll^-1 H_lp as it is written passes through numbers as large as the condition of H_ll.)
 
 Which pairs (Y_lp, Y_lq) make which S_pq is listed once per graph. All S_pq of one shape with lists of one length are
-one stacked product (`nls.linear.pairs`).
+one stacked product (`nls.linear.pairs`). Variables p that see the same l, a camera and its lens, count as one with both
+their columns: a fourth of the pairs, half of the numbers to be gathered.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,14 +24,14 @@ import scipy.sparse as sp
 from models.algebra import Array
 from nls.elimination import Elimination
 from nls.hessian import Hessian, triangle
-from nls.linear.pairs import Pairs, Products
+from nls.linear.pairs import Pairs, Products, changes
 from nls.linear.roots import BlockInverse, cholesky_root, inverse_root
 
 if TYPE_CHECKING:
     from nls.elimination import Index
     from nls.hessian import Blocks
 
-__all__ = ["Complement"]
+__all__ = ["Complement", "Filled"]
 
 CHUNK = 1 << 17  # numbers of Y gathered at a time, 1 MB; for 2 million pairs 0.31 s up to 2 MB, 0.52 with 128
 
@@ -47,6 +48,26 @@ class Group:
     products: list[Products]
 
 
+class Filled(NamedTuple):
+    """The numbers of one H.
+
+    Attributes
+    ----------
+    flat : the flat blocks of S.
+    L : (n + the others, n), the first columns of the Cholesky factor of H; those of an inverse that was given have no
+        L_ll, and zeros there.
+    roots : X_l (k, d, d), by dimension d.
+    pivots : (n,) squared pivots of H_ll.
+    H_pp : its lower triangle.
+    """
+
+    flat: Array
+    L: sp.csc_array
+    roots: list[Array]
+    pivots: Array
+    H_pp: sp.csc_array
+
+
 class Complement:
     """Structure and numbers of S.
 
@@ -57,67 +78,76 @@ class Complement:
     gone : how many variables are eliminated.
     hessian : structure of H in that order.
     block_inverse : None for the exact inverse.
+    group : (kept,) a number for every variable that is kept, equal ones next to each other: those that see the same
+        eliminated ones, whose columns make one block of S.
+    diagonal : form the diagonal blocks of S alone.
 
     Attributes
     ----------
-    hessian : structure of S.
+    hessian : structure of S, or of its diagonal blocks, one variable a group.
     n : eliminated columns.
     """
 
     def __init__(
-        self, blocks: Blocks, elimination: Elimination, gone: int, hessian: Hessian, block_inverse: BlockInverse | None
+        self,
+        blocks: Blocks,
+        elimination: Elimination,
+        gone: int,
+        hessian: Hessian,
+        group: Index,
+        block_inverse: BlockInverse | None = None,
+        diagonal: bool = False,
     ) -> None:
-        e, self._block_inverse, self._whole, self.size = elimination, block_inverse, hessian, blocks.size
-        widths, kept = blocks.dims[e.variables], len(e.variables) - gone
-        dims, diagonal = widths[gone:], blocks.diagonal[e.variables[gone:]]
+        e, self._block_inverse, self._whole = elimination, block_inverse, hessian
+        widths = blocks.dims[e.variables]
         self.n = int(widths[:gone].sum())
+        member = np.cumsum(changes(group)) - 1  # group of every variable that is kept, in their order
+        dims = np.bincount(member, weights=widths[gone:]).astype(np.intp)
+        kept = len(dims)
 
-        # Every pair (l, p) once, and the rows of H between the diagonal block of l and H_pl.
+        # Every pair (l, p) once, p the groups from here on, and the rows of H between the diagonal block of l and H_pl.
         row, column = e.row[e.blocks], e.column[e.blocks]
         lp = column < gone
-        l, p, height = column[lp], row[lp] - gone, widths[row[lp]]
+        l, p, height = column[lp], member[row[lp] - gone], widths[row[lp]]
         total = np.bincount(l, weights=height, minlength=gone).astype(np.intp)
         above = np.cumsum(height) - height - (np.cumsum(total) - total)[l]
+        one = changes(l) | changes(p)
+        l, p, above = l[one], p[one], above[one]
+        height = dims[p]
 
-        # Pairs (Y_lp, Y_lq) by dimension of l; the blocks of S that they fill go behind those of H.
+        # Pairs (Y_lp, Y_lq) by dimension of l, and the blocks of S that they or H_pp fill.
         ranges = [(int(d), *np.searchsorted(widths[:gone], [d, d + 1])) for d in np.unique(widths[:gone])]
         mine = [slice(*np.searchsorted(l, [begin, end])) for _, begin, end in ranges]
-        every = [Pairs(l[m] - r[1], p[m], int(r[2] - r[1]), kept) for r, m in zip(ranges, mine, strict=True)]
-        off = [pairs.high != pairs.low for pairs in every]
-        filled = [pairs.high[o] * kept + pairs.low[o] for pairs, o in zip(every, off, strict=True)]
-        place = np.unique(np.concatenate([*filled, np.zeros(0, dtype=np.intp)]))
+        every = [Pairs(l[m] - r[1], p[m], int(r[2] - r[1]), kept, diagonal) for r, m in zip(ranges, mine, strict=True)]
+        owner = np.repeat(member, widths[gone:])  # of every column that is kept
+        i, j = hessian.indices[hessian.indptr[self.n] :] - self.n, np.arange(len(owner))
+        j = np.repeat(j, np.diff(hessian.indptr[self.n :]))
+        there = owner[i] * kept + owner[j]
+        place = np.arange(kept) * (kept + 1)
+        if not diagonal:
+            place = np.unique(np.concatenate([place, there, *(q.high * kept + q.low for q in every)]))
         high, low = np.divmod(place, max(kept, 1))
-        ends = blocks.size + np.cumsum(dims[high] * dims[low])
-        first, self.total = ends - dims[high] * dims[low], int(ends[-1]) if len(ends) else blocks.size
+        first = np.cumsum(dims[high] * dims[low])
+        self.size = int(first[-1]) if kept else 0
+        first -= dims[high] * dims[low]
+        off = high != low
+        self.hessian = Hessian(Elimination(high[off], low[off], kept, None), dims, first[~off], first[off])
+
+        # Where in S the numbers of H_pp are.
+        inner = np.arange(len(owner)) - (np.cumsum(dims) - dims)[owner]
+        self._same = owner[i] == owner[j] if diagonal else np.ones(len(i), dtype=bool)
+        i, j, there = i[self._same], j[self._same], there[self._same]
+        self._target = first[np.searchsorted(place, there)] + inner[i] * dims[owner[j]] + inner[j]
 
         self.groups = []
-        for (d, begin, _), m, pairs, o, here in zip(ranges, mine, every, off, filled, strict=True):
-            target = np.empty(len(o), dtype=np.intp)
-            target[~o] = diagonal[pairs.high[~o]]
-            target[o] = first[np.searchsorted(place, here)]
-            products = pairs.products(height[m], dims, target)
+        for (d, begin, _), m, pairs in zip(ranges, mine, every, strict=True):
+            products = pairs.products(height[m], dims, first[np.searchsorted(place, pairs.high * kept + pairs.low)])
             columns = int(widths[:begin].sum()) + np.arange(pairs.count * d)
             tops = hessian.indptr[columns].astype(np.intp).reshape(-1, d)  # where their diagonal numbers are
             self.groups.append(_group(d, columns, tops, l[m] - begin, height[m], above[m], products))
 
-        # S has the pairs of H that are kept, and the filled ones.
-        position = np.empty(len(e.variables), dtype=np.intp)
-        position[e.variables] = np.arange(-gone, kept)
-        u, v = position[blocks.u], position[blocks.v]
-        both = (u >= 0) & (v >= 0)
-        u, v = np.concatenate([u[both], high]), np.concatenate([v[both], low])
-        self.hessian = Hessian(Elimination(u, v, kept, None), dims, diagonal, np.concatenate([blocks.off[both], first]))
-
-    def fill(self, S: Array) -> tuple[Array, sp.csc_array, list[Array], Array]:
+    def fill(self, S: Array) -> Filled:
         """From the flat blocks of H.
-
-        Returns
-        -------
-        flat : the flat blocks of S.
-        L : (n + the others, n), the first columns of the Cholesky factor of H; those of an inverse that was given have
-            no L_ll, and zeros there.
-        roots : X_l (k, d, d), by group.
-        pivots : (n,) squared pivots of H_ll.
 
         Raises
         ------
@@ -125,9 +155,9 @@ class Complement:
             A block of H_ll.
         """
         H = self._whole.data(S)
-        out, pivots = np.zeros(self.total), np.empty(self.n)
-        out[: self.size] = S
+        out, pivots = np.zeros(self.size), np.empty(self.n)
         cut = int(self._whole.indptr[self.n])
+        out[self._target] = H[cut:][self._same]
         below, roots = np.zeros(cut), []
         for group in self.groups:
             H_ll = H[group.diagonal]
@@ -147,10 +177,11 @@ class Complement:
                 below[place] = Y[D][:-1]
             for products in group.products:
                 _subtract(out, products, Y, group.d)
-        L = sp.csc_array(
-            (below, self._whole.indices[:cut], self._whole.indptr[: self.n + 1]), shape=(self._whole.n, self.n)
-        )
-        return out, L, roots, pivots
+        n, indices, indptr = self.n, self._whole.indices, self._whole.indptr
+        L = sp.csc_array((below, indices[:cut], indptr[: n + 1]), shape=(self._whole.n, n))
+        kept = self._whole.n - n
+        H_pp = sp.csc_array((H[cut:], indices[cut:] - n, indptr[n:] - cut), shape=(kept, kept))
+        return Filled(out, L, roots, pivots, H_pp)
 
 
 def _group(

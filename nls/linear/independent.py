@@ -7,17 +7,20 @@ are such a set, and so are the points of a bundle adjustment; but nothing here k
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+
+from nls.components import connected
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
     from nls.elimination import Index
     from nls.hessian import Blocks
 
-__all__ = ["independent", "separate"]
+__all__ = ["independent", "separate", "together", "twins"]
 
 Flags = npt.NDArray[np.bool_]
 
@@ -81,6 +84,52 @@ def _searched(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
         return taken
     left = _searched(rest, joined, columns)
     return taken if columns[taken].sum() >= columns[left].sum() else left
+
+
+def twins(pattern: Pattern, blocks: Blocks, gone: Flags) -> Index:
+    """A number (V,) for every free variable, the same for those that see the same eliminated ones in the same factors.
+
+    Pose and lens of a camera are such twins where each has its own; a lens that all share is the twin of none.
+
+    Parameters
+    ----------
+    pattern, blocks : as for `independent`.
+    gone : (V,) which of the free variables are eliminated.
+    """
+    u, v, V = blocks.u, blocks.v, len(gone)
+    pair = np.unique(np.concatenate([u * V + v, v * V + u])[np.concatenate([gone[v] > gone[u], gone[u] > gone[v]])])
+    p, l = np.divmod(pair, max(V, 1))
+    names = np.random.default_rng(0).integers(1 << 62, size=V, dtype=np.uint64)
+    seen = np.zeros(V, dtype=np.uint64)  # sums that differ as the sets differ, but for a chance of 1e-19 a pair
+    np.add.at(seen, p, names[l])
+    number = np.full(len(pattern.held), -1, dtype=np.intp)  # of what is held: the last place of these three
+    number[~pattern.held] = np.arange(V)
+    gone, kept, seen = np.append(gone, False), np.append(~gone, False), np.append(seen, 0)
+    joined = [np.zeros((2, 0), dtype=np.intp)]
+    for batch in pattern.batches:
+        slots = [number[variables] for variables in batch.variables]
+        landmark = np.any([gone[i] for i in slots], axis=0)
+        for a, b in combinations(slots, 2):
+            same = landmark & kept[a] & kept[b] & (seen[a] == seen[b])
+            joined.append(np.stack([a[same], b[same]]))
+    a, b = np.concatenate(joined, axis=1)
+    return connected(a, b, V)
+
+
+def together(order: Index, group: Index) -> Index:
+    """The same variables in an order in which each group is together, where its first member was.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> together(np.array([3, 0, 2, 1]), np.array([0, 1, 1, 0])).tolist()
+    [3, 0, 2, 1]
+    >>> together(np.array([3, 2, 0, 1]), np.array([0, 1, 1, 0])).tolist()
+    [3, 0, 2, 1]
+    """
+    number = group[order]
+    _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
+    return order[np.argsort(first[inverse], kind="stable")]
 
 
 def separate(u: Index, v: Index, V: int) -> Flags:

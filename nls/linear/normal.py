@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nls.elimination import Index
     from nls.system import LinearSystem
 
-__all__ = ["Factorization", "NormalEquations", "NormalState"]
+__all__ = ["Assembled", "Factorization", "NormalEquations", "NormalState"]
 
 
 FADED = 0.5  # of a diagonal entry of A'A: an unknown less is known about wants a step that the old one is too stiff for
@@ -66,10 +66,18 @@ class NormalState:
     dtype : of the numbers, float or complex.
     """
 
+    _latest: tuple[LinearSystem, Array] | None = None
+
     def __init__(self, hessian: Hessian, kind: type[Factorization], dtype: type = float) -> None:
         self.hessian = hessian
         self.factorization = kind(hessian, dtype)
         self._judged: Array | float = np.inf  # pivots, as parts of the diagonal, when they were looked at last
+
+    def filled(self, blocks: Blocks, system: LinearSystem) -> Array:
+        """Flat blocks of A'A, to be changed; those of the latest system are kept for the next damping of it."""
+        if self._latest is None or self._latest[0] is not system:
+            self._latest = system, blocks.fill(system)
+        return self._latest[1].copy()
 
     def solve(self, g: Array) -> Array:
         """H^-1 g with rows in the order of the columns of A."""
@@ -134,7 +142,34 @@ class NormalState:
         self._judged = self._kept
 
 
-class NormalEquations(LinearSolver):
+class Assembled(LinearSolver):
+    """A solver that fills A'A and A'b from the blocks; what is done with A'A is a matter of the state."""
+
+    def solve(
+        self, analyzed: tuple[Blocks, NormalState], system: LinearSystem, damping: Array | None = None
+    ) -> LinearSolution:
+        blocks, state = analyzed
+        t0 = perf_counter()
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
+            S = state.filled(blocks, system)
+            gradient = system.gradient
+        if damping is not None:
+            state.hessian.damp(S, damping)
+        t1 = perf_counter()
+        diagonal = state.factorize(S)
+        if damping is None:
+            squared_norms = np.empty_like(gradient)
+            squared_norms[state.hessian.permutation] = diagonal
+            system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
+            state.refuse_free(system)
+        t2 = perf_counter()
+        dx = state.solve(gradient)
+        if not np.isfinite(dx.sum()):
+            raise SingularSystemError("the solution of the normal equations is not finite")
+        return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})
+
+
+class NormalEquations(Assembled):
     """A solver by factorization of A'A; subclasses name the factorization.
 
     Parameters
@@ -163,29 +198,6 @@ class NormalEquations(LinearSolver):
         hessian = blocks.structure(self.factorization.order)
         refuse_above(self.memory_limit or default_limit(), self.per_number, blocks, hessian, self.name)
         return blocks, NormalState(hessian, self.factorization)
-
-    def solve(
-        self, analyzed: tuple[Blocks, NormalState], system: LinearSystem, damping: Array | None = None
-    ) -> LinearSolution:
-        blocks, state = analyzed
-        t0 = perf_counter()
-        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
-            S = blocks.fill(system)
-            gradient = system.gradient
-        if damping is not None:
-            state.hessian.damp(S, damping)
-        t1 = perf_counter()
-        diagonal = state.factorize(S)
-        if damping is None:
-            squared_norms = np.empty_like(gradient)
-            squared_norms[state.hessian.permutation] = diagonal
-            system.column_norms = np.sqrt(squared_norms)  # known now; the stop rule asks for them
-            state.refuse_free(system)
-        t2 = perf_counter()
-        dx = state.solve(gradient)
-        if not np.isfinite(dx.sum()):
-            raise SingularSystemError("the solution of the normal equations is not finite")
-        return LinearSolution(dx, {"assemble": t1 - t0, "factorize": t2 - t1, "solve": perf_counter() - t2})
 
     def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
         started, (_, state) = perf_counter(), analyzed

@@ -14,7 +14,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from nls.elimination import Index
 
-__all__ = ["Pairs", "Products"]
+__all__ = ["Pairs", "Products", "changes"]
 
 
 class Products(NamedTuple):
@@ -33,6 +33,7 @@ class Pairs:
     ----------
     l, p : (n,) neighbors p of every l, by rising l and then p, each once.
     count, kept : how many l and p there are.
+    own : only the pairs of a neighbor with itself, which make the diagonal blocks of S.
 
     Attributes
     ----------
@@ -40,20 +41,15 @@ class Pairs:
     length, high, low : (blocks,) how many pairs every block of S has, one block after the other, and its p.
     """
 
-    def __init__(self, l: Index, p: Index, count: int, kept: int) -> None:
-        degree = np.bincount(l, minlength=count)
-        begin = np.cumsum(degree) - degree
-        firsts, seconds = [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=np.int32)]
-        for k in np.flatnonzero(np.bincount(degree)):
-            i, j = np.tril_indices(int(k))
-            at = begin[degree == k, None]
-            firsts.append((at + i).reshape(-1).astype(np.int32))
-            seconds.append((at + j).reshape(-1).astype(np.int32))
-        first, second = np.concatenate(firsts), np.concatenate(seconds)
+    def __init__(self, l: Index, p: Index, count: int, kept: int, own: bool = False) -> None:
+        if own:
+            first = second = np.arange(len(l), dtype=np.int32)
+        else:
+            first, second = _all_pairs(l)
         block = p[first] * kept + p[second]
         order = np.argsort(block, kind="stable")
         block = block[order]
-        begins = np.flatnonzero(np.append(True, block[1:] != block[:-1])[: len(block)])
+        begins = np.flatnonzero(changes(block))
         self.first, self.second = first[order], second[order]
         self.length = np.diff(np.append(begins, len(block)))
         self.count = count
@@ -89,6 +85,24 @@ class Pairs:
                 sides.append(index.reshape(-1, length))
             out.append(Products(sides[0], sides[1], target[blocks], (D, C)))
         return out
+
+
+def changes(a: Index) -> npt.NDArray[np.bool_]:
+    """Where a number differs from the one before it; the first does."""
+    return np.append(True, a[1:] != a[:-1])[: len(a)]
+
+
+def _all_pairs(l: Index) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Places in l, rising, of the two members of every pair with one l, the second not behind the first."""
+    degree = np.bincount(l)
+    begin = np.cumsum(degree) - degree
+    firsts, seconds = [np.zeros(0, dtype=np.int32)], [np.zeros(0, dtype=np.int32)]
+    for k in np.flatnonzero(np.bincount(degree)):
+        i, j = np.tril_indices(int(k))
+        at = begin[degree == k, None]
+        firsts.append((at + i).reshape(-1).astype(np.int32))
+        seconds.append((at + j).reshape(-1).astype(np.int32))
+    return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def _filled_up(length: Index) -> Index:

@@ -38,6 +38,7 @@ from models.errors import OptionError
 from models.options import is_number, is_whole
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
+from nls.linear.conjugate import conjugate
 from nls.linear.normal import Factorization, NormalState
 from nls.linear.threads import single_thread
 from nls.system import LinearSystem
@@ -123,36 +124,16 @@ class KeptState(NormalState):
     ) -> tuple[Array | None, int]:
         """The solution, or None, and the steps taken. H is a lower triangle, all is in elimination order."""
         upper = H.T
-        R, P, x = np.stack([g, h]), np.zeros((2, len(g))), np.zeros(len(g))
-        rz = np.ones(2)
-        lanczos: list[tuple[float, float]] = []
-        side = np.arange(2)  # right sides not there yet: 0 is g, 1 is h
-        for step in range(max_steps + 1):
-            Z = self.factorization.solve(R.T).T
-            before, rz = rz, np.einsum("kn,kn->k", R, Z)
-            if step == 0:
-                first = rz
-                goal = np.array([tol**2 * rz[0], SURE**2])
-            on = rz > goal[side]
-            if not on.all():
-                side, R, P, Z, rz, before = side[on], R[on], P[on], Z[on], rz[on], before[on]
-            if not len(side):
-                return (x if _softest(lanczos) > SOFT else None), step
-            if step == max_steps or (step >= TRIED and _needed(step, rz, first[side], goal[side]) > max_steps):
-                return None, step
-            beta = rz / before if step else np.zeros(len(rz))
-            P = Z + beta[:, None] * P
-            HP = np.stack([H @ p + upper @ p - diagonal * p for p in P])
-            curvature = np.einsum("kn,kn->k", P, HP)
-            if not (curvature > 0).all():
-                return None, step + 1
-            alpha = rz / curvature
-            if side[0] == 0:
-                x += alpha[0] * P[0]
-            if side[-1] == 1:
-                lanczos.append((float(alpha[-1]), float(beta[-1])))
-            R = R - alpha[:, None] * HP
-        raise AssertionError
+        found = conjugate(
+            lambda P: np.stack([H @ p + upper @ p - diagonal * p for p in P]),
+            lambda R: self.factorization.solve(R.T).T,
+            np.stack([g, h]),
+            lambda first: np.array([tol**2 * first[0], SURE**2]),
+            max_steps,
+            TRIED,
+        )
+        solved = found.there and _softest(found.coefficients[1]) > SOFT
+        return found.x[0] if solved else None, found.steps
 
     def solve(self, g: Array) -> Array:
         self._renew()
@@ -169,11 +150,6 @@ class KeptState(NormalState):
     def _renew(self) -> None:
         if self._newer is not None:
             self.factorize(self._newer)
-
-
-def _needed(step: int, rz: Array, first: Array, goal: Array) -> float:
-    """Steps in all, if the rest converges as fast as these did."""
-    return float((step * np.log(goal / first) / np.log(np.minimum(rz / first, 0.99))).max())
 
 
 def _softest(lanczos: list[tuple[float, float]]) -> float:

@@ -28,7 +28,7 @@ from models.errors import OptionError, ResourceLimitError
 from nls.elimination import Elimination
 from nls.hessian import Blocks, Hessian
 from nls.linear.complement import Complement
-from nls.linear.independent import independent
+from nls.linear.independent import independent, together, twins
 from nls.linear.limits import default_limit, refuse_above
 from nls.linear.normal import Factorization, NormalEquations, NormalState
 from nls.linear.roots import BlockInverse, missing_directions
@@ -82,18 +82,23 @@ class SchurFactorization(Factorization):
 
     def factorize(self, S: Array) -> Array:
         with single_thread():
-            flat, self._L, self._roots, pivots = self._complement.fill(S)
+            filled = self._complement.fill(S)
+        self._L, self._roots, self._H_pp = filled.L, filled.roots, filled.H_pp
         if not self._exact:
             self.left_alone = sum(map(missing_directions, self._roots))
-        return np.concatenate([pivots, self._rest.factorize(flat)])
+        return np.concatenate([filled.pivots, self._rest.factorize(filled.flat)])
 
     def solve(self, g: Array) -> Array:
         n = self._complement.n
         y = self._blockwise(self._roots, g[:n])
         x = np.zeros(g.shape)
-        x[n:] = self._rest.solve(g[n:] - (self._L @ y)[n:])
+        x[n:] = self._reduced(g[n:] - (self._L @ y)[n:])
         x[:n] = self._blockwise([X.mT for X in self._roots], y - self._L.T @ x)
         return x
+
+    def _reduced(self, g: Array) -> Array:
+        """S^-1 g."""
+        return self._rest.solve(g)
 
     def _blockwise(self, stacks: list[Array], g: Array) -> Array:
         """Every block times its rows of g."""
@@ -129,8 +134,9 @@ class Schur(NormalEquations):
     """A'A dx = A'b by the Schur complement of all variables that share no factor with each other, such as landmarks.
 
     Which they are is found from the graph, and the result says it. Where no whole kind of variables will do, as in a
-    pose graph, single ones are eliminated. On surveys and bundle adjustments a solve takes 0.9 to 1.3 times that of
-    `Cholesky`, whose minimum degree finds almost the same order (benchmarks/results/schur.md); more on other graphs.
+    pose graph, single ones are eliminated. On surveys a solve takes 0.9 to 1.3 times that of `Cholesky`, whose minimum
+    degree finds almost the same order (benchmarks/results/schur.md), on a bundle adjustment where every camera has its
+    own lens 0.6 times (benchmarks/bundle.py); more on other graphs.
 
     Parameters
     ----------
@@ -173,19 +179,21 @@ class Schur(NormalEquations):
         limit = self.memory_limit or default_limit()
         blocks = Blocks(pattern)
         gone, said = independent(pattern, blocks)
-        order = self._order(blocks, gone, limit)
+        group = twins(pattern, blocks, gone)
+        order = self._order(blocks, gone, group, limit)
         elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         refuse_above(limit, max(self.per_number, _best().per_number), blocks, hessian, self.name)
-        complement = Complement(blocks, elimination, int(gone.sum()), hessian, self.block_inverse)
+        count = int(gone.sum())
+        complement = Complement(blocks, elimination, count, hessian, group[order[count:]], self.block_inverse)
         factorization = SchurFactorization(complement, self.exact)
         return blocks, SchurState(hessian, factorization, said)
 
     def __repr__(self) -> str:
         return "Schur()" if self.exact else "Schur(block_inverse=...)"
 
-    def _order(self, blocks: Blocks, gone: npt.NDArray[np.bool_], limit: float) -> Index:
-        """The eliminated variables by dimension, then the others as the factorization of S orders them.
+    def _order(self, blocks: Blocks, gone: npt.NDArray[np.bool_], group: Index, limit: float) -> Index:
+        """The eliminated variables by dimension, then the others as S is factorized, twins together.
 
         Raises
         ------
@@ -213,7 +221,7 @@ class Schur(NormalEquations):
         joined = sp.coo_array(sp.tril(seen.T @ seen, -1))
         i, j = (np.concatenate([number[a[rest]], b]) for a, b in ((u, joined.row), (v, joined.col)))
         poses = Elimination(i, j, len(others), SchurFactorization.order).variables if len(others) else others
-        return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others[poses]])
+        return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], together(others[poses], group)])
 
     def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
         """Name, what is eliminated, and how many directions of that another inverse left alone in the latest solve."""

@@ -90,14 +90,31 @@ class Result:
         """Steps taken."""
         return len(self.history) - 1
 
+    @property
+    def doubt(self) -> str:
+        """What a chi2 may come from that is too far above its expectation for noise; empty where it is not."""
+        if not self.chi2_final > SUSPICIOUS * max(self.dof, 1):
+            return ""
+        kernel = "" if self.robust else " (try graph.robust(Cauchy(1)))"
+        return (
+            f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers{kernel}, "
+            "or a point that is stationary but no minimum (try another start, nls.initialize(graph, values))"
+        )
+
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"
 
-    def __str__(self) -> str:
+    @property
+    def steps(self) -> list[str]:
+        """Lines: chi2, update and seconds of every iteration."""
         lines = ["iteration          chi2    max|dx|   seconds"]
         for it in self.history:
             update = "" if it.number == 0 else f"{it.update:.3e}"
             lines.append(f"{it.number:9d}  {it.chi2:12.6g}  {update:>9}  {sum(it.seconds.values()):8.4f}")
+        return lines
+
+    def __str__(self) -> str:
+        lines = self.steps
         lines.append(f"{self.status.name}: {self.reason}")
         lines.append(
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
@@ -108,10 +125,6 @@ class Result:
             lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
-        if self.chi2_final > SUSPICIOUS * max(self.dof, 1):
-            lines.append(
-                f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers (try "
-                "graph.robust(Cauchy(1))), or a point that is stationary but no minimum (try another start, "
-                "nls.initialize(graph, values))"
-            )
+        if self.doubt:
+            lines.append(self.doubt)
         return "\n".join(lines)

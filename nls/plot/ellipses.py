@@ -37,6 +37,7 @@ def ellipses(
     every: int | None = None,
     scale: float = 1.0,
     kind: Kind | None = None,
+    north_up: bool = False,
 ) -> Figure:
     """Where the positions are, each with the ellipse that holds it with the given probability.
 
@@ -50,6 +51,7 @@ def ellipses(
         (120) when omitted.
     scale : ellipses are drawn so many times as large as they are, and the legend says so.
     kind : only variables of this kind; all when omitted.
+    north_up : draw x upwards and y to the right, as on a chart of a world whose axes are north and east.
 
     Returns
     -------
@@ -81,7 +83,7 @@ def ellipses(
     alone = axes is None
     if axes is None:
         axes = Figure(figsize=(6, 6), layout="constrained").add_subplot()
-        axes.set(xlabel="x [m]", ylabel="y [m]")
+        axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
     radius = scale * np.sqrt(-2 * np.log1p(-probability))
     for stack in marginals.values.stacks.values():
         position = np.asarray(stack.manifold.position(stack.X))
@@ -92,6 +94,8 @@ def ellipses(
         step = every or -(-len(chosen) // MOST)
         chosen = chosen[::step]
         Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[chosen]), view="position")[:, :2, :2]
+        if north_up:
+            position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": POSE if pose else POINT, "linewidth": 0.8}
         label = f"{100 * probability:g} % ellipse of {_which(step)}{stack.kind}"

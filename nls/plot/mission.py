@@ -1,6 +1,6 @@
 """A solved mission: its track beside dead reckoning and the truth, and its landmarks with the elevation they may have.
 
-Maps are seen from above, north (x) to the right and east (y) downwards, as z is down. Side views have z downwards.
+Maps are charts: north (x) up, east (y) to the right. Side views look north, z, which is down, downwards.
 """
 
 from __future__ import annotations
@@ -26,6 +26,10 @@ __all__ = ["landmark_map", "track"]
 
 SOLUTION, DEAD, TRUE, POINT = "#0b4f6c", "#e07a2f", "#202020", "#3f8f4f"
 VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
+HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
+LEAST = 1e-3  # m; what is below is nothing to see
+WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
+SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 x, l = kinds("x", "l")
 
 
@@ -51,25 +55,43 @@ def track(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 5.5) if errors else (7, 5.5), layout="constrained")
+    figure = Figure(figsize=(11, 5.8) if errors else (7, 5.8), layout="constrained")
     axes = figure.subplots(1, 2 if errors else 1, squeeze=False)[0]
-    _path(axes[0], dead, color=DEAD, linewidth=1.0, linestyle="--", label="dead reckoning")
+    _path(axes[0], dead, color=DEAD, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
         _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
     _path(axes[0], values, color=SOLUTION, linewidth=1.0, label="solution")
     if marginals is not None:
-        ellipses(marginals, axes[0], scale=_scale(marginals), kind=x)
-    _from_above(axes[0])
-    axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, fontsize=8)
+        ellipses(marginals, axes[0], scale=_scale(marginals), kind=x, north_up=True)
+    axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
+    axes[0].set_aspect("equal", adjustable="datalim")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
     for (name, found), color in zip((errors or {}).items(), (DEAD, SOLUTION), strict=False):
         axes[1].plot(found.along, found.error, color=color, label=f"{name}, against the {found.against}")
-        axes[1].set(xlabel="distance travelled [m]", ylabel="error of the position [m]")
-        axes[1].set_ylim(bottom=0.0)
+        axes[1].set(xlabel="distance travelled [m]", ylabel="error of the position [m]", title="Error along the way")
         axes[1].legend(loc="upper left", fontsize=8)
+    if errors:
+        most = max([LEAST, *(float(found.error.max()) for found in errors.values())])
+        axes[1].set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
+        ends = ", ".join(f"{name} {round(found.end, 4):.2g} m" for name, found in errors.items())
+        first = next(iter(errors.values()))
+        figure.suptitle(f"After {first.distance:.3g} m: {ends} from the {first.against}")
     return figure
 
 
-def landmark_map(values: Values, found: Elevations, truth: Values | None = None) -> Figure:
+def _dead_reckoning(dead: Values, values: Values) -> str:
+    """How dead reckoning is called in the legend: where it is hidden under the solution, it says so."""
+    both = x[np.intersect1d(dead.stack(x).numbers, values.stack(x).numbers)]
+    p, q = (np.asarray(each.stack(x).manifold.position(each[both]))[:, :2] for each in (dead, values))
+    apart = float(np.linalg.norm(p - q, axis=1).max(initial=0.0))
+    if apart > HIDDEN * float(np.ptp(q, axis=0).max(initial=0.0)):
+        return "dead reckoning"
+    return "dead reckoning (hidden under the solution)"
+
+
+def landmark_map(
+    values: Values, found: Elevations, truth: Values | None = None, aperture: float | None = None
+) -> Figure:
     """Landmarks from above and from the side, each with the arc of one sigma of its elevation.
 
     Parameters
@@ -77,6 +99,8 @@ def landmark_map(values: Values, found: Elevations, truth: Values | None = None)
     values : poses ``x`` and landmarks ``l``.
     found : `nls.io.mission.elevations` at these values; without sigmas the landmarks alone are drawn.
     truth : true landmarks.
+    aperture : of the sonar, rad: the colors end at aperture / sqrt(12), what it says of an elevation by itself; at the
+        largest sigma when omitted.
 
     Returns
     -------
@@ -85,54 +109,74 @@ def landmark_map(values: Values, found: Elevations, truth: Values | None = None)
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 5.5), layout="constrained")
-    axes = figure.subplots(1, 2)
     points = values[l[found.landmarks]]
     known = np.isfinite(found.sigma)
+    sigma = np.degrees(found.sigma)
     reach = (found.range * found.sigma)[:, None] * found.along  # one sigma along the arc, m
-    for ax, rows in ((axes[0], [0, 1]), (axes[1], [0, 2])):
+    path = np.asarray(values.stack(x).manifold.position(values[x]))
+    low, high = _box(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
+    north, east, down = high - low
+    inch = min(WIDEST / east, HIGHEST / (north + down))
+    figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
+    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
+    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
         if truth is not None and "l" in truth.stacks:
             ax.plot(*truth[l][:, rows].T, "+", color=TRUE, markersize=5, alpha=0.5, label="truth")
+        ax.plot(*path[np.argsort(values.stack(x).numbers)][:, rows].T, color=SOLUTION, linewidth=0.8, label="track")
         if not known.all():
-            unknown = "landmark" if not known.any() else "landmark, free"
+            unknown = "landmark" if not known.any() else "landmark, elevation free"
             ax.scatter(*points[~known][:, rows].T, s=12, facecolors="none", edgecolors=POINT, zorder=3, label=unknown)
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
-            ax.add_collection(LineCollection(list(ends), colors=POINT, linewidths=0.8, label="one sigma of elevation"))
+            ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
+            most = float(sigma[known].max()) if aperture is None else float(np.degrees(aperture / np.sqrt(12)))
             dots = ax.scatter(
                 *points[known][:, rows].T,
-                c=np.degrees(found.sigma[known]),
-                s=12,
-                norm="log",
+                c=sigma[known],
+                s=14,
+                cmap="YlOrRd",
+                vmin=0.0,
+                vmax=most,
+                edgecolors="0.3",
+                linewidths=0.4,
                 zorder=3,
                 label="landmark",
-            )  # by powers: most landmarks are known to tenths of a degree, some to no better than the aperture
-        ax.plot(*values[x][:, [0, 1, 2]][:, rows].T, color=SOLUTION, linewidth=0.6, alpha=0.6, label="track")
+            )
+        ax.set_aspect("equal")
+    above.set(title="Landmarks from above", ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
+    beside.set(title="from the side, looking north", xlabel="y, east [m]", ylabel="z, down [m]", ylim=(high[2], low[2]))
     if known.any():
-        figure.colorbar(dots, ax=axes, label="sigma of elevation at first view [deg]", shrink=0.8)
-    _from_above(axes[0])
-    axes[1].set(xlabel="x, north [m]", ylabel="z, down [m]")
-    axes[1].set_aspect("equal", adjustable="datalim")
-    axes[1].invert_yaxis()
-    axes[0].legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, fontsize=8)
+        bar = figure.colorbar(
+            dots,
+            ax=[above, beside],
+            label="elevation at first view known to [deg]"
+            + ("" if aperture is None else "; top: by the aperture alone"),
+            extend="max" if sigma[known].max() > most else "neither",
+            aspect=30,
+        )
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+    figure.legend(*beside.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
     return figure
 
 
+def _box(points: Array) -> tuple[Array, Array]:
+    """Lower and upper corners (3,) of what is drawn: with a margin, and not too slim in any direction."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    widest = max(float((high - low)[:2].max()), 1e-3)
+    half = np.maximum((high - low) / 2 + 0.03 * widest, widest / 2 * np.array([SLIM, SLIM, 0.15]))
+    return (low + high) / 2 - half, (low + high) / 2 + half
+
+
 def _path(axes: Axes, values: Values, **style: object) -> None:
-    stack = values.stack("x")
+    """Poses in the order of their numbers, east to the right and north up."""
+    stack = values.stack(x)
     position: Array = np.asarray(stack.manifold.position(stack.X))[np.argsort(stack.numbers)]
-    axes.plot(*position[:, :2].T, **style)  # type: ignore[arg-type]
-
-
-def _from_above(axes: Axes) -> None:
-    axes.set(xlabel="x, north [m]", ylabel="y, east [m]")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.invert_yaxis()
+    axes.plot(position[:, 1], position[:, 0], **style)  # type: ignore[arg-type]
 
 
 def _scale(marginals: Marginals) -> float:
     """1, 2, 5, 10, ...: how many times larger than they are ellipses must be drawn to be seen."""
-    stack = marginals.values.stack("x")
+    stack = marginals.values.stack(x)
     position = np.asarray(stack.manifold.position(stack.X))[:, :2]
     largest = float(np.sqrt(np.linalg.eigvalsh(marginals.all(x, view="position")[:, :2, :2]).max()))
     wanted = VISIBLE * float(np.ptp(position, axis=0).max()) / (2 * largest) if largest > 0 else 1.0

@@ -93,7 +93,7 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     """In the fan of one pose: its contacts, the landmarks, and each landmark's arc of another pose.
 
     Of every landmark with a contact here, the contact of the pose farthest from here is spread over the aperture, to
-    the arc on which the landmark must lie, and that arc is seen from here.
+    the arc on which the landmark must lie, and that arc is seen from here. The longest one is pointed at.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     >>> mission = sim.hauv_floor(np.random.default_rng(0), legs=2, per_leg=8)
     >>> axes = arcs(mission.contacts, mission.truth, x[5], mission.sonar).axes[0]
     >>> [text.get_text() for text in axes.get_legend().get_texts()]
-    ['contact', 'landmark', 'arc of its farthest contact']
+    ['measured here: range and azimuth', 'estimate', 'where it may be, says its farthest other contact']
     """
     of, target = contacts.keys[:2]
     here = np.flatnonzero(of.numbers == pose.numbers[0])
@@ -148,10 +148,10 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     alone = axes is None
     axes = _axes(axes, (5, 6))
     at = r * np.sin(azimuth), r * np.cos(azimuth)
-    axes.plot(*at, "o", markerfacecolor="none", color=CONTACT, markersize=7, label="contact")
-    axes.plot(*landmark[:, ::-1].T, "+", color=LANDMARK, markersize=7, label="landmark")
-    label = "arc of its farthest contact"
-    axes.add_collection(LineCollection(list(arc[:, :, ::-1]), color=ARC, linewidth=1.0, label=label))
+    axes.plot(*at, "o", markerfacecolor="none", color=CONTACT, markersize=7, label="measured here: range and azimuth")
+    axes.plot(*landmark[:, ::-1].T, "+", color=LANDMARK, markersize=7, label="estimate")
+    label = "where it may be, says its farthest other contact"
+    axes.add_collection(LineCollection(list(arc[:, :, ::-1]), color=ARC, linewidth=1.5, label=label))
     if alone:
         edge = np.linspace(-sonar.fan / 2, sonar.fan / 2, ALONG)
         edges = [
@@ -159,8 +159,34 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
             np.append(sonar.window[0] * np.cos(edge), sonar.window[1] * np.cos(edge[::-1])),
         ]
         axes.fill(*edges, facecolor="none", edgecolor="0.7", linewidth=0.8)
+        axes.set_xlim(1.5 * edges[0].min(), 1.5 * edges[0].max())
+        if len(farthest):
+            longest = int(np.argmax(np.linalg.norm(np.diff(arc, axis=1), axis=2).sum(axis=1)))
+            seen = farthest[longest]
+            k = int(np.argmax(target.numbers[here] == target.numbers[seen]))
+            end = arc[longest, np.argmax(np.linalg.norm(arc[longest] - [at[1][k], at[0][k]], axis=1)), ::-1]
+            said = f"it may be anywhere\nalong this arc, says\n{of[[seen]]!r}: its elevation\nis not measured"
+            _point_at(axes, (at[0][k], at[1][k]), 0.03, f"{target[[seen]]!r}: measured here", CONTACT)
+            _point_at(axes, (end[0], end[1]), 0.14, said, ARC)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
     return _as_map(axes)
+
+
+def _point_at(axes: Axes, at: tuple[float, float], height: float, text: str, color: str) -> None:
+    """Words in the lower corner of the fan, where it is narrow, on the side of a point, and an arrow to that."""
+    left = at[0] < 0
+    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, 1.0)}
+    axes.annotate(
+        text,
+        at,
+        (0.02 if left else 0.98, height),
+        textcoords="axes fraction",
+        ha="left" if left else "right",
+        color=color,
+        fontsize=9,
+        arrowprops=arrow,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},  # over the other arrow
+    )
 
 
 def _check(image: Array, sonar: ImagingSonar) -> None:

@@ -27,6 +27,7 @@ from nls.starts.edges import pose_batches
 from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
+from nls.starts.rig import rig
 from nls.values import Values
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "incremental",
     "initialize",
     "locate_points",
+    "rig",
     "search_elevation",
     "spanning_tree",
 ]
@@ -70,8 +72,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from `Between`, and puts a
         point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
         ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
-        chordal; above 10 per measured row it tries the odometry chain too, and above 100, where the graph has
-        measurements between poses and points, ``incremental``, which costs several solves. A start that does not exist
+        chordal; above 100 per measured row it tries ``incremental``, which costs several solves, where the graph has
+        measurements between poses and points, and above 10 the odometry chain. A start that does not exist
         or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where placeholders are
         usual.
 
@@ -112,10 +114,11 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     groups, rows = pose_batches(pattern), measured_rows(pattern)
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
     candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
-    candidates |= {"odometry": NEAR} if groups or walks(graph) else {}
-    candidates |= {"incremental": POOR} if groups and sees_points(graph, values) else {}
+    steps = groups or walks(graph)
+    candidates |= {"incremental": POOR} if steps and sees_points(graph, values) else {}
+    candidates |= {"odometry": NEAR} if steps else {}
     for candidate, limit in candidates.items():
-        if chi2.get(name, np.inf) < limit * rows:
+        if name and limit and _plain(graph, best) < limit * rows:
             continue
         try:
             with stage(f"init {candidate}"):
@@ -132,3 +135,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         message = f"start {candidate!r} was left out: {refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
     return best, name, chi2
+
+
+def _plain(graph: FactorGraph, values: Values) -> float:
+    """chi2 without robust kernels, under which every start looks near."""
+    return sum(float(factor.chi2(values).sum()) for factor in graph.factors)

@@ -152,6 +152,38 @@ def test_a_landmark_seen_once_costs_no_sigmas_but_its_own(tmp_path: Path, capsys
     assert last == pytest.approx(0.2443 / np.sqrt(12), rel=0.01)
 
 
+@pytest.mark.filterwarnings("default::nls.GraphWarning")
+def test_covariances_of_all_but_a_landmark_seen_once(tmp_path: Path, capsys: Captured) -> None:
+    """Those of the mission without it, and an empty row that says why; a track that is free has none at all."""
+    once = TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n"
+    rows = {}
+    for name, contacts in (("with", once), ("without", TINY["contacts"])):
+        csv = tmp_path / f"{name}.csv"
+        here = folder(tmp_path / name, contacts=contacts)
+        assert main(["solve", str(here), "--covariance", str(csv), "-o", str(tmp_path / f"{name}-out")]) == 0
+        said = capsys.readouterr().out
+        assert said.count("nothing measures the elevation of l20: no sigmas there") == (name == "with")
+        rows[name] = [row.split(",") for row in csv.read_text().splitlines()]
+    assert rows["with"][-1][:3] == ["l", "20", "free"]
+    assert not any(rows["with"][-1][3:])
+    assert rows["with"][0] == rows["without"][0]
+    assert [row[:3] for row in rows["with"][1:-1]] == [row[:3] for row in rows["without"][1:]]
+    assert {row[2] for row in rows["without"][1:]} == {"estimated"}
+    found, expected = (
+        np.array([[float(cell or "nan") for cell in row[3:]] for row in each])
+        for each in (rows["with"][1:-1], rows["without"][1:])
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-8)
+
+    lost = TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", "")
+    few = "".join(row + "\n" for row in TINY["contacts"].splitlines() if not row.startswith("2,"))
+    here = folder(tmp_path / "n", zpr=lost, contacts=few)
+    status = main(["solve", str(here), "--covariance", str(tmp_path / "n.csv")])
+    assert status == 2
+    assert "n.csv was not written" in capsys.readouterr().err
+    assert not (tmp_path / "n.csv").exists()
+
+
 def test_landmarks_that_nothing_is_known_of_and_others(tmp_path: Path) -> None:
     """Twenty of them, more than are named one by one; and held along what is free alone."""
     once = TINY["contacts"] + "".join(f"1,{k},4.0,{0.01 * (k - 30)!r},0.01,0.004\n" for k in range(20, 40))

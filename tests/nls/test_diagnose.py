@@ -7,11 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from factors import Between, Diagonal, Factor, Information, Isotropic, Prior
+from factors import Between, Diagonal, Factor, Information, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.diagnose import null_space
+from nls.directions import single_directions
 from nls.linear import SOLVERS
 from nls.plot.sparsity import spy
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
@@ -334,3 +335,59 @@ def test_the_gauge_is_a_cure_for_the_components_that_are_relative() -> None:
     error = refused(graph, Values({p: (R(1), [0.0, 5.0]), x: (R(1), [0.0, 1.0])}))
     assert "choose gauge='first'" in str(error)
     assert "(p0, p1) is not declared relative" in str(error)
+
+
+def along(numbers: list[int], seed: int = 0) -> tuple[Factor, Array]:
+    """Points l held across one direction each, and these directions."""
+    u = np.random.default_rng(seed).normal(size=(len(numbers), 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    W = 10 * np.linalg.svd(u[:, None, :])[2]  # rows: along u, and two across
+    W[:, 0] = 0.0
+    return Prior(l[numbers], np.zeros((len(numbers), 3)), SqrtInformation(W)), u
+
+
+@pytest.mark.parametrize("n", [8, 40, 120])
+def test_every_variable_with_a_free_direction_is_said_by_itself(n: int) -> None:
+    """However many: more than 12, and (n = 120) past 300 columns."""
+    prior, _ = along(list(range(n)))
+    error = refused(FactorGraph([prior]), Values({l: (R(3), np.zeros((n, 3)))}))
+    assert error.nullity == len(error.components) == n
+    assert [text.split(":")[0] for text in error.components] == [f"l{k}" for k in range(n)]
+    assert not any(";" in text for text in error.components)
+    assert f"{n} directions free" in str(error)
+
+
+@pytest.mark.parametrize("n", [3, 120])
+def test_single_variables_apart_from_components(n: int) -> None:
+    """Points with a free direction beside a floating chain of poses."""
+    prior, _ = along(list(range(n)))
+    X = walk(SE2, 5, np.random.default_rng(1))
+    graph = FactorGraph([prior, Between(x[0:4], x[1:5], SE2.between(X[:-1], X[1:]), Isotropic(0.1))])
+    error = refused(graph, Values({x: (SE2, X), l: (R(3), np.zeros((n, 3)))}))
+    assert error.nullity == n + 3
+    texts = error.components
+    assert [text.split(":")[0] for text in texts[:-3]] == [f"l{k}" for k in range(n)]
+    assert all(text.startswith("x0: ") or text.startswith("x1: ") for text in texts[-3:])
+    assert not any("l" in text for text in texts[-3:])
+
+
+def test_two_floating_chains_are_not_mixed() -> None:
+    error = refused(*two(SE2, 4, anchored=False))
+    first, second = ({f"x{k}" for k in range(a, a + 4)} for a in (0, 4))
+    for text in error.components:
+        touched = {part.split(":")[0].strip() for part in text.split(";")}
+        assert touched <= first or touched <= second
+
+
+def test_directions_of_single_variables() -> None:
+    prior, u = along([0, 1, 2])
+    system = FactorGraph([prior, Prior(l[3], np.zeros(3), Isotropic(1.0))]).linearize(
+        Values({l: (R(3), np.zeros((4, 3)))})
+    )
+    found = (single_directions(system) / system.column_norms[:, None]).toarray()
+    assert found.shape == (12, 3)
+    assert np.abs(system.A @ found).max() < 1e-9
+    for k in range(3):
+        mine = found[3 * k : 3 * k + 3, k]
+        assert abs(mine @ u[k]) == pytest.approx(np.linalg.norm(mine), rel=1e-9)
+        assert not np.delete(found[:, k], [3 * k, 3 * k + 1, 3 * k + 2]).any()

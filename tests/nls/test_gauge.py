@@ -8,7 +8,7 @@ import pytest
 from factors import Between, Factor, Isotropic, Prior
 from models import SE2, LieGroup, R
 from models.algebra import Array
-from nls import FactorGraph, GaussNewton, GraphWarning, Pinv, Stop, UnderconstrainedError, Values
+from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
 from nls.assemble import Pattern
 from nls.gauge import FreeGauge, choose_gauge
 from nls.linear import LU, SOLVERS
@@ -255,3 +255,12 @@ def test_variables_without_measurement_are_no_gauge(solver: str) -> None:
     assert np.array_equal(result.values[l], L)
     assert result.dof == alone.dof
     assert distance(SE2, result.values[x], alone.values[x]) < 1e-9
+
+
+def test_the_warning_is_about_the_line_that_called() -> None:
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))])
+    values = Values({x: (R(1), [0.0, 1.0])})
+    for call in (graph.optimize, lambda each: Marginals(graph, each)):
+        with pytest.warns(GraphWarning, match="x1: no measurement touches it") as caught:
+            call(values)
+        assert [warning.filename for warning in caught] == [__file__]

@@ -88,8 +88,7 @@ def test_steps_say_nothing_of_the_yaw_and_know_the_way_given_the_heading(tmp_pat
     assert found[0] == pytest.approx(found[1], rel=1e-9)  # the noise of the heading is in Heading alone
     Sigma = np.linalg.inv(found[0][5, :2, :2].T @ found[0][5, :2, :2])
     dt, n = 0.25, 5  # samples of 1/8, 1/4, 1/4, 1/4, 1/8 s in a leg of 1 s at 1 m/s, 0.2 % of it by the scale
-    weights = np.full(n, dt) * [0.5, 1, 1, 1, 0.5]
-    white = 0.01**2 * (weights**2).sum()
+    white = 0.01**2 * dt**2 * (n - 1)  # the samples at its ends, half in either leg, count by half, not a quarter
     assert Sigma[0, 0] == pytest.approx(white + 0.002**2, rel=1e-3)
     assert Sigma[1, 1] == pytest.approx(white, rel=1e-2)
 

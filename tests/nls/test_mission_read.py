@@ -170,7 +170,7 @@ def test_what_is_not_read_is_said(tmp_path: Path) -> None:
     truth = "\n".join([*TINY["truth"].splitlines()[:-1], "9,0,0,0,0,0,0"])
     report = nls.load(folder(here, contacts=lines, odometry=odometry, truth=truth))[2]
     said = " ".join(report.notes)
-    assert "1 contacts are outside the fan or range window of sonar.csv (first on line 2); they are used" in said
+    assert "contacts.csv:2: a contact outside the fan or range window of sonar.csv; used all the same: corr" in said
     assert "odometry.csv measures 1 steps more than once: all of them count" in said
     assert "truth.csv has no row for 1 of 4 poses" in said
     assert "truth.csv has 1 poses nothing measures: not used" in said
@@ -249,7 +249,7 @@ def test_landmarks_that_nothing_judges(tmp_path: Path) -> None:
         "landmarks.csv is not used: none of its landmarks, 7 the first, is in contacts.csv, where 11 is; their errors "
         "are not known"
     ]
-    assert notes("none", [one], contacts=None) == ["landmarks.csv is not used: there is no contacts.csv"]
+    assert notes("none", [one], contacts=None, sonar=None) == ["landmarks.csv is not used: there is no contacts.csv"]
 
 
 def test_a_track_in_pieces(tmp_path: Path) -> None:

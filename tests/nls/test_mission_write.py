@@ -185,13 +185,15 @@ def test_folders_that_cannot_be_written(tmp_path: Path) -> None:
 def test_the_name_of_a_sonar(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    graph = FactorGraph([STEP, TILT])
+    graph = FactorGraph([STEP, TILT, RangeAzimuth(x[0], l[0], [3.0, 0.1], Isotropic(0.1))])
     for name in ('a "good", one', "plain", "", ",", '"', "Ärger"):
         write_mission(tmp_path / "m", graph, replace(DIDSON_HIGH, name=name))
         report = nls.load(tmp_path / "m")[2]
         assert isinstance(report, MissionReport)
         assert report.sonar is not None
         assert report.sonar.name == name
+    with pytest.raises(GraphError, match="the graph has no contacts; leave the sonar out"):
+        write_mission(tmp_path / "m", FactorGraph([STEP, TILT]), DIDSON_HIGH)
     with pytest.raises(GraphError, match="has more than one line"):
         write_mission(tmp_path / "m", graph, replace(DIDSON_HIGH, name="a\nb"))
 

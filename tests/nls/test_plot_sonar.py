@@ -88,6 +88,25 @@ def test_an_arc_is_that_of_the_farthest_contact() -> None:
     np.testing.assert_allclose([arc[[0, -1]] for arc in segments], expected, atol=1e-9)
 
 
+def test_the_longest_arc_is_pointed_at() -> None:
+    mission = sim.hauv_floor(np.random.default_rng(1), passes=1)
+    axes = arcs(mission.contacts, mission.truth, x[40], mission.sonar).axes[0]
+    segments = axes.collections[0].get_segments()
+    longest = max(segments, key=lambda arc: np.linalg.norm(np.diff(arc, axis=0), axis=1).sum())
+    measured, arc = axes.texts
+    assert measured.get_text().endswith(": measured here")
+    contact = np.column_stack(axes.lines[0].get_data())
+    (which,) = np.flatnonzero((contact == measured.xy).all(axis=1))
+    here = mission.contacts.keys[1].numbers[mission.contacts.keys[0].numbers == 40]
+    assert measured.get_text().startswith(f"l{here[which]}:")
+    assert any(np.array_equal(arc.xy, end) for end in longest[[0, -1]])
+    assert np.linalg.norm(longest - contact[which], axis=1).min() < 0.1  # both of the same landmark
+    assert "its elevation\nis not measured" in arc.get_text()
+    given = Figure().add_subplot()
+    arcs(mission.contacts, mission.truth, x[40], mission.sonar, given)
+    assert not given.texts  # over an image
+
+
 def test_mistakes_are_named(image: np.ndarray) -> None:
     for draw in (polar_image, fan_image):
         with pytest.raises(GraphError, match=r"shape \(64, 48\); DIDSON, low frequency makes \(48, 64\): beams, bins"):

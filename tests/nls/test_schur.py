@@ -74,13 +74,13 @@ def test_the_complement_is_the_formula() -> None:
     factorization = state.factorization
     assert isinstance(factorization, SchurFactorization)
     complement = factorization._complement
-    flat, _, _, pivots = complement.fill(blocks.fill(system))
+    filled = complement.fill(blocks.fill(system))
     p, n = state.hessian.permutation, complement.n
     H = system.H.toarray()[np.ix_(p, p)]
     S = H[n:, n:] - H[n:, :n] @ np.linalg.inv(H[:n, :n]) @ H[:n, n:]
-    found = complement.hessian.symmetric(flat).toarray()
+    found = complement.hessian.symmetric(filled.flat).toarray()
     np.testing.assert_allclose(found, S, rtol=0, atol=1e-12 * np.abs(H).max())
-    np.testing.assert_allclose(pivots, np.linalg.cholesky(H[:n, :n]).diagonal() ** 2, rtol=1e-10)
+    np.testing.assert_allclose(filled.pivots, np.linalg.cholesky(H[:n, :n]).diagonal() ** 2, rtol=1e-10)
     assert np.abs(H[n:, n:] - S).max() > 0.1 * np.abs(H).max()
 
 

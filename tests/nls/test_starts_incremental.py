@@ -59,11 +59,14 @@ def test_drift_that_no_solve_at_the_end_undoes(sensor: type[Factor], rows: int) 
     best = graph.optimize(truth).chi2_final
     dead = STARTS["odometry"](graph, blind)
     assert graph.optimize(dead).chi2_final > 10 * best
-    start = incremental(graph, blind)
-    assert graph.chi2(start) < 1.001 * best
+    start = incremental(graph, blind)  # twenty stages
+    assert graph.chi2(start) < 1.1 * best
+    np.testing.assert_array_equal(start[x], incremental(graph, blind, each=12)[x])
+    assert graph.chi2(incremental(graph, blind, each=50)) < 2 * best  # the heading drifts by 2.5 rad in a stage
+    assert graph.chi2(incremental(graph, blind, each=len(truth))) > 10 * best
     result = graph.optimize(start)
     assert result.converged
-    assert result.iterations <= 4
+    assert result.iterations <= 5
     assert result.chi2_final == pytest.approx(best, rel=1e-6)
     assert blind[x].tolist() == forgotten(truth)[x].tolist()
     assert [s.numbers.tolist() for s in start.stacks.values()] == [s.numbers.tolist() for s in truth.stacks.values()]
@@ -81,16 +84,16 @@ def test_optimized_points_are_not_put_back_to_their_first_sighting(monkeypatch: 
 
     monkeypatch.setattr(module, "locate_points", spied)
     graph, truth = rounds()
-    incremental(graph, forgotten(truth), stages=8)
-    assert len(moved) == 8
-    assert sum(moved) == 24
+    incremental(graph, forgotten(truth), each=30)
+    assert sum(moved) == 24  # every one of them once
     assert moved[0] > 10
+    assert len(moved) == 2  # stages that see new ones
 
 
 def test_auto_tries_it_only_where_landmarks_are_far_off() -> None:
     graph, truth = rounds()
     _, name, chi2 = initialize(graph, forgotten(truth))
-    assert (name, set(chi2)) == ("incremental", {"file", "odometry", "chordal", "incremental"})
+    assert (name, set(chi2)) == ("incremental", {"file", "chordal", "incremental"})
     assert chi2["incremental"] == min(chi2.values())
     _, name, chi2 = initialize(graph, truth)
     assert (name, "incremental" in chi2) == ("file", False)
@@ -102,13 +105,13 @@ def test_auto_tries_it_only_where_landmarks_are_far_off() -> None:
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-@pytest.mark.parametrize("stages", [1, 3, 99])
-def test_pose_graphs_without_points(group: LieGroup, stages: int) -> None:
+@pytest.mark.parametrize("each", [1, 4, 99])
+def test_pose_graphs_without_points(group: LieGroup, each: int) -> None:
     sample = pose_graph(group, n=12, numbers=(40, 2, 31, 4, 55, 6, 7, 28, 9, 10, 11, 12))
     best = sample.graph.optimize(sample.values).chi2_final
-    start = incremental(sample.graph, sample.values, stages)
+    start = incremental(sample.graph, sample.values, each)
     assert sample.graph.optimize(start).chi2_final == pytest.approx(best, rel=1e-6)
-    assert sample.graph.chi2(start) < 1.01 * best
+    assert sample.graph.chi2(start) < (1.01 if each == 99 else 6) * best  # a loop that fits well enough does not pull
 
 
 def test_what_is_fixed_stays() -> None:
@@ -137,7 +140,7 @@ def test_two_vehicles_go_side_by_side() -> None:
     )
     best = graph.optimize(both).chi2_final
     start = incremental(graph, forgotten(both))
-    assert graph.chi2(start) < 1.01 * best
+    assert graph.chi2(start) < 1.05 * best
 
 
 def test_a_point_waits_until_it_is_measured_in_as_many_numbers_as_it_has() -> None:
@@ -172,9 +175,12 @@ def test_other_variables_are_known_from_the_beginning() -> None:
     values.stacks["o"] = Values({o: (SE2, mount + 0.01, [999])}).stacks["o"]
     start = incremental(graph, forgotten(values).replaced({"o": values.stack("o").X}))
     assert called
-    assert start[o[999]] == pytest.approx(mount, abs=0.005)
-    best = graph.optimize(values).chi2_final
-    assert graph.chi2(start) < 1.001 * best
+    assert np.abs(start[o[999]] - mount).max() < 0.009  # it began 0.01 away
+    best = graph.optimize(values)
+    assert graph.chi2(start) < 1.5 * best.chi2_final
+    result = graph.optimize(start)
+    assert result.chi2_final == pytest.approx(best.chi2_final, rel=1e-6)
+    assert result.values[o[999]] == pytest.approx(mount, abs=0.005)
 
 
 def test_too_little_for_a_stage_is_dead_reckoned() -> None:
@@ -192,5 +198,5 @@ def test_nothing_to_take_in_stages() -> None:
     values = Values({l: (R(2), [[1.0, 2.0], [3.0, 4.0]])})
     graph = FactorGraph([Prior(l[0], [5.0, 5.0], Isotropic(1))])
     assert incremental(graph, values) is values
-    with pytest.raises(OptionError, match="stages"):
-        incremental(graph, values, stages=0)
+    with pytest.raises(OptionError, match="each"):
+        incremental(graph, values, each=0)

@@ -342,7 +342,7 @@ def test_bad_options_of_the_search(more: dict[str, float], message: str) -> None
 
 
 def test_the_method_odometry_reckons_and_searches() -> None:
-    """From nothing but the first pose; auto takes it, too, and the solve ends at the truth."""
+    """From nothing but the first pose; auto comes as near as that. The solve ends at the truth."""
     truth, i, k, z = dive()
     e = euler.from_se3(truth[x])
     here = Position(x[0], truth[x[0]][:2], Isotropic(1e-3), components=("x", "y"))
@@ -350,12 +350,11 @@ def test_the_method_odometry_reckons_and_searches() -> None:
     graph = FactorGraph([*navigation(e, np.arange(len(e))), here, north, *contacts(i, k, z)])
     nothing = lost(forgotten(truth), x[0])
     expected = search_elevation(graph, dead_reckoning(graph, nothing))
-    for method in ("odometry", "auto"):
-        values, name, chi2 = initialize(graph, nothing, method)
-        assert name == "odometry"
-        assert np.array_equal(values[x], expected[x])
-        assert np.array_equal(values[l], expected[l])
-        assert chi2["odometry"] == graph.chi2(expected)
+    values, name, chi2 = initialize(graph, nothing, "odometry")
+    assert (name, chi2) == ("odometry", {"odometry": graph.chi2(expected)})
+    assert np.array_equal(values[x], expected[x])
+    assert np.array_equal(values[l], expected[l])
+    assert min(initialize(graph, nothing)[2].values()) < 1.0  # without noise, in 400 numbers
     same_poses(expected[x], truth[x])
     result = graph.optimize(values)
     assert result.converged

@@ -12,6 +12,7 @@ from factors.noise import Diagonal
 from models import SE3, R, euler
 from models.algebra import Array
 from models.sensors import cartesian
+from models.sensors.arcs import Contacts, second_view
 from nls import (
     EvaluationError,
     FactorGraph,
@@ -25,8 +26,7 @@ from nls import (
     kinds,
 )
 from nls.degeneracy import TwoView, two_views
-from nls.degeneracy.arcs import Contacts, search
-from nls.degeneracy.views import second_view
+from nls.degeneracy.arcs import search
 
 x, l = kinds("x", "l")
 SIGMA = np.array([0.01, np.radians(0.25)])
@@ -59,6 +59,10 @@ def solved(motion: list[float], seed: int = 0, offset: Array | None = None, **mo
     return two_views(z_i, z_j, SIGMA, start, LIMIT, np.diag(ODOMETRY**-2), offset), T
 
 
+def contacts_of(z_i: Array, z_j: Array, sigma: Array, limit: float) -> Contacts:
+    return Contacts(np.column_stack([z_i, z_j]), np.diag(1 / np.tile(sigma, 2))[None], limit)
+
+
 def test_derivatives_of_the_second_view() -> None:
     h = np.array([[4.0, 0.2, 0.1], [3.0, -0.2, -0.1], [5.0, 0.0, 0.0]])
     G = SE3.exp(np.array(GENERAL))[None]
@@ -79,13 +83,13 @@ def test_the_search_finds_the_elevation_of_lowest_chi2() -> None:
     """Against a fine grid, with noise: on either side of the plane, (r, az) fitted at every elevation."""
     _, _, z_i, z_j, _ = views(GENERAL, seed=3)
     G = SE3.exp(np.array(GENERAL))[None]
-    contacts = Contacts(z_i, z_j, np.tile(SIGMA, (15, 1)), LIMIT)
+    contacts = contacts_of(z_i, z_j, SIGMA, LIMIT)
     arcs = search(contacts, G)
     grid = np.linspace(-LIMIT, LIMIT, 2001)
     every = contacts.rows(np.repeat(np.arange(15), 2001))
-    h = np.column_stack([every.z_i, np.tile(grid, 15)])
+    h = np.column_stack([every.z[:, :2], np.tile(grid, 15)])
     for _ in range(4):
-        h, chi2 = every.fit(G, h)
+        h, chi2, _ = every.fit(G, h)
     chi2 = chi2.reshape(15, 2001)
     assert (arcs.lowest <= chi2.min(axis=1) + 1e-9).all()
     np.testing.assert_allclose(arcs.h[0, :, 2], grid[chi2.argmin(axis=1)], atol=2 * LIMIT / 2000)
@@ -182,7 +186,7 @@ def test_mirror_images_agree_on_the_motion_in_the_plane() -> None:
     sigmas = np.array([0.02, 0.02, 1e-6, 1e-6, 1e-6, 0.01])
     found = two_views(h[:, :2], z_j, SIGMA / 10, start, 0.5, np.diag(sigmas**-2))
     assert found.ambiguous.all()
-    A_T, A_l, _ = Contacts(h[:, :2], z_j, np.tile(SIGMA / 10, (m, 1)), 0.5).linearize(T[None], h)
+    A_T, A_l, _ = contacts_of(h[:, :2], z_j, SIGMA / 10, 0.5).linearize(T[None], h)
     seen = [0, 1, 5]
     P = np.eye(4) - A_l @ np.linalg.inv(A_l.mT @ A_l) @ A_l.mT  # what a free point leaves of its four measurements
     S = (A_T.mT @ P @ A_T).sum(axis=0)[np.ix_(seen, seen)]
@@ -214,7 +218,7 @@ def test_starting_from_the_plane_is_no_trap() -> None:
     """At el = 0 the derivative vanishes for in-plane motion; the search leaves it all the same."""
     T, h, *_ = views([1.0, 0.8, 0, 0, 0, 0.3], noise=0.0, m=5)
     h[:, 2] = 0.4
-    contacts = Contacts(h[:, :2], second_view(T[None], h)[0], np.tile(SIGMA / 10, (5, 1)), 0.5)
+    contacts = contacts_of(h[:, :2], second_view(T[None], h)[0], SIGMA / 10, 0.5)
     np.testing.assert_allclose(np.abs(search(contacts, T[None]).h[0, :, 2]), 0.4, atol=1e-4)
 
 
@@ -276,6 +280,7 @@ def test_what_cannot_be_is_refused() -> None:
             two_views(z_i, z_j, SIGMA, start, limit)
     with pytest.raises(OptionError, match="tau"):
         two_views(z_i, z_j, SIGMA, start, LIMIT, tau=0.0)
-    above = SE3.exp(np.array([4.0, 0, 1.0, 0, 0, 0]))  # the second sonar stands straight over the point
+    end = cartesian(np.array([[4.0, 0.0, -LIMIT]]))[0][0]  # of the arc, where the search begins
+    above = SE3.exp(np.array([end[0], 0, 1.0, 0, 0, 0]))  # the second sonar stands straight over or under it
     with pytest.raises(SingularGeometryError, match=r"contact at 4 m, 0 rad, seen from the second view: .* z axis"):
         two_views([[4.0, 0.0]], [[1.0, 0.0]], SIGMA, above, LIMIT)

@@ -150,3 +150,32 @@ def test_other_stacks_for_kinds_that_exist() -> None:
     assert values.replaced({"x": np.array([[7.0], [8.0]])})[x].tolist() == [[7.0], [8.0]]
     with pytest.raises(GraphError, match="no variable of kind 'p'"):
         values.replaced({"p": np.zeros((1, 1))})
+
+
+def test_a_kind_is_added_to_values_that_are_there() -> None:
+    values, X = odd()
+    o, q = kinds("o", "q")
+    values.add(o, SE3, SE3.identity())
+    values.add(q, R(1), [[4.0], [5.0]], [7, 3])
+    assert repr(values) == "Values(x: 8 x SE2, l: 1 x R(2), o: 1 x SE3, q: 2 x R(1))"
+    assert values[o[0]].tolist() == [0, 0, 0, 0, 0, 0, 1]
+    assert values[q[[3, 7]]].tolist() == [[5.0], [4.0]]
+    assert np.array_equal(values[x], X)
+    for arguments, message in (
+        ((x, SE2, [0.0, 0.0, 0.0]), r"of kind x already; values\[x\[i\]\] = X moves them"),
+        (("p", SE2, [0.0, 0.0, 0.0]), r"'p' is no kind of variable; expected o of \(o,\) = kinds\('o'\)"),
+        ((kinds("p")[0], SE2, [0.0, 0.0]), r"SE2: elements have shape \(2,\)"),
+        ((kinds("p")[0], R(1), [0.0, 1.0], [0]), "p: 2 elements and 1 numbers"),
+    ):
+        with pytest.raises(GraphError, match=message):
+            values.add(*arguments)  # type: ignore[arg-type]
+    assert list(values.stacks) == ["x", "l", "o", "q"]
+    with pytest.raises(GraphError, match=r"Add start values with `Values\.add`"):
+        values[kinds("p")[0][0]] = [1.0]
+
+
+def test_stacks_by_kind_or_name() -> None:
+    values, _ = odd()
+    assert values.stack(x) is values.stack("x") is values.stacks["x"]
+    with pytest.raises(GraphError, match="no variable of kind 'q' has a value"):
+        values.stack(kinds("q")[0])

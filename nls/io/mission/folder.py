@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from difflib import get_close_matches
 from pathlib import Path
 
 from models.errors import GraphFileError
@@ -16,7 +17,7 @@ __all__ = ["EXPECTED", "read_tables"]
 README = "README.txt"  # for people: nothing in it is missed
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
-    "sonar.csv where the sonar saw something"
+    "sonar.csv, both or none of these two"
 )
 
 
@@ -75,11 +76,22 @@ def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:
             folder,
         )
     if missing := [name for name in (TRACK if track else LOG) if name not in files]:
-        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}", folder)
-    if "contacts" in files and "sonar" not in files:
-        raise GraphFileError(
-            "has contacts.csv and no sonar.csv, which says what sonar saw them, and from where", folder
-        )
+        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], others)}", folder)
+    for there, name, says in (
+        ("contacts", "sonar", "what sonar saw them, and from where"),
+        ("sonar", "contacts", "what the sonar saw; leave sonar.csv out where it saw nothing"),
+    ):
+        if there in files and name not in files:
+            raise GraphFileError(
+                f"has {there}.csv and no {name}.csv, which says {says}{_near_miss(name, others)}", folder
+            )
+
+
+def _near_miss(name: str, others: list[str]) -> str:
+    """Names a file that is not read and may be meant for the one that is missing."""
+    near = {other.lower().removesuffix(".gz").removesuffix(".csv").strip(): other for other in others}
+    close = get_close_matches(name, near, n=1, cutoff=0.8)
+    return f"; is it {_listed([near[close[0]]])}? names are written as here" if close else ""
 
 
 def _listed(names: list[str], most: int = 12) -> str:

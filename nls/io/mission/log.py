@@ -16,6 +16,16 @@ heading* of their leg, Sigma without the noise of the yaw:
 What is assumed: the error of the heading lasts through a leg, so it turns the leg as a whole, by the error that
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that: as far as the heading goes, the covariances are on the safe side.
+
+Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
+from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x
+and y given that turn:
+
+    Omega = W'W,    W = L^-1 of (yaw, x, y), L L' = Sigma_XYH + diag(0, 0, 2 sigma_yaw^2)
+
+with all its rows where a pose is in the hole, without the row of the yaw where `Heading` measures it at both ends. Its
+tilt is that of the line, with the sigmas of the hole. In a hole of depth.csv the line is that of the depth less the way
+down by the DVL, so the depth follows the DVL and meets the rows at both ends.
 """
 
 from __future__ import annotations
@@ -26,12 +36,15 @@ import numpy.typing as npt
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
-from models import SE3, euler, wrap
-from models.algebra import Array
+from models import SE3, SO3, euler, wrap
+from models.algebra import Array, apply
 from models.dead_reckoning import integrate
 from models.errors import GraphError, GraphFileError, OptionError
+from models.manifolds.euler import quaternion_from_angles
+from models.manifolds.so3 import rotation3
 from models.sensors import levelled
 from nls.io.mission.columns import ANGLES, PLACE
+from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
@@ -50,7 +63,8 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
     Raises
     ------
     GraphFileError
-        Times that do not rise, a pose before or after the log, a log that cannot be integrated.
+        Times that do not rise, a pose before or after the log, a log that cannot be integrated, a hole in the attitude
+        or depth that nothing tells how to bridge.
     """
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
@@ -58,7 +72,10 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
     numbers, b = _poses(tables, {"dvl.csv": t_v, "ahrs.csv": t_a, "depth.csv": t_z}, t_v[valid], report)
     rpy = np.unwrap(ahrs.attitude(*ANGLES), axis=0)
     roll, pitch, yaw = (np.interp(b, t_a, angle) for angle in rpy.T)
-    z = np.interp(b, t_z, depth.measured("z_m")[:, 0])
+    depths = depth.measured("z_m")
+    turning = holes_of(ahrs, t_a, rpy, b, "have no heading of their own, their pitch and roll larger sigmas", report)
+    if turning.inside.all():
+        raise GraphFileError("no pose has an attitude measured at its time: all are in holes", ahrs.path)
 
     noise = _one_row(tables["noise"])
     tables["noise"].positive(*(name for name in noise if name not in MAY_BE_0))
@@ -73,17 +90,24 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
         mount = euler.to_se3([mounted[name] for name in (*ANGLES, *PLACE)])
     else:
         report.notes.append("there is no dvl_mount.csv: the DVL is taken to be at the center of the vehicle, aligned")
+    v_d = dvl.measured("vx_m_s", "vy_m_s", "vz_m_s", rows=valid)
+    t_d, down = t_v[valid], _way_down(t_v[valid], v_d[valid], t_a, rpy, mount)
+    off = depths - np.interp(t_z, t_d, down)[:, None]
+    diving = holes_of(depth, t_z, off, b, "have the depth of the DVL, with a larger sigma", report)
+    z = np.interp(b, t_z, depths[:, 0])
+    z[diving.inside] = (np.interp(b, t_z, off[:, 0]) + np.interp(b, t_d, down))[diving.inside]
     try:
         legs = integrate(
             t_v,
-            dvl.measured("vx_m_s", "vy_m_s", "vz_m_s", rows=valid),
+            v_d,
             boundaries=b,
-            attitude=euler.quaternion_from_angles(wrap(rpy)),
+            attitude=quaternion_from_angles(wrap(rpy)),
             t_w=t_a,
             sigma_v=noise["sigma_v_m_s"],
             sigma_attitude=[*sigmas[:2], GIVEN],
             valid=valid,
             sigma_bridge=noise["sigma_bridge_m_s_sqrt_s"],
+            sigma_turn=turning.density,  # of roll, pitch, yaw: about the axes of the body while the tilt is small
             scale=noise["scale"],
             mount=mount,
         )
@@ -96,28 +120,57 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
     zero = np.zeros(len(b))
     X = euler.to_se3(np.column_stack([roll, pitch, zero, zero, zero, zero]))[:-1]
     xyh, (_, H_j) = levelled(X, SE3.compose(X, legs.z))
-    Sigma = (H_j @ legs.Sigma @ H_j.mT)[:, :2, :2]
-    W = np.zeros((len(xyh), 3, 3))
     try:
-        W[:, :2, :2] = np.linalg.inv(np.linalg.cholesky((Sigma + Sigma.mT) / 2))
+        W = _given_the_yaw(H_j @ legs.Sigma @ H_j.mT, sigmas[2], legs.unturned > 0, turning.inside)
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
+    tilts = np.hypot([noise["sigma_z_m"], sigmas[1], sigmas[0]], np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]))
+    seen = ~turning.inside
     return np.sort(numbers), [
         XYH(x[numbers[:-1]], x[numbers[1:]], xyh, SqrtInformation(W)),
-        ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal([noise["sigma_z_m"], sigmas[1], sigmas[0]])),
-        Heading(x[numbers], wrap(yaw), Isotropic(sigmas[2])),
+        ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts)),
+        Heading(x[numbers[seen]], wrap(yaw[seen]), Isotropic(sigmas[2])),
     ]
+
+
+def _way_down(t: Array, v_d: Array, t_a: Array, rpy: Array, mount: Array) -> Array:
+    """How far down (n,) the velocities v_d (n, 3) of a DVL lead, m; what its lever arm adds in a tilt is left out."""
+    tilt = quaternion_from_angles(np.column_stack([np.interp(t, t_a, angle) for angle in rpy.T]))
+    v = apply(rotation3(SO3.compose(tilt, np.broadcast_to(mount[3:], tilt.shape))), v_d)[:, 2]
+    return np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
+
+
+def _given_the_yaw(
+    Sigma: Array, sigma_yaw: float, bridged: npt.NDArray[np.bool_], inside: npt.NDArray[np.bool_]
+) -> Array:
+    """Square root information (k, 3, 3) of steps that know x and y given the yaw, and the yaw where nothing else does.
+
+    Parameters
+    ----------
+    Sigma : (k, 3, 3) covariance of x, y and yaw, without the noise of the heading.
+    bridged : (k,) steps over a hole in the attitude; the turn of others is as measured.
+    inside : (k + 1,) poses in a hole.
+
+    Raises
+    ------
+    LinAlgError
+        A step with a direction without error.
+    """
+    yaw_x_y, x_y_yaw = [2, 0, 1], [1, 2, 0]
+    C = 0.5 * (Sigma + Sigma.mT)
+    C[~bridged, 2, :2] = C[~bridged, :2, 2] = 0.0
+    C[:, 2, 2] += 2 * sigma_yaw**2  # of a row before and one after
+    W = np.linalg.inv(np.linalg.cholesky(C[:, yaw_x_y][:, :, yaw_x_y]))
+    W[~(inside[:-1] | inside[1:]), 0] = 0.0
+    return np.asarray(W[:, x_y_yaw][:, :, x_y_yaw])
 
 
 def _bottom_lock(dvl: Table) -> npt.NDArray[np.bool_]:
     """Which rows (n,) of dvl.csv are valid."""
-    valid = dvl.integers("valid")
-    if (strange := ~np.isin(valid, (0, 1))).any():
-        k = int(np.argmax(strange))
-        raise dvl.at(k, f"valid is {valid[k]}; expected 1 where the DVL had bottom lock, else 0")
+    valid = dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
     if (count := int(valid.sum())) < 2:
         raise GraphFileError(f"{count} of {len(valid)} rows are valid; expected two or more with bottom lock", dvl.path)
-    return np.asarray(valid == 1)
+    return valid
 
 
 def _poses(

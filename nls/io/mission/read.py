@@ -171,21 +171,25 @@ def _anchor(
 ) -> tuple[list[Factor], tuple[Keys, Array]]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Where nobody says so it is the first pose, and its heading only where no compass measures it.
+    Where nobody says so it is the first pose, and its heading only where no compass measures it; with a compass it is
+    the first pose that this one sees.
     """
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
         i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
+    compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
+    if compass is not None:
+        first = int(np.argmin(compass.keys[0].numbers))
+        anchor, z[2] = compass.keys[0][[first]], compass.z[first]
     if "x" in report.truth.stacks and anchor in report.truth:
-        z, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
+        true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
+        z = true if compass is None else np.append(true[:2], z[2])
     factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
-    for factor in graph.factors:
-        if isinstance(factor, Heading):
-            z[2] = factor.z[factor.keys[0].numbers == anchor.numbers][0]
-            factors, held = factors[:1], "x and y"
+    if compass is not None:
+        factors, held = factors[:1], "x and y"
     report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
     return factors, (anchor, z)
 
@@ -207,6 +211,8 @@ def _contacts(
     if (table := tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
     assert report.sonar is not None
+    if elevation == "search":
+        raise OptionError("elevation", elevation, "free, hinge or prior: a mission has landmarks")
     i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
     k = table.integers("landmark")
     table.positive("range_m")
@@ -220,9 +226,10 @@ def _contacts(
     slack_r, slack_azimuth = SLACK * sigmas.T
     outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
     if count := int(outside.sum()):
-        first = int(table.lines[np.argmax(outside)]) + 1
+        found = f"the first of {count} contacts" if count > 1 else "a contact"
         report.notes.append(
-            f"{count} contacts are outside the fan or range window of sonar.csv (first on line {first}); they are used"
+            f"{table.place(int(np.argmax(outside)))}: {found} outside the fan or range window of sonar.csv; used all "
+            "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
         )
     for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
         graph.add(factor)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from factors import Elevation, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
 from factors.keys import Keys, kinds
 from factors.sonar import first_contacts
-from models import SE3, LieGroup, R
+from models import SE3, R
 from models.algebra import Array
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
@@ -167,7 +167,7 @@ def elevations(
 
     Parameters
     ----------
-    graph : its `RangeAzimuth` factors; their offset is fixed.
+    graph : its `RangeAzimuth` factors; their offset is fixed, or a variable: its uncertainty then counts, too.
     values : poses ``x`` and landmarks ``l``.
     sigmas : whether to compute the standard deviations, from the covariances at these values.
     linear_solver, gauge : for the covariances, as in `nls.Marginals`.
@@ -182,24 +182,34 @@ def elevations(
     pose = np.concatenate([factor.keys[0].numbers for factor in seen])
     point = np.concatenate([factor.keys[1].numbers for factor in seen])
     landmarks, views = np.unique(point, return_counts=True)
-    poses = pose[first_contacts(x[pose], l[point])]
-    view = Elevation(x[poses], l[landmarks], np.zeros(len(poses)), Isotropic(1.0), seen[0].offset)
-    model, X = values.gather(view)
-    group = model.manifolds[0]
-    assert isinstance(group, LieGroup)
-    S = view.sensor_pose(group, X[0])
-    r, azimuth, elevation = spherical(group.act(group.inverse(S), X[1]))[0].T
+    first = first_contacts(x[pose], l[point])
+    S, p, firsts = np.zeros((len(first), SE3.size)), np.zeros((len(first), 3)), []
+    begin = np.cumsum([0, *map(len, seen)])
+    for factor, low, high in zip(seen, begin[:-1], begin[1:], strict=True):
+        here = np.flatnonzero((first >= low) & (first < high))  # landmarks whose first contact is one of its
+        part = factor[first[here] - low]
+        assert isinstance(part, RangeAzimuth)
+        X_keys, l_keys = part.keys[:2]
+        firsts.append((here, Elevation(X_keys, l_keys, np.zeros((len(here), 1)), Isotropic(1.0), part.offset)))
+        _, X = values.gather(part)
+        S[here], p[here] = part.sensor_pose(SE3, X[0], *X[2:]), X[1]
+    r, azimuth, elevation = spherical(SE3.act(SE3.inverse(S), p))[0].T
     _, J = cartesian(np.column_stack([r, azimuth, elevation]))
-    along = (group.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
+    along = (SE3.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
     sigma = np.full(len(r), np.nan)
     if sigmas:
         known = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
-        sigma[known] = _sigmas(graph, values, view, elevation, linear_solver, gauge)[known]
-    return Elevations(landmarks, poses, views, r, azimuth, elevation, sigma, along)
+        sigma[known] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[known]
+    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, sigma, along)
 
 
 def _sigmas(
-    graph: FactorGraph, values: Values, view: Elevation, elevation: Array, solver: LinearSolver | None, gauge: str
+    graph: FactorGraph,
+    values: Values,
+    firsts: list[tuple[npt.NDArray[np.intp], Elevation]],
+    elevation: Array,
+    solver: LinearSolver | None,
+    gauge: str,
 ) -> Array:
     """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`.
 
@@ -207,19 +217,22 @@ def _sigmas(
     FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
     with its pose are nine columns of the inverse each (1,321 landmarks of 2,143 poses: 3 s, not 47).
     """
-    manifolds = values.gather(view)[0].manifolds
-
-    def away(X: Array, L: Array, E: Array) -> Array:
-        return view.predict(manifolds, X, L)[0] - E
-
-    def jacobians(X: Array, L: Array, E: Array) -> tuple[Array, Array, Array]:
-        H = view.predict(manifolds, X, L)[1]
-        assert H is not None
-        H_x, H_l = (np.asarray(each) for each in H)
-        return H_x, H_l, np.full((len(E), 1, 1), -1.0)
-
-    follow = Factor.from_function(away, [*view.keys, e[np.arange(len(view))]], 1, Isotropic(FOLLOWS), jacobians)
-    wider = FactorGraph([*graph.factors, follow])
+    wider = FactorGraph([*graph.factors, *(_followed(view, e[here], values) for here, view in firsts if len(view))])
     wider.fixed = list(graph.fixed)
     both = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
     return np.asarray(np.sqrt(Marginals(wider, both, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))
+
+
+def _followed(view: Elevation, keys: Keys, values: Values) -> Factor:
+    """Variables that are the elevations of a view, but for `FOLLOWS`."""
+    manifolds = values.gather(view)[0].manifolds
+
+    def away(*X: Array) -> Array:
+        return view.predict(manifolds, *X[:-1])[0] - X[-1]
+
+    def jacobians(*X: Array) -> list[Array]:
+        H = view.predict(manifolds, *X[:-1])[1]
+        assert H is not None
+        return [*(np.asarray(each) for each in H), np.full((len(view), 1, 1), -1.0)]
+
+    return Factor.from_function(away, [*view.keys, keys], 1, Isotropic(FOLLOWS), jacobians)

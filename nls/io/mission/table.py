@@ -18,7 +18,7 @@ from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
-from nls.io.text import Text, printable
+from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
 
@@ -76,19 +76,22 @@ class Table(Text):
             raise self.error(f"is empty; expected a first line {wanted} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
+        self._refuse_no_names(head, wanted)
         for said, some in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for k, name in enumerate(names) if name in names[:k]]),
             ("no", [name for name in columns if name not in names]),
         ):
             if some:
-                raise self.error(f"{said} column {some[0]!r:.40}; expected {wanted}", head)
+                raise self.error(f"{said} column {_quoted(some[0])}; expected {wanted}", head)
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
         if (wrong := count != len(names)).any():
             k = int(np.argmax(wrong))
-            raise self.error(f"{count[k]} cells, expected {len(names)}: {','.join(names)}", int(self.lines[k]))
+            line = int(self.lines[k])
+            cure = _separators(self.line(line)) if count[k] == 1 else ""
+            raise self.error(f"{count[k]} cells, expected {len(names)}: {','.join(names)}{cure}", line)
         self._place = {name: k for k, name in enumerate(names)}
         cells = self._cells(names)
         if (empty := self.starts[cells] == self.ends[cells]).any():
@@ -115,6 +118,14 @@ class Table(Text):
         comment = self.characters(head, 1)[:, 0] == ord("#")
         blank = (np.diff(self.first) == 1) & ~filled[head]
         return np.flatnonzero(~comment & ~blank), int(comment.sum())
+
+    def _refuse_no_names(self, head: int, wanted: str) -> None:
+        """Refuse a first line of numbers, and one that is not separated by commas."""
+        words = [self.token(k) for k in range(self.first[head], self.first[head + 1])]
+        if all(NUMBER.fullmatch(word) for word in words):
+            raise self.error(f"the first line must name the columns: {wanted}", head)
+        if len(words) == 1 and (cure := _separators(words[0])):
+            raise self.error(f"one column; expected {wanted}{cure}", head)
 
     def __len__(self) -> int:
         """Rows."""
@@ -198,6 +209,21 @@ class Table(Text):
         """
         return self.whole(self.lines, self._place[name])
 
+    def flags(self, name: str, meaning: str) -> npt.NDArray[np.bool_]:
+        """Cells (n,) of one column that are 0 or 1.
+
+        Raises
+        ------
+        GraphFileError
+            Another cell.
+        """
+        cells = self._cells([name])[:, 0]
+        first, second = self.characters(cells, 2).T
+        if (strange := ((first != ord("0")) & (first != ord("1"))) | (second != 0)).any():
+            k = int(np.argmax(strange))
+            raise self.at(k, f"{name} is {_quoted(printable(self.token(cells[k])))}; expected 0 or 1: {meaning}")
+        return np.asarray(first == ord("1"))
+
     def unique(self, name: str, what: str) -> Numbers:
         """Whole numbers (n,) of one column, none of them twice.
 
@@ -226,9 +252,8 @@ class Table(Text):
         t = self.measured(name)[:, 0]
         if (late := t[1:] <= t[:-1]).any():
             k = int(np.argmax(late)) + 1
-            raise self.at(
-                k, f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; sort the rows by time"
-            )
+            cure = "sort the rows by time" if t[k] < t[k - 1] else "delete one of the two rows"
+            raise self.at(k, f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}")
         return t
 
     def known(self, name: str, among: Numbers, problem: str) -> Numbers:
@@ -254,9 +279,24 @@ class Table(Text):
             for word, within in zip(words, quoted, strict=True)
         ]
 
+    def place(self, row: int) -> str:
+        """Where a row stands, for a note about this folder: the file's name and its line."""
+        return f"{Path(self.path).name}:{self.lines[row] + 1}"
+
     def at(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""
         return self.error(message, int(self.lines[row]))
+
+
+def _quoted(text: str, most: int = 40) -> str:
+    """Text in quotation marks, cut where it is long."""
+    return repr(text if len(text) <= most else text[: most - 3] + "...")
+
+
+def _separators(line: bytes) -> str:
+    """What to do about a line of cells that no comma separates."""
+    found = next((said for sign, said in ((b";", "semicolons"), (b"\t", "tabs")) if sign in line), "")
+    return f"; these are separated by {found}, separate them with commas" if found else ""
 
 
 def csv_text(names: Sequence[str], *columns: npt.ArrayLike | Sequence[str]) -> bytes:

@@ -131,6 +131,8 @@ def mission_files(
         raise GraphError(f"write_mission: the graph has no factors for {missing[0]}.csv; a mission needs XYH and ZPR")
     if "contacts" in rows and sonar is None:
         raise GraphError("write_mission: the graph has contacts; give the sonar that saw them")
+    if "contacts" not in rows and sonar is not None:
+        raise GraphError("write_mission: the graph has no contacts; leave the sonar out")
     poses = _refuse_stray(rows)
     if times is not None:
         rows["poses"] = [_times(poses, times)]

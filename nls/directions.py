@@ -1,0 +1,101 @@
+r"""Free directions with names that can be read: of single variables where they are, of as few as may be elsewhere.
+
+Any basis of a null space is as good as another, and the one that a decomposition happens to return mixes everything
+that is free: of eight landmarks seen once, eight directions that move all of them. So first those of single variables,
+
+    A_v u = 0        v: the columns of one variable, u a direction of it alone
+
+which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of
+k directions is zero in k - 1 chosen unknowns (the pivots of a QR decomposition of the transposed basis): what belongs
+to separate parts of the graph comes apart.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array, gram
+from nls.linear.base import NULL
+
+if TYPE_CHECKING:
+    from nls.assemble import Index
+    from nls.system import LinearSystem
+
+__all__ = ["carriers_of_singles", "separated", "single_directions"]
+
+NOTHING = 1e-4  # of a direction of length 1: rounding, when all else of it belongs to single variables
+MAYBE = 1e-12  # eigenvalue of a block whose columns have length 1: squares keep half of the digits, so only a candidate
+
+
+def single_directions(system: LinearSystem) -> sp.csc_array:
+    """Free directions of single variables (n, k), each of length 1 with the columns of A scaled to length 1.
+
+    Parameters
+    ----------
+    system : none of its columns is zero.
+    """
+    pattern, norms = system.pattern, system.column_norms
+    A = system.A @ sp.diags_array(1 / norms)
+    free = np.flatnonzero(pattern.starts >= 0)
+    rows, numbers, count = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros(1, dtype=np.intp)]
+    for d in np.unique(pattern.dims[free]).tolist():
+        variables = free[pattern.dims[free] == d]
+        columns = pattern.starts[variables][:, None] + np.arange(d)  # (v, d)
+        scale = norms[columns]
+        w, V = np.linalg.eigh(_blocks(system, variables, d) / (scale[:, :, None] * scale[:, None, :]))
+        v, k = np.nonzero(w <= MAYBE)
+        rows.append(columns[v].ravel())
+        numbers.append(V[v, :, k].ravel())
+        count.append(np.full(len(v), d))
+    indptr = np.cumsum(np.concatenate(count))
+    found = sp.csc_array((np.concatenate(numbers), np.concatenate(rows), indptr), (len(norms), len(indptr) - 1))
+    said = np.sqrt(np.asarray((A @ found).power(2).sum(axis=0)).ravel())
+    return sp.csc_array(found[:, np.flatnonzero(said <= NULL)])
+
+
+def _blocks(system: LinearSystem, variables: Index, d: int) -> Array:
+    """A_v'A_v (k, d, d) of some variables (k,), all of d unknowns."""
+    place = np.full(len(system.pattern.dims), -1)
+    place[variables] = np.arange(len(variables))
+    H = np.zeros((len(variables), d, d))
+    for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
+        for index, A in zip(batch.variables, blocks, strict=True):
+            at = place[index]
+            if (here := at >= 0).any():
+                np.add.at(H, at[here], gram(A[here]))
+    return H
+
+
+def carriers_of_singles(directions: sp.csc_array, least: float) -> list[Index]:
+    """The unknowns that carry each of some directions, by at least this part of what the first of them does."""
+    out = []
+    for begin, end in zip(directions.indptr[:-1], directions.indptr[1:], strict=True):
+        size = np.abs(directions.data[begin:end])
+        out.append(directions.indices[begin:end][size >= least * size.max()])
+    return out
+
+
+def separated(N: Array, singles: sp.csc_array, scale: Array) -> Array:
+    """What free directions hold besides those of single variables, each moving as few unknowns as may be.
+
+    Parameters
+    ----------
+    N : (n, k) free directions, in the units of the unknowns.
+    singles : (n, q) from `single_directions`.
+    scale : (n,) the lengths of the columns of A.
+
+    Returns
+    -------
+    (n, r) free directions: each leaves r - 1 unknowns alone that the others move.
+    """
+    from scipy.linalg import qr
+
+    U = N * scale[:, None]
+    U = U / np.linalg.norm(U, axis=0)
+    U, s, _ = np.linalg.svd(U - singles @ (singles.T @ U), full_matrices=False)
+    Q = U[:, s > NOTHING]
+    pivots = qr(Q.T, mode="r", pivoting=True)[1][: Q.shape[1]]
+    return np.asarray(Q @ np.linalg.inv(Q[pivots]) / scale[:, None])

@@ -1,0 +1,232 @@
+r"""Landmarks first, and the graph of poses by conjugate gradients: for bundle problems too large to be factorized.
+
+    S = H_pp - H_pl H_ll^-1 H_lp = H_pp - Y'Y,    Y_lp = X_l H_lp,   X_l'X_l = H_ll^-1      as in `nls.linear.schur`
+    S dx_p = g_p - H_pl H_ll^-1 g_l
+    M = the diagonal blocks of S
+
+S is never formed: a step of conjugate gradients multiplies by H_pp, Y and Y', whose numbers are as many as those of H.
+Only the diagonal blocks of S are, and factorized: they know how much of every pose its landmarks take for themselves,
+which those of H_pp do not.
+
+    |S dx_p - g_S|_M <= tol |g_S|_M,    |r|_M^2 = r'M^-1 r     what a step is accepted at
+
+**Free directions.** A pivot of H_ll or M that vanishes is refused as everywhere, but what is free in common, a gauge or
+a scale, leaves them alone, and A'b has no part along it. So an undamped system is solved for a second right side first,
+
+    h = L xi,   M = L L',   xi normal, fixed seed;    E[h h'] = M
+
+whose part along any direction v, v'M v = 1, is a normal number of deviation 1. It is solved when all of h has fallen
+below `SURE`. Along a free direction no step lowers it: x grows that way, up to 1e16 times what it is elsewhere, until
+rounding ends that. So x is the direction to be judged, in the end and where r'M^-1 r has grown by `GROWN`, and A
+itself tells whether it is free. A direction is overlooked with a probability below `SURE`.
+
+Source: S. Agarwal, N. Snavely, S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010, section 4 (implicit
+Schur complement and its block-Jacobi preconditioner); J. Mandel, "On block diagonal and Schur complement
+preconditioning", 1990.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import OptionError
+from models.options import is_number, is_whole
+from nls.elimination import Elimination
+from nls.hessian import Blocks, Hessian
+from nls.linear.base import SINGULAR, SingularSystemError, UnsolvedSystemError
+from nls.linear.complement import Complement
+from nls.linear.conjugate import Iterated, conjugate
+from nls.linear.independent import independent, together, twins
+from nls.linear.normal import Assembled, NormalState
+from nls.linear.schur import SchurFactorization, SchurState
+from nls.linear.threads import single_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from nls.assemble import Pattern
+    from nls.system import LinearSystem
+
+__all__ = ["PCG", "PCGFactorization", "PCGState"]
+
+SURE = 0.01  # of the deviation of h along any direction: what is left of it where nothing is free
+GROWN = 1e4  # times r'M^-1 r at the start, and then times what it was when A was asked last: a free direction, perhaps
+EXACT = 1e-6  # a larger tolerance is an inexact solver
+
+
+class PCGFactorization(SchurFactorization):
+    """H whose first columns are eliminated block by block; the others are solved for by conjugate gradients.
+
+    Parameters
+    ----------
+    complement : the diagonal blocks of S, their structure.
+    tol, max_steps : as in `PCG`.
+
+    Attributes
+    ----------
+    steps : of conjugate gradients so far.
+    """
+
+    def __init__(self, complement: Complement, tol: float, max_steps: int) -> None:
+        super().__init__(complement, exact=True)
+        self._tol, self._max_steps, self.steps = tol, max_steps, 0
+
+    def _reduced(self, g: Array) -> Array:
+        if g.ndim == 2:
+            return np.stack([self._reduced(column) for column in g.T], axis=1)
+        found = self._conjugate(g, lambda first: self._tol**2 * first)
+        self._require(found)
+        return np.asarray(found.x[0])
+
+    def refuse_free(self, free: Callable[[Array], bool]) -> None:
+        """Look for a free direction of S.
+
+        Parameters
+        ----------
+        free : whether a step (n,) of all unknowns, in the order of the `Hessian`, changes no measurement.
+
+        Raises
+        ------
+        SingularSystemError
+        """
+        L, order = self._rest.lower()
+        h, asked = np.empty(len(order)), 0.0
+        h[order] = L @ np.random.default_rng(0).normal(size=len(order))
+
+        def look(rz: Array, x: Array) -> None:
+            nonlocal asked
+            if rz[0] > asked:
+                judge(x[0])
+                asked = GROWN * rz[0]
+
+        def judge(x_p: Array) -> None:
+            if free(self._followed(x_p)):
+                raise SingularSystemError("conjugate gradients met a direction that no measurement sees")
+
+        found = self._conjugate(h, lambda first: np.full(1, SURE**2), look)
+        judge(found.x[0])
+        self._require(found, ", while looking for free directions")
+
+    def _followed(self, x_p: Array) -> Array:
+        """[-H_ll^-1 H_lp x_p; x_p]: where the least chi2 is for a step x_p of what is not eliminated."""
+        n = self._complement.n
+        x = np.concatenate([np.zeros(n), x_p])
+        x[:n] = -self._blockwise([X.mT for X in self._roots], self._L.T @ x)
+        return x
+
+    def _conjugate(
+        self, g: Array, goals: Callable[[Array], Array], look: Callable[[Array, Array], None] | None = None
+    ) -> Iterated:
+        n, transposed, upper = self._complement.n, self._L.T, self._H_pp.T
+        diagonal = self._H_pp.diagonal()
+        padded = np.zeros(n + len(g))
+
+        def times(P: Array) -> Array:
+            p = padded[n:] = P[0]
+            Sp: Array = self._H_pp @ p + upper @ p - diagonal * p - (self._L @ (transposed @ padded))[n:]
+            return Sp[None]
+
+        with single_thread():
+            found = conjugate(times, lambda R: self._rest.solve(R[0])[None], g[None], goals, self._max_steps, look=look)
+        self.steps += found.steps
+        return found
+
+    def _require(self, found: Iterated, said: str = "") -> None:
+        if not found.there:
+            raise UnsolvedSystemError(
+                f"conjugate gradients did not reach tol = {self._tol:g} in {found.steps} steps{said}; allow more with "
+                "max_steps, or take linear solver 'schur' or 'cholesky'"
+            )
+
+
+class PCGState(SchurState):
+    """H, its first columns eliminated block by block, and conjugate gradients for the others."""
+
+    def __init__(self, hessian: Hessian, factorization: PCGFactorization, said: str) -> None:
+        super().__init__(hessian, factorization, said)
+        self.iterative = factorization
+
+    def refuse_free(self, system: LinearSystem) -> None:
+        super().refuse_free(system)
+        order, norms = self.hessian.permutation, system.column_norms
+
+        def free(x: Array) -> bool:
+            dx = np.empty_like(x)
+            dx[order] = x
+            return bool(np.square(system.times(dx)).sum() < SINGULAR * np.square(norms * dx).sum())
+
+        self.iterative.refuse_free(free)
+
+
+class PCG(Assembled):
+    """A'A dx = A'b by conjugate gradients on the Schur complement of the landmarks, preconditioned with its diagonal.
+
+    For the largest bundle problems: memory is that of A'A, whatever sees what. Which variables are eliminated is found
+    as by `Schur`, and as there single ones are where no whole kind will do.
+
+    Parameters
+    ----------
+    tol : of a step, |S dx - g| <= tol |g| in the norm of the preconditioner; above 0 and below 1. Above 1e-6 the solver
+        counts as inexact: its steps are good for Levenberg-Marquardt far from the optimum, convergence is doubted where
+        the measurements still pull, and there are no covariances.
+    max_steps : of conjugate gradients in a solve. One that does not reach `tol` is no step: Levenberg-Marquardt damps
+        more, an undamped method ends with the error.
+
+    Raises
+    ------
+    OptionError
+        An option that is not possible.
+
+    Notes
+    -----
+    Every undamped solve looks for free directions first, which takes about half as many steps again. `Marginals` takes
+    the best factorization installed, as for every solver that keeps none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic, Landmark, Prior
+    >>> from models import R, SE2
+    >>> from nls import PCG, FactorGraph, Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(1)), Between(x[0], x[1], [1, 0, 0], Isotropic(0.1))])
+    >>> seen = graph.add(Landmark(x[[0, 1, 0, 1]], l[[0, 0, 1, 1]], [[2, 1], [1, 1], [3, 1], [2, 1]], Isotropic(0.1)))
+    >>> start = Values({x: (SE2, np.zeros((2, 3))), l: (R(2), np.zeros((2, 2)))})
+    >>> result = graph.optimize(start, linear_solver=PCG())
+    >>> result.linear_solver.split(", ")[:2], result.values[l].round(6).tolist()
+    (['pcg', 'l eliminated: 4 of 10 columns'], [[2.0, 1.0], [3.0, 1.0]])
+    """
+
+    name = "pcg"
+
+    def __init__(self, tol: float = 1e-10, max_steps: int = 2000) -> None:
+        if not is_number(tol) or not 0 < tol < 1:
+            raise OptionError("tol", tol, "a number above 0 and below 1")
+        if not is_whole(max_steps) or not max_steps > 0:
+            raise OptionError("max_steps", max_steps, "a whole number above 0")
+        self.tol, self.max_steps = float(tol), int(max_steps)
+        self.exact = self.tol <= EXACT
+
+    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
+        blocks = Blocks(pattern)
+        gone, said = independent(pattern, blocks)
+        first, group = np.flatnonzero(gone), twins(pattern, blocks, gone)
+        others = together(np.flatnonzero(~gone), group)
+        order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others])
+        elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
+        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
+        complement = Complement(blocks, elimination, len(first), hessian, group[others], diagonal=True)
+        return blocks, PCGState(hessian, PCGFactorization(complement, self.tol, self.max_steps), said)
+
+    def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
+        """Name, what is eliminated, and the steps of conjugate gradients since `analyze`, in words."""
+        state = analyzed[1]
+        assert isinstance(state, PCGState)
+        steps = state.iterative.steps
+        return f"{self.name}, {state.said}, {steps:,} CG step{'' if steps == 1 else 's'}"
+
+    def __repr__(self) -> str:
+        return f"PCG(tol={self.tol:g}, max_steps={self.max_steps})"

@@ -1,0 +1,175 @@
+"""What is known of one variable, in words: sigmas by component, what is free and with what, the weakest direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from math import degrees
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from models.manifolds.measured import ANGLES
+
+if TYPE_CHECKING:
+    from factors.keys import Keys
+
+__all__ = ["ANGULAR", "FREE", "LENGTHS", "Observability", "shown"]
+
+ANGULAR, LENGTHS = ANGLES, frozenset({"x", "y", "z", "range"})
+FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
+INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
+CORRELATED = 0.9  # correlations at least this high are printed
+
+Row = tuple[str, str, str, str]
+
+
+@dataclass(frozen=True)
+class Observability:
+    """What a data set determines of one variable, everything else being estimated too. ``print`` it.
+
+    Arrays are in the tangent space of the variable (of a pose: its own axes), m and rad.
+
+    Attributes
+    ----------
+    key : the variable.
+    components : (d) names.
+    covariance : (d, d) Cramer-Rao bound on what is determined; what is free takes no part in it.
+    undetermined : (d,) components a free direction moves.
+    free : (k, d) directions in which it can move and no measurement changes.
+    with_free : (k) what else moves with each: ``"x, y, z of x; x, y, z of l"``.
+    weak : (d - k, d) the other directions, weakest first, as steps of one standard deviation.
+    known : (d,) information of each component if all else were known.
+    weights : (d,) what a unit of each component counts where directions are compared.
+    length : m that a rotation of 1 rad counts there.
+    gauge : what holds the rest of the graph.
+    """
+
+    key: Keys
+    components: tuple[str, ...]
+    covariance: Array
+    undetermined: npt.NDArray[np.bool_]
+    free: Array
+    with_free: tuple[str, ...]
+    weak: Array
+    known: Array
+    weights: Array
+    length: float
+    gauge: str
+
+    @property
+    def rank(self) -> int:
+        """How many directions are determined."""
+        return len(self.weak)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation of every component (d,), m and rad; inf where it is not determined."""
+        return np.where(self.undetermined, np.inf, np.sqrt(np.diagonal(self.covariance)))
+
+    @property
+    def sigma_known(self) -> Array:
+        """The same (d,) if all else, the other components too, were known; inf where no measurement reacts."""
+        seen = np.sqrt(self.known) > FREE * self.weights
+        return np.where(seen, 1 / np.sqrt(np.where(seen, self.known, 1.0)), np.inf)
+
+    @property
+    def correlation(self) -> Array:
+        """Correlations (d, d); nan in the rows and columns of what is not determined."""
+        sigma = np.where(self.undetermined, np.nan, self.sigma)
+        return np.asarray(self.covariance / np.outer(sigma, sigma))
+
+    @property
+    def weakest(self) -> int:
+        """The component of the largest sigma, 1 rad counting `length` meters; the first undetermined one, if any."""
+        return int(np.argmax(self.sigma * self.weights))
+
+    @property
+    def compared(self) -> Array:
+        """Every sigma (d,) as a multiple of the smallest one of its unit."""
+        units = np.array([_unit(name) or name for name in self.components])
+        best = np.array([self.sigma[units == unit].min() for unit in units])
+        return np.where(np.isinf(self.sigma), np.inf, self.sigma / np.where(np.isinf(best), 1.0, best))
+
+    def direction(self, step: npt.ArrayLike) -> str:
+        """A step (d,) by its components: ``"y 0.012 m, pitch -0.42 deg"``; what hardly takes part is left out."""
+        step = np.asarray(step, dtype=float)
+        size = np.abs(step * self.weights)
+        part = np.flatnonzero(size >= INVOLVED * size.max())
+        return ", ".join(f"{self.components[i]} {shown(step[i], self.components[i])}" for i in part)
+
+    def _head(self) -> str:
+        return f"{self.key!r}: {self.rank} of {len(self.components)} directions determined; {self.gauge}"
+
+    def _rows(self) -> list[Row]:
+        """Component, sigma, sigma if all else were known, compared with the best of its unit."""
+        rows: list[Row] = []
+        best = {_unit(c) or c: c for c, ratio in zip(self.components, self.compared, strict=True) if ratio == 1.0}
+        for c, sigma, known, ratio in zip(self.components, self.sigma, self.sigma_known, self.compared, strict=True):
+            said = f"{ratio:.1f} x {best[_unit(c) or c]}" if 1.0 < ratio < np.inf else ""
+            rows.append((c, shown(sigma, c, "free"), shown(known, c, "-"), said))
+        return rows
+
+    def _notes(self) -> list[str]:
+        """What is free, what is weakest, what is correlated."""
+        notes = []
+        for n, others in zip(self.free, self.with_free, strict=True):
+            size = np.abs(n * self.weights)
+            named = ", ".join(self.components[i] for i in np.flatnonzero(size >= 0.02 * size.max()))
+            notes.append(f"free: {named}" + (f" (together with {others})" if others else ""))
+        if self.rank > 1:
+            notes.append(f"weakest direction, one sigma: {self.direction(self.weak[0])}")
+        r = self.correlation
+        for i, j in zip(*np.triu_indices(len(r), 1), strict=True):
+            if abs(r[i, j]) >= CORRELATED:
+                notes.append(f"correlated: {self.components[i]} and {self.components[j]}, {r[i, j]:.3f}")
+        return notes
+
+    def __str__(self) -> str:
+        table = [("", "one sigma", "all else known", "compared"), *self._rows()]
+        widths = [max(len(row[k]) for row in table) for k in range(4)]
+        lines = [
+            "  " + f"{row[0]:{widths[0]}}  " + "  ".join(f"{row[k]:>{widths[k]}}" for k in (1, 2, 3)) for row in table
+        ]
+        return "\n".join([self._head(), *(line.rstrip() for line in lines), *self._notes()])
+
+    def _repr_html_(self) -> str:
+        cells = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in self._rows())
+        head = "".join(f"<th>{name}</th>" for name in ("", "one sigma", "all else known", "compared"))
+        notes = "".join(f"<li>{escape(note)}</li>" for note in self._notes())
+        return f"<p>{escape(self._head())}</p><table><tr>{head}</tr>{cells}</table><ul>{notes}</ul>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as JSON knows it: None for a sigma or correlation that does not exist; m and rad."""
+        return {
+            "key": repr(self.key),
+            "components": list(self.components),
+            "rank": self.rank,
+            "gauge": self.gauge,
+            "length": self.length,
+            "sigma": _finite(self.sigma),
+            "sigma_known": _finite(self.sigma_known),
+            "compared": _finite(self.compared),
+            "weakest": self.components[self.weakest],
+            "free": [{"step": n.tolist(), "with": others} for n, others in zip(self.free, self.with_free, strict=True)],
+            "weak": self.weak.tolist(),
+            "correlation": [_finite(row) for row in self.correlation],
+        }
+
+
+def _finite(numbers: Array) -> list[float | None]:
+    return [float(number) if np.isfinite(number) else None for number in numbers]
+
+
+def _unit(name: str) -> str:
+    return "deg" if name in ANGULAR else "m" if name in LENGTHS else ""
+
+
+def shown(number: float, name: str, infinite: str = "") -> str:
+    """With three digits and the unit of a component, angles in degrees; a word where it is infinite."""
+    if np.isinf(number):
+        return infinite
+    unit = _unit(name)
+    return f"{degrees(number) if unit == 'deg' else number:.3g} {unit}".rstrip()

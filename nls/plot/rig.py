@@ -1,0 +1,164 @@
+"""A camera and a sonar that moved past points: what was known before the optimization, and what after, from above.
+
+Errors of centimeters in a scene of meters cannot be seen: every point and camera is drawn where it is, and its error as
+a line many times as long, in the direction of the error and in a color that says how large it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models import SE3
+from models.alignment import align
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    from models.algebra import Array
+    from models.sensors import Camera
+    from nls.values import Values
+
+__all__ = ["rig_before_after"]
+
+TRUE, BEFORE, AFTER = "#202020", "#e07a2f", "#0b4f6c"
+MANY, MOST = 20, 1000  # frusta, and points with their errors; of more an evenly spaced part is drawn
+LONGER, LONGEST = (1, 2, 5, 10, 20, 50, 100), 0.2  # how many times as long errors are drawn, up to a part of the width
+DEEP = 0.08  # of the width of the scene: the frustum of a camera
+
+
+def rig_before_after(
+    truth: Values, before: Values, after: Values, camera: Camera, changes: Mapping[str, tuple[float, float]]
+) -> Figure:
+    """Cameras and points from above, raw and optimized side by side, with their errors; and the errors in numbers.
+
+    Parameters
+    ----------
+    truth, before, after : poses ``x`` in SE3, camera to world, and points ``l`` in R(3), the same in all three. The two
+        estimates are moved onto the truth by the rigid alignment of cameras and points together.
+    camera : its field of view is drawn.
+    changes : by quantity and unit, ``"cameras [cm]"``, its error before and after.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    SingularGeometryError
+        Cameras and points on one line; a corner of the image that the distortion gives no ray.
+    """
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14.5, 6.2))
+    figure.set_layout_engine("constrained", wspace=0.04)
+    axes = figure.subplots(1, 3, width_ratios=[5, 5, 3.4])
+    aligned = [_aligned(values, truth) for values in (before, after)]
+    sizes = [np.linalg.norm(np.concatenate(moved) - np.concatenate(_places(truth)), axis=1) for moved in aligned]
+    largest = float(np.quantile(np.concatenate(sizes), 0.99)) or 1.0
+    wide = float(np.ptp(_places(truth)[1], axis=0).max())
+    times = max((t for t in LONGER if t * largest <= LONGEST * wide), default=1)
+    norm = LogNorm(largest / 20, largest)
+    drawn, count = len(truth.stack("l").X[:: _step(truth, "l", MOST)]), len(truth.stack("l"))
+    shown = "" if drawn == count else f" of {drawn} of {count} points"
+    for ax, name, moved in zip(axes, ("raw", "optimized"), aligned, strict=False):
+        lines = _map(ax, truth, moved, camera, times, norm)
+        ax.set_title(name, fontsize=15, color=BEFORE if name == "raw" else AFTER, fontweight="bold")
+    for ax in axes[:2]:  # the same view
+        ax.set(xlim=_union(ax_.get_xlim() for ax_ in axes[:2]), ylim=_union(ax_.get_ylim() for ax_ in axes[:2]))
+    bar = figure.colorbar(lines, ax=axes[:2], location="bottom", extend="both", shrink=0.6, aspect=40, pad=0.02)
+    ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if largest / 20 < t < largest]
+    bar.set_ticks(ticks, labels=[f"{100 * t:g} cm" for t in ticks], minor=False)
+    bar.minorticks_off()
+    bar.set_label(
+        f"error of cameras and points after rigid alignment, drawn {times} times as long; dots: the truth{shown}"
+    )
+    _numbers(axes[2], changes)
+    return figure
+
+
+def _places(values: Values) -> tuple[Array, Array]:
+    """Positions of cameras and points."""
+    return SE3.position(values.stack("x").X), values.stack("l").X
+
+
+def _aligned(values: Values, truth: Values) -> tuple[Array, Array]:
+    """The same, moved onto the truth."""
+    cameras, points = _places(values)
+    T = align(np.concatenate(_places(truth)), np.concatenate([cameras, points]))[None]
+    return SE3.act(T, cameras), SE3.act(T, points)
+
+
+def _step(values: Values, kind: str, most: int) -> int:
+    """Of every so many variables of a kind one is drawn."""
+    return max(1, -(-len(values.stack(kind)) // most))
+
+
+def _map(
+    axes: Axes, truth: Values, moved: tuple[Array, Array], camera: Camera, times: int, norm: LogNorm
+) -> LineCollection:
+    """One map from above: x to the right, z, ahead of the first camera, up."""
+    from matplotlib.collections import LineCollection
+
+    true = _places(truth)
+    deep = DEEP * float(np.ptp(true[1], axis=0).max())
+    frusta = _frusta(truth.stack("x").X[:: _step(truth, "x", MANY)], camera, deep)[..., [0, 2]]
+    axes.add_collection(LineCollection(list(frusta), colors=TRUE, linewidths=0.5, alpha=0.6))
+    axes.plot(*true[0][:, [0, 2]].T, color=TRUE, linewidth=0.6, alpha=0.4)
+    for where, at, step, width in zip(true, moved, (1, _step(truth, "l", MOST)), (2.0, 1.1), strict=True):
+        where, off = where[::step], (at - where)[::step]
+        ends = np.stack([where, where + times * off], axis=1)[..., [0, 2]]
+        lines = LineCollection(list(ends), array=np.linalg.norm(off, axis=1), cmap="plasma_r", norm=norm, zorder=3)
+        lines.set_linewidth(width)
+        axes.add_collection(lines)
+        axes.plot(*where[:, [0, 2]].T, ".", color=TRUE, markersize=2.0 * width, markeredgewidth=0, zorder=4)
+    axes.set(xlabel="x, right [m]", ylabel="z, ahead [m]")
+    axes.set_aspect("equal")
+    return lines
+
+
+def _union(limits: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    low, high = zip(*limits, strict=True)
+    return min(low), max(high)
+
+
+def _frusta(X: Array, camera: Camera, deep: float) -> Array:
+    """Outlines (n, 11, 3) of fields of view, `deep` m, of cameras X (n, 7); without a size 45 deg to each side."""
+    low, high = np.subtract(camera.center, camera.focal), np.add(camera.center, camera.focal)
+    if camera.size is not None:
+        low, high = np.zeros(2), np.array(camera.size)
+    corners, _ = camera.ray([low, [high[0], low[1]], high, [low[0], high[1]]])
+    corners = deep * corners / corners[:, 2:]
+    eye = np.zeros((1, 3))
+    order = [eye, corners[[0, 1]], eye, corners[[2, 1]], corners[[2, 3]], eye, corners[[3, 0]]]
+    outline = np.concatenate(order)
+    return SE3.act(X[:, None], outline[None])
+
+
+def _numbers(axes: Axes, changes: Mapping[str, tuple[float, float]]) -> None:
+    """One row a quantity: its error before, an arrow, and its error after."""
+    for row, (name, (before, after)) in enumerate(changes.items()):
+        axes.annotate(
+            "",
+            (after, row),
+            (before, row),
+            arrowprops={"arrowstyle": "-|>", "color": "#9a9a9a", "lw": 2, "mutation_scale": 20, "shrinkB": 6},
+        )
+        for value, color in ((before, BEFORE), (after, AFTER)):
+            axes.plot(value, row, "o", color=color, markersize=10, zorder=3)
+            axes.annotate(
+                f"{value:.2g}", (value, row), (0, 11), textcoords="offset points", ha="center", color=color, fontsize=13
+            )
+        axes.text(0.0, row + 0.36, name, transform=axes.get_yaxis_transform(), fontsize=12, va="center")
+    if min(min(pair) for pair in changes.values()) > 0:
+        axes.set_xscale("log")
+    axes.margins(x=0.15)
+    axes.set_axis_off()  # the numbers are there
+    axes.set_ylim(len(changes) - 0.4, -0.7)
+    axes.set_title("root mean square errors", fontsize=13)

@@ -1,0 +1,189 @@
+r"""What a camera and a sonar of one vehicle say together: pixel and contact of a point, paired view by view.
+
+The ray of the pixel meets the sphere of the range in a point p of the vehicle (`models.ray_range`); where it meets it
+twice, the azimuth decides. A pair whose ray passes the sphere, touches it, or meets it only behind the camera places
+nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.mount import named_singularity
+from factors.projection import Projection
+from factors.range_azimuth import RangeAzimuth
+from factors.seen import Seen
+from models import SE3, R, wrap
+from models.algebra import Array
+from models.errors import GraphError
+from models.ray_range import RayRange, ray_range
+from models.sensors.singular import CLOSE
+from nls.graph import FactorGraph
+from nls.values import Stack, Values
+
+__all__ = ["AHEAD", "Pairs", "covariance", "on_vehicle", "sightings"]
+
+Index = npt.NDArray[np.intp]
+Rows = npt.NDArray[np.bool_]
+Columns = list[npt.NDArray[Any]]
+AHEAD = np.array([0.0, 0.0, 0.0, -0.5, -0.5, -0.5, 0.5])  # axes x ahead, y right, z down in those of a camera
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Sightings of points by a camera and a sonar at once; n of them, of one kind of poses and one kind of points.
+
+    Attributes
+    ----------
+    poses, points : the stacks.
+    pose, point : rows (n,) of these.
+    C : (n, 7) poses of the camera on the vehicle.
+    b, J_b : (n, 3) rays of the pixels in the frame of the camera, (n, 3, 2) their derivatives.
+    Sigma_uv : (n, 2, 2) covariance of the pixels.
+    O : (n, 7) poses of the sonar on the vehicle, at the values they were read with.
+    z : (n, 2) range, m, and azimuth, rad.
+    sigma : (n, 2) standard deviations of these.
+    sonar : (n,) row of the variable that O is, -1 where it is none.
+    mounting : the kind of these variables; empty where there is none.
+    """
+
+    poses: Stack
+    points: Stack
+    pose: Index
+    point: Index
+    C: Array
+    b: Array
+    J_b: Array
+    Sigma_uv: Array
+    O: Array
+    z: Array
+    sigma: Array
+    sonar: Index
+    mounting: str
+
+    def placed(self, O: Array) -> tuple[Index, Array, Array]:
+        """The points of the pairs that place one, with the sonar at O (n, 7).
+
+        Returns
+        -------
+        which : (k,) numbers of these pairs.
+        p : (k, 3) points in the frame of the vehicle, m.
+        variance : (k,) of a coordinate of p, the mean over the three, m^2.
+        """
+        s = SE3.position(SE3.between(self.C, O))
+        found = ray_range(self.b, s, self.z[:, 0])
+        nearer = self._nearer(O, found)
+        d = np.where(nearer, found.depth[1], found.depth[0])
+        which = np.flatnonzero(np.abs(d - found.closest) > CLOSE)  # nan is not
+        found = ray_range(self.b[which], s[which], self.z[which, 0])
+        Sigma = found.covariance(self.J_b[which], self.Sigma_uv[which], self.sigma[which, 0], near=nearer[which])
+        p = SE3.act(self.C[which], d[which, None] * self.b[which])
+        return which, p, np.trace(Sigma, axis1=1, axis2=2) / 3
+
+    def _nearer(self, O: Array, found: RayRange) -> Rows:
+        """Which (n,) of the pairs with two points in front have the azimuth of the near one."""
+        twice = np.flatnonzero(found.roots == 2)
+        off = []
+        for p in found.points[:, twice]:
+            q = SE3.act(SE3.between(O[twice], self.C[twice]), p)
+            off.append(np.abs(wrap(np.arctan2(q[:, 1], q[:, 0]) - self.z[twice, 1])))
+        nearer = np.zeros(len(O), dtype=bool)
+        nearer[twice] = off[1] < off[0]
+        return nearer
+
+
+def sightings(graph: FactorGraph, values: Values) -> Pairs:
+    """The pairs of a graph; of several sightings of a point from a pose by one sensor the first.
+
+    A measurement whose noise says nothing in some direction is passed over.
+
+    Raises
+    ------
+    GraphError
+        No `Projection`, or no `RangeAzimuth`, of points; several kinds of poses, of points or of sonars.
+    SingularGeometryError
+        A pixel without a ray.
+    """
+    pixels = [f for f in graph.factors if isinstance(f, Projection) and _of_points(f, values)]
+    contacts = [f for f in graph.factors if isinstance(f, RangeAzimuth) and _of_points(f, values)]
+    for name, found in (("Projection", pixels), ("RangeAzimuth", contacts)):
+        if not found:
+            raise GraphError(
+                f"rig: the graph has no {name} of points in R3; this start needs `Projection` and `RangeAzimuth` of "
+                "the same points from the same poses"
+            )
+    poses, points = (values.stack(_only(w, [*pixels, *contacts], k)) for k, w in enumerate(("poses", "points")))
+    mounted = [f for f in contacts if len(f.keys) == 3]
+    camera, sonar = _joined([_pixels(f, values) for f in pixels]), _joined([_contacts(f, values) for f in contacts])
+    codes = [rows[0] * len(points) + rows[1] for rows in (camera, sonar)]
+    _, k, m = np.intersect1d(codes[0], codes[1], return_indices=True)
+    if not len(k):
+        raise GraphError(
+            f"rig: no point was seen by camera and sonar from one pose ({len(codes[0])} pixels, {len(codes[1])} "
+            "contacts); check that both name the same poses and points"
+        )
+    pose, point, C, b, J_b, Sigma_uv = (part[k] for part in camera)
+    _, _, O, z, sigma, row = (part[m] for part in sonar)
+    mounting = _only("sonars", mounted, 2) if mounted else ""
+    return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma, row, mounting)
+
+
+def _of_points(factor: Seen, values: Values) -> bool:
+    return len(factor) > 0 and values.stack(factor.keys[1].kind).manifold is R(3)
+
+
+def _only(what: str, factors: Sequence[Factor], slot: int) -> str:
+    """The one kind in a slot of factors."""
+    kinds = sorted({f.keys[slot].kind for f in factors})
+    if len(kinds) > 1:
+        raise GraphError(f"rig: {what} of several kinds, {', '.join(kinds)}; this start takes one: give them one kind")
+    return kinds[0]
+
+
+def _pixels(factor: Projection, values: Values) -> Columns:
+    """pose, point, C, b, J_b, Sigma_uv of those that say something."""
+    model, X = values.gather(factor)
+    Sigma, good = covariance(factor, values)
+    with named_singularity(factor):
+        b, J_b = factor.camera.ray(model.z)
+    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), b, J_b, Sigma)]
+
+
+def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
+    """pose, point, O, z, sigma, sonar of those that say something."""
+    model, X = values.gather(factor)
+    Sigma, good = covariance(factor, values)
+    variable = [values.stack(k.kind).index(k) for k in factor.keys[2:]]
+    sonar = variable[0] if variable else np.full(len(factor), -1)
+    sigma = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
+    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma, sonar)]
+
+
+def _rows(factor: Seen, values: Values) -> Columns:
+    """Rows of poses and points."""
+    return [values.stack(keys.kind).index(keys) for keys in factor.keys[:2]]
+
+
+def _joined(parts: Sequence[Columns]) -> Columns:
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+
+def on_vehicle(factor: Seen, X: Sequence[Array]) -> Array:
+    """Where the sensor of each measurement sits, (n, 7), from the stacks of its variables."""
+    return factor.sensor_pose(SE3, SE3.identity(len(factor)), *X[2:])
+
+
+def covariance(factor: Factor, values: Values) -> tuple[Array, Rows]:
+    """Covariance (n, m, m) of measurements, and whether (n,) they have one: whether all directions are informed."""
+    model, _ = values.gather(factor)
+    n, m = len(factor), model.dim
+    W = model.W if model.W.ndim == 3 else model.W[:, :, None] * np.eye(m)
+    good = np.linalg.svd(W)[1][:, -1] > 0
+    inverse = np.linalg.inv(np.where(good[:, None, None], W, np.eye(m)))
+    return np.broadcast_to(inverse @ inverse.mT, (n, m, m)), np.broadcast_to(good, n)

@@ -1,0 +1,85 @@
+"""Parts of a graph: some of its measurements, over the variables they touch, with some of these held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor
+from factors.function import FunctionFactor
+from factors.keys import Keys
+from nls.graph import FactorGraph
+from nls.values import Stack, Values
+
+__all__ = ["Mask", "Parts", "put_back"]
+
+Mask = dict[str, npt.NDArray[np.bool_]]  # per kind (n,), in the order of its stack
+Rows = npt.NDArray[np.bool_]
+
+
+class Parts:
+    """A graph from which parts are taken.
+
+    Parameters
+    ----------
+    graph, values : the whole, and every variable.
+
+    Attributes
+    ----------
+    factors : those of the graph.
+    index : per factor and slot the rows (n,) of the stack.
+    fixed : what the graph holds fixed.
+    """
+
+    def __init__(self, graph: FactorGraph, values: Values) -> None:
+        self.factors: list[Factor] = graph.factors
+        self.index = [tuple(values.stack(keys.kind).index(keys) for keys in f.keys) for f in graph.factors]
+        self.fixed = {kind: np.zeros(len(stack), dtype=bool) for kind, stack in values.stacks.items()}
+        for keys in graph.fixed:
+            self.fixed[keys.kind][values.stack(keys.kind).index(keys)] = True
+
+    def any(self, k: int, mask: Mask) -> Rows:
+        """Measurements (n,) of factor k that touch a variable of the mask, whose kinds may be some of all."""
+        touched = np.zeros(len(self.factors[k]), dtype=bool)
+        for keys, index in zip(self.factors[k].keys, self.index[k], strict=True):
+            if keys.kind in mask:
+                touched |= mask[keys.kind].take(index)
+        return touched
+
+    def take(self, wanted: Sequence[Rows], held: Mask, values: Values) -> tuple[FactorGraph, Values]:
+        """Wanted measurements (n,) of every factor, and the values of what they touch; held and fixed ones are fixed.
+
+        A factor from a function, whose data only the function knows, comes as a whole.
+        """
+        part, touched = FactorGraph(), {kind: np.zeros(len(s), dtype=bool) for kind, s in values.stacks.items()}
+        for factor, index, rows in zip(self.factors, self.index, wanted, strict=True):
+            if not rows.any():
+                continue
+            whole = rows.all() or isinstance(factor, FunctionFactor)
+            part.add(factor if whole else factor[rows])
+            for keys, each in zip(factor.keys, index, strict=True):
+                touched[keys.kind][each if whole else each[rows]] = True
+        stacks = []
+        for kind, mask in touched.items():
+            if mask.any():
+                stack = values.stack(kind)
+                stacks.append(Stack(kind, stack.manifold, stack.X[mask], stack.numbers[mask]))
+                still = mask & (self.fixed[kind] | held[kind] if kind in held else self.fixed[kind])
+                if still.any():
+                    part.fix(Keys(kind, stack.numbers[still]))
+        return part, Values.of(stacks)
+
+
+def put_back(values: Values, part: FactorGraph, found: Values) -> Values:
+    """Values with those found for the variables of a part; what it holds stays as it is, bit for bit."""
+    X = {}
+    for kind, those in found.stacks.items():
+        stack = values.stack(kind)
+        X[kind] = np.array(stack.X)
+        X[kind][stack.index(Keys(kind, those.numbers))] = those.X
+    for keys in part.fixed:
+        held = values.stack(keys.kind).index(keys)
+        X[keys.kind][held] = values.stack(keys.kind).X[held]
+    return values.replaced(X)

@@ -1,0 +1,319 @@
+"""What a data set determines of a mounting, and which motion would help."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from factors import (
+    BundleProjection,
+    Factor,
+    Isotropic,
+    Projection,
+    RangeAzimuth,
+    SqrtInformation,
+)
+from factors.predicted import predicted
+from models import SE3, R
+from models.algebra import Array
+from nls import (
+    FactorGraph,
+    GraphError,
+    Marginals,
+    OptionError,
+    UnderconstrainedError,
+    Values,
+    kinds,
+)
+from nls.observability import Observability, observability
+from tests.nls.rigs import (
+    FLAT,
+    SONAR,
+    Motion,
+    a,
+    antenna,
+    forward,
+    general,
+    l,
+    odometers,
+    rig,
+    rotation,
+    s,
+    static,
+    translation,
+    x,
+)
+
+NAMES = list(SE3.components)
+
+
+def nullity(graph: FactorGraph, values: Values) -> int:
+    """Free directions of the whole graph, by singular values."""
+    A = graph.linearize(values).A.toarray()
+    norms = np.linalg.norm(A, axis=0)
+    return int((np.linalg.svd(A / np.where(norms > 1e-12, norms, 1.0), compute_uv=False) < 1e-9).sum())
+
+
+def dense(graph: FactorGraph, values: Values) -> Array:
+    """The block of the pseudo-inverse of A'A that belongs to s0, the last columns, by singular values."""
+    A = graph.linearize(values).A.toarray()
+    return np.asarray(np.linalg.pinv(A.T @ A, rcond=1e-13, hermitian=True)[-6:, -6:])
+
+
+# --- the table ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("sensors", "free", "known"),
+    [
+        ("camera + sonar", [], NAMES),
+        ("camera + range", ["roll", "pitch", "yaw"], ["x", "y", "z"]),
+        ("camera + azimuth", ["x", "y", "z"], ["roll", "pitch", "yaw"]),  # in these, two directions
+        ("sonar", NAMES, []),
+    ],
+)
+def test_what_camera_and_sonar_determine(sensors: str, free: list[str], known: list[str], seed: int) -> None:
+    graph, values = rig(sensors, seed=seed)
+    found = observability(graph, values, s[0])
+    directions = {"camera + sonar": 0, "camera + range": 3, "camera + azimuth": 2, "sonar": 6}[sensors]
+    assert len(found.free) == 6 - found.rank == directions == nullity(graph, values)
+    assert [c for c, u in zip(NAMES, found.undetermined, strict=True) if u] == free
+    assert np.isinf(found.sigma).tolist() == [c in free for c in NAMES]
+    k = [NAMES.index(c) for c in known]
+    np.testing.assert_allclose(found.covariance[np.ix_(k, k)], dense(graph, values)[np.ix_(k, k)], rtol=1e-6)
+
+
+def test_free_directions_are_named_with_what_moves_along() -> None:
+    """Of azimuths the height of the sonar is free on its own; the scale is, and with it everything has one."""
+    found = observability(*rig("camera + azimuth"), s[0])
+    scale, height = found.free
+    np.testing.assert_allclose(height * found.weights, [0, 0, 1, 0, 0, 0], atol=1e-6)
+    p_s = -SE3.rotation(SONAR).T @ SE3.position(SONAR)  # the camera, in axes of the sonar
+    assert abs(scale[0] * p_s[1] - scale[1] * p_s[0]) < 1e-6 * np.abs(scale).max() * np.linalg.norm(p_s)
+    assert found.with_free == ("x, y, z of x; x, y, z of l", "")
+    assert "free: z\n" in str(found)
+    assert "free: x, y (together with x, y, z of x; x, y, z of l)" in str(found)
+    assert observability(*rig("camera + range"), s[0]).with_free == ("", "", "")
+
+
+@pytest.mark.parametrize("sensors", ["camera + azimuth", "camera + range", "sonar", "camera + sonar"])
+def test_free_directions_change_no_measurement(sensors: str) -> None:
+    """Step along each and let the rest follow: chi2 stays 0; along a determined direction it does not."""
+    graph, values = rig(sensors)
+    found = observability(graph, values, s[0])
+    graph.fix(s[0])
+    for n, free in [*((n, True) for n in found.free), *((w, False) for w in found.weak)]:
+        moved = values.copy()
+        moved[s[0]] = SE3.retract(values[s[0]], 0.1 * n / np.linalg.norm(n * found.weights) if free else n / 10)
+        chi2 = graph.optimize(moved).chi2_final
+        assert chi2 < 1e-12 if free else chi2 == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize("moving", [general, translation, rotation, forward])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_simple_motions_determine_everything(moving: Motion, seed: int) -> None:
+    found, best = (observability(*rig("camera + sonar", motion, seed), s[0]) for motion in (moving, general))
+    assert found.rank == 6
+    assert not len(found.free)
+    worse = found.sigma / best.sigma
+    assert worse.max() < 5
+    assert moving is general or worse.max() > 1.2
+    assert found.components[found.weakest] == "pitch"
+
+
+def test_without_motion_the_height_of_the_sonar_is_determined_in_name_only() -> None:
+    """Each point is then one pair of measurements, however often it is taken: sigmas of meters in rank 6."""
+    found, moved = (observability(*rig("camera + sonar", motion), s[0]) for motion in (static, general))
+    assert found.rank == 6
+    assert found.sigma[2] > 100 * moved.sigma[2]
+    assert found.sigma[2] > 5
+    assert (found.sigma[[0, 1, 3, 4, 5]] < 6 * moved.sigma[[0, 1, 3, 4, 5]]).all()
+    assert found.components[found.weakest] == "z"
+    assert re.match("z [0-9.]+ m", found.direction(found.weak[0]))
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def test_bound_is_the_marginal_covariance() -> None:
+    graph, values = rig("camera + sonar")
+    found = observability(graph, values, s[0])
+    expected = Marginals(graph, values).covariance(s[0], frame="body")
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-8, atol=1e-10 * expected.max())
+    np.testing.assert_allclose(found.sigma, np.sqrt(np.diagonal(expected)), rtol=1e-9)
+    correlation = expected / np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
+    np.testing.assert_allclose(found.correlation, correlation, atol=1e-7)
+    np.testing.assert_allclose(found.weak.T @ found.weak, expected, rtol=1e-7, atol=1e-10 * expected.max())
+    in_meters = np.linalg.norm(found.weak * found.weights, axis=1)
+    assert (np.diff(in_meters) < 0).all()
+    for key, frame in ((x[1], "body"), (l[3], None)):
+        expected = Marginals(graph, values).covariance(key, frame=frame)
+        np.testing.assert_allclose(observability(graph, values, key).covariance, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_known_is_all_else_held() -> None:
+    graph, values = rig("camera + sonar")
+    found = observability(graph, values, s[0])
+    graph.fix(x[0:6])
+    graph.fix(l[0:40])
+    alone = observability(graph, values, s[0])
+    np.testing.assert_allclose(found.sigma_known, alone.sigma_known, rtol=1e-12)
+    np.testing.assert_allclose(alone.sigma_known, np.diagonal(np.linalg.inv(alone.covariance)) ** -0.5, rtol=1e-9)
+    assert (alone.sigma <= found.sigma).all()
+    assert np.isinf(observability(*rig("camera + range"), s[0]).sigma_known).tolist() == [False] * 3 + [True] * 3
+
+
+def test_rank_does_not_depend_on_units_nor_on_how_good_the_sensors_are() -> None:
+    """All sigmas times 1e6: the same directions, a million times the standard deviations."""
+    graph, values = rig("camera + azimuth")
+    worse = FactorGraph()
+    for factor in graph.factors:
+        W = factor.noise.sqrt_information(1, factor.names(factor.space((SE3, R(3), SE3)[: len(factor.keys)])))
+        matrix = np.diag(W[0]) if W.ndim == 2 else W[0]
+        other = predicted(factor, factor.keys, values)
+        kind = Projection if isinstance(factor, Projection) else RangeAzimuth
+        offset = {} if kind is Projection else {"offset": s[0]}
+        worse.add(kind(*other.keys[:2], other.z, SqrtInformation(1e-6 * matrix), **offset))  # type: ignore[arg-type]
+    worse.fix(x[0])
+    a, b = observability(graph, values, s[0]), observability(worse, values, s[0])
+    assert a.rank == b.rank == 4
+    np.testing.assert_allclose(b.sigma[3:], 1e6 * a.sigma[3:], rtol=1e-6)
+
+
+def test_pitch_is_the_weak_component_about_ten_times_yaw() -> None:
+    import sim
+
+    for seed in (0, 1):
+        world = sim.rig(np.random.default_rng(seed))
+        found = observability(world.graph, world.truth, s[0])
+        roll, pitch, yaw = np.degrees(found.sigma[3:])
+        assert found.rank == 6
+        assert found.components[found.weakest] == "pitch"
+        assert 8 < pitch / yaw < 12
+        assert 0.3 < pitch < 0.5
+        assert 2 < roll / yaw < 4
+        assert re.search(r"pitch +0\.\d+ deg +\S+ deg +\d+\.\d x yaw", str(found))
+
+
+def test_what_counts_how_much() -> None:
+    """A radian as many meters as the targets are away; in the mean a column of A_k is then of length 1."""
+    graph, values = rig("camera + sonar")
+    found = observability(graph, values, s[0])
+    i, j = np.divmod(np.arange(240), 40)
+    distance = np.linalg.norm(values[l][j] - values[x][i, :3], axis=1).mean()
+    assert found.length == pytest.approx(distance)
+    np.testing.assert_allclose(found.weights / found.weights[0], [1, 1, 1, *[distance] * 3])
+    assert np.mean(found.known / found.weights**2) == pytest.approx(1.0)
+    other = observability(graph, values, s[0], length=1e-3)
+    np.testing.assert_allclose(other.sigma, found.sigma, rtol=1e-9)
+    assert other.weakest < 3  # when a turn hardly counts
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_weak_directions_of_the_rest_are_taken_out_too(free: bool) -> None:
+    """k + p0 + p1 and p0 + (1 + d) p1, nearly the same, say nothing about k: p0 and p1 can take it up. k / 100 does.
+
+    With p2 and p3, of which only the difference is measured, the rest is singular and gets damped: no one must notice.
+    """
+    k, p, d = *kinds("k", "p"), 1e-5
+    J = np.array([[1, 1, 1, 0, 0], [0, 1, 1 + d, 0, 0], [0.01, 0, 0, 0, 0], [0, 0, 0, 1, -1.0]])
+    keys = [k[0], *p[0:4]]
+    graph = FactorGraph(
+        [Factor.from_function(lambda *X: np.hstack(X) @ J.T, keys, 4, jacobians=lambda *_: [*J.T[:, None, :, None]])]
+    )
+    if not free:
+        graph.fix(p[3])
+    found = observability(graph, Values({k: (R(1), [0.0]), p: (R(1), np.zeros((4, 1)))}), k[0])
+    assert found.sigma[0] == pytest.approx(100, rel=1e-3)
+
+
+# --- other sensors ----------------------------------------------------------------------------------------------------
+
+
+def test_turns_about_one_axis_leave_the_lever_along_it() -> None:
+    """A flat mission; its mounting is turned, so the axis is a direction of x, y and z. Roll and pitch would tell."""
+    graph, values = odometers(FLAT)
+    found = observability(graph, values, s[0])
+    assert (found.rank, found.gauge) == (5, "x0 held")
+    axis = SE3.rotation(values[s[0]]).T @ [0, 0, 1]
+    np.testing.assert_allclose(
+        np.abs(found.free[0] / np.linalg.norm(found.free[0])), [*np.abs(axis), 0, 0, 0], atol=1e-6
+    )
+
+
+def test_straight_ahead_leaves_the_whole_lever_and_the_turn_about_the_way() -> None:
+    graph, values = odometers(np.zeros((5, 3)))
+    found = observability(graph, values, s[0])
+    assert found.rank == 2
+    way = SE3.rotation(values[s[0]]).T @ [1.0, 0.1, 0.0]
+    free = np.vstack([np.eye(6)[:3], np.concatenate([np.zeros(3), way])])
+    assert np.linalg.matrix_rank(np.vstack([found.free, free]), tol=1e-6) == 4
+
+
+def test_height_of_an_antenna_wants_a_depth_cell_or_roll_and_pitch() -> None:
+    found = observability(*antenna(FLAT, depth=False), a[0])
+    assert found.undetermined.tolist() == [False, False, True]
+    assert found.with_free == ("z of x",)
+    assert observability(*antenna(FLAT, depth=True), a[0]).rank == 3
+    assert observability(*antenna(FLAT + np.eye(5, 3) * [0.1, 0.2, 0], depth=False), a[0]).rank == 3
+
+
+def test_a_lens_has_names_of_its_own_and_no_unit() -> None:
+    c, k, p = kinds("c", "k", "p")
+    rng = np.random.default_rng(0)
+    C = np.hstack([rng.normal(0, 0.1, (4, 3)), rng.normal(0, 0.3, (4, 2)), np.full((4, 1), -9.0)])
+    spaces = BundleProjection.slots
+    assert spaces[0] is not None
+    assert spaces[1] is not None
+    values = Values({c: (spaces[0], C), k: (spaces[1], [800.0, -0.1, 0.05]), p: (R(3), rng.uniform(-2, 2, (30, 3)))})
+    i, j = np.divmod(np.arange(120), 30)
+    seen = BundleProjection(c[i], k[np.zeros(120, dtype=int)], p[j], np.zeros((120, 2)), Isotropic(1.0))
+    graph = FactorGraph([predicted(seen, seen.keys, values)])
+    found = observability(graph, values, k[0], gauge="none")
+    assert found.rank == 3  # the scale of the scene is free, and the lens does not mind
+    assert found.components == spaces[1].components
+    assert " m" not in str(found)
+    assert found.compared.tolist() == [1.0, 1.0, 1.0]
+
+
+# --- what is said -----------------------------------------------------------------------------------------------------
+
+
+def test_tables_and_json() -> None:
+    for sensors in ("camera + sonar", "camera + azimuth", "sonar"):
+        found = observability(*rig(sensors), s[0])
+        assert isinstance(found, Observability)
+        told = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+        assert [v is None for v in told["sigma"]] == found.undetermined.tolist()
+        assert told["rank"] == found.rank
+        html = found._repr_html_()
+        assert html.count("<tr>") == 7
+        assert all(f"<td>{name}</td>" in html for name in NAMES)
+        assert str(found).startswith(f"s0: {found.rank} of 6 directions determined; fixed by the graph itself\n")
+    found = observability(*rig("camera + sonar"), s[0])
+    assert re.search(r"pitch +\S+ deg +\S+ deg +\S+ x yaw\n", str(found))
+    assert found.direction([0.01, 0, 0, 0, np.radians(2.0), 0]).endswith("pitch 2 deg")
+
+
+def test_what_cannot_be_asked() -> None:
+    graph, values = rig("camera + sonar")
+    more = Values({x: (SE3, values[x]), l: (R(3), values[l]), s: (SE3, np.vstack([SONAR, SONAR]))})
+    with pytest.raises(UnderconstrainedError, match="s1: no factor touches it"):
+        observability(graph, more, s[1])
+    with pytest.raises(GraphError, match="x0 is fixed"):
+        observability(graph, values, x[0])
+    with pytest.raises(GraphError, match="one variable"):
+        observability(graph, values, x[0:2])
+    with pytest.raises(OptionError, match="gauge"):
+        observability(graph, values, s[0], gauge="free")
+    with pytest.raises(OptionError, match="length"):
+        observability(graph, values, s[0], length=-1.0)
+    graph.release(x[0])
+    with pytest.raises(GraphError, match="x0 is what gauge 'first' holds"):
+        observability(graph, values, x[0])
+    assert observability(graph, values, x[0], gauge="none").rank == 0
+    assert observability(graph, values, s[0], gauge="none").rank == 6
