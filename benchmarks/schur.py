@@ -1,10 +1,13 @@
 """What the order of elimination costs: landmarks first, AMD over all unknowns, and no order at all.
 
     python benchmarks/schur.py [--quick] [--gigabytes 8] [--flops 3e11] [--out DIR]
+    python benchmarks/schur.py --mission "floor 5,000"
 
 One row is one linear solve in a fresh process with one BLAS thread: a bundle adjustment where `LEADLINE_DATA` names the
 folder of the data sets, and surveys of the sea floor by a hovering vehicle with an imaging sonar (`sim.hauv_floor`),
 up to 5,000 poses and 20,000 landmarks. A solve that would pass a limit is not begun; its row says what it would take.
+With --mission a whole survey is solved by Levenberg-Marquardt, from dead reckoning and from the start that solves it as
+it grows; the elevation is kept in the aperture. It only prints.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import sys
 from math import radians
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pinv import ONE_THREAD, RESULTS, machine, peak_memory, positive  # the script beside this one
@@ -25,6 +28,7 @@ from pinv import ONE_THREAD, RESULTS, machine, peak_memory, positive  # the scri
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
     from nls.hessian import Blocks
+    from sim import Mission
 
 SOLVERS = {"schur": "landmarks first", "cholesky": "AMD over all", "natural": "none"}
 BAL = "bal/problem-49-7776-pre.txt.gz"
@@ -41,15 +45,11 @@ RUNS = 3
 def problem(name: str) -> tuple[FactorGraph, Values]:
     """The graph, and where it is linearized: the start of the bundle adjustment, the truth of a survey."""
     import nls
-    import sim
 
     if name == "problem-49-7776":
         graph, values, _ = nls.load(Path(os.environ["LEADLINE_DATA"]) / BAL)
         return graph, values
-    legs, per_leg, points = FLOORS[name]
-    mission = sim.hauv_floor(
-        np.random.default_rng(1), legs=legs, per_leg=per_leg, points=points, aperture=radians(14), elevation="free"
-    )
+    mission = survey(name, "free")
     return mission.graph, mission.truth
 
 
@@ -163,17 +163,51 @@ def table(found: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def survey(name: str, elevation: Literal["free", "hinge"]) -> Mission:
+    """A survey of the sea floor."""
+    import sim
+
+    legs, per_leg, points = FLOORS[name]
+    rng = np.random.default_rng(1)
+    return sim.hauv_floor(rng, legs=legs, per_leg=per_leg, points=points, aperture=radians(14), elevation=elevation)
+
+
+def whole(name: str) -> list[str]:
+    """Markdown: seconds of processor time from a start to the optimum of a survey, start by start."""
+    from nls import LevenbergMarquardt
+    from nls.starts import incremental
+
+    mission = survey(name, "hinge")
+    lines = [
+        "| start | its seconds | its chi2 | ATE, m | steps | their seconds | chi2 | ATE, m |",
+        "|:--|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for start in ("dead reckoning", "incremental"):
+        began = process_time()
+        values = incremental(mission.graph, mission.start) if start == "incremental" else mission.start
+        found = process_time()
+        result = mission.graph.optimize(values, LevenbergMarquardt())
+        cells = [start, f"{found - began:.1f}", f"{result.chi2_initial:.4g}", f"{mission.ate(values):.3f}"]
+        cells += [f"{result.iterations}", f"{process_time() - found:.1f}", f"{result.chi2_final:.7g}"]
+        lines.append("| " + " | ".join([*cells, f"{mission.ate(result.values):.3f}"]) + " |")
+    return lines
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--gigabytes", type=positive, default=8.0, help="no solve that would take more memory")
     parser.add_argument("--flops", type=positive, default=3e11, help="or more multiplications and additions")
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for schur.md")
     parser.add_argument("--quick", action="store_true", help="the smallest survey only")
+    parser.add_argument("--mission", choices=FLOORS, help="solve a whole survey instead, and print")
     parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:
         name, solver, gigabytes, flops = options.child
         print(json.dumps(measure(name, solver, float(gigabytes), float(flops))))
+        return 0
+    if options.mission:
+        print("\n".join([f"{options.mission}, seconds of one processor:", "", *whole(options.mission)]))
         return 0
     options.out.mkdir(parents=True, exist_ok=True)
     names = list(FLOORS)[: 1 if options.quick else None]

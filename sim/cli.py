@@ -16,21 +16,31 @@ from typing import Any, NoReturn
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
+from sim.calibration import calibrated, calibration_rows, write_calibration
+from sim.camera_sonar import Rig
 from sim.mission import Mission
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
 from sim.worlds.hauv_floor import hauv_floor
 from sim.worlds.hauv_hull import hauv_hull
 from sim.worlds.manhattan import manhattan
+from sim.worlds.rig import rig
 from sim.worlds.ring import ring
 from sim.worlds.sphere import sphere
 from sim.worlds.torus import torus
 
-__all__ = ["MISSIONS", "WORLDS", "main"]
+__all__ = ["MISSIONS", "RIGS", "WORLDS", "main"]
 
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
+RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
+MADE: dict[str, Callable[..., Any]] = {**WORLDS, **MISSIONS, **RIGS}
 FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
+WRITTEN = {
+    "world": "graph.g2o, truth.g2o",
+    "mission": "a mission (CSV files, for nls solve)",
+    "rig": "rig.png, rig.json (before and after)",
+}
 EXAMPLES = """examples:
   nls-sim sphere --out demo                       graph and truth in the folder demo, and a table
   nls-sim manhattan --poses 1000 --seed 7         the table only
@@ -38,6 +48,7 @@ EXAMPLES = """examples:
   nls-sim torus --help                            sizes and noise of this world, with their defaults
   nls-sim hauv-floor --seed 1 --out survey        a sonar mission as a folder of CSV files, for nls solve survey
   nls-sim hauv-hull --aperture 28deg --outliers 0.05
+  nls-sim rig --out calibrated                    a camera and a sonar: raw and optimized, with a picture
 """
 
 
@@ -69,10 +80,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if out == "":
             raise OptionError("out", out, "a folder")
         rng = np.random.default_rng(seed)
-        world = MISSIONS[name](rng, **given) if name in MISSIONS else WORLDS[name](rng, **given)
-        table = mission_rows(world) if isinstance(world, Mission) else rows(world)
+        world = MADE[name](rng, **given)
+        table, files = simulated(world)
         if out is not None:
-            table.append(("written", write(world, Path(out), aligned(table), command(name, seed, given))))
+            written = write(Path(out), files, world.description, aligned(table), command(name, seed, given))
+            table.append(("written", written))
     except OptionError as error:
         return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
     except OSError as error:
@@ -116,27 +128,46 @@ def mission_rows(mission: Mission) -> list[tuple[str, str]]:
     ]
 
 
-def write(world: World | Mission, folder: Path, table: str, call: str) -> str:
-    """Write the world and README.txt into the folder, which is made; returns what was written."""
-    from nls import save  # only here: a table needs no file formats
-    from nls.io.mission import write_mission
-
-    folder.mkdir(parents=True, exist_ok=True)
+def simulated(world: World | Mission | Rig) -> tuple[list[tuple[str, str]], Callable[[Path], tuple[list[str], str]]]:
+    """The table of a world, and what writes its files into a folder: returns their names and what they hold."""
     if isinstance(world, Mission):
-        files = write_mission(folder, world.graph, world.sonar, world.offset, world.truth)
-        holds = "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
-    else:
-        files = [str(folder / "graph.g2o"), str(folder / "truth.g2o")]
-        save(files[0], world.graph, world.start)
-        save(files[1], world.graph, world.truth)
-        holds = (
-            "graph.g2o: the measurements, and the chained odometry as the start.\n"
-            "truth.g2o: the same measurements, and the true poses.\n"
-        )
-    (folder / "README.txt").write_text(
-        f"{textwrap.fill(world.description, 100)}\n\n{table}\n\n{holds}Made by: {call}\n", encoding="utf-8"
+        return mission_rows(world), lambda folder: mission_files(folder, world)
+    if isinstance(world, Rig):
+        result = calibrated(world)
+        holds = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n"
+        return calibration_rows(world, result), lambda folder: (write_calibration(folder, world, result), holds)
+    return rows(world), lambda folder: graph_files(folder, world)
+
+
+def mission_files(folder: Path, mission: Mission) -> tuple[list[str], str]:
+    """A mission folder."""
+    from nls.io.mission import write_mission  # only here: a table needs no file formats
+
+    files = write_mission(folder, mission.graph, mission.sonar, mission.offset, mission.truth)
+    return files, "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
+
+
+def graph_files(folder: Path, world: World) -> tuple[list[str], str]:
+    """Two graphs, with the start and with the truth."""
+    from nls import save
+
+    files = [str(folder / "graph.g2o"), str(folder / "truth.g2o")]
+    save(files[0], world.graph, world.start)
+    save(files[1], world.graph, world.truth)
+    return files, (
+        "graph.g2o: the measurements, and the chained odometry as the start.\n"
+        "truth.g2o: the same measurements, and the true poses.\n"
     )
-    return ", ".join([*files, str(folder / "README.txt")])
+
+
+def write(folder: Path, files: Callable[[Path], tuple[list[str], str]], said: str, table: str, call: str) -> str:
+    """Write files and README.txt into the folder, which is made; returns what was written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names, holds = files(folder)
+    (folder / "README.txt").write_text(
+        f"{textwrap.fill(said, 100)}\n\n{table}\n\n{holds}Made by: {call}\n", encoding="utf-8"
+    )
+    return ", ".join([*names, str(folder / "README.txt")])
 
 
 def command(name: str, seed: int, given: dict[str, Any]) -> str:
@@ -149,15 +180,16 @@ def parser() -> Parser:
     """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
     top = Parser(
         prog="nls-sim",
-        description="Simulate a SLAM problem whose answer is known: a pose graph or sonar mission with seeded noise.",
+        description="Simulate a SLAM problem whose answer is known: a pose graph, sonar mission or rig, seeded.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     worlds = top.add_subparsers(dest="NAME", metavar="NAME", required=True, title="worlds", parser_class=Parser)
-    for name, make in {**WORLDS, **MISSIONS}.items():
+    for name, make in MADE.items():
         doc = inspect.getdoc(make) or ""
         said = re.split(r"\nParameters\n-+\n", doc)[0]
+        kind = "world" if name in WORLDS else "mission" if name in MISSIONS else "rig"
         sub = worlds.add_parser(
             name,
             help=said.splitlines()[0].replace("%", "%%"),
@@ -167,8 +199,7 @@ def parser() -> Parser:
             allow_abbrev=False,
         )
         sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
-        files = "graph.g2o, truth.g2o" if name in WORLDS else "a mission (CSV files, for nls solve)"
-        sub.add_argument("--out", metavar="DIR", help=f"write {files} and README.txt into this folder")
+        sub.add_argument("--out", metavar="DIR", help=f"write {WRITTEN[kind]} and README.txt into this folder")
         helps = dict(re.findall(r"^(\w+) : (.+)$", doc, re.MULTILINE))
         hints = typing.get_type_hints(make)
         for option, parameter in inspect.signature(make).parameters.items():

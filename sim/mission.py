@@ -153,6 +153,8 @@ def survey(
         No point is seen often enough.
     """
     check_rng(rng)
+    if elevation == "search":
+        raise OptionError("elevation", elevation, "free, hinge or prior: a mission has landmarks")
     check_not_negative(noise_scale=noise_scale)
     x, l = kinds("x", "l")
     i, k = visible(X, points, sonar, offset)

@@ -154,6 +154,7 @@ def caves_legs(log: Caves, boundaries: Array) -> tuple[Legs, Array]:
         sigma_v=0.1,
         sigma_attitude=0.2,
         sigma_bridge=0.1,
+        sigma_turn=0.05,
         mount=log.mount,
     )
     yaw = np.interp(boundaries[0], middle, course)

@@ -1,0 +1,84 @@
+r"""What a simulated world of a vehicle in the plane and its landmarks is: one data set for filters and graphs.
+
+    start       z = x_0 Exp(v)               what is believed of the first pose
+    odometry    z = h(x_k, x_k+1) [+] v      pose to pose
+    sightings   z = h(x_i, l_k) [+] v        wherever a landmark is in sight; which one it is, is known
+
+v ~ N(0, Sigma). The start values are what a vehicle has that never looked back: the odometry chained from the believed
+first pose, and each landmark where it was seen first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from factors import BearingRange, Between, Line, Prior, Wheels
+from nls import FactorGraph, Values, kinds
+from nls.metrics import ate
+
+__all__ = ["KNOWN_START", "LandmarkWorld"]
+
+KNOWN_START = (1e-3, 1e-3, 1e-4)  # m, m, rad: a first pose that is known, but for the arithmetic
+
+
+@dataclass(frozen=True)
+class LandmarkWorld:
+    """A simulated vehicle among landmarks, together with its answer.
+
+    Attributes
+    ----------
+    name : of the function that made it.
+    truth : the true poses, kind ``x`` in SE2, numbers 0 .. n-1 in the order of time, and landmarks, kind ``l``.
+    graph : its factors are, in this order, the `Prior` of the first pose, the odometry, the sightings, and what else is
+        measured.
+    start : dead reckoning, and landmarks where they were seen first.
+    rows : numbers drawn at random, the expected chi2 at the truth.
+    landmarks_as : what is believed of a landmark before it is seen: ``correlated``, ``first-sight`` or ``independent``.
+    seed : the whole number the generator was made from; None where it was made in another way.
+    description : what the world is, in sentences with the numbers.
+    """
+
+    name: str
+    truth: Values
+    graph: FactorGraph
+    start: Values
+    rows: int
+    landmarks_as: str
+    seed: int | None
+    description: str
+
+    @property
+    def first(self) -> Prior:
+        """What is believed of the first pose."""
+        factor = self.graph.factors[0]
+        assert isinstance(factor, Prior)
+        return factor
+
+    @property
+    def odometry(self) -> Between | Wheels:
+        """The steps from pose to pose."""
+        factor = self.graph.factors[1]
+        assert isinstance(factor, Between | Wheels)
+        return factor
+
+    @property
+    def sightings(self) -> BearingRange | Line:
+        """What was seen of the landmarks, in the order of the poses."""
+        factor = self.graph.factors[2]
+        assert isinstance(factor, BearingRange | Line)
+        return factor
+
+    @property
+    def poses(self) -> int:
+        """Number of poses."""
+        return len(self.truth.stack("x"))
+
+    @property
+    def landmarks(self) -> int:
+        """Number of landmarks."""
+        return len(self.truth.stack("l"))
+
+    def ate(self, estimate: Values, align: str = "none") -> float:
+        """Absolute trajectory error of an estimate, m rmse, after one of the alignments of `nls.metrics.ate`."""
+        (x,) = kinds("x")
+        return ate(estimate[x], self.truth[x], align).rmse

@@ -1,0 +1,223 @@
+"""The rig of camera and sonar: the scene as it is defined, its noise, its start, and what calibration gives."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sim
+from models import SE3
+from models.errors import GraphError, OptionError, SingularGeometryError
+from nls import GaussNewton, kinds
+
+Array = npt.NDArray[np.float64]
+same = np.testing.assert_allclose
+x, l, s = kinds("x", "l", "s")
+
+
+def made(seed: int = 0, **options: object) -> sim.Rig:
+    return sim.rig(np.random.default_rng(seed), **options)  # type: ignore[arg-type]
+
+
+def small(seed: int = 0, **options: object) -> sim.Rig:
+    return made(seed, **{"poses": 6, "points": 60, **options})
+
+
+def content(rig: sim.Rig) -> list[bytes]:
+    arrays = [values[kind] for values in (rig.truth, rig.start) for kind in (x, l, s)]
+    arrays += [np.asarray(f.z) for f in rig.graph.factors]
+    return [np.ascontiguousarray(a).tobytes() for a in arrays]
+
+
+def expected_poses(points: Array) -> list[Array]:
+    """Camera to world, as 4 x 4 matrices, one after the other, from the definition of the path."""
+    out = []
+    for k in range(20):
+        a = k / 19
+        position = np.array([4 * np.sin(1.2 * a), -1.5 * np.sin(2.2 * a), 3 * (1 - np.cos(1.2 * a))])
+        forward = points.mean(axis=0) + np.array([0.8 * np.sin(5 * a), 0.5 * np.cos(4 * a), 0.0]) - position
+        forward /= np.linalg.norm(forward)
+        down = np.array([0.0, 1.0, 0.0]) - forward[1] * forward  # what is left of the world's down across the axis
+        down /= np.linalg.norm(down)
+        level = np.column_stack([np.cross(down, forward), down, forward])
+        T = np.eye(4)
+        T[:3, :3] = level @ Rotation.from_euler("z", 0.25 * np.sin(6 * a)).as_matrix()
+        T[:3, 3] = position
+        out.append(T)
+    return out
+
+
+def test_the_scene_is_as_defined() -> None:
+    rig = made(3)
+    assert (rig.poses, rig.points, rig.name, rig.seed) == (20, 600, "rig", 3)
+    assert rig.graph.fixed == [x[0]]
+    same(rig.truth[x[0]], SE3.identity()[0], atol=1e-12)
+    path = np.array([T[:3, 3] for T in expected_poses(np.full((1, 3), 8.0))])  # whatever the cameras look at
+    turn, _ = Rotation.align_vectors(path, rig.truth[x][:, :3])  # into the world; the first camera is at its origin
+    points = turn.apply(rig.truth[l])
+    for X, T in zip(rig.truth[x], expected_poses(points), strict=True):
+        same(turn.apply(X[:3]), T[:3, 3], atol=1e-9)
+        same((turn * Rotation.from_quat(X[3:])).as_matrix(), T[:3, :3], atol=1e-9)
+    for axis, (low, high) in enumerate([(-4, 4), (-3, 3), (5, 11)]):
+        assert low <= points[:, axis].min() < low + 0.1
+        assert high - 0.1 < points[:, axis].max() <= high
+    same(points.mean(axis=0), [0, 0, 8], atol=0.3)
+
+
+def test_the_sonar_is_where_it_is_defined_to_be() -> None:
+    """R_sk = nominal Exp(0.05, -0.03, 0.04) and p_sk, the camera in the frame of the sonar."""
+    nominal = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    R_sk = nominal @ Rotation.from_rotvec([0.05, -0.03, 0.04]).as_matrix()
+    back = SE3.inverse(small().truth[s])
+    same(back[0, :3], [0.10, -0.15, 0.30], atol=1e-14)
+    same(SE3.rotation(back)[0], R_sk, atol=1e-14)
+    for seed in range(5):
+        guess = SE3.between(small(seed).truth[s], small(seed).start[s])
+        assert np.linalg.norm(guess[0, :3]) == pytest.approx(0.05, rel=1e-9)
+        assert Rotation.from_quat(guess[0, 3:]).magnitude() == pytest.approx(radians(3), rel=1e-9)
+    turns = [SE3.log(SE3.between(small(k).truth[s], small(k).start[s]))[0, 3:] for k in range(5)]
+    assert np.linalg.matrix_rank(np.array(turns), tol=1e-3) == 3  # about another axis each time
+
+
+@pytest.mark.parametrize("options", [{}, {"poses": 7, "points": 300, "views": 3}], ids=str)
+def test_everything_is_measured_once_and_is_in_the_image(options: dict[str, int]) -> None:
+    """Exact measurements by hand, pair by pair; noise is within its bounds and evenly spread over them."""
+    exact, noisy = made(4, noise_scale=0.0, **options), made(4, **options)
+    views = options.get("views", exact.poses)
+    images, contacts = exact.images, exact.contacts
+    assert images.keys[:2] == contacts.keys[:2]
+    i, k = images.keys[0].numbers, images.keys[1].numbers
+    assert len(set(zip(i.tolist(), k.tolist(), strict=True))) == len(i) == views * exact.points
+    assert (np.bincount(k) == views).all()
+    X, L, O = exact.truth[x], exact.truth[l], exact.truth[s][0]
+    for row in np.linspace(0, len(i) - 1, 40).astype(int):
+        p = Rotation.from_quat(X[i[row], 3:]).inv().apply(L[k[row]] - X[i[row], :3])
+        same(images.z[row], [600 * p[0] / p[2] + 640, 600 * p[1] / p[2] + 480], atol=1e-9)
+        q = Rotation.from_quat(O[3:]).inv().apply(p - O[:3])
+        same(contacts.z[row], [np.linalg.norm(q), np.arctan2(q[1], q[0])], atol=1e-12)
+        assert p[2] > 0
+    assert (images.z >= 0).all()
+    assert (images.z <= [1280, 960]).all()
+    assert (np.abs(contacts.z[:, 1]) < radians(70)).all()
+    half = np.array([5.0, 5.0, 0.05, radians(5)])
+    noise = np.hstack([noisy.images.z - images.z, noisy.contacts.z - contacts.z]) / half
+    assert (np.abs(noise) <= 1).all()
+    same(noise.std(axis=0), 1 / np.sqrt(3), rtol=4 / np.sqrt(len(noise)))
+    same(np.corrcoef(noise.T), np.eye(4), atol=4.5 / np.sqrt(len(noise)))
+    sigmas = [1 / f.noise.sqrt_information(1, f.names(f.measured(3))).ravel() for f in exact.graph.factors]
+    same(np.concatenate(sigmas), half / np.sqrt(3))
+
+
+def test_chi2_at_the_truth_over_seeds() -> None:
+    """Uniform noise, whitened by its own standard deviation: mean 1 and variance 0.8 for every number."""
+    rigs = [small(seed) for seed in range(20)]
+    for rig in rigs:
+        assert rig.rows == 4 * 6 * 60
+        assert abs(rig.graph.chi2(rig.truth) - rig.rows) < 4.5 * np.sqrt(0.8 * rig.rows)
+        assert rig.dof == rig.rows - (5 * 6 + 60 * 3 + 6)
+    assert abs(sum(r.graph.chi2(r.truth) - r.rows for r in rigs)) < 4 * np.sqrt(0.8 * sum(r.rows for r in rigs))
+    quiet, loud = (small(2, noise_scale=scale) for scale in (1.0, 2.0))
+    assert loud.graph.chi2(loud.truth) == pytest.approx(4 * quiet.graph.chi2(quiet.truth), rel=1e-9)
+
+
+def test_without_noise_the_truth_is_the_optimum() -> None:
+    rig = small(noise_scale=0.0)
+    assert rig.graph.chi2(rig.truth) < 1e-15
+    result = rig.graph.optimize(rig.start, GaussNewton())
+    assert result.converged
+    errors = rig.errors(result.values)
+    assert max(errors.poses, errors.points, errors.extrinsic_m, errors.extrinsic_rad) < 1e-8
+    assert rig.errors(rig.start).points > 0.005  # the guess of the sonar's pose is all that is wrong
+
+
+def test_a_seed_gives_the_same_bits() -> None:
+    assert content(small(5)) == content(small(5))
+    assert content(small(5)) != content(small(6))
+    assert content(small(5, views=5)) == content(small(5, views=5))
+    assert (small(5).seed, small(6).seed) == (5, 6)
+
+
+def test_errors_by_hand() -> None:
+    """A motion of everything is no error; a shift of the cameras against the points is; the sonar is not aligned."""
+    rig = small(1)
+    M = SE3.exp(np.array([[3.0, -2, 1, 0.5, 0.4, -2.0]]))
+    moved = rig.truth.replaced({x: SE3.compose(M, rig.truth[x]), l: SE3.act(M, rig.truth[l])})
+    exact = rig.errors(moved)
+    assert max(exact.poses, exact.points, exact.extrinsic_m, exact.extrinsic_rad) < 1e-7
+    off = SE3.compose(rig.truth[s], SE3.exp(np.array([[0, 0, 0, 0, 0.2, 0]])))
+    off[:, :3] += [0.03, 0.0, 0.04]
+    errors = rig.errors(moved.replaced({s: off}))
+    same([errors.extrinsic_m, errors.extrinsic_rad], [0.05, 0.2], atol=1e-9)
+    out = rig.truth[l]
+    out[7] += [0.0, 0.3, 0.4]
+    errors = rig.errors(rig.truth.replaced({l: out}))
+    assert errors.points == pytest.approx(0.5 / np.sqrt(60), rel=0.02)  # one of sixty; the alignment takes a little
+    assert errors.poses < 0.5 / 60 * 3
+    assert "alignment: rigid, of both together" in str(errors)
+
+
+def test_errors_of_something_else() -> None:
+    with pytest.raises(GraphError, match=r"errors: the estimate is .* the truth .* expected the same"):
+        small(1).errors(small(1, points=61).truth)
+
+
+@pytest.fixture(scope="module")
+def over_seeds() -> list[tuple[sim.Rig, sim.RigErrors, sim.RigErrors, object]]:
+    out = []
+    for seed in range(5):
+        rig = made(seed)
+        result = rig.graph.optimize(rig.start, GaussNewton())
+        out.append((rig, rig.errors(rig.start), rig.errors(result.values), result))
+    return out
+
+
+def test_calibrating_on_the_fly_over_seeds(
+    over_seeds: list[tuple[sim.Rig, sim.RigErrors, sim.RigErrors, object]],
+) -> None:
+    """Means over seeds; poses and points after a rigid alignment of both together, the sonar without any."""
+    before = np.array([[b.poses, b.points, b.extrinsic_m, b.extrinsic_rad] for _, b, _, _ in over_seeds]).mean(axis=0)
+    after = np.array([[a.poses, a.points, a.extrinsic_m, a.extrinsic_rad] for _, _, a, _ in over_seeds]).mean(axis=0)
+    assert 0.025 < before[0] < 0.045
+    assert 0.055 < before[1] < 0.070
+    assert 0.005 < after[0] < 0.012
+    assert 0.012 < after[1] < 0.016
+    assert after[2] < 0.02
+    assert after[3] < radians(0.9)
+    for rig, _, _, result in over_seeds:
+        assert result.converged  # type: ignore[attr-defined]
+        assert result.iterations <= 10  # type: ignore[attr-defined]
+        assert result.dof == rig.dof  # type: ignore[attr-defined]
+        assert result.chi2_final / rig.dof == pytest.approx(1, abs=0.015)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("options", "refused"),
+    [
+        ({"poses": 1}, "poses"),
+        ({"points": 3}, "points"),
+        ({"points": 60.0}, "points"),
+        ({"views": 0}, "views"),
+        ({"views": 7}, "views: 7 is not possible; expected at most the number of poses, 6"),
+        ({"poses": 10**6, "points": 10**6}, "points"),
+        ({"noise_scale": -1.0}, "noise_scale"),
+        ({"noise_scale": np.nan}, "noise_scale"),
+        ({"noise_scale": 1e3}, "noise_scale: 1000.0 is not possible; expected less: a range would be below 0"),
+    ],
+)
+def test_impossible_options_are_refused(options: dict[str, object], refused: str) -> None:
+    with pytest.raises(OptionError, match=refused):
+        small(**options)
+
+
+def test_a_seed_is_not_a_generator() -> None:
+    with pytest.raises(OptionError, match="rng: 0 is not possible; expected a generator such as"):
+        sim.rig(0)  # type: ignore[arg-type]
+
+
+def test_poses_that_share_too_few_points_are_named() -> None:
+    with pytest.raises(SingularGeometryError, match=r"x\d+"):
+        small(views=1)
