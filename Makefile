@@ -2,7 +2,7 @@
 PYTHON ?= python3
 DEMO = .venv/bin/python -m sim sphere --out demo && \
        .venv/bin/nls solve demo/graph.g2o --plot demo/solved.png -o demo/solved.g2o
-BENCHMARK = for script in pinv marginals schur scaling; do .venv/bin/python benchmarks/$$script.py --quick --out build/benchmarks; done
+BENCHMARK = for script in pinv marginals schur scaling bundle; do .venv/bin/python benchmarks/$$script.py --quick --out build/benchmarks; done
 EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 
 .PHONY: help demo test lint docs benchmark evidence

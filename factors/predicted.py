@@ -25,7 +25,7 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
     Raises
     ------
     GraphError
-        Another number of slots or variables.
+        Another number of slots or variables; a factor that eliminates its target: h then is what fits the old z best.
     SingularGeometryError
         There is nothing to measure from there: a target behind the camera, at the sonar.
 
@@ -45,6 +45,13 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
         raise GraphError(
             f"{factor!r}: {[len(k) for k in keys]} variables; expected {len(factor)} for each of its "
             f"{len(factor.keys)} slots",
+            factor.keys,
+            factor.name,
+        )
+    if factor.eliminated:
+        raise GraphError(
+            f"{factor!r}: its target is no variable, so nothing says what is measured of it from elsewhere; take "
+            "factors that have it as a variable",
             factor.keys,
             factor.name,
         )

@@ -208,16 +208,17 @@ class Pattern:
 
 
 def measured_rows(pattern: Pattern) -> int:
-    """Rows of A that measure something: not limits, zeros of a semi-definite information, what a factor has spent."""
-    empty = 0
-    for batch in pattern.batches:
-        if batch.model.factor.limit_only:
-            empty += len(batch) * batch.model.dim
-            continue
-        W = batch.model.W
-        zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
-        empty += zero * (len(batch) if len(W) == 1 else 1) + len(batch) * batch.model.factor.eliminated
-    return pattern.m - empty
+    """Rows of A that measure something."""
+    return sum(measured_numbers(batch.model) for batch in pattern.batches)
+
+
+def measured_numbers(model: Model) -> int:
+    """Numbers that measure something: not limits, zeros of a semi-definite information, what a factor has spent."""
+    if model.factor.limit_only:
+        return 0
+    n, W = len(model.z), model.W
+    zero = int((W == 0).sum() if W.ndim == 2 else (W == 0).all(axis=2).sum())
+    return n * (model.dim - model.factor.eliminated) - zero * (n if len(W) == 1 else 1)
 
 
 def offsets(values: Values) -> dict[str, int]:

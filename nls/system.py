@@ -124,7 +124,7 @@ class LinearSystem:
         try:
             return solver.solve(state, self).dx
         except SingularSystemError as error:
-            raise underconstrained(solver.seen(self)) from error
+            raise underconstrained(solver.seen(self), cause=error) from error
 
     @property
     def rows(self) -> list[str]:

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, components, dot, matrix, pack, product
-from models.errors import OptionError
+from models.errors import GraphError, OptionError
 from models.options import is_number, is_whole
 from models.sensors.singular import refuse
 
@@ -88,6 +88,8 @@ class Camera:
         ):
             if not good:
                 raise OptionError(f"Camera: {option}", getattr(self, option), allowed)
+            if getattr(self, option) is not None:
+                object.__setattr__(self, option, tuple(getattr(self, option)))
 
     @property
     def _brown(self) -> tuple[float, float, float, Array]:
@@ -152,10 +154,14 @@ class Camera:
 
         Raises
         ------
+        GraphError
+            Another shape.
         SingularAt
             A pixel that the image of no direction within `reach` hits.
         """
         z, f = np.asarray(z, dtype=float), np.array(self.focal)
+        if z.ndim != 2 or z.shape[1] != 2:
+            raise GraphError(f"Camera.ray: pixels have shape {z.shape}, expected (n, 2): one (u, v) per row")
         m, good = self._undistorted((z - self.center) / f)
         if not good.all():
             u, v = z[np.argmin(good)]
@@ -234,5 +240,5 @@ def _inverse(D: Array) -> Array:
 
 
 def _numbers(value: Any, *lengths: int) -> bool:
-    """Whether it is a tuple of so many finite numbers."""
+    """Whether it is a sequence of so many finite numbers."""
     return isinstance(value, Sequence) and len(value) in lengths and all(is_number(v) and np.isfinite(v) for v in value)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nls.assemble import measured_numbers
 from nls.cli.outputs import typed
 
 if TYPE_CHECKING:
@@ -24,19 +25,17 @@ def doubts(graph: FactorGraph, result: Result) -> list[str]:
     """
     if not result.doubt:
         return []
-    parts: dict[str, list[tuple[float, int, int]]] = {}  # chi2, measurements, numbers per measurement
+    parts: dict[str, list[tuple[float, int, int]]] = {}  # chi2, measurements, numbers that measure something
     worst: list[tuple[float, str]] = []
     for factor in graph.factors:
         chi2 = factor.chi2(result.values)
         model, _ = result.values.gather(factor)
-        expected = 0 if factor.limit_only else model.dim - factor.eliminated
-        parts.setdefault(factor.name, []).append((float(chi2.sum()), len(factor), expected))
+        parts.setdefault(factor.name, []).append((float(chi2.sum()), len(factor), measured_numbers(model)))
         worst += [(float(chi2[k]), factor.describe(k)) for k in np.argsort(-chi2, kind="stable")[:WORST].tolist()]
     by_type = [
-        f"{name} {sum(chi2 for chi2, _, _ in of) / n:.3g} ({expected} expected)"
+        f"{name} {sum(chi2 for chi2, _, _ in of) / n:.3g} ({sum(rows for _, _, rows in of) / n:.3g} expected)"
         for name, of in parts.items()
         if (n := sum(count for _, count, _ in of))
-        for expected in [max(m for _, _, m in of)]
     ]
     worst.sort(key=lambda each: -each[0])
     return [

@@ -223,9 +223,9 @@ def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -
     prepared = nls.FactorGraph(graph.factors)
     prepared.fixed = list(graph.fixed)
     if options.robust:
-        name, _, kernel = options.robust.rpartition("=")
+        name, separator, kernel = options.robust.rpartition("=")
         names = list(dict.fromkeys(factor.name for factor in graph.factors))
-        if name and name not in names:
+        if separator and name not in names:
             raise nls.OptionError("--robust", name, "no type, or one of those in the graph: " + ", ".join(names))
         robust = kernel_from_text(kernel)
         prepared.factors = [f.robust(robust) if name in ("", f.name) else f for f in graph.factors]

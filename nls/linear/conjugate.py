@@ -32,12 +32,14 @@ class Iterated(NamedTuple):
     steps : taken.
     there : whether every side has reached its goal.
     coefficients : (alpha, beta) of every step, by side.
+    flat : (j, n) the directions p it ended with where p'H p was not above 0; None where it did not end so.
     """
 
     x: Array
     steps: int
     there: bool
     coefficients: list[list[tuple[float, float]]]
+    flat: Array | None = None
 
 
 def conjugate(
@@ -93,7 +95,7 @@ def conjugate(
         HP = times(P)
         curvature = np.einsum("kn,kn->k", P, HP)
         if not (curvature > 0).all():
-            return Iterated(x, step + 1, False, coefficients)
+            return Iterated(x, step + 1, False, coefficients, P)
         alpha = rz / curvature
         x[side] += alpha[:, None] * P
         for k, a, b in zip(side.tolist(), alpha.tolist(), beta.tolist(), strict=True):

@@ -107,7 +107,9 @@ class PCGFactorization(SchurFactorization):
                 raise SingularSystemError("conjugate gradients met a direction that no measurement sees")
 
         found = self._conjugate(h, lambda first: np.full(1, SURE**2), look)
-        judge(found.x[0])
+        for x_p in (found.x, found.flat):
+            if x_p is not None:
+                judge(x_p[0])
         self._require(found, ", while looking for free directions")
 
     def _followed(self, x_p: Array) -> Array:
@@ -135,6 +137,11 @@ class PCGFactorization(SchurFactorization):
         return found
 
     def _require(self, found: Iterated, said: str = "") -> None:
+        if found.flat is not None:
+            raise UnsolvedSystemError(
+                f"conjugate gradients met a direction whose curvature is lost in rounding in step {found.steps}{said}; "
+                "take linear solver 'schur' or 'cholesky'"
+            )
         if not found.there:
             raise UnsolvedSystemError(
                 f"conjugate gradients did not reach tol = {self._tol:g} in {found.steps} steps{said}; allow more with "

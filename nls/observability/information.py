@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from nls.linear.normal import NormalState
     from nls.values import Values
 
-__all__ = ["observability"]
+__all__ = ["check_one", "observability"]
 
 DAMPING = 1e-11  # of the diagonal of A_r'A_r, where A_r is singular: taken away again by repeating
 ROUNDS = 30  # a direction of A_r of length 3e-6, columns scaled to 1, halves in each; none was seen so weak
@@ -106,13 +106,14 @@ def observability(
     weakest direction, one sigma: x 0.219 m, y -0.172 m
     correlated: x and y, -0.910
     """
-    if not isinstance(key, Keys) or len(key) != 1:
-        raise GraphError(f"observability: expected one variable such as s[0], got {key!r:.60}")
+    check_one("observability", key)
     if gauge not in ("first", "prior", "none"):
         raise OptionError("gauge", gauge, "one of first, prior, none")
     if length is not None and not (is_number(length) and 0 < length < np.inf):
         raise OptionError("length", length, "a distance above 0, m")
-    components = values.stack(key.kind).manifold.components
+    stack = values.stack(key.kind)
+    stack.index(key)  # refuses what has no value
+    components = stack.manifold.components
     pattern, held, said = _held(graph, values, key, gauge)
     system = pattern.holding(held).linearize(values)
     A_k, X, E, rest = _left(system, key)
@@ -137,6 +138,12 @@ def observability(
     )
 
 
+def check_one(who: str, key: Keys) -> None:
+    """Refuse what is not one variable."""
+    if not isinstance(key, Keys) or len(key) != 1:
+        raise GraphError(f"{who}: expected one variable such as s[0], got {key!r:.60}")
+
+
 def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pattern, npt.NDArray[np.bool_], str]:
     """The pattern, which of its variables (V,) are held, and the sentence of the gauge; refuses a held key."""
     fixed = fixed_variables(graph.fixed, values)
@@ -158,7 +165,7 @@ def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pa
 
 
 def _place(pattern: Pattern, key: Keys) -> int:
-    """Where a variable is in the numbering; `fixed_variables` has found all kinds to have values."""
+    """Where a variable, which has a value, is in the numbering."""
     return pattern.offsets[key.kind] + int(np.flatnonzero(pattern.numbers[key.kind] == key.numbers[0])[0])
 
 

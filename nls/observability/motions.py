@@ -22,7 +22,7 @@ from factors.predicted import predicted
 from models import LieGroup
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from nls.observability.information import observability
+from nls.observability.information import check_one, observability
 from nls.observability.report import Observability, shown
 from nls.values import Stack, Values
 
@@ -118,7 +118,10 @@ def helpful_motions(
     Raises
     ------
     GraphError
-        No pose shares a factor with the variable; a factor from a function, of which no part can be taken.
+        More than one variable; no pose shares a factor with it; a factor from a function, of which no part can be
+        taken; one whose target is no variable, such as `EpipolarArc`, so that nothing says where it is.
+    OptionError
+        A motion that is no step.
     SingularGeometryError
         A target would be behind the camera, or at the sensor.
 
@@ -152,6 +155,7 @@ def helpful_motions(
       sway 0.5 m    1.121  1.060         free
       yaw 10 deg    1.098  1.061         free
     """
+    check_one("helpful_motions", key)
     pose = _last(graph, values, key) if pose is None else pose
     group = values.stack(pose.kind).manifold if isinstance(pose, Keys) and len(pose) == 1 else None
     if not isinstance(group, LieGroup) or not group.body_axes:
@@ -160,9 +164,7 @@ def helpful_motions(
     before = observability(graph, values, key)
     found = []
     for name, step in (_simple(group) if motions is None else dict(motions)).items():
-        step = np.asarray(step, dtype=float)
-        if step.shape != (group.dim,):
-            raise OptionError(f"motions: {name}", step.tolist(), f"a step of {group.dim} numbers, {group.components}")
+        step = _step(name, step, group)
         motion = group.compose(group.compose(F, group.exp(step)), group.inverse(F))
         after = observability(*_seen_again(graph, values, pose, motion), key, before.length)
         with np.errstate(invalid="ignore"):
@@ -171,6 +173,17 @@ def helpful_motions(
     weak = before.undetermined if before.undetermined.any() else np.arange(len(before.sigma)) == before.weakest
     found.sort(key=lambda m: (-m.after.rank, float((m.after.sigma * m.after.weights)[weak].max())))
     return Motions(pose, before, tuple(found))
+
+
+def _step(name: str, step: npt.ArrayLike, group: LieGroup) -> Array:
+    """A tangent step (dim,)."""
+    try:
+        found = np.asarray(step, dtype=float)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != (group.dim,) or not np.isfinite(found).all():
+        raise OptionError(f"motions: {name}", step, f"a step of {group.dim} finite numbers, {group.components}")
+    return found
 
 
 def _simple(group: LieGroup) -> dict[str, Array]:

@@ -68,7 +68,7 @@ class Optimizer(Abstract):
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.solver.said(problem.state))
         except SingularSystemError as error:
-            raise underconstrained(problem.solver.seen(problem.latest), watch.best) from error
+            raise underconstrained(problem.solver.seen(problem.latest), watch.best, error) from error
         except (EvaluationError, SingularGeometryError) as error:
             if isinstance(error, EvaluationError):
                 error.iteration = len(watch.history)

@@ -46,7 +46,10 @@ __all__ = [
 
 
 def odometry(graph: FactorGraph, values: Values) -> Values:
-    """Poses chained from `Between` and `XYH`, points where they saw them, contacts of a sonar along their arcs."""
+    """Poses chained from `Between`, then from `XYH`, points where they saw them, contacts of a sonar along their arcs.
+
+    A track in which the two take turns it does not chain; `incremental` does.
+    """
     poses = dead_reckoning(graph, chain(graph, values))
     return search_elevation(graph, locate_points(graph, poses))
 
@@ -73,9 +76,9 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
         ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
         chordal; above 100 per measured row it tries ``incremental``, which costs several solves, where the graph has
-        measurements between poses and points, and above 10 the odometry chain. A start that does not exist
-        or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where placeholders are
-        usual.
+        measurements between poses and points, or both kinds of odometry, and above 10 the odometry chain. A start that
+        does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where
+        placeholders are usual.
 
     Returns
     -------
@@ -115,7 +118,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
     candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
     steps = groups or walks(graph)
-    candidates |= {"incremental": POOR} if steps and sees_points(graph, values) else {}
+    candidates |= {"incremental": POOR} if steps and (sees_points(graph, values) or (groups and walks(graph))) else {}
     candidates |= {"odometry": NEAR} if steps else {}
     for candidate, limit in candidates.items():
         if name and limit and _plain(graph, best) < limit * rows:

@@ -94,8 +94,10 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
             i, j = (stack.index(keys) for stack, keys in zip((pairs.poses, pairs.points), factor.keys, strict=False))
             wanted.append(good & np.isin(i * len(pairs.points) + j, code))
             distances.add(factor if isinstance(factor, Projection) else _distance(factor, values, Sigma[:, 0, 0]))
-            if isinstance(factor, Projection):
-                held |= {k.kind: np.ones(len(values.stack(k.kind)), dtype=bool) for k in factor.keys[2:]}
+            for keys in factor.keys[2:]:  # where the cameras are, which may be of the kind of the sonars
+                stack = values.stack(keys.kind)
+                mask = held.setdefault(keys.kind, np.zeros(len(stack), dtype=bool))
+                mask[stack.index(keys)] |= isinstance(factor, Projection)
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
     distances.fixed = list(graph.fixed)

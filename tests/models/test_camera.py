@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from models.errors import OptionError, SingularGeometryError
+from models.errors import GraphError, OptionError, SingularGeometryError
 from models.sensors import Camera, SingularAt
 
 Array = npt.NDArray[np.float64]
@@ -209,3 +209,12 @@ def test_what_folds_back_into_the_image_is_not_seen() -> None:
 def test_cameras_that_are_none(options: dict[str, object], said: str) -> None:
     with pytest.raises(OptionError, match=rf"Camera: {next(iter(options))}: .* is not possible; expected .*{said}"):
         Camera(**options)  # type: ignore[arg-type]
+
+
+def test_a_list_is_a_tuple_and_one_pixel_is_none() -> None:
+    camera = Camera([600.0, 600.0], [640.0, 480.0], [-0.1], [1280, 960])  # type: ignore[arg-type]
+    assert camera == Camera((600.0, 600.0), (640.0, 480.0), (-0.1,), (1280, 960))
+    assert len({camera}) == 1
+    for wrong in ([640.0, 480.0], [[640.0, 480.0, 1.0]]):
+        with pytest.raises(GraphError, match=r"expected \(n, 2\)"):
+            camera.ray(wrong)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Cauchy
+from factors import Between, Cauchy, Isotropic, Prior, SqrtInformation
+from models import SE2
 from nls.cli import main
+from nls.cli.doubts import doubts
 from tests.nls.g2o_files import INFORMATION_2, PLANE, write
 from tests.nls.mission_files import TINY, folder
 
@@ -82,6 +84,17 @@ def test_types_of_factors_apart(tmp_path: Path, capsys: Captured) -> None:
     assert "farthest" in notes[-1]
 
 
+def test_what_says_nothing_is_not_expected() -> None:
+    """A step of a log knows x and y and not the yaw, one more knows all three: 7 numbers in 3 measurements."""
+    steps = [[1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
+    some = Between(x[[0, 1]], x[[1, 2]], steps, SqrtInformation(np.diag([100.0, 100.0, 0.0])))
+    whole = Between(x[0], x[2], [2.0, 0.0, 0.0], Isotropic(0.01))
+    graph = nls.FactorGraph([some, whole, Prior(x[0:3], np.zeros((3, 3)), Isotropic(1.0))])
+    result = graph.optimize(nls.Values({x: (SE2, np.zeros((3, 3)))}))
+    chi2 = (some.chi2(result.values).sum() + whole.chi2(result.values).sum()) / 3
+    assert f"per measurement: Between {chi2:.3g} (2.33 expected), Prior" in doubts(graph, result)[1]
+
+
 def test_a_kernel_on_one_type_of_factor(tmp_path: Path, capsys: Captured) -> None:
     here = str(folder(tmp_path / "m", contacts=TINY["contacts"].replace("2,12,4.2289", "2,12,4.4289")))
     report = report_of(["solve", here, "--robust", "RangeAzimuth=cauchy:1", "--init", "odometry"], capsys)
@@ -93,6 +106,7 @@ def test_a_kernel_on_one_type_of_factor(tmp_path: Path, capsys: Captured) -> Non
     every = report_of(["solve", here, "--robust", "cauchy:1", "--init", "odometry"], capsys)
     assert every["chi2_final"] != report["chi2_final"]
     assert main(["solve", here, "--robust", "Between=cauchy:1"]) == 2
+    assert main(["solve", here, "--robust", "=cauchy:1"]) == 2
     assert "expected no type, or one of those in the graph: XYH, ZPR, Pos" in capsys.readouterr().err
     assert main(["solve", here, "--robust", "XYH=cauchy"]) == 2
     assert "robust: 'cauchy' is not possible" in capsys.readouterr().err

@@ -55,7 +55,7 @@ def digest(solver: str, **environment: str) -> str:
     return run.stdout
 
 
-@pytest.mark.parametrize("solver", ["cholesky", "cholesky-pcg", "qr", "lu"])
+@pytest.mark.parametrize("solver", ["cholesky", "cholesky-pcg", "qr", "lu", "schur", "pcg"])
 def test_the_same_bits_in_every_process(solver: str) -> None:
     """Twice the same; another hash seed; one or two threads of OpenMP and of BLAS."""
     if (why := SOLVERS[solver].missing()) is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Between, BetweenSensors, Diagonal, ElevationHinge, Isotropic, Landmark, Prior
+from factors import Between, BetweenSensors, Diagonal, ElevationHinge, EpipolarArc, Isotropic, Landmark, Prior
 from factors.predicted import predicted
 from models import SE2, SE3, R
 from nls import FactorGraph, GraphError, Marginals, OptionError, SingularGeometryError, Values
@@ -96,8 +96,12 @@ def test_motions_in_the_plane_are_three() -> None:
 
 def test_what_cannot_be_asked() -> None:
     graph, values = rig("camera + sonar")
-    with pytest.raises(OptionError, match="step of 6 numbers"):
-        helpful_motions(graph, values, s[0], motions={"short": np.zeros(3)})
+    for wrong in (np.zeros(3), np.full(6, np.nan), "ahead"):
+        with pytest.raises(OptionError, match="step of 6 finite numbers"):
+            helpful_motions(graph, values, s[0], motions={"wrong": wrong})  # type: ignore[dict-item]
+    for several in (x[0:2], "s0"):
+        with pytest.raises(GraphError, match="helpful_motions: expected one variable"):
+            helpful_motions(graph, values, several)  # type: ignore[arg-type]
     with pytest.raises(GraphError, match="expected one pose"):
         helpful_motions(graph, values, s[0], pose=l[0])
     only = FactorGraph([Prior(l[0], values[l[0]], Isotropic(0.1))])
@@ -119,3 +123,11 @@ def test_the_same_measurements_of_other_variables() -> None:
     np.testing.assert_allclose(there.z[:, 0], np.linalg.norm(SE3.act(SE3.inverse(values[x[3]]), values[l]), axis=1))
     with pytest.raises(GraphError, match="expected 40"):
         predicted(sonar, [x[3], l[0], s[0]], two)
+
+
+def test_a_target_that_is_no_variable_is_nowhere() -> None:
+    """What fits old contacts best from another place is none of what would be measured there: 20 sigmas off."""
+    _, values = rig("camera + sonar")
+    pair = EpipolarArc(x[0], x[1], [[4.0, 0.1, 4.0, 0.1]], Diagonal([0.01, 0.004] * 2), 0.1)
+    with pytest.raises(GraphError, match=r"EpipolarArc\(x0, x1\): .* as a variable"):
+        predicted(pair, [x[[0]], x[[2]]], values)

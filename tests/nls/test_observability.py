@@ -308,6 +308,8 @@ def test_what_cannot_be_asked() -> None:
         observability(graph, values, x[0])
     with pytest.raises(GraphError, match="one variable"):
         observability(graph, values, x[0:2])
+    with pytest.raises(GraphError, match="s9 has no value"):
+        observability(graph, values, s[9])
     with pytest.raises(OptionError, match="gauge"):
         observability(graph, values, s[0], gauge="free")
     with pytest.raises(OptionError, match="length"):

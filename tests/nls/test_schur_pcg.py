@@ -220,6 +220,14 @@ def test_a_gauge_and_a_scale_are_seen() -> None:
             system.solve(PCG())
 
 
+@pytest.mark.parametrize(("group", "n", "k", "seed"), [(SE2, 2, 2, 1), (SE2, 4, 4, 2), (SE3, 2, 4, 0), (SE3, 3, 1, 3)])
+def test_a_gauge_met_head_on_is_seen(group: LieGroup, n: int, k: int, seed: int) -> None:
+    """With so few unknowns a direction of the iteration itself is free, and ends it before a step goes along it."""
+    sample = landmarks(group, n=n, k=k, seed=seed, anchored=False)
+    with pytest.raises(SingularSystemError, match="no measurement sees"):
+        step(PCG(), sample.graph.linearize(sample.values))
+
+
 def test_levenberg_marquardt_says_what_is_free() -> None:
     sample = bundle(seed=5)
     graph = FactorGraph([sample.graph.factors[0]])

@@ -9,8 +9,10 @@ import numpy.typing as npt
 import pytest
 
 import sim
-from factors import Factor
-from models import SE3
+from factors import XYH, ZPR, Between, Cauchy, Factor, Isotropic, Tukey
+from factors.robust import Kernel
+from models import SE3, euler
+from models.sensors import levelled, zpr
 from nls import FactorGraph, Keys, LevenbergMarquardt, Values, initialize, kinds
 from nls.starts import STARTS, incremental
 from nls.starts.incremental import _Growth
@@ -149,3 +151,31 @@ def _first_of(factor: Factor, number: int) -> npt.NDArray[np.bool_]:
     pose, point = (keys.numbers for keys in factor.keys)
     mine = point == number
     return np.asarray(~mine | (pose == pose[mine].min()))
+
+
+@pytest.mark.parametrize("kernel", [Cauchy(1.0), Tukey(4.7)], ids=repr)
+def test_under_a_kernel_the_same_starts_are_tried(kernel: Kernel) -> None:
+    mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=20)
+    _, _, tried = initialize(mission.graph, mission.start)
+    _, robust, under = initialize(mission.graph.robust(kernel), mission.start)
+    assert tried.keys() == under.keys() > {"file"}
+    assert robust == min(under, key=under.__getitem__) != "file"
+
+
+def test_two_kinds_of_odometry_that_take_turns() -> None:
+    """Exact steps in the horizontal on odd legs, in space on even ones: neither chain goes through."""
+    k = np.arange(10.0)
+    X = euler.to_se3(np.stack([0.02 * k, 0.01 * k, 0.3 * k, k, 0.5 * np.sin(k), 0.1 * k], axis=1))
+    odd, even = np.arange(1, 9, 2), np.arange(0, 9, 2)
+    graph = FactorGraph(
+        [
+            Between(x[even], x[even + 1], SE3.between(X[even], X[even + 1]), Isotropic(0.01)),
+            XYH(x[odd], x[odd + 1], levelled(X[odd], X[odd + 1])[0], Isotropic(0.01)),
+            ZPR(x[np.arange(10)], zpr(X)[0], Isotropic(0.01)),
+        ]
+    )
+    graph.fix(x[0])
+    start, name, chi2 = initialize(graph, Values({x: (SE3, np.tile(X[:1], (10, 1)))}))
+    assert name == "incremental"
+    assert chi2["odometry" if "odometry" in chi2 else "file"] > 1.0
+    same(SE3.position(start[x]), SE3.position(X), atol=1e-6)

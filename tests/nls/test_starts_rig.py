@@ -250,6 +250,24 @@ def test_two_sonars_from_nothing_with_the_camera_on_a_vehicle() -> None:
     assert off(rig(graph, start, calibrate=True), whole) < 1e-3
 
 
+def test_camera_and_sonar_mounted_by_variables_of_one_kind() -> None:
+    """The camera is held where it is meanwhile, and not the sonar with it."""
+    expected = truth(points=60)
+    camera, sonar = expected[c], SE3.compose(expected[c], expected[s])
+    i, j = views(expected)
+    pixels, contacts = seen(expected, i, j, camera, sonar)
+    graph = FactorGraph([pixels.mounted(s[1]), contacts.mounted(s[0])])  # type: ignore[attr-defined]
+    graph.fix(x[40])
+    X, L = (expected.stack(kind) for kind in "xl")
+    both = np.concatenate([sonar, camera])
+    whole = Values({x: (SE3, X.X, IDS), l: (R(3), L.X, L.numbers), s: (SE3, both)})
+    start = forgotten(whole, 40)
+    start[s[0]] = SE3.identity()[0]
+    found = rig(graph, start, calibrate=True)
+    assert np.array_equal(found[s[1]], whole[s[1]])
+    assert off(found, whole) < 1e-3
+
+
 def test_axes_from_azimuths() -> None:
     rng = np.random.default_rng(4)
     R_os, p = SO3.rotation(SO3.exp([0.4, 2.0, -1.0])), rng.normal(size=(500, 3))
