@@ -28,7 +28,14 @@ __all__ = [
 
 
 class LeadlineError(Exception):
-    """Base class of every error this library raises."""
+    """Base class of every error this library raises. Its copy from another process is the same, built as it was."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _as_it_was, (type(self), self.args), vars(self)
+
+
+def _as_it_was(kind: type[LeadlineError], args: tuple[Any, ...]) -> LeadlineError:
+    return kind.__new__(kind, *args)
 
 
 class GraphFileError(LeadlineError, ValueError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 
 import numpy as np
@@ -94,3 +95,19 @@ def test_attributes() -> None:
     assert (limit.needed, limit.limit, limit.what) == (2e9, 1e9, "A")
     singular = errors.SingularGeometryError("m", "Range", ["l1"])
     assert (singular.factor, singular.keys) == ("Range", ("l1",))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        errors.OptionError("gauge", "firts", "first"),
+        errors.GraphFileError("a bad line", "f.g2o", 3),
+        errors.UnderconstrainedError("x0 is free", []),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_an_error_from_another_process_is_the_same(error: errors.LeadlineError) -> None:
+    copied = pickle.loads(pickle.dumps(error))  # noqa: S301
+    assert type(copied) is type(error)
+    assert str(copied) == str(error)
+    assert vars(copied) == vars(error)
