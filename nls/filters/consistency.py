@@ -1,0 +1,121 @@
+r"""Whether an estimator is as good as it says: errors in units of the covariance it reports.
+
+    NEES = e' P^-1 e,   e = X_hat^-1 X   (the tangent step from the estimate to the truth, angles wrapped)
+
+Of a consistent estimator it is chi-squared with as many degrees of freedom d as the pose has, so d in the mean. Over N
+independent runs the mean is within chi2_(Nd)(0.025) / N and chi2_(Nd)(0.975) / N in 95 % of all cases. Above: it
+believes more than it knows.
+
+Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors.keys import Keys
+from models import Manifold
+from models.algebra import Array
+from models.errors import OptionError, UnderconstrainedError
+from models.options import is_number, is_whole
+
+__all__ = ["chi2_gate", "nees", "nees_bounds"]
+
+
+def chi2_gate(dim: int, probability: float) -> float:
+    """The bound that chi-squared of `dim` degrees of freedom stays below with this probability.
+
+    Parameters
+    ----------
+    dim : degrees of freedom, at least 1.
+    probability : between 0 and 1.
+
+    Raises
+    ------
+    OptionError
+        Not such numbers.
+
+    Examples
+    --------
+    >>> round(chi2_gate(2, 0.95), 3), round(chi2_gate(1, 0.99), 3)
+    (5.991, 6.635)
+    """
+    if not is_whole(dim) or dim < 1:
+        raise OptionError("dim", dim, "a whole number of at least 1")
+    if not is_number(probability) or not 0 < probability < 1:
+        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
+    from scipy.special import gammaincinv
+
+    return float(2 * gammaincinv(dim / 2, probability))
+
+
+def nees_bounds(dim: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
+    """Within which the mean NEES over independent runs stays with this probability, for a consistent estimator.
+
+    Parameters
+    ----------
+    dim : degrees of freedom of a pose.
+    runs : how many independent runs the mean is over; the steps of one run are not independent.
+    probability : between 0 and 1.
+
+    Examples
+    --------
+    >>> [round(bound, 2) for bound in nees_bounds(3, runs=200)]
+    [2.67, 3.35]
+    """
+    outside = (1 - probability) / 2
+    low, high = (chi2_gate(dim * runs, p) / runs for p in (outside, 1 - outside))
+    return low, high
+
+
+def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Array:
+    """e' P^-1 e of every estimate, e the tangent step from the estimate to the truth.
+
+    Parameters
+    ----------
+    keys : the n variables, for the message.
+    manifold : their space.
+    X, P : (n, size) estimates and (n, d, d) their covariances in the tangent space at the estimate.
+    truth : (n, size).
+
+    Returns
+    -------
+    (n,) array.
+
+    Raises
+    ------
+    UnderconstrainedError
+        A covariance that is singular or not positive: errors have no size in its units.
+
+    Examples
+    --------
+    >>> from models import SE2
+    >>> from nls import kinds
+    >>> (x,) = kinds("x")
+    >>> P = np.diag([0.01, 0.01, 0.04])[None]
+    >>> nees(x[[7]], SE2, np.array([[0.0, 0.0, -3.1]]), P, np.array([[0.1, 0.0, 3.1]])).round(1)
+    array([1.2])
+    """
+    e = manifold.local(X, truth)
+    scale = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    with np.errstate(divide="ignore", invalid="ignore"):  # a sigma of 0 is refused below
+        unit = P / (scale[:, :, None] * scale[:, None, :])  # meters and radians do not decide what is singular
+    for k, matrix in enumerate(np.isfinite(unit).all(axis=(1, 2))):
+        if not matrix:
+            raise _singular(keys[[k]])
+    values, vectors = np.linalg.eigh(unit)
+    if (bad := values[:, 0] <= SINGULAR).any():
+        raise _singular(keys[[int(np.argmax(bad))]])
+    along = np.matvec(vectors.mT, e / scale)
+    return np.asarray((np.square(along) / values).sum(axis=1))
+
+
+SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
+
+
+def _singular(key: Keys) -> UnderconstrainedError:
+    return UnderconstrainedError(
+        f"NEES of {key}: its covariance is singular, errors have no size in its units; a particle filter needs more "
+        "particles than unknowns that differ, and a start a sigma above 0",
+        [key],
+    )

@@ -1,0 +1,305 @@
+r"""EKF-SLAM: pose and landmarks filtered jointly, by the factors a graph would take.
+
+    motion factor     A_i d_i + A_j d_j = b + v     F = -A_j^-1 A_i,  Q = A_j^-1 A_j^-T,   X_j where b = 0
+    first sighting    A_x d_x + A_l d_l = b + v     G = -A_l^-1 A_x,  Q = A_l^-1 A_l^-T,   L where the factor has it
+    other factors     A d = b + v                   all of one step stacked into one update
+
+v ~ N(0, I): factors are whitened. Motion and first sighting are the same thing: a variable is added where one factor
+says all of it. Its covariance and its correlation with everything else follow from the factor's own Jacobians.
+
+Sources: R. Smith, M. Self, P. Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990; S. Thrun,
+W. Burgard, D. Fox, Probabilistic Robotics, 2005, chapter 10. First estimates: G. P. Huang, A. I. Mourikis,
+S. I. Roumeliotis, "Analysis and improvement of the consistency of extended Kalman filter based SLAM", ICRA 2008.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from factors.base import Factor
+from factors.keys import Keys
+from factors.seen import Seen
+from models import LieGroup, R
+from models.algebra import Array
+from models.errors import GraphError, OptionError
+from nls.assemble import Index
+from nls.filters.association import Association
+from nls.filters.base import POSE, Filter, Step
+from nls.filters.map_state import MapState
+from nls.filters.motion import Copies, most_likely, slot_of
+from nls.filters.pieces import Piece, associated, part, stacked
+from nls.values import Values
+
+__all__ = ["EKF"]
+
+LANDMARKS = ("correlated", "first-sight", "independent")
+SPENT = 1e-9  # of the Jacobian: what motion factors leave over beside that is rounding
+
+
+class EKF(Filter):
+    """Extended Kalman filter over the latest pose and the landmarks seen so far.
+
+    Parameters
+    ----------
+    landmarks : what is believed of a landmark at its first sighting, unless a prior of its own came before:
+        ``correlated``: what pose and sighting say, with its correlation to everything else; ``first-sight``: its place
+        with `prior_sigma`, uncorrelated, which counts information nobody measured (the filter becomes over-confident;
+        known from simulations in the literature, kept for comparison); ``independent``: nothing, every landmark must
+        have a `Prior`.
+    first_estimates : Jacobians are taken where a variable was first estimated, residuals where it is now. What no
+        measurement sees, such as the heading of everything, then stays unseen.
+    prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
+    associate : how sightings find their landmarks where the graph does not know, `nls.filters.association`; the
+        landmarks named in the graph are then ignored, new ones are numbered from 0. None: those of the graph.
+
+    Attributes
+    ----------
+    found : with `associate`, the landmark each sighting was given to, in the order of time; -1 for one left out. With
+        one factor of sightings in the graph, `nls.filters.association.identified` puts them back into it.
+
+    Raises
+    ------
+    OptionError
+        An option with a value it cannot have.
+
+    Notes
+    -----
+    All factors of a step about known variables make one stacked update; then new landmarks are added, each from its
+    first sighting that locates it, and what else was seen of those makes a second update. A prediction costs O(n) for n
+    landmarks, an update O(n^2). A graph that closes loops between poses needs them all: a filter of the latest pose
+    refuses such factors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.filters.ekf import EKF
+    >>> world = sim.subsea(np.random.default_rng(1), known_start=True)
+    >>> track = EKF().run(world.graph, world.start)
+    >>> track.ate(world.truth).rmse < 0.4, track.P.shape, track.landmarks
+    (True, (181, 3, 3), l[0, 1, 5, 2, 3, 4])
+    """
+
+    def __init__(
+        self,
+        landmarks: Literal["correlated", "first-sight", "independent"] = "correlated",
+        first_estimates: bool = False,
+        prior_sigma: float | Sequence[float] = 4.0,
+        associate: Association | None = None,
+    ) -> None:
+        if landmarks not in LANDMARKS:
+            raise OptionError("landmarks", landmarks, "one of " + ", ".join(LANDMARKS))
+        if not isinstance(first_estimates, bool):
+            raise OptionError("first_estimates", first_estimates, "True or False")
+        sigmas = np.asarray(prior_sigma, dtype=float)
+        if not (np.isfinite(sigmas) & (sigmas > 0)).all() or sigmas.ndim > 1:
+            raise OptionError("prior_sigma", prior_sigma, "a sigma above 0, or one for each component of a landmark")
+        if not isinstance(associate, Association | None):
+            raise OptionError("associate", associate, "an association such as JointCompatibility(0.95), or None")
+        self.initial, self.first_estimates, self.prior_sigma, self.associate = (
+            landmarks,
+            first_estimates,
+            sigmas,
+            associate,
+        )
+        self.found: list[int] = []
+        self._state: MapState | None = None
+
+    @property
+    def method(self) -> str:
+        options: list[str] = [self.initial] if self.initial != "correlated" else []
+        options += ["first estimates"] if self.first_estimates else []
+        options += [type(self.associate).__name__] if self.associate is not None else []
+        return "EKF" + (f" ({', '.join(options)})" if options else "")
+
+    @property
+    def state(self) -> MapState:
+        """Pose, landmarks, and their joint covariance.
+
+        Raises
+        ------
+        GraphError
+            No step has been taken.
+        """
+        if self._state is None:
+            raise GraphError("EKF: no step has been taken; call `start` or `run`")
+        return self._state
+
+    @property
+    def pose(self) -> tuple[Array, Array]:
+        return self.state.X, self.state.pose_covariance
+
+    @property
+    def landmarks(self) -> tuple[Keys, Array, Array]:
+        state = self.state
+        return Keys(self._kind, state.numbers), state.L, state.landmark_covariances
+
+    def start(self, step: Step, values: Values) -> None:
+        pose = values.stack(POSE)
+        others = [stack for name, stack in values.stacks.items() if name != POSE]
+        seen = {keys.kind for factor in step.seen for keys in factor.keys} - {POSE}
+        self._kind = next(iter(seen), others[0].kind if others else "l")
+        landmark = values.stack(self._kind).manifold if others else R(2)
+        self._values, self._spaces = values, {POSE: pose.manifold, self._kind: landmark}
+        if self.prior_sigma.ndim and len(self.prior_sigma) != landmark.dim:
+            raise OptionError("prior_sigma", self.prior_sigma.tolist(), f"one number, or {landmark.dim} for {landmark}")
+        self._pose, self.found = step.pose, []
+        own = [factor for factor in step.seen if all(keys.kind == POSE for keys in factor.keys)]
+        parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
+        X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
+        self._state = MapState((pose.manifold, landmark), X[0], _inverse(Lambda)[0], self.first_estimates)
+        self._see([factor for factor in step.seen if not any(factor is each for each in own)])
+
+    def step(self, step: Step) -> None:
+        state, before = self.state, self._pose
+        if not step.motion:
+            raise GraphError(f"EKF: {step.pose} has no motion from {before}, where the filter is", [before, step.pose])
+        for factor in step.motion:
+            if before not in factor.keys:
+                raise GraphError(f"EKF is at {before}; {factor!r} does not begin there", [before, step.pose])
+        X_i = state.X[None]
+        parts = [(self._copies(factor), slot_of(factor, step.pose), (X_i,)) for factor in step.motion]
+        X_j, Lambda = most_likely(parts, state.spaces[0], X_i, step.pose)
+        A_i, A_j = [], []
+        for copied, slot, _ in parts:
+            A, _ = copied.linearize(*((state.first[None], X_j) if slot else (X_j, state.first[None])))
+            A_i.append(A[1 - slot][0])
+            A_j.append(A[slot][0])
+        Q, A_before, A_here = _inverse(Lambda)[0], np.concatenate(A_i), np.concatenate(A_j)
+        F = -np.linalg.lstsq(A_here, A_before)[0]
+        if np.abs(A_before + A_here @ F).max() > SPENT * np.abs(A_before).max():
+            said = ", ".join(map(repr, step.motion))
+            raise GraphError(
+                f"EKF: {said} together say something of {before} as well, which is past; fuse them to one, or use a "
+                "graph",
+                [before, step.pose],
+            )
+        self._pose = step.pose
+        state.predict(X_j[0], F, Q)
+        self._see(step.seen)
+
+    def _copies(self, factor: Factor) -> Copies:
+        """The factor for `most_likely`, one measurement for each copy of its variables."""
+        if factor.kernel is not None:
+            raise GraphError(
+                f"EKF: {factor!r} has a robust kernel, which a filter cannot weigh again later; use its noise alone, "
+                "or a graph",
+                factor.keys,
+                factor.name,
+            )
+        return Copies(factor, factor.bind(*(self._spaces[keys.kind] for keys in factor.keys)), 1)
+
+    def _see(self, factors: list[Factor]) -> None:
+        """Everything that touches the latest pose alone, landmarks, or both."""
+        pieces = [self._identified(factor) for factor in factors]
+        pieces = self._spent(pieces, lambda factor: len(factor.keys) == 1, self._chart)
+        rows = [None if numbers is None else self.state.rows(numbers) for _, numbers in pieces]
+        self._update([part(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)])
+        unknown = [part(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
+        self._update(self._spent(unknown, lambda factor: isinstance(factor, Seen) and factor.locates, self._locate))
+
+    def _identified(self, factor: Factor) -> Piece:
+        """The factor, and the landmark of each measurement, as the graph says or as the association finds."""
+        slots = [slot for slot, keys in enumerate(factor.keys) if keys.kind != POSE]
+        for keys in factor.keys:
+            if keys.kind not in self._spaces:
+                raise GraphError(f"EKF: {factor!r}: landmarks are of kind {self._kind}, not {keys.kind}", factor.keys)
+            if keys.kind == POSE and (other := keys.numbers != self._pose.numbers[0]).any():
+                past = keys[[int(np.argmax(other))]]
+                raise GraphError(
+                    f"EKF at {self._pose}: {factor.describe(int(np.argmax(other)))} needs {past}, which is past; a "
+                    "filter of the latest pose closes no loops between poses: use FixedLag or a graph",
+                    [past],
+                    factor.name,
+                )
+        if len(slots) > 1:
+            raise GraphError(f"EKF: {factor!r} joins landmarks to each other; use a graph", factor.keys, factor.name)
+        if not slots:
+            return factor, None
+        if self.associate is None or not isinstance(factor, Seen):
+            return factor, factor.keys[slots[0]].numbers
+        numbers = associated(self.state, self.associate, factor, self._copies(factor).model.manifolds)
+        self.found += numbers.tolist()
+        return part((factor, numbers), numbers >= 0)
+
+    def _spent(
+        self, pieces: list[Piece], wanted: Callable[[Factor], bool], add: Callable[[Factor, Index], None]
+    ) -> list[Piece]:
+        """New landmarks added, each from its first measurement by a factor that is wanted; the measurements left."""
+        rest = []
+        for factor, numbers in pieces:
+            left = np.ones(len(factor), dtype=bool)
+            if numbers is not None and wanted(factor):
+                _, first = np.unique(numbers, return_index=True)
+                first = np.sort(first[self.state.rows(numbers[first]) < 0])
+                left[first] = False
+                if len(first):
+                    add(factor[first], numbers[first])
+            rest.append(part((factor, numbers), left))
+        return rest
+
+    def _chart(self, factor: Factor, numbers: Index) -> None:
+        """New landmarks (r,) as their priors say."""
+        start = self._values[Keys(self._kind, numbers)]
+        L, Lambda = most_likely([(self._copies(factor), 0, ())], self.state.spaces[1], start, factor.keys[0])
+        d = self.state.spaces[0].dim
+        self.state.add(numbers, L, np.zeros((*Lambda.shape[:2], d)), _inverse(Lambda))
+
+    def _locate(self, factor: Factor, numbers: Index) -> None:
+        """New landmarks (r,) where the latest pose saw them."""
+        assert isinstance(factor, Seen)
+        state = self.state
+        pose, landmark = state.spaces
+        if self.initial == "independent":
+            raise GraphError(
+                f"EKF: {Keys(self._kind, numbers)[[0]]} is seen and has no Prior, which landmarks='independent' needs; "
+                "add one, or choose 'correlated'",
+                [Keys(self._kind, numbers)],
+            )
+        copied = self._copies(factor)
+        assert isinstance(pose, LieGroup)
+        X = np.tile(state.X, (len(numbers), 1))
+        L, Lambda = most_likely(
+            [(copied, 1, (X,))],
+            landmark,
+            factor.locate(pose, factor.sensor_pose(pose, X), copied.model.z),
+            factor.keys[1],
+        )
+        Q, G = _inverse(Lambda), np.zeros((len(L), landmark.dim, pose.dim))
+        if self.initial == "first-sight":
+            Q = np.tile(np.diag(np.broadcast_to(np.square(self.prior_sigma), landmark.dim)), (len(L), 1, 1))
+        else:
+            (A_x, A_l), _ = copied.linearize(np.tile(state.first, (len(numbers), 1)), L)
+            G = -np.asarray(np.linalg.solve(A_l, A_x))
+        state.add(numbers, L, G, Q)
+
+    def _update(self, pieces: list[Piece]) -> None:
+        """All measurements of known variables at once."""
+        state, known = self.state, []
+        for factor, numbers in pieces:
+            if not len(factor):
+                continue
+            rows = None if numbers is None else state.rows(numbers)
+            if rows is not None and numbers is not None and (rows < 0).any():
+                k = int(np.argmax(rows < 0))
+                key = Keys(self._kind, int(numbers[k]))
+                raise GraphError(
+                    f"{factor.describe(k)} is the first of {key} and does not say where it is; a filter needs a "
+                    f"sighting with direction and distance first, or a Prior of {key}",
+                    [self._pose, key],
+                    factor.name,
+                )
+            known.append((self._copies(factor).model, rows))
+        if known:
+            state.update(*stacked(state, known), self._pose)
+
+
+def _inverse(Lambda: Array) -> Array:
+    """Covariances (n, d, d) of informations, symmetric; scaled to a diagonal of ones first."""
+    D = 1 / np.sqrt(np.diagonal(Lambda, axis1=1, axis2=2))
+    scale = D[:, :, None] * D[:, None, :]
+    return np.asarray(scale * np.linalg.inv(scale * Lambda))

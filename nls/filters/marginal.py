@@ -1,0 +1,182 @@
+r"""Variables taken out of a graph exactly: what is left of their measurements is one prior on their neighbors.
+
+The factors that touch the variables e that leave, linearized, are rows A_e d_e + A_r d_r = b over them and over the
+variables r they are joined to. With [A_e A_r b] = Q R,
+
+    R = | R_ee  R_er  c_e |          min over d_e of |A d - b|^2  =  |R_rr d_r - c_r|^2 + constant
+        |       R_rr  c_r |
+
+so R_rr, c_r are the whitened prior on r. On a linear problem nothing is lost. Otherwise the prior is the best Gaussian
+at the point where the variables left, and stays so: it is a function of d_r = local(X_r0, X_r), not linearized anew,
+while later measurements of r are. Where r moves much afterwards the two no longer agree on what is unobservable
+(A. Mourikis, J. Dong-Si, "Motion tracking with fixed-lag smoothing", ICRA 2011).
+
+Source: F. Dellaert, M. Kaess, Factor Graphs for Robot Perception, 2017, section 5.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.base import Factor, Jacobians
+from factors.keys import Keys
+from factors.noise import Isotropic
+from models import LieGroup, Manifold, R
+from models.algebra import Array
+from models.errors import UnderconstrainedError
+from nls.assemble import Pattern
+from nls.values import Stack, Values
+
+__all__ = ["MarginalPrior", "marginalized", "numbers_of", "without"]
+
+RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
+
+
+class MarginalPrior(Factor):
+    r"""What is left of measurements of variables that are gone: a Gaussian over several others, correlated.
+
+    .. math:: h(X_1, \dots, X_k) = R \, (\mathrm{local}(X_1^0, X_1), \dots, \mathrm{local}(X_k^0, X_k)), \quad z = c
+
+    Parameters
+    ----------
+    keys : the variables, one each.
+    X0 : per variable the value (size,) where it was linearized.
+    A : (m, D) whitened rows over the tangent steps from X0, side by side.
+    b : (m,) whitened right-hand side.
+
+    Notes
+    -----
+    Straight steps from X0 are no rotation: where all variables turn together by an angle that nothing else holds,
+    far landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
+    Levenberg-Marquardt, as for every factor that is `damped`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> prior = MarginalPrior([p[1], p[2]], [np.zeros(1), np.ones(1)], np.array([[2.0, 0.0], [1.0, 1.0]]), np.ones(2))
+    >>> graph = FactorGraph([prior])
+    >>> graph.optimize(Values({p: (R(1), [[0.0], [0.0]], [1, 2])})).values[p].ravel().round(6)
+    array([0.5, 1.5])
+    """
+
+    damped = True
+
+    def __init__(self, keys: Sequence[Keys], X0: Sequence[Array], A: Array, b: Array) -> None:
+        super().__init__(keys, b, Isotropic(1.0))
+        self.slots, self.X0, self.A = (None,) * len(keys), tuple(X0), A  # type: ignore[misc]
+
+    def sizes(self) -> tuple[int, ...]:
+        return (len(self.A),)
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return R(len(self.A))
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        d = [manifold.local(x0[None], x) for manifold, x0, x in zip(manifolds, self.X0, X, strict=True)]
+        parts = np.split(self.A, np.cumsum([manifold.dim for manifold in manifolds])[:-1], axis=1)
+        h = np.concatenate(d, axis=1) @ self.A.T
+        H = tuple(A_k @ _moves(manifold, d_k) for manifold, A_k, d_k in zip(manifolds, parts, d, strict=True))
+        return h, H
+
+
+def _moves(manifold: Manifold, d: Array) -> Array:
+    """J (1, dim, dim) of local(X0, X [+] e) = d + J e: the inverse right Jacobian of a group, else the identity."""
+    return manifold.jr_inv(d) if isinstance(manifold, LieGroup) else np.eye(manifold.dim)[None]
+
+
+def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> tuple[list[Factor], Values]:
+    """Factors and values without some variables; what was known of the rest stays known.
+
+    Parameters
+    ----------
+    factors : of a graph; of each batch the measurements that touch what leaves are used up.
+    values : every variable, where the factors are linearized.
+    leaving : the variables that go.
+
+    Returns
+    -------
+    factors, values : the measurements left over and, last, the `MarginalPrior`; the variables left over.
+
+    Raises
+    ------
+    UnderconstrainedError
+        The measurements do not determine what leaves; named.
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic, Prior
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> factors = [Prior(p[0], 1.0, Isotropic(3.0)), Between(p[0], p[1], 2.0, Isotropic(4.0))]
+    >>> left, values = marginalized(factors, Values({p: (R(1), [[0.0], [0.0]])}), [p[0]])
+    >>> left, FactorGraph(left).optimize(values).values[p].ravel().round(6), abs(left[0].A).round(6)
+    ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
+    """
+    touching, rest = _split(factors, leaving)
+    near = {kind: numbers_of(touching, kind) for kind in values.stacks}
+    part = Values.of(_kept(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values())
+    pattern = Pattern(touching, part)
+    system = pattern.linearize(part)
+    variables = [pattern.key(k) for k in range(len(pattern.dims))]
+    goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
+    order = np.argsort(~goes, kind="stable")
+    starts = np.cumsum(pattern.dims) - pattern.dims
+    columns = np.concatenate([np.arange(starts[k], starts[k] + pattern.dims[k]) for k in order])
+    e = int(pattern.dims[goes].sum())
+
+    dense: Array = np.column_stack([system.A.toarray()[:, columns], system.b])
+    triangle: Array = np.asarray(np.linalg.qr(dense, mode="r"))
+    pivots, lengths = np.abs(np.diagonal(triangle[:, :e])), np.sqrt(np.square(dense[:, :e]).sum(axis=0))
+    if len(pivots) < e or (pivots <= RANK * lengths).any():
+        names = ", ".join(repr(variables[k]) for k in np.flatnonzero(goes))
+        raise UnderconstrainedError(
+            f"{names} cannot leave the window: the measurements so far do not determine all of it. Keep it longer (a "
+            "larger lag), or add what is known of it as a Prior",
+            [variables[k] for k in np.flatnonzero(goes)],
+        )
+    stays = [variables[k] for k in order if not goes[k]]
+    left = without(values, leaving)
+    rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
+    if stays and len(rows):
+        rest.append(MarginalPrior(stays, [part[key] for key in stays], rows[:, e:-1], rows[:, -1]))
+    return rest, left
+
+
+def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:
+    """The measurements that touch what leaves, and the others."""
+    touching: list[Factor] = []
+    rest: list[Factor] = []
+    for factor in factors:
+        touches = np.zeros(len(factor), dtype=bool)
+        for keys in factor.keys:
+            for gone in leaving:
+                touches |= (keys.kind == gone.kind) & np.isin(keys.numbers, gone.numbers)
+        for part, which in ((touching, touches), (rest, ~touches)):
+            if which.any():
+                part.append(factor if which.all() else factor[np.flatnonzero(which)])
+    return touching, rest
+
+
+def without(values: Values, leaving: Sequence[Keys]) -> Values:
+    """The values of the other variables."""
+    stacks = dict(values.stacks)
+    for gone in leaving:
+        stacks[gone.kind] = _kept(stacks[gone.kind], ~np.isin(stacks[gone.kind].numbers, gone.numbers))
+    return Values.of(stacks.values())
+
+
+def _kept(stack: Stack, which: npt.NDArray[np.bool_]) -> Stack:
+    return Stack(stack.kind, stack.manifold, stack.X[which], stack.numbers[which])
+
+
+def numbers_of(factors: Sequence[Factor], kind: str) -> npt.NDArray[np.int64]:
+    """Numbers of the variables of a kind that factors touch, rising."""
+    found = [keys.numbers for factor in factors for keys in factor.keys if keys.kind == kind]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))

@@ -1,0 +1,213 @@
+r"""What an estimator believed while a vehicle moved, against the truth: four pictures, the same for any estimator.
+
+    map         the track beside the true one, and where vehicle and landmarks are with 95 %
+    vehicle     sigma of the pose against the step
+    errors      the pose minus the truth, within +-3 sigma or not
+    landmarks   sigma of each landmark against the step, from where it was found
+
+Errors and sigmas of the pose are those of the tangent step from the estimate to the truth, along the axes of the body:
+ahead and to the left, m, and the heading, deg. The position of a landmark has one sigma, sqrt(trace(P) / d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models import LINE
+from nls.covariance.frames import axes as axes_of
+from nls.covariance.frames import turned
+from nls.plot.ellipses import POINT, POSE, _around, _outlines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from factors.keys import Keys
+    from models.algebra import Array
+    from nls.filters.base import Track
+    from nls.values import Values
+
+__all__ = ["estimator_errors", "estimator_figure", "estimator_map", "landmark_sigmas", "several", "vehicle_sigmas"]
+
+TRUE, PATH = "#202020", "#0b4f6c"
+COLORS = ("#0b4f6c", "#e07a2f", "#8e3a80", "#3f8f4f", "#c03a4a", "#7a6a2b", "#4a8fc0")
+RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # of the ellipse that holds a position with 95 %
+EVERY = 30  # ellipses of the vehicle, evenly spaced
+BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
+UNITS = np.array([1.0, 1.0, 180 / np.pi])
+
+
+def estimator_figure(track: Track, truth: Values, history: Sequence[tuple[Keys, Array]], title: str = "") -> Figure:
+    """The four pictures.
+
+    Parameters
+    ----------
+    track : poses in SE2.
+    truth : its poses and landmarks, under the same names.
+    history : at each step, the landmarks found so far and their covariances (m, d, d).
+    title : of the figure; the method of the track is always named.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.plot.filters import estimator_figure
+    >>> from sim.estimators import followed
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    >>> track, history = followed(world, "batch")
+    >>> [axes.get_title() for axes in estimator_figure(track, world.truth, history).axes if axes.get_title()]
+    ['map', 'sigma of the vehicle', 'errors and 3 sigma', 'sigma of the landmarks']
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 9), layout="constrained")
+    grid = figure.add_gridspec(6, 2)
+    estimator_map(track, truth, figure.add_subplot(grid[:3, 0]))
+    vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
+    estimator_errors(track, truth, [figure.add_subplot(grid[row, 0]) for row in (3, 4, 5)])
+    landmark_sigmas(track, history, figure.add_subplot(grid[3:, 1]))
+    figure.suptitle(f"{title}: {track.method}" if title else track.method)
+    return figure
+
+
+def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
+    """The track when each pose was the latest, the true one, and 95 % ellipses of the vehicle and of the landmarks.
+
+    Landmarks without a position, such as walls, are drawn as the infinite lines they are.
+    """
+    manifold = track.manifold
+    axes.plot(*manifold.position(truth[track.x]).T, color=TRUE, linewidth=0.8, label="truth")
+    axes.plot(*manifold.position(track.X).T, color=PATH, linewidth=1.0, label=track.method)
+    shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
+    J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
+    _outlines(
+        axes,
+        manifold.position(track.X[shown]),
+        _around(turned(J, track.P[shown]), RADIUS),
+        color=POSE,
+        linewidth=0.8,
+        label="95 % of the vehicle",
+    )
+    if len(track.landmarks):
+        stack = track.values.stack(track.landmarks.kind)
+        L = track.values[track.landmarks]
+        if stack.manifold is LINE:
+            for values, style in ((truth.stack(stack.kind).X, {"color": TRUE}), (L, {"color": POINT, "ls": "--"})):
+                for alpha, r in values:
+                    normal = np.array([np.cos(alpha), np.sin(alpha)])
+                    axes.axline(r * normal, r * normal + (-normal[1], normal[0]), linewidth=0.6, **style)  # type: ignore[arg-type]
+        else:
+            axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=5)
+            _outlines(
+                axes, L, _around(track.P_landmarks, RADIUS), color=POINT, linewidth=0.8, label="95 % of the landmarks"
+            )
+    axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="upper right", fontsize=8)
+
+
+def vehicle_sigmas(track: Track, axes: Axes) -> None:
+    """Sigma of the pose against the step: m on the left, deg on the right."""
+    sigma = _sigmas(track)
+    for k, (name, unit) in enumerate(BODY[:2]):
+        axes.plot(track.x.numbers, sigma[:, k], color=COLORS[k], linewidth=1.0, label=f"{name} [{unit}]")
+    right = axes.twinx()
+    right.plot(track.x.numbers, sigma[:, 2], color=COLORS[2], linewidth=1.0, linestyle="--", label="heading [deg]")
+    axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, None))
+    right.set(ylabel="sigma [deg]", ylim=(0, None))
+    (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
+    axes.legend([*handles, *more], [*labels, *names], loc="lower center", fontsize=8)
+
+
+def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
+    """Errors of the pose on three axes, one below the other, each with its band of 3 sigma."""
+    e = UNITS * track.manifold.local(track.X, truth[track.x])
+    sigma = _sigmas(track)
+    for k, (axes, (name, unit)) in enumerate(zip(rows, BODY, strict=True)):
+        axes.fill_between(track.x.numbers, -3 * sigma[:, k], 3 * sigma[:, k], color=PATH, alpha=0.15, linewidth=0)
+        axes.plot(track.x.numbers, e[:, k], color=PATH, linewidth=0.8)
+        axes.set_ylabel(f"{name} [{unit}]", fontsize=8)
+        axes.margins(x=0)
+    rows[0].set_title("errors and 3 sigma")
+    rows[-1].set_xlabel("step")
+
+
+def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: Axes) -> None:
+    """Sigma of each landmark against the step: of the position, or of each component where it has none."""
+    axes.set(title="sigma of the landmarks", xlabel="step", ylabel="sigma [m]")
+    found: dict[int, tuple[list[int], list[Array]]] = {}
+    for step, (keys, P) in zip(track.x.numbers.tolist(), history, strict=True):
+        for number, P_k in zip(keys.numbers.tolist(), P, strict=True):
+            at, variances = found.setdefault(number, ([], []))
+            at.append(step)
+            variances.append(np.diagonal(P_k))
+    if not found:
+        return
+    line = track.values.stack(track.landmarks.kind).manifold is LINE
+    right = axes.twinx() if line else None
+    for k, (number, (at, variances)) in enumerate(sorted(found.items())):
+        variance, style = np.array(variances), {"color": COLORS[k % len(COLORS)], "linewidth": 1.0}
+        sigma = np.sqrt(variance[:, 1] if line else variance.mean(axis=1))
+        axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
+        if right is not None:
+            right.plot(at, np.degrees(np.sqrt(variance[:, 0])), linestyle=":", **style)  # type: ignore[arg-type]
+    if right is not None:
+        axes.set_ylabel("sigma of r [m]")
+        right.set(ylabel="sigma of alpha [deg], dotted", ylim=(0, None))
+    axes.set_ylim(0, None)
+    axes.legend(loc="upper right", fontsize=8, ncols=2)
+
+
+def several(tracks: Sequence[Track], truth: Values, title: str = "", probability: float = 0.95) -> Figure:
+    """Several estimators on one data set: tracks, errors of the position, 3 sigma of the position, NEES with bounds.
+
+    Parameters
+    ----------
+    tracks : of the same poses, in SE2.
+    truth : of these poses.
+    title : of the figure.
+    probability : that the NEES of a consistent estimator is within the bounds, at any one step.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    from nls.filters.consistency import nees_bounds
+
+    figure = Figure(figsize=(13, 9), layout="constrained")
+    (places, errors), (sigmas, nees) = figure.subplots(2, 2)
+    x, manifold = tracks[0].x, tracks[0].manifold
+    q = manifold.position(truth[x])
+    places.plot(*q.T, color=TRUE, linewidth=1.2, label="truth")
+    for k, track in enumerate(tracks):
+        style = {"color": COLORS[k % len(COLORS)], "linewidth": 0.9, "label": track.method}
+        p, steps = manifold.position(track.X), track.x.numbers
+        places.plot(*p.T, **style)
+        errors.plot(steps, np.linalg.norm(p - q, axis=1), **style)
+        sigmas.plot(steps, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
+        nees.plot(steps, track.nees(truth), **style)
+    for bound in nees_bounds(manifold.dim, 1, probability):
+        nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
+    places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
+    places.set_aspect("equal", adjustable="datalim")
+    errors.set(title="error of the position", xlabel="step", ylabel="[m]", ylim=(0, None))
+    sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]", ylim=(0, None))
+    nees.set(title=f"NEES, {100 * probability:g} % between the dashed lines", xlabel="step", yscale="log")
+    places.legend(loc="center", fontsize=8)
+    if title:
+        figure.suptitle(title)
+    return figure
+
+
+def _sigmas(track: Track) -> Array:
+    """Sigmas (n, 3) of the poses, m, m, deg."""
+    return np.asarray(UNITS * np.sqrt(np.diagonal(track.P, axis1=1, axis2=2)))

@@ -1,0 +1,221 @@
+"""Which landmark a sighting is of: against brute force, where the nearest is wrong, and what one mistake costs."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+
+import sim
+from factors import BearingRange, Between, Diagonal, Isotropic, Landmark, Prior
+from models import SE2, R
+from models.algebra import Array
+from models.errors import GraphError, OptionError, ResourceLimitError
+from nls import FactorGraph, Values, kinds
+from nls.filters import association
+from nls.filters.association import (
+    Assignment,
+    Association,
+    JointCompatibility,
+    Nearest,
+    assignment,
+    identified,
+    jcbb,
+    nearest,
+    precision_recall,
+)
+from nls.filters.consistency import chi2_gate
+from nls.filters.ekf import EKF
+from sim.landmark_world import LandmarkWorld
+
+x, l = kinds("x", "l")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_assignment_is_the_best_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 5, size=2)
+    d2, gate = rng.uniform(0, 20, size=(n, m)), 9.0
+
+    def cost(choice: tuple[int, ...]) -> float:
+        return sum(gate if j < 0 else float(d2[i, j]) for i, j in enumerate(choice))
+
+    every = [
+        c
+        for c in product(range(-1, m), repeat=int(n))
+        if len({j for j in c if j >= 0}) == sum(j >= 0 for j in c)
+        and all(j < 0 or d2[i, j] <= gate for i, j in enumerate(c))
+    ]
+    found = assignment(d2, gate)
+    assert tuple(found.tolist()) in every
+    assert cost(tuple(found.tolist())) == pytest.approx(min(map(cost, every)))
+
+
+def test_without_landmarks_nothing_is_found() -> None:
+    for find in (nearest, assignment):
+        assert find(np.zeros((3, 0)), 9.0).tolist() == [-1, -1, -1]
+        assert find(np.zeros((0, 4)), 9.0).tolist() == []
+    assert jcbb(np.zeros((0, 2), dtype=int), np.zeros((0, 2)), np.zeros((0, 0)), 3, 0.95).tolist() == [-1, -1, -1]
+    assert nearest(np.array([[np.inf, 9.0]]), 9.0).tolist() == [1]
+
+
+def joint_scene(seed: int, n: int, m: int, dim: int) -> tuple[Array, Array, Array, Array]:
+    """Pairs within their gate, innovations, stacked covariance with a large common part; and the gate matrix."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(0, 6, size=(m, dim))
+    H = np.tile(np.eye(dim), (n * m, 1))
+    S = 2.0 * H @ H.T + 0.05 * np.eye(n * m * dim) + 0.02 * np.diag(rng.uniform(size=n * m * dim))
+    shift = rng.normal(size=dim) * 1.4
+    truly = rng.permutation(m)[: min(n, m)]
+    seen = np.concatenate(
+        [place[truly] + shift + 0.2 * rng.normal(size=(len(truly), dim)), rng.uniform(0, 6, (n - len(truly), dim))]
+    )
+    nu = (seen[:, None] - place[None]).reshape(-1, dim)
+    pairs = np.stack([np.repeat(np.arange(n), m), np.tile(np.arange(m), n)], axis=1)
+    d2 = np.array(
+        [nu[k] @ np.linalg.solve(S[k * dim : k * dim + dim, k * dim : k * dim + dim], nu[k]) for k in range(n * m)]
+    )
+    near = np.flatnonzero(d2 <= chi2_gate(dim, 0.95))
+    rows = (near[:, None] * dim + np.arange(dim)).reshape(-1)
+    return pairs[near], nu[near], S[np.ix_(rows, rows)], d2
+
+
+def distance(chosen: list[int], nu: Array, S: Array) -> float:
+    dim = nu.shape[1]
+    rows = np.concatenate([np.arange(k * dim, k * dim + dim) for k in chosen])
+    e = nu[chosen].reshape(-1)
+    return float(e @ np.linalg.solve(S[np.ix_(rows, rows)], e))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_jcbb_is_the_best_of_all(seed: int) -> None:
+    """Every set whose subsets in the order of the sightings are compatible too, as the search builds them."""
+    n, m, dim = ((3, 4, 2), (4, 3, 1), (3, 3, 2))[seed % 3]
+    pairs, nu, S, _ = joint_scene(seed, n, m, dim)
+    best: tuple[int, float, tuple[int, ...]] = (0, 0.0, (-1,) * n)
+    index = {(int(i), int(j)): k for k, (i, j) in enumerate(pairs)}
+    for c in product(range(-1, m), repeat=n):
+        taken = [j for j in c if j >= 0]
+        if len(set(taken)) < len(taken) or any((i, j) not in index for i, j in enumerate(c) if j >= 0):
+            continue
+        chosen = [index[i, j] for i, j in enumerate(c) if j >= 0]
+        d2 = [distance(chosen[: k + 1], nu, S) for k in range(len(chosen))]
+        if all(d <= chi2_gate(dim * (k + 1), 0.95) for k, d in enumerate(d2)):
+            best = min(best, (-len(chosen), d2[-1] if d2 else 0.0, c))
+    found = jcbb(pairs, nu, S, n, 0.95)
+    assert tuple(found.tolist()) == best[2]
+
+
+def test_jcbb_refuses_to_go_on_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs, nu, S, _ = joint_scene(3, 4, 4, 1)
+    monkeypatch.setattr(association, "NODES", 5)
+    with pytest.raises(ResourceLimitError, match=r"more than 5 sets of pairings for 4 sightings"):
+        jcbb(pairs, nu, S, 4, 0.95)
+
+
+def row_of_posts() -> tuple[FactorGraph, Values]:
+    """Five posts in a row, seen before and, four of them, after a step 0.62 m longer than measured (sigma 0.4 m).
+
+    The posts are 1 m apart, not quite evenly: after the step each sighting is nearer to a neighbor.
+    """
+    posts = np.array([[0.0, 3.0], [1.0, 3.0], [2.1, 3.0], [3.0, 3.0], [4.15, 3.0]])
+    X = np.array([[1.0, 0.0, 0.0], [2.62, 0.0, 0.0]])
+    i, k = np.repeat([0, 1], [5, 4]), np.array([0, 1, 2, 3, 4, 1, 2, 3, 4])
+    graph = FactorGraph(
+        [
+            Prior(x[0], X[0], Isotropic(1e-3)),
+            Between(x[0], x[1], [1.0, 0.0, 0.0], Diagonal(x=0.4, y=0.01, yaw=0.001)),
+            Landmark(x[i], l[k], SE2.act(SE2.inverse(X[i]), posts[k]), Isotropic(0.02)),
+        ]
+    )
+    return graph, Values({x: (SE2, X), l: (R(2), posts)})
+
+
+def test_neighbors_deceive_the_nearest_but_not_all_together() -> None:
+    graph, truth = row_of_posts()
+    true = graph.factors[2].keys[1].numbers
+    found = {}
+    for associate in (Nearest(), Assignment(), JointCompatibility(0.99)):
+        ekf = EKF(associate=associate)
+        track = ekf.run(graph, truth)
+        score = precision_recall(ekf.found, true)
+        found[type(associate)] = score, float(np.abs(track.X[1] - truth[x[1]]).max())
+    assert found[JointCompatibility] == (pytest.approx((1.0, 1.0)), pytest.approx(0.0, abs=0.01))
+    for deceived in (Nearest, Assignment):
+        assert found[deceived][0].precision == 0.0
+        assert found[deceived][1] > 0.2
+
+
+@pytest.mark.parametrize(
+    "associate", [Nearest(), Assignment(), JointCompatibility(0.99)], ids=lambda a: type(a).__name__
+)
+def test_landmarks_are_found_without_their_names(associate: Association) -> None:
+    """Six landmarks 20 m apart and a known start: all are found, no pairing is wrong, some sightings left out."""
+    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    names = np.random.default_rng(0).integers(0, 6, size=len(world.sightings))  # what the graph says does not matter
+    seen = BearingRange(world.sightings.keys[0], l[names], world.sightings.z, world.sightings.noise)
+    graph = FactorGraph([*world.graph.factors[:2], seen])
+    ekf = EKF(associate=associate)
+    track = ekf.run(graph, world.start)
+    score = precision_recall(ekf.found, world.sightings.keys[1].numbers)
+    assert len(track.landmarks) == 6
+    assert score.precision == 1.0
+    assert 0.95 < score.recall <= 1.0
+    assert track.ate(world.truth).rmse < 0.15
+
+    numbered = identified(seen, ekf.found, l)  # and a graph of what it found
+    start = Values({x: (SE2, track.X), l: (R(2), track.values[l], track.landmarks.numbers)})
+    best = FactorGraph([*world.graph.factors[:2], numbered]).optimize(start)
+    assert best.converged
+    assert world.ate(best.values) < 0.12
+    assert len(numbered) == sum(k >= 0 for k in ekf.found) < len(seen)
+
+
+def with_one_wrong(world: LandmarkWorld, which: int) -> FactorGraph:
+    seen = world.sightings
+    numbers = seen.keys[1].numbers.copy()
+    numbers[which] = (numbers[which] + 1) % world.landmarks
+    wrong = type(seen)(seen.keys[0], l[numbers], seen.z, seen.noise)
+    return FactorGraph([wrong if f is seen else f for f in world.graph.factors])
+
+
+def test_one_wrong_match_is_never_undone() -> None:
+    """One sighting of 349 given to the next landmark: the errors are many times what the filter believes, for ever."""
+    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    which = len(world.sightings) // 2
+    at = int(world.sightings.keys[0].numbers[which])
+    right = EKF().run(world.graph, world.start)
+    wrong = EKF().run(with_one_wrong(world, which), world.start)
+    assert np.array_equal(wrong.X[:at], right.X[:at])
+    assert right.nees(world.truth)[at:].mean() < 6
+    assert wrong.nees(world.truth)[at:].mean() > 50
+    assert wrong.ate(world.truth).rmse > 3 * right.ate(world.truth).rmse
+    assert wrong.P[-1, 0, 0] < 2 * right.P[-1, 0, 0]  # and it has no idea
+
+
+def test_score_does_not_depend_on_the_numbers() -> None:
+    true = np.array([4, 4, 9, 4, 9, 9, 2])
+    found = np.array([0, 0, 1, 1, 1, -1, 2])  # 4 4 9 4->9 wrong, 9 right, 9 left out, 2 new
+    assert precision_recall(found, true) == pytest.approx((2 / 3, 2 / 4))
+    for order in permutations([10, 11, 12]):
+        other = np.where(found >= 0, np.array(order)[found], -1)
+        assert precision_recall(other, true) == pytest.approx((2 / 3, 2 / 4))
+    assert precision_recall(true, true) == (1.0, 1.0)
+    assert precision_recall([-1, -1], [3, 3]) == (1.0, 1.0)  # nothing was made, nothing could be found again
+    assert precision_recall([0, 1], [3, 3]) == (1.0, 0.0)
+    assert precision_recall([], []) == (1.0, 1.0)
+    with pytest.raises(GraphError, match="shapes"):
+        precision_recall([0, 1], [0])
+
+
+def test_options_that_are_none_are_refused() -> None:
+    for bad in (0.0, 1.0, True, "high", np.nan):
+        with pytest.raises(OptionError, match="probability"):
+            Nearest(probability=bad)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="at least probability"):
+        JointCompatibility(0.99, new=0.9)
+    with pytest.raises(OptionError, match="associate"):
+        EKF(associate=nearest)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match=r"\(2,\) landmarks found for 9 sightings"):
+        identified(row_of_posts()[0].factors[2], [0, 1], l)  # type: ignore[arg-type]

@@ -1,0 +1,162 @@
+"""A graph cut into steps, the record of a run, and errors in units of the covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import sim
+from factors import Between, Heading, Isotropic, Landmark, Prior
+from models import SE2, R
+from models.errors import GraphError, OptionError, UnderconstrainedError
+from nls import FactorGraph, Values, kinds
+from nls.filters.base import Step, Track, steps
+from nls.filters.consistency import chi2_gate, nees, nees_bounds
+from nls.filters.ekf import EKF
+
+x, l, o = kinds("x", "l", "o")
+ONE = Isotropic(0.1)
+
+
+def small() -> tuple[FactorGraph, Values]:
+    """Poses 2, 5, 9, given out of order; a closure, a heading, sightings in one batch, priors of two landmarks."""
+    graph = FactorGraph(
+        [
+            Prior(l[[7, 3]], [[1, 1], [2, 2]], ONE),
+            Landmark(x[[9, 5, 9, 2]], l[[7, 7, 4, 4]], [[1, 0], [2, 0], [3, 0], [4, 0]], ONE),
+            Between(x[[9, 5]], x[[5, 2]], [[-1, 0, 0], [-2, 0, 0]], ONE),
+            Between(x[2], x[9], [3, 0, 0], ONE),
+            Prior(x[2], [0, 0, 0], ONE),
+            Heading(x[[5, 9]], [0.1, 0.2], ONE),
+        ]
+    )
+    return graph, Values({l: (R(2), np.zeros((3, 2)), [7, 3, 4]), x: (SE2, SE2.identity(3), [9, 2, 5])})
+
+
+def shown(step: Step) -> tuple[str, list[str], list[str]]:
+    return repr(step.pose), [repr(f) for f in step.motion], [repr(f) for f in step.seen]
+
+
+def test_every_measurement_is_at_the_step_of_its_latest_pose() -> None:
+    cut = steps(*small())
+    assert [shown(step) for step in cut] == [
+        ("x2", [], ["Prior(l3)", "Landmark(x2, l4)", "Prior(x2)"]),  # nobody sees l3
+        ("x5", ["Between(x5, x2)"], ["Prior(l7)", "Landmark(x5, l7)", "Heading(x5)"]),
+        ("x9", ["Between(x9, x5)"], ["Landmark(x[9, 9], l[7, 4])", "Between(x2, x9)", "Heading(x9)"]),
+    ]
+    assert cut[2].seen[0].z.tolist() == [[1, 0], [3, 0]]
+    assert cut[1].motion[0].z.tolist() == [[-2, 0, 0]]
+    assert [float(f.z[0]) for f in (cut[1].seen[2], cut[2].seen[2])] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize("make", [sim.subsea, sim.lines])
+def test_nothing_is_lost_and_nothing_twice(make: object) -> None:
+    world = make(np.random.default_rng(3))  # type: ignore[operator]
+    cut = steps(world.graph, world.start)
+    assert len(cut) == world.poses
+    parts = [f for step in cut for f in (*step.motion, *step.seen)]
+    for factor in world.graph.factors:
+        mine = [f for f in parts if type(f) is type(factor)]
+        assert sum(map(len, mine)) == len(factor)
+        assert sum(float(f.chi2(world.start).sum()) for f in mine) == pytest.approx(factor.chi2(world.start).sum())
+    for step in cut:
+        for f in (*step.motion, *step.seen):
+            assert max(int(k.numbers.max()) for k in f.keys if k.kind == "x") == step.pose.numbers[0]
+
+
+def test_graphs_that_have_no_steps_are_refused_by_name() -> None:
+    graph, values = small()
+    graph.remove(graph.factors[2])
+    graph.add(Between(x[2], x[5], [1, 0, 0], ONE))
+    with pytest.raises(GraphError, match=r"x9 has no factor from x5, the pose before it"):
+        steps(graph, values)
+    graph, values = small()
+    graph.fix(x[2])
+    with pytest.raises(GraphError, match=r"x2 is held fixed.*release"):
+        steps(graph, values)
+    graph.release(x[2])
+    assert len(steps(graph, values)) == 3
+    graph.add(Prior(o[0], [0, 0], ONE))
+    values.add(o, R(2), [0, 0])
+    with pytest.raises(GraphError, match=r"one kind of landmarks; this graph has kinds l, o"):
+        steps(graph, values)
+    with pytest.raises(GraphError, match=r"no variable of kind 'x'"):
+        steps(FactorGraph(), Values({l: (R(2), [0, 0])}))
+    graph, values = small()
+    graph.add(Heading(x[3], 0.0, ONE))
+    with pytest.raises(GraphError, match=r"x3 has no value"):
+        steps(graph, values)
+
+
+def test_a_track_measures_itself_against_the_truth() -> None:
+    n = 4
+    X = np.array([[0, 0, 3.1], [1, 0, 0], [2, 0, 0], [3, 0, 0.5]])
+    P = np.tile(np.diag([0.04, 0.01, 0.0025]), (n, 1, 1))
+    truth = Values({x: (SE2, X + np.array([[0, 0, -6.2], [0.2, 0, 0], [0, 0.3, 0], [0, 0, 0]]))})
+    smoothed = Values({x: (SE2, X + np.array([[1, 0, 0]]))})
+    track = Track("test", x[0:n], SE2, X, P, smoothed, l[[]], np.zeros((0, 2, 2)), np.zeros(n))
+    turned = 2 * np.pi - 6.2  # over +-pi, not 6.2
+    assert track.nees(truth).round(9).tolist() == pytest.approx([turned**2 / 0.0025, 1.0, 9.0, 0.0])
+    assert track.ate(truth).rmse == pytest.approx(np.sqrt((0.04 + 0.09) / 4))
+    distances = [1.0, 0.8, np.hypot(1, 0.3), 1.0]
+    assert track.ate(truth, smoothed=True).rmse == pytest.approx(np.sqrt(np.mean(np.square(distances))))
+    assert track.ate(truth, "rigid", smoothed=True).rmse < 0.3
+
+
+def test_errors_along_axes_that_are_correlated() -> None:
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(6, 3, 3)) * [1e-4, 1.0, 1e3]  # scales that differ by 1e7 are not singular
+    P = A.mT @ A
+    e = rng.normal(size=(6, 3)) * [1e-4, 1.0, 1e3]
+    expected = [e[k] @ np.linalg.solve(P[k], e[k]) for k in range(6)]
+    assert nees(x[0:6], R(3), np.zeros((6, 3)), P, e) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("P", [np.zeros((2, 2)), np.diag([1.0, 0.0]), np.ones((2, 2)), np.diag([1.0, np.nan])])
+def test_a_singular_covariance_has_no_nees(P: np.ndarray) -> None:
+    both = np.stack([np.eye(2), P])
+    with pytest.raises(UnderconstrainedError, match=r"NEES of x8: its covariance is singular"):
+        nees(x[[4, 8]], R(2), np.zeros((2, 2)), both, np.ones((2, 2)))
+
+
+def test_bounds_are_those_of_chi_squared() -> None:
+    assert nees_bounds(3, 50) == pytest.approx(chi2.ppf([0.025, 0.975], 150) / 50)
+    assert nees_bounds(2, 1, 0.8) == pytest.approx(chi2.ppf([0.1, 0.9], 2))
+    assert [chi2_gate(d, 0.99) for d in (1, 2, 7)] == pytest.approx(chi2.ppf(0.99, [1, 2, 7]))
+    for bad in (0.0, 1.0, True, "0.9", np.nan):
+        with pytest.raises(OptionError, match="probability"):
+            chi2_gate(2, bad)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="dim"):
+        chi2_gate(0, 0.9)
+
+
+def test_kinds_the_graph_does_not_use_are_left_alone() -> None:
+    world = sim.subsea(np.random.default_rng(2), laps=1)
+    values = Values({o: (R(3), [1, 2, 3]), **{k: (s.manifold, s.X, s.numbers) for k, s in world.start.stacks.items()}})
+    graph = FactorGraph([world.first, world.odometry, world.sightings[world.sightings.keys[0].numbers > 3]])
+    track = EKF().run(graph, values)
+    assert list(track.values.stacks) == ["x", "l"]
+    assert len(track.landmarks) == 6
+
+
+def test_a_run_goes_by_the_numbers_of_the_poses_not_their_order() -> None:
+    world = sim.subsea(np.random.default_rng(2), laps=1)
+    track = EKF().run(world.graph, world.start)
+    stack = world.start.stack("x")
+    order = np.random.default_rng(0).permutation(len(stack))
+    shuffled = Values(
+        {x: (SE2, stack.X[order], 3 * stack.numbers[order] - 7), l: (R(2), world.start[l])},
+    )
+    renumbered = FactorGraph()
+    first, odometry, seen = world.first, world.odometry, world.sightings
+    order = np.argsort(-seen.keys[0].numbers, kind="stable")
+    seen = seen[order]
+    renumbered.add(type(seen)(x[3 * seen.keys[0].numbers - 7], seen.keys[1], seen.z, seen.noise))
+    i, j = (k.numbers * 3 - 7 for k in odometry.keys)
+    renumbered.add(Between(x[i], x[j], odometry.z, odometry.noise))
+    renumbered.add(Prior(x[-7], first.z, first.noise))
+    other = EKF().run(renumbered, shuffled)
+    assert np.allclose(other.X, track.X, atol=1e-9)
+    assert np.allclose(other.P, track.P, atol=1e-9)
+    assert other.x.numbers.tolist() == list(range(-7, 3 * 91 - 7, 3))

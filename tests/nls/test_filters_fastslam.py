@@ -1,0 +1,236 @@
+"""FastSLAM: the same bits for a seed, the posterior a batch solution has, the errors known for its two versions."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import multivariate_normal
+
+import sim
+from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Heading, Isotropic, Prior, Range, Robust
+from models import SE2, R
+from models.errors import GraphError, OptionError, UnderconstrainedError
+from nls import FactorGraph, Marginals, Values, kinds
+from nls.filters.base import steps
+from nls.filters.fastslam import FastSLAM
+from nls.filters.motion import copies
+from nls.filters.particle_map import ParticleMap, each_once
+from nls.filters.particles import covariance, effective, mean, normalized_weights, systematic
+
+Array = npt.NDArray[np.float64]
+Version = Literal[1, 2]
+close = np.testing.assert_allclose
+x, l = kinds("x", "l")
+both = pytest.mark.parametrize("version", [1, 2])
+
+
+def small(*more: Factor) -> tuple[FactorGraph, Values]:
+    """Four poses across the +-pi of the heading and three landmarks, one of them charted."""
+    at = np.arange(4)
+    i, k = np.array([(0, 0), (0, 1), (1, 0), (1, 1), (1, 2), (2, 2), (3, 1), (3, 2), (3, 0)]).T
+    rng = np.random.default_rng(8)
+    X = np.array([[0, 0, 3.0], [-1, 0.2, 3.1], [-2, 0.3, -3.1], [-3, 0.3, -3.0]])
+    L = np.array([[-6, 3], [-5, -4], [-9, 1.0]])
+    p = np.einsum("nji,nj->ni", SE2.rotation(X[i]), L[k] - X[i, :2])
+    z = np.stack([np.arctan2(p[:, 1], p[:, 0]), np.hypot(*p.T)], axis=1) + rng.normal(0, [0.004, 0.02], (len(i), 2))
+    graph = FactorGraph(
+        [
+            Prior(x[0], X[0], Diagonal([0.04, 0.02, 0.006])),
+            Between(x[at[:-1]], x[at[1:]], SE2.between(X[:-1], X[1:]) + 0.005, Diagonal([0.02, 0.02, 0.006])),
+            BearingRange(x[i], l[k], z, Diagonal([0.004, 0.02])),
+            Heading(x[[2]], [-3.11], Isotropic(0.006)),
+            Prior(l[[2]], [[-9.02, 1.02]], Isotropic(0.06)),
+            *more,
+        ]
+    )
+    return graph, Values({x: (SE2, X), l: (R(2), L)})
+
+
+@both
+def test_a_seed_gives_the_same_bits(version: Version) -> None:
+    graph, values = small()
+    one, same, other = (FastSLAM(50, version, rng=np.random.default_rng(s)).run(graph, values) for s in (3, 3, 4))
+    assert one.X.tobytes() == same.X.tobytes()
+    assert one.values[l].tobytes() == same.values[l].tobytes()
+    assert one.X.tobytes() != other.X.tobytes()
+
+
+AGAIN = BearingRange(x[[1, 1, 3]], l[[0, 0, 1]], [[-0.47, 5.75], [-0.48, 5.7], [1.0, 4.78]], Diagonal([0.01, 0.05]))
+
+
+@both
+@pytest.mark.parametrize("more", [[], [AGAIN]], ids=["each once", "landmarks seen again in a step"])
+def test_with_many_particles_it_is_the_posterior_of_the_batch(version: Version, more: list[Factor]) -> None:
+    graph, values = small(*more)
+    best = graph.optimize(values).values
+    marginals = Marginals(graph, best)
+    track = FastSLAM(20_000, version, rng=np.random.default_rng(0)).run(graph, values)
+    noise = {1: 0.2, 2: 0.1}[version]  # 700 and more effective particles at the end: 5 % and less of a variance
+    P = marginals.covariance(x[3], frame="body")
+    e = SE2.local(track.X[3][None], best[x[3]][None])[0]
+    assert np.abs(e / np.sqrt(np.diag(P))).max() < noise
+    scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+    close(track.P[3] / scale, P / scale, atol=noise)
+    P_l = marginals.covariance(track.landmarks)
+    sigma = np.sqrt(np.diagonal(P_l, axis1=1, axis2=2))
+    assert np.abs((track.values[track.landmarks] - best[track.landmarks]) / sigma).max() < noise
+    close(np.diagonal(track.P_landmarks, axis1=1, axis2=2) / sigma**2, 1, atol=noise)
+
+
+def test_all_particles_at_once_are_each_particle_alone() -> None:
+    graph, values = small()
+    rng = np.random.default_rng(2)
+    (seen,) = [f for f in steps(graph, values)[3].seen if isinstance(f, BearingRange)]
+    X = SE2.retract(np.tile(values[x[3]], (5, 1)), rng.normal(0, 0.3, (5, 3)))
+    L = values[l][seen.keys[1].numbers] + rng.normal(0, 0.3, (5, 3, 2))
+    many = copies(seen, [SE2, R(2)], 5)
+    (A_x, A_l), b = many.linearize(X, L)
+    chi2 = many.chi2(X, L)
+    for k in range(5):
+        (A_x_k, A_l_k), b_k = seen.bind(SE2, R(2)).linearize(np.tile(X[k], (3, 1)), L[k])
+        close(A_x[3 * k : 3 * k + 3], A_x_k, atol=1e-12)
+        close(A_l[3 * k : 3 * k + 3], A_l_k, atol=1e-12)
+        close(b[3 * k : 3 * k + 3], b_k, atol=1e-12)
+        assert chi2[k] == pytest.approx(np.square(b_k).sum())
+
+
+def test_an_update_is_the_kalman_update_of_every_particle_and_its_weight_the_likelihood() -> None:
+    graph, values = small()
+    rng = np.random.default_rng(6)
+    (seen,) = [f for f in steps(graph, values)[3].seen if isinstance(f, BearingRange)]
+    X = SE2.retract(np.tile(values[x[3]], (4, 1)), rng.normal(0, 0.2, (4, 3)))
+    keys = l[[2, 0, 1]]
+    L, B = values[keys] + rng.normal(0, 0.2, (4, 3, 2)), rng.normal(0, 0.3, (4, 3, 2, 2))
+    C = B @ B.mT + 0.01 * np.eye(2)
+    of = ParticleMap("l", R(2), 4)
+    of.add(keys, L, C)
+    log_N = of.update(copies(seen, [SE2, R(2)], 4), X)
+    for n in range(4):
+        total = 0.0
+        for k, row in enumerate(of.rows(seen.keys[1])):
+            (_, A_l), b = seen[[k]].bind(SE2, R(2)).linearize(X[[n]], L[[n], row])
+            A, S = A_l[0], A_l[0] @ C[n, row] @ A_l[0].T + np.eye(2)
+            K = C[n, row] @ A.T @ np.linalg.inv(S)
+            close(of.L[n, row], L[n, row] + K @ b[0], atol=1e-10)
+            close(of.C[n, row], C[n, row] - K @ S @ K.T, atol=1e-10)
+            total += multivariate_normal.logpdf(b[0], np.zeros(2), S) + np.log(2 * np.pi)
+        assert log_N[n] == pytest.approx(total, rel=1e-9)
+
+
+def test_a_batch_is_cut_so_that_no_landmark_comes_twice() -> None:
+    graph, _ = small(AGAIN)
+    parts = each_once(graph.factors[-1])
+    assert [part.keys[1] for part in parts] == [l[[0, 1]], l[[0]]]
+    assert each_once(parts[0]) == [parts[0]]
+
+
+def test_headings_are_averaged_on_the_circle() -> None:
+    X = np.array([[[0.0, 0.0, 3.1]], [[1.0, 0.0, -3.1]], [[2.0, 3.0, 3.0]]])
+    w = np.array([0.25, 0.25, 0.5])
+    center = mean(SE2, X, w)
+    turn = (0.25 * (3.1 - np.pi) + 0.25 * (np.pi - 3.1) + 0.5 * (3.0 - np.pi)) + np.pi
+    assert center[0, 2] == pytest.approx(turn)
+    close(np.einsum("n,nd->d", w, SE2.local(np.broadcast_to(center[0], (3, 3)), X[:, 0])), 0, atol=1e-12)
+    assert covariance(SE2, center, X, w)[0, 2, 2] < 0.02
+
+
+def test_systematic_resampling_keeps_every_weight_up_to_one_particle() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        w = normalized_weights(rng.normal(0, 3, 40))
+        count = np.bincount(systematic(w, rng), minlength=40)
+        assert (np.abs(count - 40 * w) < 1).all()
+        assert 1 <= effective(w) <= 40
+    many = np.mean([np.bincount(systematic(w, rng), minlength=40) for _ in range(4000)], axis=0)
+    close(many / 40, w, atol=4 * 0.5 / np.sqrt(4000) / 40)
+    assert effective(np.full(40, 1 / 40)) == pytest.approx(40)
+
+
+@cache
+def subsea_errors(particles: int, version: Version) -> tuple[Array, Array]:
+    """ATE, and mean NEES of the last quarter, of the subsea scene with a known start, seeds 0 to 9."""
+    found = []
+    for seed in range(10):
+        world = sim.subsea(np.random.default_rng(seed), known_start=True)
+        track = FastSLAM(particles, version, rng=np.random.default_rng([seed, 1])).run(world.graph, world.start)
+        e = SE2.local(track.X, world.truth[x])[135:]
+        sigma = np.sqrt(np.diagonal(track.P, axis1=1, axis2=2)[135:].mean(axis=0))
+        found.append(
+            (track.ate(world.truth).rmse, float(np.square(e[:, :2]).sum(1).mean() / np.square(sigma[:2]).sum()))
+        )
+    return tuple(np.array(found).T)  # type: ignore[return-value]
+
+
+def test_errors_fall_with_the_particles_and_with_the_version() -> None:
+    errors = {(N, v): subsea_errors(N, v)[0].mean() for N in (10, 100) for v in (1, 2)}  # type: ignore[arg-type]
+    for v in (1, 2):
+        assert errors[100, v] < errors[10, v]
+    for N in (10, 100):
+        assert errors[N, 2] < errors[N, 1]
+    assert 0.45 < errors[10, 1] < 1.4
+    assert 0.22 < errors[10, 2] < 0.60
+    assert errors[100, 2] < 0.40
+
+
+def test_the_covariance_of_few_particles_is_too_small_as_it_says() -> None:
+    for version in (1, 2):
+        few, more = (subsea_errors(N, version)[1].mean() for N in (10, 100))  # type: ignore[arg-type]
+        assert few > 5  # times as much as it says
+        assert more < few
+
+
+def test_lines_and_wheels() -> None:
+    world = sim.lines(np.random.default_rng(0), laps=1)
+    track = FastSLAM(30, rng=np.random.default_rng(0)).run(world.graph, world.start)
+    assert len(track.landmarks) == 12
+    assert track.ate(world.truth).rmse < 0.3 * world.ate(world.start)
+
+
+def run(graph: FactorGraph, values: Values) -> Any:
+    return FastSLAM(10, rng=np.random.default_rng(0)).run(graph, values)
+
+
+def test_what_it_cannot_take_is_refused_by_name() -> None:
+    walk = Between(x[[0, 1]], x[[1, 2]], [[1.0, 0, 0]] * 2, Isotropic(0.1))
+    first = Prior(x[0], [0, 0, 0], Isotropic(0.1))
+    values = Values({x: (SE2, SE2.identity(3)), l: (R(2), [[3.0, 4.0]])})
+    with pytest.raises(GraphError, match=r"Range\(x1, l0\) is the first to see l0.*Prior"):
+        run(FactorGraph([first, walk, Range(x[1], l[0], [5.0], Isotropic(0.1))]), values)
+    with pytest.raises(GraphError, match=r"Between\(x0, x2\) is about more than x2.*FixedLag or Online"):
+        run(FactorGraph([first, walk, Between(x[0], x[2], [2.0, 0, 0], Isotropic(0.1))]), values)
+    with pytest.raises(GraphError, match=r"Heading\(x1\) has a robust kernel"):
+        run(FactorGraph([first, walk, Heading(x[1], [0.1], Robust(Isotropic(0.1), Cauchy(1.0)))]), values)
+    with pytest.raises(GraphError, match=r"x0: nothing is measured of it alone"):
+        run(FactorGraph([walk]), values)
+    with pytest.raises(UnderconstrainedError, match=r"x0.*Heading.*Prior of x0"):
+        run(FactorGraph([Heading(x[0], [0.1], Isotropic(0.1)), walk]), values)
+
+
+def test_options_are_refused_by_name() -> None:
+    rng = np.random.default_rng(0)
+    for make, said in (
+        (lambda: FastSLAM(1, rng=rng), "particles"),
+        (lambda: FastSLAM(True, rng=rng), "particles"),
+        (lambda: FastSLAM(10, 3, rng=rng), "version"),  # type: ignore[arg-type]
+        (lambda: FastSLAM(10, rng=7), "rng"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(OptionError, match=said):
+            make()
+
+
+def test_a_range_alone_is_enough_for_a_landmark_that_is_charted() -> None:
+    graph = FactorGraph(
+        [
+            Prior(x[0], [0, 0, 0], Isotropic(0.5)),
+            Prior(l[0], [3.0, 4.0], Isotropic(0.01)),
+            Range(x[0], l[0], [4.5], Isotropic(0.01)),
+        ]
+    )
+    values = Values({x: (SE2, SE2.identity(1)), l: (R(2), [[0.0, 0.0]])})
+    track = FastSLAM(3000, rng=np.random.default_rng(0)).run(graph, values)
+    assert np.hypot(*(track.X[0, :2] - [3, 4])) == pytest.approx(4.5, abs=0.03)
+    close(track.values[l[0]], [3, 4], atol=0.01)
