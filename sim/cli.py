@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import math
 import re
 import sys
 import textwrap
-import typing
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
+from sim.arguments import Parser, add_parameters, command, flag, seed_number
 from sim.calibration import calibrated, calibration_rows, write_calibration
 from sim.camera_sonar import Rig
+from sim.cli_estimators import SCENE_FILES, add_compare, add_estimators, estimated
+from sim.estimators import SCENES
 from sim.mission import Mission
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
@@ -34,12 +35,12 @@ __all__ = ["MISSIONS", "RIGS", "WORLDS", "main"]
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
 RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
-MADE: dict[str, Callable[..., Any]] = {**WORLDS, **MISSIONS, **RIGS}
-FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
+MADE: dict[str, Callable[..., Any]] = {**WORLDS, **MISSIONS, **RIGS, **SCENES}
 WRITTEN = {
     "world": "graph.g2o, truth.g2o",
     "mission": "a mission (CSV files, for nls solve)",
     "rig": "rig.png, rig.json (before and after)",
+    "scene": SCENE_FILES,
 }
 EXAMPLES = """examples:
   nls-sim sphere --out demo                       graph and truth in the folder demo, and a table
@@ -49,19 +50,14 @@ EXAMPLES = """examples:
   nls-sim hauv-floor --seed 1 --out survey        a sonar mission as a folder of CSV files, for nls solve survey
   nls-sim hauv-hull --aperture 28deg --outliers 0.05
   nls-sim rig --out calibrated                    a camera and a sonar: raw and optimized, with a picture
+  nls-sim subsea --landmarks first-sight --estimator ekf --out over-confident
+  nls-sim subsea --laps 1 --runs 4           the mean over 4 seeds, on all cores
+  nls-sim compare --world subsea --laps 1 --estimators ekf batch
 """
 
 
-class Parser(argparse.ArgumentParser):
-    """One line for a mistake instead of the whole usage."""
-
-    def error(self, message: str) -> NoReturn:
-        print(f"nls-sim: {message}; see {self.prog} --help", file=sys.stderr)
-        raise SystemExit(2)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0, or 2 for a mistake in the options or the folder.
+    """Run the command line; returns the exit code: 0, 1 when interrupted, 2 for a mistake in the options or folder.
 
     Examples
     --------
@@ -79,25 +75,32 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if out == "":
             raise OptionError("out", out, "a folder")
-        rng = np.random.default_rng(seed)
-        world = MADE[name](rng, **given)
-        table, files = simulated(world)
+        call = command(name, seed, given)
+        if name in SCENES or name == "compare":
+            table, files, said = estimated(name, seed, given, out is not None)
+        else:
+            world = MADE[name](np.random.default_rng(seed), **given)
+            (table, files), said = simulated(world), world.description
         if out is not None:
-            written = write(Path(out), files, world.description, aligned(table), command(name, seed, given))
+            written = write(Path(out), files, said, aligned(table), call)
             table.append(("written", written))
     except OptionError as error:
         return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
     except OSError as error:
         return complain(f"{error.filename or out}: {error.strerror or error}; give another folder to --out")
     except LeadlineError as error:
-        return complain(str(error))
+        return complain(" ".join([str(error), *getattr(error, "__notes__", [])]))
+    except KeyboardInterrupt:
+        complain("interrupted; records of --runs that are in the file of --resume stay there")
+        return 1
     print(aligned(table))
     return 0
 
 
 def aligned(table: list[tuple[str, str]]) -> str:
     """The table as lines of text."""
-    return "\n".join(f"{label:14s}  {text}" for label, text in table)
+    width = max(14, *(len(label) for label, _ in table))
+    return "\n".join(f"{label:{width}s}  {text}" for label, text in table)
 
 
 def rows(world: World) -> list[tuple[str, str]]:
@@ -170,17 +173,11 @@ def write(folder: Path, files: Callable[[Path], tuple[list[str], str]], said: st
     return ", ".join([*names, str(folder / "README.txt")])
 
 
-def command(name: str, seed: int, given: dict[str, Any]) -> str:
-    """The command that makes the same world again, with every option spelled out."""
-    options = " ".join(f"{flag(option)} {value}" for option, value in given.items() if value is not None)
-    return f"nls-sim {name} --seed {seed} {options}"
-
-
 def parser() -> Parser:
     """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
     top = Parser(
         prog="nls-sim",
-        description="Simulate a SLAM problem whose answer is known: a pose graph, sonar mission or rig, seeded.",
+        description="Simulate a SLAM problem whose answer is known: pose graph, sonar mission, rig, scene for filters.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -189,7 +186,7 @@ def parser() -> Parser:
     for name, make in MADE.items():
         doc = inspect.getdoc(make) or ""
         said = re.split(r"\nParameters\n-+\n", doc)[0]
-        kind = "world" if name in WORLDS else "mission" if name in MISSIONS else "rig"
+        kind = "world" if name in WORLDS else "mission" if name in MISSIONS else "rig" if name in RIGS else "scene"
         sub = worlds.add_parser(
             name,
             help=said.splitlines()[0].replace("%", "%%"),
@@ -200,55 +197,11 @@ def parser() -> Parser:
         )
         sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
         sub.add_argument("--out", metavar="DIR", help=f"write {WRITTEN[kind]} and README.txt into this folder")
-        helps = dict(re.findall(r"^(\w+) : (.+)$", doc, re.MULTILINE))
-        hints = typing.get_type_hints(make)
-        for option, parameter in inspect.signature(make).parameters.items():
-            if parameter.default is parameter.empty:
-                continue  # the generator
-            default = parameter.default
-            shown = f"{default:.4g}" if hints[option] is float else default
-            hint = "" if default is None else f" (default {shown})"
-            sub.add_argument(
-                flag(option),
-                dest=option,
-                default=default,
-                help=(helps[option].rstrip(".") + hint).replace("`", "").replace("%", "%%"),
-                **values_of(hints[option]),
-            )
+        add_parameters(sub, make)
+        if name in SCENES:
+            add_estimators(sub)
+    add_compare(worlds)
     return top
-
-
-def values_of(hint: Any) -> dict[str, Any]:
-    """What argparse needs to know of a parameter with this type: words, a number or a whole number."""
-    if typing.get_origin(hint) is typing.Literal:
-        return {"choices": typing.get_args(hint)}
-    return {"type": number, "metavar": "X"} if hint is float else {"type": whole_number, "metavar": "N"}
-
-
-def flag(option: str) -> str:
-    """The option of the command line that sets a parameter."""
-    return FLAGS.get(option, "--" + option.replace("_", "-")) if option.isidentifier() else option
-
-
-def whole_number(text: str) -> int:
-    """An int, or the sentence argparse prints."""
-    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
-    return int(text)
-
-
-def seed_number(text: str) -> int:
-    """A whole number of at least 0."""
-    if (value := whole_number(text)) < 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is below 0; a seed is a whole number of at least 0")
-    return value
-
-
-def number(text: str) -> float:
-    """A float, in radians where it ends in deg, or the sentence argparse prints."""
-    if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?(deg)?", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
-    return math.radians(float(text[:-3])) if text.endswith("deg") else float(text)
 
 
 def complain(message: str) -> int:

@@ -130,11 +130,12 @@ def test_examples_of_the_help_work(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     from sim.cli import EXAMPLES
 
     calls = [line.split("   ")[0].split()[1:] for line in EXAMPLES.splitlines() if line.startswith("  nls-sim")]
-    assert len(calls) == 7
-    assert [main(call) for call in calls if "--help" not in call] == [0] * 6
+    assert len(calls) == 10
+    assert [main(call) for call in calls if "--help" not in call] == [0] * 9
     assert (tmp_path / "demo" / "graph.g2o").exists()
     assert (tmp_path / "survey" / "contacts.csv").exists()
     assert (tmp_path / "calibrated" / "rig.png").exists()
+    assert (tmp_path / "over-confident" / "estimate.png").exists()
 
 
 def test_python_m_sim() -> None:

@@ -1,0 +1,231 @@
+"""Command line of the scenes for filters: one estimator, many seeds, or all estimators side by side."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.errors import OptionError
+from sim.arguments import add_parameters, flag, parameters, seed_number, whole_number
+from sim.compare import compare, compared_rows, monte_carlo_rows
+from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
+from sim.landmark_world import LandmarkWorld
+from sim.monte_carlo import runs
+
+__all__ = ["SCENE_FILES", "add_compare", "add_estimators", "estimated"]
+
+SCENE_FILES = "estimate.png (four pictures), estimate.json"
+SETTINGS = {  # of the estimators: which has it, and what it is
+    "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
+    "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
+    "every": (("online",), "online solves at every N-th step (default 1)"),
+}
+EXAMPLE = """example:
+  nls-sim compare --world lines --laps 1 --estimators ekf batch --out compared
+"""
+Files = Callable[[Path], tuple[list[str], str]]
+
+
+def add_estimators(sub: argparse.ArgumentParser) -> None:
+    """Options of a scene that choose the estimator, and how often it runs."""
+    sub.add_argument("--estimator", choices=ESTIMATORS, default="ekf", help="who solves it (default ekf)")
+    _add_settings(sub)
+
+
+def add_compare(worlds: Any) -> None:
+    """The command ``compare``."""
+    sub = worlds.add_parser(
+        "compare",
+        help="Estimators side by side on one scene: one table and one picture.",
+        description="Run estimators on the same measurements of one scene, or of many seeds, and compare errors, what "
+        "they say of themselves, time and memory.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
+    sub.add_argument("--out", metavar="DIR", help="write compare.png, compare.json and README.txt into this folder")
+    sub.add_argument("--world", choices=list(SCENES), default="subsea", help="the scene (default subsea)")
+    sub.add_argument(
+        "--estimators",
+        nargs="+",
+        choices=ESTIMATORS,
+        default=list(ESTIMATORS),
+        metavar="NAME",
+        help=f"which ones: {', '.join(ESTIMATORS)} (default all)",
+    )
+    sub.add_argument("--memory", action="store_true", help="run each again and count what it holds, three times slower")
+    add_parameters(sub, SCENES["subsea"], unset=True)  # those of the other scenes are among them
+    _add_settings(sub)
+
+
+def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> tuple[list[tuple[str, str]], Files, str]:
+    """The table of a scene or of ``compare``, what writes its files, and what the scene is.
+
+    Parameters
+    ----------
+    name : of a scene, or ``compare``.
+    seed : the first one.
+    given : the options of the command line.
+    pictured : whether the files are going to be written: pictures of landmarks need their covariances at each step.
+
+    Raises
+    ------
+    OptionError
+        Options that do not go together, or with values they cannot have.
+    """
+    options = dict(given)
+    memory, count, kept = options.pop("memory", False), options.pop("runs"), options.pop("resume")
+    settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
+    scene = options.pop("world", name)
+    names = options.pop("estimators") if name == "compare" else [options.pop("estimator")]
+    _refuse(scene, names, options, settings)
+    if len(set(names)) < len(names):
+        raise OptionError("estimators", " ".join(names), "every one once")
+    if kept is not None and (count is None or not kept):
+        raise OptionError("resume", kept, "the name of a file, together with --runs")
+    if memory and count is not None:
+        raise OptionError("memory", memory, "it without --runs")
+    world = SCENES[scene](np.random.default_rng(seed), **options)
+    for each in names:
+        estimator(world, each, **settings)  # refused here, not in the processes that run it
+    said = {"world": scene, "seed": seed, "options": options, "settings": settings}
+    head = scene_rows(world)
+    if count is not None:
+        return _many(world, head, said, names, count, kept)
+    if name == "compare":
+        return _compared(world, head, said, names, memory)
+    return _single(world, head, said, names[0], pictured)
+
+
+def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
+    """The table of a scene."""
+    return [
+        ("world", f"{world.name}, seed {world.seed}"),
+        ("poses", f"{world.poses} in {world.truth.stack('x').manifold}"),
+        ("landmarks", f"{world.landmarks} in {world.truth.stack('l').manifold}, {len(world.sightings)} sightings"),
+        ("chi2 at truth", f"{world.graph.chi2(world.truth):.6g}, expected {world.rows} (numbers drawn)"),
+        ("dead reckoning", f"{world.ate(world.start):.4g} m (ATE, rmse of positions, nothing aligned)"),
+    ]
+
+
+def _single(
+    world: LandmarkWorld, head: list[tuple[str, str]], said: dict[str, Any], name: str, pictured: bool
+) -> tuple[list[tuple[str, str]], Files, str]:
+    from nls.filters.consistency import nees_bounds
+
+    settings = said["settings"]
+    track, history = followed(world, name, **settings) if pictured else (tracked(world, name, **settings), [])
+    found = errors(world, track)
+    low, high = nees_bounds(track.manifold.dim, 1)
+    rows = [
+        ("estimator", track.method),
+        ("ATE", f"{found['ate']:.4g} m, {found['aligned']:.4g} m after the best rigid motion"),
+        ("smoothed", f"{found['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
+        ("final", f"{found['final']:.4g} m off; 3 sigma {3 * found['sigma']:.4g} m per axis"),
+        ("NEES", f"{found['nees']:.4g} of the last pose; {low:.2f} to {high:.2f} with 95 %"),
+    ]
+
+    def files(folder: Path) -> tuple[list[str], str]:
+        from nls.cli.outputs import write_json
+        from nls.plot.filters import estimator_figure
+        from nls.plot.picture import write_picture
+
+        names = [str(folder / "estimate.png"), str(folder / "estimate.json")]
+        write_picture(names[0], estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}"))
+        write_json({**said, "estimator": name, "method": track.method, **found}, names[1])
+        return names, (
+            "estimate.png: the map, sigmas of vehicle and landmarks, errors within 3 sigma.\n"
+            "estimate.json: options and errors, m.\n"
+        )
+
+    return [*head, *rows], files, world.description
+
+
+def _compared(
+    world: LandmarkWorld, head: list[tuple[str, str]], said: dict[str, Any], names: list[str], memory: bool
+) -> tuple[list[tuple[str, str]], Files, str]:
+    found = compare(world, names, said["settings"], memory)
+
+    def files(folder: Path) -> tuple[list[str], str]:
+        from nls.cli.outputs import write_json
+        from nls.plot.filters import several
+        from nls.plot.picture import write_picture
+
+        paths = [str(folder / "compare.png"), str(folder / "compare.json")]
+        tracks = [each.track for each in found]
+        write_picture(paths[0], several(tracks, world.truth, f"{world.name}, seed {world.seed}"))
+        report = {
+            each.name: {
+                "method": each.track.method,
+                **each.errors,
+                "seconds": each.seconds,
+                "megabytes": each.megabytes,
+            }
+            for each in found
+        }
+        write_json({**said, "estimators": report}, paths[1])
+        return paths, "compare.png: tracks, errors, 3 sigma, NEES.\ncompare.json: the table, m and s.\n"
+
+    return [*head, *compared_rows(world, found)], files, world.description
+
+
+def _many(
+    world: LandmarkWorld,
+    head: list[tuple[str, str]],
+    said: dict[str, Any],
+    names: list[str],
+    count: int,
+    kept: str | None,
+) -> tuple[list[tuple[str, str]], Files, str]:
+    seeds = range(said["seed"], said["seed"] + count)
+    function = partial(
+        of_seed, scene=said["world"], estimators=names, options=said["options"], settings=said["settings"]
+    )
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        records = runs(function, seeds, resume=kept, progress=True)
+    rows = monte_carlo_rows(seeds, records, world.truth.stack("x").manifold.dim)
+    rows += [("note", str(note.message)) for note in noted]
+
+    def files(folder: Path) -> tuple[list[str], str]:
+        from nls.cli.outputs import write_json
+
+        path = str(folder / "runs.json")
+        write_json(
+            {**said, "runs": [{"seed": seed, **record} for seed, record in zip(seeds, records, strict=True)]}, path
+        )
+        return [path], "runs.json: options, and the errors of every seed, m.\n"
+
+    return [*head, *rows], files, world.description
+
+
+def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dict[str, int]) -> None:
+    """What was given and would do nothing."""
+    for option, value in options.items():
+        if option not in parameters(SCENES[scene]):
+            raise OptionError(option, value, f"it to another world; {scene} has no {flag(option)}")
+    for setting, value in settings.items():
+        users = SETTINGS[setting][0]
+        if not set(users) & set(names):
+            raise OptionError(setting, value, f"it to {' or '.join(users)}")
+
+
+def _add_settings(sub: argparse.ArgumentParser) -> None:
+    for setting, (_, said) in SETTINGS.items():
+        sub.add_argument(flag(setting), type=whole_number, default=argparse.SUPPRESS, metavar="N", help=said)
+    sub.add_argument("--runs", type=run_number, metavar="N", help="so many seeds, from --seed on, on all cores")
+    sub.add_argument("--resume", metavar="FILE", help="keep the records of --runs here, and go on where they end")
+
+
+def run_number(text: str) -> int:
+    """A whole number of at least 1."""
+    if (value := whole_number(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is below 1; give the number of seeds")
+    return value

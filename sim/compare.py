@@ -1,0 +1,130 @@
+r"""One data set, every estimator: errors, what they say of themselves, time and memory side by side.
+
+NEES is that of the last pose, e' P^-1 e. Of a consistent estimator its mean over independent runs is within bounds
+with 95 %; the poses of one run are not independent. Time is that of the whole run over its steps, on one BLAS thread.
+Memory is the largest that Python and NumPy held at once; a solver in C is not counted.
+"""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from nls.filters.base import Track
+from nls.filters.consistency import nees_bounds
+from sim.estimators import errors, tracked
+from sim.landmark_world import LandmarkWorld
+from sim.monte_carlo import Record
+
+__all__ = ["Compared", "compare", "compared_rows", "monte_carlo_rows", "quality"]
+
+COLUMNS = ("ate", "aligned", "smoothed", "final")
+TITLES = ("ATE", "aligned", "smoothed", "final", "3 sigma")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One estimator on one data set.
+
+    Attributes
+    ----------
+    name : of the estimator.
+    track : what it believed.
+    errors : `sim.estimators.errors`.
+    seconds : of the run.
+    megabytes : held at once at most; None where it was not measured.
+    """
+
+    name: str
+    track: Track
+    errors: dict[str, float]
+    seconds: float
+    megabytes: float | None
+
+
+def compare(
+    world: LandmarkWorld, estimators: Sequence[str], settings: Mapping[str, int], memory: bool = False
+) -> list[Compared]:
+    """Run estimators on one world, one after the other.
+
+    Parameters
+    ----------
+    world : the data set.
+    estimators : some of `sim.estimators.ESTIMATORS`.
+    settings : of the estimators, see `sim.estimators.tracked`.
+    memory : run each a second time, about three times as slow, and count what it holds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    >>> found = compare(world, ["batch", "ekf"], {})
+    >>> [each.errors["ate"] < 0.4 for each in found]
+    [True, True]
+    """
+    out = []
+    for name in estimators:
+        began = perf_counter()
+        track = tracked(world, name, **settings)
+        seconds = perf_counter() - began
+        held = _held(world, name, settings) if memory else None
+        out.append(Compared(name, track, errors(world, track), seconds, held))
+    return out
+
+
+def compared_rows(world: LandmarkWorld, found: Sequence[Compared]) -> list[tuple[str, str]]:
+    """The table, one (label, text) a line."""
+    low, high = nees_bounds(found[0].track.manifold.dim, 1)
+    memory = found[0].megabytes is not None
+    head = [*TITLES, "NEES", "ms/step", *(["MB"] if memory else [])]
+    rows = [
+        ("estimator", "".join(f"{title:>10s}" for title in head)),
+        ("dead reckoning", f"{world.ate(world.start):10.3f}"),
+    ]
+    for each in found:
+        e = each.errors
+        numbers = [*(f"{e[c]:.3f}" for c in COLUMNS), f"{3 * e['sigma']:.3f}", f"{e['nees']:.4g}"]
+        numbers += [f"{1e3 * each.seconds / len(each.track.x):.2f}"]
+        numbers += [f"{each.megabytes:.2f}"] if each.megabytes is not None else []
+        rows.append((each.name, "".join(f"{text:>10s}" for text in numbers)))
+    return [*rows, ("NEES", f"of the last pose; {low:.2f} to {high:.2f} with 95 %"), *quality()]
+
+
+def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) -> list[tuple[str, str]]:
+    """The table of many runs of `sim.estimators.of_seed`: means, and the NEES of poses of `dim` with its bounds."""
+    low, high = nees_bounds(dim, len(records))
+    rows = [
+        ("runs", f"{len(records)}, seeds {seeds[0]} to {seeds[-1]}; means over them, ATE also smallest and largest")
+    ]
+    rows.append(("estimator", "".join(f"{title:>10s}" for title in (*TITLES, "NEES", "ATE from", "to"))))
+    for name in records[0]:
+        found = {key: np.array([record[name][key] for record in records]) for key in records[0][name]}
+        numbers = [f"{found[c].mean():.3f}" if c in found else "" for c in COLUMNS]
+        numbers += [f"{3 * found['sigma'].mean():.3f}", f"{found['nees'].mean():.4g}"] if "nees" in found else ["", ""]
+        numbers += [f"{found['ate'].min():.3f}", f"{found['ate'].max():.3f}"]
+        rows.append((name, "".join(f"{text:>10s}" for text in numbers)))
+    return [*rows, ("NEES", f"of the last pose, mean; {low:.2f} to {high:.2f} with 95 %"), *quality()]
+
+
+def quality() -> list[tuple[str, str]]:
+    """What the columns are."""
+    return [
+        ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
+        ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),
+        ("final, 3 sigma", "m, error of the last position, and what is said of it, per axis"),
+    ]
+
+
+def _held(world: LandmarkWorld, name: str, settings: Mapping[str, int]) -> float:
+    """The largest that was held at once, MB."""
+    tracemalloc.start()
+    try:
+        tracked(world, name, **settings)
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
