@@ -107,7 +107,7 @@ def test_attributes() -> None:
     ids=lambda error: type(error).__name__,
 )
 def test_an_error_from_another_process_is_the_same(error: errors.LeadlineError) -> None:
-    copied = pickle.loads(pickle.dumps(error))  # noqa: S301
+    copied = pickle.loads(pickle.dumps(error))
     assert type(copied) is type(error)
     assert str(copied) == str(error)
     assert vars(copied) == vars(error)
