@@ -19,7 +19,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory  # the script beside this one
+from pinv import ONE_THREAD, RESULTS, machine, peak_memory, write_page  # the script beside this one
 
 BAL = "bal/problem-49-7776-pre.txt.gz"
 SOLVERS = ("cholesky", "schur", "pcg", "pcg, tol 0.1")  # of the rig
@@ -238,14 +238,12 @@ def main() -> int:
         print(json.dumps({"bundle": optimize_bundle, "rig": solve_rig}[kind](*rest)))
         return 0
     options.out.mkdir(parents=True, exist_ok=True)
-    keep = [line for line in machine() if not line.startswith(("- graph:", "- seconds:", "- memory:", "- difference:"))]
-    lines = ["# Many points", "", *keep[:3], ""]
+    lines = ["# Many points", "", *machine(), ""]
     data = os.environ.get("LEADLINE_DATA")
     if data and (Path(data) / BAL).exists() and not options.quick:
         lines += [*against_ceres(Path(data) / BAL, options.rounds, options.ceres), ""]
     lines += rigs(list(RIGS)[: 1 if options.quick else None])
-    print("\n" + "\n".join(lines))
-    (options.out / "bundle.md").write_text("\n".join(lines) + "\n")
+    write_page(lines, options.out / "bundle.md")
     return 0
 
 

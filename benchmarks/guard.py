@@ -253,7 +253,7 @@ def main() -> int:
         if not options.baselines.exists():
             parser.error(f"{options.baselines} does not exist: make it with --update")
         baselines = json.loads(options.baselines.read_text())["ratios"]
-    head = machine()[:3]
+    head = machine()
     with tempfile.TemporaryDirectory() as folder:
         measured = measurements(Path(folder))
         if unknown := set(options.only or ()) - set(measured):

@@ -20,7 +20,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from pinv import machine  # the script beside this one
+from pinv import machine, write_page  # the script beside this one
 
 RUNS, COLUMNS = 5, 60  # columns: a multiple of 3 and of 6
 RESULTS = Path(__file__).parent / "results"
@@ -114,7 +114,7 @@ def main() -> int:
     lines = [
         "# All marginal covariances: one pass against column solves",
         "",
-        *machine()[:3],
+        *machine(),
         f"- processor time with one thread; median of {RUNS} runs, the column solves once",
         "- one pass: from the factor to the diagonal block of every variable; column solves: the same factor, "
         f"{COLUMNS} columns at a time, the blocks of every pose kept",
@@ -133,8 +133,7 @@ def main() -> int:
                 continue
             lines.append(row(name, graph, values, solver, solver.name == "cholesky" or Cholesky.missing() is not None))
             print(lines[-1], flush=True)
-    (options.out / "marginals.md").write_text("\n".join(lines) + "\n")
-    print("\n" + "\n".join(lines))
+    write_page(lines, options.out / "marginals.md")
     return 0
 
 

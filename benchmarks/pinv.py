@@ -40,6 +40,7 @@ TITLE = {
     "cholesky": "sparse Cholesky",
 }
 REFERENCES = ("dense-qr", "qr", "cholesky", "lu", "dense-cholesky", "pinv")  # the most accurate first
+PROCESSOR_TIME = "- one thread for every solver, and its processor time, which other work on the machine hardly changes"
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS", "OMP")}
 RUNS, ENOUGH = 99, 1.0  # runs of one measurement at most; no further one after so many seconds
 SMALL = 1e6  # bytes; less is lost in the memory a process has at hand
@@ -219,7 +220,13 @@ def machine() -> list[str]:
         f"- {datetime.date.today():%Y-%m-%d}, {processor}, {os.cpu_count()} cores",
         f"- other work on the machine at the start: load {os.getloadavg()[0]:.1f}",
         f"- Python {platform.python_version()}, {versions}",
-        "- one thread for every solver, and its processor time, which other work on the machine hardly changes",
+    ]
+
+
+def notes() -> list[str]:
+    """What the figures are."""
+    return [
+        PROCESSOR_TIME,
         "- graph: `sim.manhattan`, plane poses, seed 1, first pose held, linearized at the true poses",
         f"- seconds: from A and b to dx, ordering included; median of up to {RUNS} runs, as many as begin within "
         f"{ENOUGH:g} s; relative: to sparse Cholesky",
@@ -251,6 +258,13 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
     right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, None))
     right.legend(loc="upper left", framealpha=1.0)
     figure.savefig(path, dpi=130)
+
+
+def write_page(lines: list[str], path: Path) -> None:
+    """Print a page and write it; its folder is made."""
+    print("\n" + "\n".join(lines))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines).rstrip() + "\n")
 
 
 # --- command line -----------------------------------------------------------------------------------------------------
@@ -285,12 +299,11 @@ def main() -> int:
 
     sizes = [n for n in SIZES if n <= QUICK or not options.quick]
     cells = {n: float(n) * sim.manhattan(np.random.default_rng(1), n_poses=n // 3 + 1).rows for n in sizes}
-    head = machine()
+    head = [*machine(), *notes()]
     found = [run(name, sizes, cells, options.seconds, options.gigabytes) for name in (*DENSE, *SPARSE)]
     limits = f"- limits: {options.seconds:g} s and {options.gigabytes:g} GB a solve"
     lines = ["# Dense pseudo-inverse against sparse solvers", "", *head, limits, "", *table(found)]
-    print("\n" + "\n".join(lines))
-    (options.out / "pinv.md").write_text("\n".join(lines) + "\n")
+    write_page(lines, options.out / "pinv.md")
     draw(found, options.out / "pinv.png", options.seconds, options.gigabytes)
     return 0
 

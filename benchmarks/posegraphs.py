@@ -330,7 +330,7 @@ def main() -> int:
 
     names = options.sets or (QUICK if options.quick else choices)
     pythons, notes = installed(dict(options.python))
-    results: dict[str, Any] = {"machine": machine()[:3], "rounds": options.rounds, "notes": notes, "sets": {}}
+    results: dict[str, Any] = {"machine": machine(), "rounds": options.rounds, "notes": notes, "sets": {}}
     results["simulated"] = data is None
     for name in names:
         with tempfile.TemporaryDirectory() as folder:

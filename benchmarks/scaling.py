@@ -26,7 +26,7 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
-from pinv import ONE_THREAD, RESULTS, exponent, machine, peak_memory, positive  # the script beside this one
+from pinv import ONE_THREAD, RESULTS, exponent, machine, peak_memory, positive, write_page  # the script beside this one
 
 LARGEST, QUICK = 1_000_000, 10_000
 WORLDS = {
@@ -340,7 +340,7 @@ def main() -> int:
         parser.error(f"--largest {largest:g}: expected at least 1,000 edges")
     options.out.mkdir(parents=True, exist_ok=True)
     head = [
-        *machine()[:3],
+        *machine(),
         "- processor time with one thread, which other work on the machine hardly changes; wall: by the clock; seconds",
         "- a fresh process for every row; seed 1; read: the .g2o file to graph and values; init: `nls.initialize`, "
         "which takes the better of the start in the file, the odometry, and the chordal one; the rest: "
@@ -350,8 +350,7 @@ def main() -> int:
     ]
     found = [run(world, sizes, options.seconds, options.gigabytes) for world in options.only]
     lines = ["# From file to optimum as graphs grow", "", *head, "", *(line for s in found for line in table(s))]
-    print("\n" + "\n".join(lines))
-    (options.out / "scaling.md").write_text("\n".join(lines).rstrip() + "\n")
+    write_page(lines, options.out / "scaling.md")
     record = {"machine": head, "limits": [options.seconds, options.gigabytes], "worlds": [asdict(s) for s in found]}
     (options.out / "scaling.json").write_text(json.dumps(record, indent=1) + "\n")
     draw(found, options.out / "scaling.png", options.seconds, int(max(sizes)))

@@ -23,7 +23,15 @@ from time import process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory, positive  # the script beside this one
+from pinv import (  # the script beside this one
+    ONE_THREAD,
+    PROCESSOR_TIME,
+    RESULTS,
+    machine,
+    peak_memory,
+    positive,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
@@ -214,7 +222,6 @@ def main() -> int:
     data = os.environ.get("LEADLINE_DATA")
     if data and (Path(data) / BAL).exists() and not options.quick:
         names = ["problem-49-7776", *names]
-    keep = [line for line in machine() if not line.startswith(("- graph:", "- seconds:", "- memory:", "- difference:"))]
     notes = [
         "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, damped by 1e-4 "
         "of the diagonal, at the start of the file (not run where the data set is missing)",
@@ -228,9 +235,16 @@ def main() -> int:
         "- residual: largest cosine between A dx - b (damping included) and a column of A",
         f"- not run: more than {options.flops:g} flops, or than {options.gigabytes:g} GB at 17 bytes a number of R",
     ]
-    lines = ["# The order of elimination", "", *keep, *notes, "", *table(rows(names, options.gigabytes, options.flops))]
-    print("\n" + "\n".join(lines))
-    (options.out / "schur.md").write_text("\n".join(lines) + "\n")
+    lines = [
+        "# The order of elimination",
+        "",
+        *machine(),
+        PROCESSOR_TIME,
+        *notes,
+        "",
+        *table(rows(names, options.gigabytes, options.flops)),
+    ]
+    write_page(lines, options.out / "schur.md")
     return 0
 
 

@@ -208,12 +208,10 @@ def main() -> int:
     if min(options.seeds, options.many_seeds) < 1:
         parser.error("give at least one seed")
     sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine
+    from pinv import machine, write_page
 
-    lines = ["# Filters and graphs", "", *machine()[:3], "", *report(options.seeds, options.many_seeds)]
-    print("\n" + "\n".join(lines))
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "filters.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = ["# Filters and graphs", "", *machine(), "", *report(options.seeds, options.many_seeds)]
+    write_page(lines, options.out / "filters.md")
     return 0
 
 

@@ -20,13 +20,13 @@ from time import process_time
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 import sim
 from factors import RangeAzimuth, sonar_factors
 from models import SE3
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Marginals, UnderconstrainedError, Values, kinds
 from nls.degeneracy import landmark_information
+from nls.filters.consistency import chi2_gate, nees_bounds
 from nls.optimizers import Optimizer
 from sim.mission import rebuilt
 
@@ -156,12 +156,6 @@ def normalized(e: Array, P: Array) -> Array:
     return np.asarray(np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1))
 
 
-def bounds(seeds: int, dim: int) -> tuple[float, float]:
-    """95 % bounds of the mean of as many independent chi-square variables of dim degrees of freedom."""
-    low, high = chi2.ppf([0.025, 0.975], seeds * dim) / seeds
-    return float(low), float(high)
-
-
 def clustered_error(each: list[Array]) -> float:
     """Standard error of the mean of numbers that hang together within a seed, given seed by seed."""
     n, total = np.array([len(e) for e in each]), np.array([e.sum() for e in each])
@@ -170,7 +164,7 @@ def clustered_error(each: list[Array]) -> float:
 
 def consistency(seeds: int) -> list[str]:
     """A row a scene and a treatment."""
-    pose, point = bounds(seeds, 6), bounds(seeds, 3)
+    pose, point = nees_bounds(6, seeds), nees_bounds(3, seeds)
     lines = [
         f"| scene | elevation | final pose, expected 6 in {pose[0]:.2f}-{pose[1]:.2f} "
         f"| one landmark a seed, expected 3 in {point[0]:.2f}-{point[1]:.2f} "
@@ -187,7 +181,7 @@ def consistency(seeds: int) -> list[str]:
                 f"{mean:.2f}" + ("" if low <= mean <= high else " **outside**")
                 for mean, (low, high) in zip(means, (pose, point), strict=True)
             ]
-            beyond = 100 * np.mean(each > chi2.ppf(0.95, 3))
+            beyond = 100 * np.mean(each > chi2_gate(3, 0.95))
             half = 1.96 * clustered_error([f.all for f in found])
             everyone = f"{each.mean():.2f} +- {half:.2f} ({len(each)})" + (
                 "" if abs(each.mean() - 3) <= half else " **outside**"
@@ -239,17 +233,15 @@ def main() -> int:
     if min(options.seeds, options.nees_seeds) < 1:
         parser.error("give at least one seed")
     sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine
+    from pinv import machine, write_page
 
     lines = [
         "# A hovering vehicle with an imaging sonar",
         "",
-        *machine()[:3],
+        *machine(),
         *report(options.seeds, options.nees_seeds),
     ]
-    print("\n" + "\n".join(lines))
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "hauv.md").write_text("\n".join(lines) + "\n")
+    write_page(lines, options.out / "hauv.md")
     return 0
 
 

@@ -263,12 +263,10 @@ def main() -> int:
         print("real_logs: the public logs are not shipped: set LEADLINE_DATA to the folder that holds them")
         return 0
     sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine
+    from pinv import machine, write_page
 
-    lines = ["# Dead reckoning on public logs", "", *machine()[:3], "", *report(Path(name))]
-    print("\n".join(lines))
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "real_logs.md").write_text("\n".join(lines) + "\n")
+    lines = ["# Dead reckoning on public logs", "", *machine(), "", *report(Path(name))]
+    write_page(lines, options.out / "real_logs.md")
     return 0
 
 
