@@ -27,7 +27,7 @@ import numpy.typing as npt
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset, named_singularity
-from factors.noise import Noise
+from factors.noise import Noise, square
 from models import SE3, Manifold, Measured
 from models.algebra import Array, dot, gram, product
 from models.errors import GraphError, OptionError
@@ -144,8 +144,7 @@ class EpipolarArc(Factor):
         O = SE3.identity() if self.offset is None else self.offset
         G = SE3.between(SE3.compose(X[0], O), SE3.compose(X[1], O))
         z = np.broadcast_to(np.atleast_2d(self.z), (len(G), 4))
-        W = self.noise.sqrt_information(len(G), self.measures)
-        contacts = Contacts(z, W if W.ndim == 3 else W[:, :, None] * np.eye(4), self.limit)
+        contacts = Contacts(z, square(self.noise.sqrt_information(len(G), self.measures)), self.limit)
         with named_singularity(self):
             p = contacts.best(G)
             e, H_G, H_p = contacts.innovation(G, p)

@@ -10,7 +10,7 @@ import numpy as np
 
 from factors.base import Factor, Model
 from factors.keys import Keys
-from factors.noise import SqrtInformation
+from factors.noise import SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 
@@ -105,5 +105,5 @@ def _rows(parts: Sequence[Any], group: list[Model]) -> Any:
 
 def _square(model: Model) -> Array:
     """The whiteners (n, m, m) of a batch."""
-    W = model.W if model.W.ndim == 3 else model.W[:, :, None] * np.eye(model.W.shape[1])
+    W = square(model.W)
     return np.broadcast_to(W, (len(model.z), *W.shape[1:]))

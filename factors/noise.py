@@ -22,7 +22,7 @@ from models.abstract import Abstract
 from models.algebra import Array, apply, product
 from models.errors import GraphError, NoiseModelError
 
-__all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "whiten"]
+__all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
@@ -240,6 +240,11 @@ def whiten(W: Array, x: Array) -> Array:
     if W.ndim == 2:
         return W * x if x.ndim == 2 else W[..., None] * x
     return apply(W, x) if x.ndim == 2 else product(W, x)
+
+
+def square(W: Array) -> Array:
+    """Whiteners (n, m, m), from those or from their diagonals (n, m): W as `Noise.sqrt_information` returns it."""
+    return W if W.ndim == 3 else W[..., None] * np.eye(W.shape[-1])
 
 
 def _numbers(value: npt.ArrayLike, what: str, ndim: int) -> Array:

@@ -11,14 +11,14 @@ from factors.base import Factor
 from factors.elevation import Elevation, ElevationHinge
 from factors.epipolar_arc import EpipolarArc
 from factors.keys import Keys
-from factors.noise import Diagonal, Isotropic, Noise, SqrtInformation
+from factors.noise import Diagonal, Isotropic, Noise, SqrtInformation, square
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import Robust
 from models import SE3, R
 from models.errors import GraphError, OptionError
 from models.sensors import ImagingSonar
 
-__all__ = ["first_contacts", "sonar_factors"]
+__all__ = ["first_contacts", "refuse_search", "sonar_factors"]
 
 
 def sonar_factors(
@@ -93,6 +93,17 @@ def sonar_factors(
     raise OptionError("elevation", elevation, "free, hinge, prior or search")
 
 
+def refuse_search(elevation: str) -> None:
+    """Refuse the one treatment without targets, for those whose targets are landmarks to be found.
+
+    Raises
+    ------
+    OptionError
+    """
+    if elevation == "search":
+        raise OptionError("elevation", elevation, "free, hinge or prior: a mission has landmarks")
+
+
 def _pairs(contacts: RangeAzimuth, limit: float) -> EpipolarArc:
     """The first contact of every target with each of its later ones."""
     pose, target = contacts.keys[:2]
@@ -110,8 +121,7 @@ def _pairs(contacts: RangeAzimuth, limit: float) -> EpipolarArc:
             message = f"{contacts[k]!r}: two offsets, {O[k].tolist()}; the search needs one for both contacts of a pair"
             raise GraphError(message, contacts.keys, contacts.name)
         O = O[later]
-    each = given.W if given.W.ndim == 3 else given.W[:, :, None] * np.eye(given.dim)
-    each = np.broadcast_to(each, (len(contacts), given.dim, given.dim))
+    each = np.broadcast_to(square(given.W), (len(contacts), given.dim, given.dim))
     W = np.zeros((len(later), 4, 4))
     pairs = np.bincount(start, minlength=len(contacts))[start]
     W[:, :2, :2], W[:, 2:, 2:] = each[start] / np.sqrt(pairs)[:, None, None], each[later]

@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, apply
 from models.errors import GraphError
+from models.finite import finite
 from models.manifolds.so3 import quaternion_from_matrix
 from models.sensors.singular import refuse
 
@@ -69,7 +70,7 @@ def align(u: npt.ArrayLike, v: npt.ArrayLike, weights: npt.ArrayLike | None = No
     True
     """
     u, v = _points("align", u, v)
-    w = np.ones(v.shape[-2]) if weights is None else _numbers("align", "weights", weights)
+    w = np.ones(v.shape[-2]) if weights is None else finite("align", "weights", weights)
     if w.shape[-1:] != v.shape[-2:-1] or np.ndim(w) >= v.ndim or (w < 0).any():
         raise GraphError(f"align: weights have shape {w.shape}, expected {v.shape[:-1]}, and none below 0")
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
@@ -163,20 +164,9 @@ def _refuse_line(second: Array, first: Array, shape: tuple[int, ...]) -> None:
     )
 
 
-def _numbers(who: str, what: str, X: npt.ArrayLike) -> Array:
-    """An array of finite numbers."""
-    try:
-        array = np.asarray(X, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"{who}: {what} is not an array of numbers: {error}") from error
-    if not np.isfinite(array).all():
-        raise GraphError(f"{who}: {what} has a number that is not finite, {array[~np.isfinite(array)][0]}")
-    return array
-
-
 def _points(who: str, u: npt.ArrayLike, v: npt.ArrayLike) -> tuple[Array, Array]:
     """Two stacks of points of one shape."""
-    U, V = _numbers(who, "u", u), _numbers(who, "v", v)
+    U, V = finite(who, "u", u), finite(who, "v", v)
     if U.shape != V.shape or V.ndim < 2 or V.shape[-1] not in (2, 3) or not V.shape[-2]:
         raise GraphError(f"{who}: shapes {U.shape} and {V.shape}, expected the same: (..., n, 3) or (..., n, 2)")
     return U, V

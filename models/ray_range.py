@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, dot, product
 from models.errors import GraphError
+from models.finite import finite
 from models.sensors.singular import CLOSE, refuse
 
 __all__ = ["RayRange", "ray_range"]
@@ -176,7 +177,7 @@ def ray_range(b: npt.ArrayLike, s: npt.ArrayLike, r: npt.ArrayLike) -> RayRange:
     >>> found.missed, float(found.closest[2])
     (array([False, False,  True]), 5.0)
     """
-    b, s, r = (_finite(name, X) for name, X in (("b", b), ("s", s), ("r", r)))
+    b, s, r = (finite("ray_range", name, X) for name, X in (("b", b), ("s", s), ("r", r)))
     n = len(b) if b.ndim else 0
     if b.shape != (n, 3) or s.shape not in ((3,), (1, 3), (n, 3)) or r.shape != (n,):
         raise GraphError(
@@ -198,14 +199,3 @@ def ray_range(b: npt.ArrayLike, s: npt.ArrayLike, r: npt.ArrayLike) -> RayRange:
 
 
 NOT_UNIT = 1e-6  # of |b|^2: what is farther off was not divided by its length
-
-
-def _finite(name: str, X: npt.ArrayLike) -> Array:
-    """An array of finite numbers."""
-    try:
-        array = np.asarray(X, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"ray_range: {name} is not an array of numbers: {error}") from error
-    if not np.isfinite(array).all():
-        raise GraphError(f"ray_range: {name} has a number that is not finite, {array[~np.isfinite(array)][0]}")
-    return array

@@ -142,6 +142,13 @@ class Values:
             raise GraphError(f"Values: {name}: {len(stack)} elements and {len(named)} numbers")
         self.stacks[name] = Stack(name, manifold, stack, named)
 
+    def extended(self, keys: Keys, X: Array) -> Values:
+        """These values, and new variables of a kind there is already, at X (n, size) in its stored form."""
+        stacks, old = dict(self.stacks), self.stacks[keys.kind]
+        X, numbers = np.concatenate([old.X, X]), np.concatenate([old.numbers, keys.numbers])
+        stacks[keys.kind] = Stack(old.kind, old.manifold, X, numbers)
+        return Values.of(stacks.values())
+
     @classmethod
     def of(cls, stacks: Iterable[Stack]) -> Self:
         """Values of stacks whose elements were checked before."""

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimuth, sonar_factors
+from factors.sonar import refuse_search
 from models import SE3, R, euler
 from models.algebra import Array, wrap
 from models.errors import GraphError, OptionError
@@ -153,8 +154,7 @@ def survey(
         No point is seen often enough.
     """
     check_rng(rng)
-    if elevation == "search":
-        raise OptionError("elevation", elevation, "free, hinge or prior: a mission has landmarks")
+    refuse_search(elevation)
     check_not_negative(noise_scale=noise_scale)
     x, l = kinds("x", "l")
     i, k = visible(X, points, sonar, offset)

@@ -106,19 +106,17 @@ def runs(
         try:
             for future in as_completed(pending):
                 seed = pending[future]
-                try:
-                    text = future.result()
-                except Exception as error:
+                if (error := future.exception()) is not None:
                     error.add_note(f"in the run of seed {seed}")
-                    raise
+                    raise error
+                text = future.result()
                 done[seed] = json.loads(text)
                 if file is not None:
                     file.append(f'{{"seed": {seed}, "record": {text}}}\n')
                 bar.update()
-        except BaseException:  # Ctrl-C too: what has not begun never does
+        finally:  # after an error or Ctrl-C: what has not begun never does
             for future in pending:
                 future.cancel()
-            raise
     return [done[seed] for seed in seeds]
 
 

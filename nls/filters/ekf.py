@@ -30,7 +30,7 @@ from nls.assemble import Index
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
 from nls.filters.map_state import MapState
-from nls.filters.motion import Copies, most_likely, slot_of
+from nls.filters.motion import Copies, jacobians, most_likely, slot_of
 from nls.filters.pieces import Piece, associated, part, stacked
 from nls.values import Values
 
@@ -164,14 +164,9 @@ class EKF(Filter):
         X_i = state.X[None]
         parts = [(self._copies(factor), slot_of(factor, step.pose), (X_i,)) for factor in step.motion]
         X_j, Lambda = most_likely(parts, state.spaces[0], X_i, step.pose)
-        A_i, A_j = [], []
-        for copied, slot, _ in parts:
-            A, _ = copied.linearize(*((state.first[None], X_j) if slot else (X_j, state.first[None])))
-            A_i.append(A[1 - slot][0])
-            A_j.append(A[slot][0])
-        Q, A_before, A_here = _inverse(Lambda)[0], np.concatenate(A_i), np.concatenate(A_j)
-        F = -np.linalg.lstsq(A_here, A_before)[0]
-        if np.abs(A_before + A_here @ F).max() > SPENT * np.abs(A_before).max():
+        A_i, A_j = jacobians(parts, state.first[None], X_j)
+        F = -np.asarray(np.linalg.lstsq(A_j, A_i)[0], dtype=float)
+        if np.abs(A_i + A_j @ F).max() > SPENT * np.abs(A_i).max():
             said = ", ".join(map(repr, step.motion))
             raise GraphError(
                 f"EKF: {said} together say something of {before} as well, which is past; fuse them to one, or use a "
@@ -179,7 +174,7 @@ class EKF(Filter):
                 [before, step.pose],
             )
         self._pose = step.pose
-        state.predict(X_j[0], F, Q)
+        state.predict(X_j[0], F, _inverse(Lambda)[0])
         self._see(step.seen)
 
     def _copies(self, factor: Factor) -> Copies:

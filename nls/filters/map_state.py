@@ -23,7 +23,7 @@ from models.algebra import Array
 from models.errors import EvaluationError
 from nls.assemble import Index
 
-__all__ = ["MapState"]
+__all__ = ["MapState", "rows_of"]
 
 TOGETHER = 128  # rows of P updated together: 3,200 landmarks take 0.4 s, and 1.3 s with V'V in memory as a whole
 
@@ -77,11 +77,7 @@ class MapState:
 
     def rows(self, numbers: Index) -> Index:
         """Row in L of landmarks by number; -1 for one that is not there."""
-        order = np.argsort(self.numbers)
-        at = np.searchsorted(self.numbers, numbers, sorter=order)
-        at = order[np.minimum(at, len(order) - 1)] if len(order) else np.zeros(len(numbers), dtype=np.intp)
-        there = self.numbers[at] == numbers if len(order) else np.zeros(len(numbers), dtype=bool)
-        return np.where(there, at, -1)
+        return rows_of(numbers, self.numbers)
 
     def predict(self, X: Array, F: Array, Q: Array) -> None:
         """The next pose X (size,), of which delta = F delta_before + w, w ~ N(0, Q)."""
@@ -162,6 +158,15 @@ class MapState:
         """Components in the tangent space at Y of an error whose components in the one at X are given, (d, d)."""
         G_x, G_y = self.spaces[0].world_axes(np.stack([X, Y]))
         return np.asarray(np.linalg.solve(G_y, G_x))
+
+
+def rows_of(wanted: Index, numbers: Index) -> Index:
+    """Places (n,) of the wanted numbers (n,) among numbers (m,) in any order; -1 for one that is not there."""
+    if not len(numbers):
+        return np.full(len(wanted), -1)
+    order = np.argsort(numbers)
+    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(order) - 1)]
+    return np.where(numbers[at] == wanted, at, -1)
 
 
 def _symmetric(P: Array) -> Array:

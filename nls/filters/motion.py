@@ -18,7 +18,7 @@ from models import Manifold
 from models.algebra import Array, apply, gram
 from models.errors import GraphError, UnderconstrainedError
 
-__all__ = ["Copies", "copies", "information", "most_likely", "slot_of"]
+__all__ = ["Copies", "copies", "information", "jacobians", "most_likely", "slot_of"]
 
 SETTLED, STEPS = 1e-10, 50  # m, rad; a difference on a group takes one step and one that finds nothing to do
 FREE = 1e-14  # determinant of the information scaled to a diagonal of ones: rounding of 0
@@ -73,6 +73,17 @@ def information(parts: Sequence[tuple[Array, Array]], particles: int) -> tuple[A
     Lambda = sum(gram(A).reshape(particles, -1, *A.shape[-1:] * 2).sum(axis=1) for A, _ in parts)
     g = sum(apply(A.mT, b).reshape(particles, -1, A.shape[-1]).sum(axis=1) for A, b in parts)
     return np.asarray(Lambda), np.asarray(g)
+
+
+def jacobians(motion: Sequence[tuple[Copies, int, tuple[Array, ...]]], X_i: Array, X_j: Array) -> tuple[Array, Array]:
+    """Whitened A_i and A_j (rows, d) of all factors of one motion, for the pose before (1, size) and the one after.
+
+    Parameters
+    ----------
+    motion : as for `most_likely`, slot that of the pose after.
+    """
+    each = [(copied.linearize(*((X_i, X_j) if slot else (X_j, X_i)))[0], slot) for copied, slot, _ in motion]
+    return np.concatenate([A[1 - slot][0] for A, slot in each]), np.concatenate([A[slot][0] for A, slot in each])
 
 
 def most_likely(

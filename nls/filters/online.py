@@ -13,6 +13,7 @@ from models.algebra import Array
 from models.errors import OptionError
 from models.options import is_whole
 from nls.filters.base import POSE, Step
+from nls.filters.motion import jacobians
 from nls.filters.smoother import Smoother
 from nls.optimizers import Optimizer
 
@@ -66,10 +67,7 @@ class Online(Smoother):
         before, P = self.values[self.latest][None], self._P
         super().step(step)
         if self._waiting:  # P <- F P F' + Q along the motion, Q = (A_j' A_j)^-1, F = -Q A_j' A_i
-            X = self.values[self.latest][None]
-            A = [copied.linearize(*((before, X) if slot else (X, before)))[0] for copied, slot, _ in self._motion]
-            A_j = np.concatenate([A_k[slot][0] for A_k, (_, slot, _) in zip(A, self._motion, strict=True)])
-            A_i = np.concatenate([A_k[1 - slot][0] for A_k, (_, slot, _) in zip(A, self._motion, strict=True)])
+            A_i, A_j = jacobians(self._motion, before, self.values[self.latest][None])
             Q = np.linalg.inv(A_j.T @ A_j)
             F = -Q @ A_j.T @ A_i
             self._P = F @ P @ F.T + Q

@@ -21,6 +21,7 @@ from factors.seen import Seen
 from models import LieGroup, Manifold
 from models.algebra import Array, apply, gram, product
 from models.errors import GraphError
+from nls.filters.map_state import rows_of
 from nls.filters.motion import Copies, copies, most_likely
 from nls.filters.particles import covariance, mean
 
@@ -46,8 +47,7 @@ class ParticleMap:
 
     def rows(self, keys: Keys) -> Index:
         """Places of landmarks (n,), -1 where one is not known."""
-        found = keys.numbers[:, None] == self.numbers
-        return np.where(found.any(axis=1), found @ np.arange(len(self.numbers)), -1)
+        return rows_of(keys.numbers, self.numbers)
 
     def known(self, factor: Factor) -> tuple[Factor | None, Factor | None]:
         """The measurements of landmarks that are known, and the others; None where there are none."""

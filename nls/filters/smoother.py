@@ -93,11 +93,11 @@ class Smoother(Filter):
     def _grow(self, step: Step, X: Array) -> None:
         """The factors of a step, its pose at X (size,), and its new landmarks where they are seen from there."""
         known = [Keys(stack.kind, stack.numbers) for stack in self.values.stacks.values() if len(stack)]
-        self.values = _with(self.values, step.pose, X[None])
+        self.values = self.values.extended(step.pose, X[None])
         if (kind := self.landmark_kind) is not None:
             seen = numbers_of(step.seen, kind)
             new = Keys(kind, seen[~np.isin(seen, self.values.stack(kind).numbers)])
-            self.values = _with(self.values, new, self.given[new]) if len(new) else self.values
+            self.values = self.values.extended(new, self.given[new]) if len(new) else self.values
         graph = FactorGraph(step.seen)
         for keys in known:
             graph.fix(keys)
@@ -105,13 +105,3 @@ class Smoother(Filter):
         self.graph = FactorGraph(
             joined([self.values.gather(f)[0] for f in (*self.graph.factors, *step.motion, *step.seen)])
         )
-
-
-def _with(values: Values, keys: Keys, X: Array) -> Values:
-    """The values and some more variables of a kind that is there."""
-    stacks = dict(values.stacks)
-    old = stacks[keys.kind]
-    stacks[keys.kind] = Stack(
-        old.kind, old.manifold, np.concatenate([old.X, X]), np.concatenate([old.numbers, keys.numbers])
-    )
-    return Values.of(stacks.values())

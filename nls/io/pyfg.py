@@ -31,7 +31,7 @@ from factors.between import Between
 from factors.conventions import check_convention
 from factors.keys import Keys
 from factors.landmark import Landmark
-from factors.noise import Covariance
+from factors.noise import Covariance, square
 from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
@@ -321,7 +321,7 @@ def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]
     if name is None or not plain or len(factor.keys) != dialect[name].names:
         raise GraphError(f"{path}: {factor!r} has no line in a PyFactorGraph file", factor.keys, factor.name)
     d = model.space.dim
-    W = model.W if model.W.ndim == 3 else model.W[..., None] * np.eye(d)
+    W = square(model.W)
     try:
         refuse_robust(factor)
         Sigma = factor.noise.matrix if isinstance(factor.noise, Covariance) else covariance(factor, W)

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor
-from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation
+from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 from models.errors import GraphError
@@ -114,7 +114,7 @@ def entries(record: Record, format: Format, factor: Factor, W: Array, measured: 
     kind, m, noise = format.matrix, record.element.space.dim, factor.noise
     refuse_robust(factor)
     noise = noise.noise if isinstance(noise, AsRead) else noise
-    W = W if W.ndim == 3 else W[..., None] * np.eye(m)
+    W = square(W)
     M: Array
     if type(noise) is NOISES[kind] and not (kind == "square root" and np.tril(noise.matrix, -1).any()):
         M = noise.matrix

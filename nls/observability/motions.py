@@ -24,7 +24,7 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from nls.observability.information import check_one, observability
 from nls.observability.report import Observability, shown
-from nls.values import Stack, Values
+from nls.values import Values
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -227,8 +227,7 @@ def _seen_again(graph: FactorGraph, values: Values, pose: Keys, motion: Array) -
     group = stack.manifold
     assert isinstance(group, LieGroup)
     there = group.compose(values[pose].reshape(1, -1), motion)
-    moved = Stack(pose.kind, group, np.concatenate([stack.X, there]), np.append(stack.numbers, new))
-    moved_values = Values.of(moved if s is stack else s for s in values.stacks.values())
+    moved_values = values.extended(Keys(pose.kind, new), there)
 
     parts = []
     for factor in graph.factors:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from factors.base import Factor
 from factors.mount import named_singularity
+from factors.noise import square
 from factors.projection import Projection
 from factors.range_azimuth import RangeAzimuth
 from factors.seen import Seen
@@ -48,7 +49,7 @@ class Pairs:
     Sigma_uv : (n, 2, 2) covariance of the pixels.
     O : (n, 7) poses of the sonar on the vehicle, at the values they were read with.
     z : (n, 2) range, m, and azimuth, rad.
-    sigma : (n, 2) standard deviations of these.
+    sigma_r : (n,) standard deviation of the range, m.
     sonar : (n,) row of the variable that O is, -1 where it is none.
     mounting : the kind of these variables; empty where there is none.
     """
@@ -63,7 +64,7 @@ class Pairs:
     Sigma_uv: Array
     O: Array
     z: Array
-    sigma: Array
+    sigma_r: Array
     sonar: Index
     mounting: str
 
@@ -82,7 +83,7 @@ class Pairs:
         d = np.where(nearer, found.depth[1], found.depth[0])
         which = np.flatnonzero(np.abs(d - found.closest) > CLOSE)  # nan is not
         found = ray_range(self.b[which], s[which], self.z[which, 0])
-        Sigma = found.covariance(self.J_b[which], self.Sigma_uv[which], self.sigma[which, 0], near=nearer[which])
+        Sigma = found.covariance(self.J_b[which], self.Sigma_uv[which], self.sigma_r[which], near=nearer[which])
         p = SE3.act(self.C[which], d[which, None] * self.b[which])
         return which, p, np.trace(Sigma, axis1=1, axis2=2) / 3
 
@@ -129,9 +130,9 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
             "contacts); check that both name the same poses and points"
         )
     pose, point, C, b, J_b, Sigma_uv = (part[k] for part in camera)
-    _, _, O, z, sigma, row = (part[m] for part in sonar)
+    _, _, O, z, sigma_r, row = (part[m] for part in sonar)
     mounting = _only("sonars", mounted, 2) if mounted else ""
-    return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma, row, mounting)
+    return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
 
 
 def _of_points(factor: Seen, values: Values) -> bool:
@@ -156,13 +157,13 @@ def _pixels(factor: Projection, values: Values) -> Columns:
 
 
 def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
-    """pose, point, O, z, sigma, sonar of those that say something."""
+    """pose, point, O, z, sigma_r, sonar of those that say something."""
     model, X = values.gather(factor)
     Sigma, good = covariance(factor, values)
     variable = [values.stack(k.kind).index(k) for k in factor.keys[2:]]
     sonar = variable[0] if variable else np.full(len(factor), -1)
-    sigma = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
-    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma, sonar)]
+    sigma_r = np.sqrt(Sigma[:, 0, 0])
+    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma_r, sonar)]
 
 
 def _rows(factor: Seen, values: Values) -> Columns:
@@ -183,7 +184,7 @@ def covariance(factor: Factor, values: Values) -> tuple[Array, Rows]:
     """Covariance (n, m, m) of measurements, and whether (n,) they have one: whether all directions are informed."""
     model, _ = values.gather(factor)
     n, m = len(factor), model.dim
-    W = model.W if model.W.ndim == 3 else model.W[:, :, None] * np.eye(m)
+    W = square(model.W)
     good = np.linalg.svd(W)[1][:, -1] > 0
     inverse = np.linalg.inv(np.where(good[:, None, None], W, np.eye(m)))
     return np.broadcast_to(inverse @ inverse.mT, (n, m, m)), np.broadcast_to(good, n)

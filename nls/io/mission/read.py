@@ -10,6 +10,7 @@ import numpy.typing as npt
 from factors import XYH, ZPR, Diagonal, Heading, Position, sonar_factors
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
+from factors.sonar import refuse_search
 from models import SE3, Manifold, R, euler
 from models.algebra import Array
 from models.errors import OptionError
@@ -211,8 +212,7 @@ def _contacts(
     if (table := tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
     assert report.sonar is not None
-    if elevation == "search":
-        raise OptionError("elevation", elevation, "free, hinge or prior: a mission has landmarks")
+    refuse_search(elevation)
     i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
     k = table.integers("landmark")
     table.positive("range_m")
