@@ -11,6 +11,7 @@ import pytest
 
 import sim
 from nls import GaussNewton, LevenbergMarquardt, kinds
+from nls.filters.consistency import nees_bounds
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "evidence"
 x, l = kinds("x", "l")
@@ -31,7 +32,7 @@ def test_normalized_errors_of_their_own_covariance(hauv: Any, dim: int) -> None:
     P, v = L @ L.mT, rng.standard_normal((400, dim))
     e = (L @ v[..., None])[..., 0]
     np.testing.assert_allclose(hauv.normalized(e, P), (v**2).sum(axis=1))
-    low, high = hauv.bounds(400, dim)
+    low, high = nees_bounds(dim, 400)
     assert low < hauv.normalized(e, P).mean() < high
     assert (low, high) == pytest.approx(
         (dim - 1.96 * np.sqrt(2 * dim / 400), dim + 1.96 * np.sqrt(2 * dim / 400)), rel=0.01
