@@ -166,26 +166,26 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
             k = int(np.argmax(target.numbers[here] == target.numbers[seen]))
             end = arc[longest, np.argmax(np.linalg.norm(arc[longest] - [at[1][k], at[0][k]], axis=1)), ::-1]
             said = f"it may be anywhere\nalong this arc, says\n{of[[seen]]!r}: its elevation\nis not measured"
-            _point_at(axes, (at[0][k], at[1][k]), 0.03, f"{target[[seen]]!r}: measured here", CONTACT)
-            _point_at(axes, (end[0], end[1]), 0.14, said, ARC)
+            _point_at(axes, (at[0][k], at[1][k]), True, f"{target[[seen]]!r}:\nmeasured\nhere", CONTACT)
+            _point_at(axes, (end[0], end[1]), False, said, ARC)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
     return _as_map(axes)
 
 
-def _point_at(axes: Axes, at: tuple[float, float], height: float, text: str, color: str) -> None:
-    """Words in the lower corner of the fan, where it is narrow, on the side of a point, and an arrow to that."""
+def _point_at(axes: Axes, at: tuple[float, float], above: bool, text: str, color: str) -> None:
+    """Words beside the fan, on the side of a point and above it or in the lower corner, and an arrow to that."""
     left = at[0] < 0
-    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, 1.0)}
+    arrow = {"arrowstyle": "->", "color": color, "shrinkB": 5, "relpos": (0.5, 0.0 if above else 1.0)}
     axes.annotate(
         text,
         at,
-        (0.02 if left else 0.98, height),
+        (0.02 if left else 0.98, 0.6 if above else 0.03),
         textcoords="axes fraction",
         ha="left" if left else "right",
+        va="bottom",
         color=color,
         fontsize=9,
         arrowprops=arrow,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},  # over the other arrow
     )
 
 

@@ -94,7 +94,7 @@ def test_the_longest_arc_is_pointed_at() -> None:
     segments = axes.collections[0].get_segments()
     longest = max(segments, key=lambda arc: np.linalg.norm(np.diff(arc, axis=0), axis=1).sum())
     measured, arc = axes.texts
-    assert measured.get_text().endswith(": measured here")
+    assert measured.get_text().endswith(":\nmeasured\nhere")
     contact = np.column_stack(axes.lines[0].get_data())
     (which,) = np.flatnonzero((contact == measured.xy).all(axis=1))
     here = mission.contacts.keys[1].numbers[mission.contacts.keys[0].numbers == 40]

@@ -21,7 +21,7 @@ UPPER = np.triu_indices(3)
 MAP = (
     *("landmark", *PLACE),
     *(f"cov_{'xyz'[row]}_{'xyz'[column]}_m2" for row, column in zip(*UPPER, strict=True)),
-    *("views", "first_i", "elevation_rad", "sigma_elevation_rad"),
+    *("views", "first_i", "elevation_rad", "sigma_elevation_rad", "at_limit"),
 )
 
 
@@ -43,16 +43,17 @@ def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
 def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> bytes:
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
-    The elevation is the one in the frame of the sonar at the first view. Cells are empty where there are no sigmas:
-    of all landmarks without marginals, else of those that are free.
+    The elevation is the one in the frame of the sonar at the first view; at_limit is 1 where a hinge pushes it back
+    into the aperture. Cells are empty where there are no sigmas: of all landmarks without marginals, else of those that
+    are free.
     """
     n, keys, known = len(found.landmarks), l[found.landmarks], np.isfinite(found.sigma)[:, None]
-    Sigma = None if marginals is None else np.where(known, marginals.covariance(keys)[:, *UPPER], np.nan)
+    Sigma = None if marginals is None else np.where(known, found.widened(marginals.covariance(keys))[:, *UPPER], np.nan)
     sigma = None if marginals is None else found.sigma[:, None]
     return csv_text(
         MAP,
         *(found.landmarks, values[keys], _or_empty(Sigma, (n, 6)), found.views, found.poses),
-        *(found.elevation[:, None], _or_empty(sigma, (n, 1))),
+        *(found.elevation[:, None], _or_empty(sigma, (n, 1)), found.pushed.astype(int)),
     )
 
 

@@ -5,6 +5,13 @@ r"""What a solved mission is worth: the drift of its track, and how well the ele
 of dead reckoning and of the solution, nothing aligned. The elevation of a landmark is the one in its first view:
 
     sigma^2 = H Sigma H',    H = [H_X, H_l] of the elevation, Sigma the joint covariance of that pose and landmark
+
+A hinge that pushes is a limit, not a measurement. In Sigma it knows the elevation as well as its softness s, 1 deg,
+where chi2 may hardly change over the whole aperture; here it says what an even spread over the aperture does:
+
+    1 / sigma^2  ->  max(1 / sigma^2 - sum 1 / s^2, 0) + 3 / limit^2
+
+Mean of (error / sigma)^2 of the landmarks pushed, hull, seeds 0 to 2: before 40, 14, 32, so 2.4, 1.0, 2.0.
 """
 
 from __future__ import annotations
@@ -14,8 +21,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from factors import Elevation, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
+from factors import Elevation, ElevationHinge, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
 from factors.keys import Keys, kinds
+from factors.noise import square
 from factors.sonar import first_contacts
 from models import SE3, R
 from models.algebra import Array
@@ -107,8 +115,10 @@ class Elevations:
     landmarks, poses : (n,) numbers of the landmarks and of the poses that saw them first.
     views : (n,) contacts of each.
     range, azimuth, elevation : (n,) of the estimate, in the frame of the sonar at that pose, m and rad.
+    pushed : (n,) whether a hinge keeps the landmark within the aperture, against its measurements.
     sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
-        landmark is free.
+        landmark is free; of one that is pushed, with the aperture in place of its hinges.
+    widening : (n,) how much of sigma^2 comes from that, rad^2.
     along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
     """
 
@@ -118,8 +128,15 @@ class Elevations:
     range: Array
     azimuth: Array
     elevation: Array
+    pushed: npt.NDArray[np.bool_]
     sigma: Array
+    widening: Array
     along: Array
+
+    def widened(self, Sigma: Array) -> Array:
+        """Covariances (n, 3, 3) of the landmarks along the axes of the world, with `widening` along their arcs."""
+        arc = self.range[:, None] * self.along
+        return np.asarray(Sigma + self.widening[:, None, None] * arc[:, :, None] * arc[:, None, :])
 
 
 def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
@@ -198,9 +215,26 @@ def elevations(
     along = (SE3.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
     sigma = np.full(len(r), np.nan)
     if sigmas:
-        known = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
-        sigma[known] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[known]
-    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, sigma, along)
+        told = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
+        sigma[told] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[told]
+    hinges, spread = _limits(graph, values, landmarks)
+    pushed, before = hinges > 0, np.square(sigma)
+    sigma = np.where(pushed, 1 / np.sqrt(np.maximum(1 / before - hinges, 0.0) + np.where(pushed, spread, 1.0)), sigma)
+    widening = np.nan_to_num(np.maximum(np.square(sigma) - before, 0.0))
+    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, widening, along)
+
+
+def _limits(graph: FactorGraph, values: Values, landmarks: Numbers) -> tuple[Array, Array]:
+    """Of landmarks that hinges push, the information of these hinges (n,), and that of their aperture; else 0."""
+    hinges, spread = np.zeros(len(landmarks)), np.zeros(len(landmarks))
+    for factor in graph.factors:
+        if isinstance(factor, ElevationHinge):
+            W = square(factor.noise.sqrt_information(len(factor), factor.measures))[:, 0, 0]
+            pushes = factor.chi2(values) > 0
+            at = np.searchsorted(landmarks, factor.keys[1].numbers)
+            np.add.at(hinges, at[pushes], np.broadcast_to(np.square(W), len(factor))[pushes])
+            np.maximum.at(spread, at[pushes], 3 / factor.limit**2)
+    return hinges, spread
 
 
 def _sigmas(
