@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         UnderconstrainedError,
     )
     from nls import plot
+    from nls.certificate import Certificate, certify
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io import LoadReport, load, save
@@ -50,6 +51,7 @@ _WHERE = {
     "factors.keys": "Keys Kind kinds",
     "models.errors": "EvaluationError GraphError GraphFileError GraphWarning JacobianError LeadlineError "
     "MissingSolverError NoiseModelError OptionError ResourceLimitError SingularGeometryError UnderconstrainedError",
+    "nls.certificate": "Certificate certify",
     "nls.covariance": "Marginals",
     "nls.graph": "FactorGraph",
     "nls.io": "LoadReport load save",
@@ -88,6 +90,7 @@ __all__ = [
     "LU",
     "PCG",
     "QR",
+    "Certificate",
     "Cholesky",
     "CholeskyPCG",
     "DenseCholesky",
@@ -123,6 +126,7 @@ __all__ = [
     "UnderconstrainedError",
     "Values",
     "backends",
+    "certify",
     "initialize",
     "kinds",
     "load",

@@ -16,6 +16,7 @@ EXAMPLES = """examples:
   nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
+  nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
@@ -76,6 +77,9 @@ def parser() -> Parser:
     solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
+    solve.add_argument(
+        "--certify", action="store_true", help="prove that a pose graph is at its global optimum, or find a better one"
+    )
     _json(solve)
     solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
     solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")

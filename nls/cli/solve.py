@@ -28,6 +28,7 @@ def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
     from models.errors import GraphFileError
+    from nls.cli import certified
     from nls.cli.doubts import doubts
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
     from nls.cli.timing import Clock
@@ -59,13 +60,23 @@ def solve(options: argparse.Namespace) -> int:
         clock.lap("init")
     if form:  # what has no line in the format is refused before the work
         refuse_unwritable_graph(options.output, form, as_read, start, report)
+    if options.certify:
+        from nls.certificate.problem import certifiable
+
+        certifiable(graph, start)
     clock.lap("check")
     with _Progress(options) as progress:
         result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
     clock.lap("optimize")
+    certificate = None
+    if options.certify:
+        certificate = nls.certify(graph, result.values)
+        clock.lap("certify")
     solved = _solved(graph, values, result, report, solver, options.gauge)
     written, failed = _write(options, form, as_read, before, graph, result, solver, report, solved)
     said = {} if solved is None else {"mission": solved.record()}
+    if certificate is not None:
+        said["certificate"] = certified.record(certificate)
     clock.lap("write")
     timings = clock.timings(result.timings, stages)
 
@@ -108,7 +119,8 @@ def solve(options: argparse.Namespace) -> int:
         written.remove(options.json)
         failed.append(error)
     if not options.quiet and options.json != "-":
-        print(_table(record, result, report.warnings, options.verbose))
+        shown = [] if certificate is None else certified.rows(certificate)
+        print(_table(record, result, shown, report.warnings, options.verbose))
     if not result.converged and not options.quiet:
         print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
     for failure in failed:
@@ -244,7 +256,7 @@ def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: _Progress) -
     return kind(stop, callback=progress.show)
 
 
-def _table(report: dict[str, Any], result: Result, warned: list[str], verbose: bool) -> str:
+def _table(report: dict[str, Any], result: Result, certificate: list[str], warned: list[str], verbose: bool) -> str:
     lines = result.steps if verbose else []
     names = {"file": "dead reckoning"} if "mission" in report else {}  # a mission has no start in a file
     start = ", ".join(f"{names.get(name, name)} {chi2:.6g}" for name, chi2 in report["starts"].items())
@@ -260,6 +272,7 @@ def _table(report: dict[str, Any], result: Result, warned: list[str], verbose: b
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",
+        *certificate,
     ]
     if "mission" in report:
         from nls.cli.mission import lines as worth

@@ -13,7 +13,7 @@ __all__ = ["Clock", "iterations", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
-AFTER = ("other", "write", "process")
+AFTER = ("other", "certify", "write", "process")
 SUMS = ("solved", "total", "process")
 SAID = {
     "startup": "interpreter, up to the command line; processor time",
@@ -24,6 +24,7 @@ SAID = {
     "build": "gauge and pattern",
     "analyze": "elimination order, symbolic factorization",
     "other": "stop rules, degrees of freedom",
+    "certify": "optimum and eigenvalues in the SE-Sync cost",
     "write": "files asked for",
 }
 
@@ -57,8 +58,8 @@ class Clock:
         out = {"read": seconds["read"], "init": seconds["init"], **optimize}
         out["other"] = whole - sum(optimize.values())
         out["solved"] = seconds["read"] + seconds["init"] + whole
-        out |= {name: seconds[name] for name in ("check", "write", "startup", "imports")}
-        out["total"] = out["solved"] + out["check"] + out["write"]
+        out |= {name: seconds[name] for name in ("check", "certify", "write", "startup", "imports") if name in seconds}
+        out["total"] = out["solved"] + out["check"] + out.get("certify", 0.0) + out["write"]
         out["process"] = out["total"] + out["startup"] + out["imports"]
         return out | stages
 

@@ -1,0 +1,92 @@
+r"""What a point proves: the smallest eigenvalues of its certificate matrix, and how far the optimum may be below it.
+
+At a stationary point M of the certifiable cost let Lambda = blkdiag(Lambda_i) be the multipliers of Y_i'Y_i = I and
+S = Q - Lambda. For every other N = [Z q] with Z_i'Z_i = I, of any number of rows, and any mu >= 0,
+
+    tr N Q N' = tr N (S + mu D) N' - mu n d + tr Lambda      D: 1 for columns of Y, 0 for those of p
+
+Where S + mu D has no negative eigenvalue the first term is none either, so that
+
+    optimum >= tr Lambda - mu n d
+
+whatever the start, and whether or not M is exactly stationary. S has r eigenvalues 0, of the rows of M, so mu has to be
+above 0 for a Cholesky factorization to tell. It is taken so small that mu n d is half a millionth of the cost, or 100
+eps times the largest entry of Q, where that is more.
+
+Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization
+over the special Euclidean group", IJRR 38(2-3), 2019, section 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from nls.certificate.newton import Optimum
+from nls.certificate.problem import PoseGraph
+from nls.linear.base import SingularSystemError
+from nls.linear.normal import NormalState
+
+__all__ = ["RELATIVE", "Spectrum", "spectrum"]
+
+RELATIVE = 1e-6  # of the cost: a smaller gap is none
+ROUNDING = 100 * np.finfo(float).eps  # of the largest entry of Q: smallest shift
+MORE = 10.0  # times the shift, until S + mu D is positive definite
+PRECISION = 1e-6  # of the eigenvalues of its inverse
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """What is known at a point.
+
+    Attributes
+    ----------
+    eigenvalues : (d + 1,) the smallest ones of S, positions eliminated.
+    v : (n, d + 1) the eigenvector of the first.
+    lowest : no pose graph costs less.
+    certified : the cost of the point is that, but for a millionth or rounding.
+    """
+
+    eigenvalues: Array
+    v: Array
+    lowest: float
+    certified: bool
+
+
+def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
+    """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove."""
+    n, d = graph.n, graph.d
+    multipliers = graph.multipliers(found.M, graph.product(found.M))
+    S = graph.on_diagonal - multipliers
+    S[graph.held, d, d] += graph.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
+    D = np.diag([1.0] * d + [0.0])
+    smallest = mu = max(RELATIVE / 2 * found.cost / (n * d), ROUNDING * float(graph.on_diagonal.max()))
+    while True:
+        try:
+            state = graph.factorized(S + mu * D, graph.off)
+            break
+        except SingularSystemError:
+            mu *= MORE
+    lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
+    theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
+    return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, found.cost - lowest <= 2 * n * d * smallest)
+
+
+def _largest_of_inverse(state: NormalState, turns: npt.NDArray[np.bool_], count: int) -> tuple[Array, Array]:
+    """Eigenvalues theta of the rotation part of the inverse, falling, and the first one's vector, with positions."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    inside = np.flatnonzero(turns)
+
+    def whole(v: Array) -> Array:
+        g = np.zeros(len(turns))
+        g[inside] = v.ravel()
+        return state.solve(g)
+
+    inverse = LinearOperator((len(inside), len(inside)), matvec=lambda v: whole(v)[inside], dtype=float)
+    start = np.random.default_rng(0).normal(size=len(inside))
+    theta, vectors = eigsh(inverse, k=count, which="LA", v0=start, tol=PRECISION)
+    return theta[::-1], whole(vectors[:, -1]) / theta[-1]
