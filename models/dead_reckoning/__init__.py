@@ -2,5 +2,6 @@
 
 from models.dead_reckoning.chain import chained
 from models.dead_reckoning.legs import Legs, integrate
+from models.dead_reckoning.plane import PlaneLegs, integrate_plane
 
-__all__ = ["Legs", "chained", "integrate"]
+__all__ = ["Legs", "PlaneLegs", "chained", "integrate", "integrate_plane"]

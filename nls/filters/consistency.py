@@ -12,6 +12,7 @@ Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.keys import Keys
 from models import Manifold
@@ -19,7 +20,9 @@ from models.algebra import Array
 from models.errors import OptionError, UnderconstrainedError
 from models.options import is_number, is_whole
 
-__all__ = ["chi2_gate", "nees", "nees_bounds"]
+__all__ = ["chi2_gate", "nees", "nees_bounds", "regular"]
+
+SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
 
 
 def chi2_gate(dim: int, probability: float) -> float:
@@ -96,26 +99,35 @@ def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Ar
     >>> nees(x[[7]], SE2, np.array([[0.0, 0.0, -3.1]]), P, np.array([[0.1, 0.0, 3.1]])).round(1)
     array([1.2])
     """
-    e = manifold.local(X, truth)
-    scale = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a sigma of 0 is refused below
-        unit = P / (scale[:, :, None] * scale[:, None, :])  # meters and radians do not decide what is singular
-    for k, matrix in enumerate(np.isfinite(unit).all(axis=(1, 2))):
-        if not matrix:
-            raise _singular(keys[[k]])
-    values, vectors = np.linalg.eigh(unit)
-    if (bad := values[:, 0] <= SINGULAR).any():
-        raise _singular(keys[[int(np.argmax(bad))]])
-    along = np.matvec(vectors.mT, e / scale)
+    values, vectors, scale = _spectra(P)
+    if (bad := ~(values[:, 0] > SINGULAR)).any():
+        raise UnderconstrainedError(
+            f"NEES of {keys[[int(np.argmax(bad))]]}: its covariance is singular, errors have no size in its units; a "
+            "particle filter needs more particles than unknowns that differ, and a start a sigma above 0",
+            [keys[[int(np.argmax(bad))]]],
+        )
+    along = np.matvec(vectors.mT, manifold.local(X, truth) / scale)
     return np.asarray((np.square(along) / values).sum(axis=1))
 
 
-SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
+def regular(P: Array) -> npt.NDArray[np.bool_]:
+    """Which covariances (n, d, d) give errors a size: those that are finite, positive and not singular, (n,).
+
+    Examples
+    --------
+    Of a cloud of two particles the covariance has rank 1, of one it is 0:
+
+    >>> e = np.array([[1.0, 2.0, 0.1]])
+    >>> regular(np.stack([np.eye(3), e.T @ e, np.zeros((3, 3))]))
+    array([ True, False, False])
+    """
+    return np.asarray(_spectra(P)[0][:, 0] > SINGULAR)
 
 
-def _singular(key: Keys) -> UnderconstrainedError:
-    return UnderconstrainedError(
-        f"NEES of {key}: its covariance is singular, errors have no size in its units; a particle filter needs more "
-        "particles than unknowns that differ, and a start a sigma above 0",
-        [key],
-    )
+def _spectra(P: Array) -> tuple[Array, Array, Array]:
+    """Eigenvalues (n, d) and vectors of the correlation matrices, and sigmas (n, d); nan where P is no covariance."""
+    there = np.logical_and(np.isfinite(P).all(axis=(1, 2)), (np.diagonal(P, axis1=1, axis2=2) > 0).all(axis=1))
+    P = np.where(there[:, None, None], P, np.eye(P.shape[-1]))
+    scale = np.sqrt(np.diagonal(P, axis1=1, axis2=2))  # meters and radians do not decide what is singular
+    values, vectors = np.linalg.eigh(P / (scale[:, :, None] * scale[:, None, :]))
+    return np.where(there[:, None], values, np.nan), vectors, scale

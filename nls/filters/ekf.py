@@ -3,13 +3,16 @@ r"""EKF-SLAM: pose and landmarks filtered jointly, by the factors a graph would 
     motion factor     A_i d_i + A_j d_j = b + v     F = -A_j^-1 A_i,  Q = A_j^-1 A_j^-T,   X_j where b = 0
     first sighting    A_x d_x + A_l d_l = b + v     G = -A_l^-1 A_x,  Q = A_l^-1 A_l^-T,   L where the factor has it
     other factors     A d = b + v                   all of one step stacked into one update
+    iterated          A T d = b + A T d_k + v       linearized where step d_k led, T the turn of the pose's axes there
 
 v ~ N(0, I): factors are whitened. Motion and first sighting are the same thing: a variable is added where one factor
 says all of it. Its covariance and its correlation with everything else follow from the factor's own Jacobians.
 
 Sources: R. Smith, M. Self, P. Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990; S. Thrun,
-W. Burgard, D. Fox, Probabilistic Robotics, 2005, chapter 10. First estimates: G. P. Huang, A. I. Mourikis,
-S. I. Roumeliotis, "Analysis and improvement of the consistency of extended Kalman filter based SLAM", ICRA 2008.
+W. Burgard, D. Fox, Probabilistic Robotics, 2005, chapter 10. Iterated updates: B. M. Bell, F. W. Cathey, "The iterated
+Kalman filter update as a Gauss-Newton method", IEEE Transactions on Automatic Control 38, 1993. First estimates:
+G. P. Huang, A. I. Mourikis, S. I. Roumeliotis, "Analysis and improvement of the consistency of extended Kalman filter
+based SLAM", ICRA 2008.
 """
 
 from __future__ import annotations
@@ -26,18 +29,21 @@ from factors.seen import Seen
 from models import LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError
+from models.options import is_whole
 from nls.assemble import Index
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
+from nls.filters.consistency import chi2_gate
 from nls.filters.map_state import MapState
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
-from nls.filters.pieces import Piece, associated, part, stacked
+from nls.filters.pieces import Piece, associated, distances, part, stacked
 from nls.values import Values
 
 __all__ = ["EKF"]
 
 LANDMARKS = ("correlated", "first-sight", "independent")
 SPENT = 1e-9  # of the Jacobian: what motion factors leave over beside that is rounding
+SETTLED = 1e-6  # m, rad; a further iteration of an update moves less
 
 
 class EKF(Filter):
@@ -55,11 +61,16 @@ class EKF(Filter):
     prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
     associate : how sightings find their landmarks where the graph does not know, `nls.filters.association`; the
         landmarks named in the graph are then ignored, new ones are numbered from 0. None: those of the graph.
+    gate : probability with which a sighting of a known landmark is within its gate; what is outside is of something
+        else and is left out. None: every sighting is believed, and one that is wrong is never undone.
+    iterations : how often at most an update is linearized, again where the last linearization led, until that moves
+        by less than 1e-6 (m, rad). More than one is needed where landmarks are known worse than they are measured.
 
     Attributes
     ----------
     found : with `associate`, the landmark each sighting was given to, in the order of time; -1 for one left out. With
         one factor of sightings in the graph, `nls.filters.association.identified` puts them back into it.
+    left_out : sightings that were outside of the gate.
 
     Raises
     ------
@@ -70,8 +81,13 @@ class EKF(Filter):
     -----
     All factors of a step about known variables make one stacked update; then new landmarks are added, each from its
     first sighting that locates it, and what else was seen of those makes a second update. A prediction costs O(n) for n
-    landmarks, an update O(n^2). A graph that closes loops between poses needs them all: a filter of the latest pose
-    refuses such factors.
+    landmarks, an update O(n^2), each further iteration O(n). A graph that closes loops between poses needs them all: a
+    filter of the latest pose refuses such factors.
+
+    A chart to 4 m, bearings to 0.2 deg: at 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
+    linearization. Over 30 seeds of `sim.subsea` with ``independent`` landmarks the mean NEES of the last pose, 3 of a
+    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where
+    they were seen, ``correlated``, need no more than one.
 
     Examples
     --------
@@ -90,6 +106,8 @@ class EKF(Filter):
         first_estimates: bool = False,
         prior_sigma: float | Sequence[float] = 4.0,
         associate: Association | None = None,
+        iterations: int = 1,
+        gate: float | None = None,
     ) -> None:
         if landmarks not in LANDMARKS:
             raise OptionError("landmarks", landmarks, "one of " + ", ".join(LANDMARKS))
@@ -100,12 +118,16 @@ class EKF(Filter):
             raise OptionError("prior_sigma", prior_sigma, "a sigma above 0, or one for each component of a landmark")
         if not isinstance(associate, Association | None):
             raise OptionError("associate", associate, "an association such as JointCompatibility(0.95), or None")
-        self.initial, self.first_estimates, self.prior_sigma, self.associate = (
-            landmarks,
-            first_estimates,
-            sigmas,
-            associate,
-        )
+        if not is_whole(iterations) or iterations < 1 or (first_estimates and iterations > 1):
+            said = "a whole number of at least 1; 1 with first_estimates, which keep their Jacobians"
+            raise OptionError("iterations", iterations, said)
+        self.initial, self.first_estimates, self.prior_sigma = landmarks, first_estimates, sigmas
+        self.associate, self.iterations = associate, int(iterations)
+        if gate is not None and associate is not None:
+            raise OptionError("gate", gate, "None with an association, which has gates of its own")
+        if gate is not None:
+            chi2_gate(1, gate)
+        self.gate, self.left_out = gate, 0
         self.found: list[int] = []
         self._state: MapState | None = None
 
@@ -113,6 +135,8 @@ class EKF(Filter):
     def method(self) -> str:
         options: list[str] = [self.initial] if self.initial != "correlated" else []
         options += ["first estimates"] if self.first_estimates else []
+        options += [f"{self.iterations} iterations"] if self.iterations > 1 else []
+        options += [f"gate {self.gate:g}"] if self.gate is not None else []
         options += [type(self.associate).__name__] if self.associate is not None else []
         return "EKF" + (f" ({', '.join(options)})" if options else "")
 
@@ -147,7 +171,7 @@ class EKF(Filter):
         self._values, self._spaces = values, {POSE: pose.manifold, self._kind: landmark}
         if self.prior_sigma.ndim and len(self.prior_sigma) != landmark.dim:
             raise OptionError("prior_sigma", self.prior_sigma.tolist(), f"one number, or {landmark.dim} for {landmark}")
-        self._pose, self.found = step.pose, []
+        self._pose, self.found, self.left_out = step.pose, [], 0
         own = [factor for factor in step.seen if all(keys.kind == POSE for keys in factor.keys)]
         parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
         X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
@@ -193,7 +217,8 @@ class EKF(Filter):
         pieces = [self._identified(factor) for factor in factors]
         pieces = self._spent(pieces, lambda factor: len(factor.keys) == 1, self._chart)
         rows = [None if numbers is None else self.state.rows(numbers) for _, numbers in pieces]
-        self._update([part(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)])
+        known = [part(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
+        self._update([self._within(piece) for piece in known])
         unknown = [part(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
         self._update(self._spent(unknown, lambda factor: isinstance(factor, Seen) and factor.locates, self._locate))
 
@@ -220,6 +245,16 @@ class EKF(Filter):
         numbers = associated(self.state, self.associate, factor, self._copies(factor).model.manifolds)
         self.found += numbers.tolist()
         return part((factor, numbers), numbers >= 0)
+
+    def _within(self, piece: Piece) -> Piece:
+        """Without the sightings of known landmarks that are outside of their gate."""
+        factor, numbers = piece
+        if self.gate is None or numbers is None or not len(factor) or not isinstance(factor, Seen):
+            return piece
+        model = self._copies(factor).model
+        within = distances(self.state, model, self.state.rows(numbers))[0] <= chi2_gate(model.dim, self.gate)
+        self.left_out += int((~within).sum())
+        return part(piece, within)
 
     def _spent(
         self, pieces: list[Piece], wanted: Callable[[Factor], bool], add: Callable[[Factor, Index], None]
@@ -289,8 +324,21 @@ class EKF(Filter):
                     factor.name,
                 )
             known.append((self._copies(factor).model, rows))
-        if known:
-            state.update(*stacked(state, known), self._pose)
+        if not known:
+            return
+        A, columns, b = stacked(state, known)
+        before, d = np.zeros(state.n), state.spaces[0].dim
+        for _ in range(self.iterations - 1):
+            delta = state.step(A, columns, b, self._pose)
+            if np.abs(delta - before).max() < SETTLED:
+                break
+            before = delta
+            there = state.moved(delta)
+            A, columns, b = stacked(there, known)
+            # J_r(delta) in its place lets a shift of everything be seen: NEES 18, not 3.4, of correlated landmarks
+            A[:, :d] = A[:, :d] @ state.turn(state.X, there.X)
+            b = b + A @ delta[columns]
+        state.update(A, columns, b, self._pose)
 
 
 def _inverse(Lambda: Array) -> Array:

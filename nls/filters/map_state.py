@@ -15,6 +15,8 @@ everything, then stays unseen.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from factors.keys import Keys
@@ -61,7 +63,7 @@ class MapState:
     def pose_covariance(self) -> Array:
         """(d, d) in the tangent space at X."""
         d = self.spaces[0].dim
-        J = self._turn(self.first, self.X)
+        J = self.turn(self.first, self.X)
         return J @ self._P[:d, :d] @ J.T
 
     @property
@@ -110,6 +112,27 @@ class MapState:
         EvaluationError
             P is no covariance any more: A P A' + I has no Cholesky factor, or numbers that are not finite.
         """
+        V, y = self._gain(A, columns, b, pose)
+        P = self.P
+        for begin in range(0, len(P), TOGETHER):
+            rows = slice(begin, begin + TOGETHER)
+            P[rows] -= V[:, rows].T @ V
+        self._move(V.T @ y)
+
+    def step(self, A: Array, columns: Index, b: Array, pose: Keys) -> Array:
+        """The step (n,) that `update` would take; nothing is changed."""
+        V, y = self._gain(A, columns, b, pose)
+        return np.asarray(V.T @ y)
+
+    def moved(self, delta: Array) -> MapState:
+        """Where a step (n,) leads, to linearize there; P is that of here, in the tangent space of here."""
+        there, d = copy(self), self.spaces[0].dim
+        there.X = there.first = self.spaces[0].retract(self.X[None], delta[None, :d])[0]
+        there.L = there.L_first = self._landmarks_at(delta)
+        return there
+
+    def _gain(self, A: Array, columns: Index, b: Array, pose: Keys) -> tuple[Array, Array]:
+        """V = C^-1 A P and y = C^-1 b, S = C C': P - V'V is what is left of P, and V'y the step."""
         from scipy.linalg import solve_triangular
 
         P = self.P
@@ -127,25 +150,25 @@ class MapState:
                 "differ by more than the digits of P hold; tighten the prior of the first pose, check sigmas and units",
                 keys=[pose],
             ) from error
-        V, y = solve_triangular(C, AP, lower=True), solve_triangular(C, b, lower=True)
-        for begin in range(0, len(P), TOGETHER):
-            rows = slice(begin, begin + TOGETHER)
-            P[rows] -= V[:, rows].T @ V
-        self._move(V.T @ y)
+        return solve_triangular(C, AP, lower=True), solve_triangular(C, b, lower=True)
 
     def _move(self, delta: Array) -> None:
         """Every variable by its part of a step (n,)."""
-        (pose, landmark), d = self.spaces, self.spaces[0].dim
-        if len(self.L):
-            self.L = landmark.retract(self.L, delta[d:].reshape(len(self.L), landmark.dim))
+        pose, d = self.spaces[0], self.spaces[0].dim
+        self.L = self._landmarks_at(delta)
         if self.frozen:
             self._moved = self._moved + delta[:d]
             self.X = pose.retract(self.first[None], self._moved[None])[0]
         else:
             before, self.X = self.X, pose.retract(self.X[None], delta[None, :d])[0]
-            self._pose_by(self._turn(before, self.X))
+            self._pose_by(self.turn(before, self.X))
             self.first = self.X
             self.L_first = self.L
+
+    def _landmarks_at(self, delta: Array) -> Array:
+        """The landmarks (m, size) a step (n,) from where they are."""
+        landmark, d = self.spaces[1], self.spaces[0].dim
+        return landmark.retract(self.L, delta[d:].reshape(len(self.L), landmark.dim)) if len(self.L) else self.L
 
     def _pose_by(self, F: Array) -> None:
         """P of F times the error of the pose: three rows and columns, all else stays."""
@@ -154,7 +177,7 @@ class MapState:
         P[d:, :d] = P[:d, d:].T
         P[:d, :d] = _symmetric(F @ P[:d, :d] @ F.T)
 
-    def _turn(self, X: Array, Y: Array) -> Array:
+    def turn(self, X: Array, Y: Array) -> Array:
         """Components in the tangent space at Y of an error whose components in the one at X are given, (d, d)."""
         G_x, G_y = self.spaces[0].world_axes(np.stack([X, Y]))
         return np.asarray(np.linalg.solve(G_y, G_x))

@@ -17,7 +17,7 @@ from nls.filters.base import POSE
 from nls.filters.consistency import chi2_gate
 from nls.filters.map_state import MapState
 
-__all__ = ["Piece", "associated", "part", "stacked"]
+__all__ = ["Piece", "associated", "distances", "part", "stacked"]
 
 Piece = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
 
@@ -64,18 +64,24 @@ def stacked(state: MapState, known: Sequence[tuple[Model, Index | None]]) -> tup
     return np.concatenate(blocks), columns, np.concatenate(innovations)
 
 
+def distances(state: MapState, model: Model, rows: Index) -> tuple[Array, Array]:
+    """Squared Mahalanobis distances (n,) of sightings from the landmarks in these rows, and innovations b (n, m)."""
+    d, n = state.spaces[0].dim, len(rows)
+    (A_x, A_l), b = model.linearize(np.broadcast_to(state.X, (n, len(state.X))), state.L[rows])
+    A = np.concatenate([A_x, A_l], axis=2)
+    columns = np.concatenate([np.broadcast_to(np.arange(d), (n, d)), state.columns(rows)], axis=1)
+    S = A @ state.P[columns[:, :, None], columns[:, None, :]] @ A.mT + np.eye(model.dim)
+    return np.asarray((b * np.linalg.solve(S, b[..., None])[..., 0]).sum(axis=1)), b
+
+
 def associated(state: MapState, associate: Association, factor: Seen, manifolds: tuple[Manifold, ...]) -> Index:
     """Number of the landmark (n,) of each sighting: a known one, a new one, or -1 for one to be left out."""
-    n, m, d = len(factor), len(state.L), state.spaces[0].dim
+    n, m = len(factor), len(state.L)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     every = factor[i]
     model = every.bind(*manifolds)
-    (A_x, A_l), b = model.linearize(np.broadcast_to(state.X, (n * m, len(state.X))), state.L[j])
-    A = np.concatenate([A_x, A_l], axis=2)
-    columns = np.concatenate([np.broadcast_to(np.arange(d), (m, d)), state.columns(np.arange(m))], axis=1)
-    P = state.P[columns[:, :, None], columns[:, None, :]]
-    S = A @ P[j] @ A.mT + np.eye(model.dim)
-    d2 = np.asarray((b * np.linalg.solve(S, b[..., None])[..., 0]).sum(axis=1)).reshape(n, m)
+    d2, b = distances(state, model, j)
+    d2 = d2.reshape(n, m)
 
     near = np.flatnonzero(d2.reshape(-1) <= chi2_gate(model.dim, associate.probability))
     A_near, used, _ = stacked(state, [(every[near].bind(*manifolds), j[near])])

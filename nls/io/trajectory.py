@@ -19,15 +19,14 @@ from models import SE2, SE3
 from models.algebra import Array
 from models.errors import GraphError
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
-from nls.io.files import read_bytes, write_bytes
+from nls.io.files import write_bytes
+from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
-from nls.io.text import Text
 from nls.io.unused import note_comments
 from nls.values import Values
 
 __all__ = ["kitti_text", "lifted", "load_trajectory", "read_kitti", "read_tum", "tum_text", "write_kitti", "write_tum"]
 
-Index = npt.NDArray[np.intp]
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
 
 
@@ -69,16 +68,11 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
 
 def _tum(path: str | Path) -> tuple[Array, Array, int]:
     """Times, poses and how many comments."""
-    text, lines, table, comments = _table(path, 8, "timestamp tx ty tz qx qy qz qw")
+    text, lines, table, comments = plain_table(path, 8, "timestamp tx ty tz qx qy qz qw", "pose")
     times, poses = table[:, 0], table[:, 1:]
     if (found := SE3.invalid(poses)) is not None:
         raise text.error(found[1], int(lines[found[0]]))
-    late = np.flatnonzero(times[1:] <= times[:-1])
-    if len(late):
-        k = int(late[0]) + 1
-        raise text.error(
-            f"time {float(times[k])!r} does not rise over {float(times[k - 1])!r} before it", int(lines[k])
-        )
+    refuse_late(text, lines, times)
     return times, poses, comments
 
 
@@ -129,7 +123,7 @@ def read_kitti(path: str | Path) -> Array:
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is no rotation, and is refused
 def _kitti(path: str | Path) -> tuple[Array, int]:
     """Poses and how many comments."""
-    text, lines, table, comments = _table(path, 12, "the upper 3 x 4 of a pose, row by row")
+    text, lines, table, comments = plain_table(path, 12, "the upper 3 x 4 of a pose, row by row", "pose")
     T = table.reshape(-1, 3, 4)
     R = T[:, :, :3]
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
@@ -188,23 +182,6 @@ def _some(path: str | Path, poses: npt.ArrayLike) -> Array:
     if not len(X):
         raise GraphError(f"{path}: no poses; a trajectory file needs at least one")
     return X
-
-
-def _table(path: str | Path, columns: int, what: str) -> tuple[Text, Index, Array, int]:
-    """The text, its lines that are neither blank nor comments, their numbers (n, columns), how many are comments."""
-    text = Text(read_bytes(path), str(path))
-    count = np.diff(text.first)
-    lines = np.flatnonzero(count)
-    comment = text.characters(text.first[lines], 1)[:, 0] == ord("#")
-    lines = lines[~comment]
-    if not len(lines):
-        raise text.error(f"has no pose; expected lines of {columns} numbers: {what}", 0)
-    if (wrong := count[lines] != columns).any():
-        k = int(np.argmax(wrong))
-        raise text.error(f"{count[lines[k]]} numbers, expected {columns}: {what}", int(lines[k]))
-    tokens = text.first[lines][:, None] + np.arange(columns)
-    numbers = text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns)
-    return text, lines, numbers, int(comment.sum())
 
 
 def _text(table: Array) -> bytes:

@@ -12,7 +12,7 @@ from models import SE2, R
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.filters.base import Step, Track, steps
-from nls.filters.consistency import chi2_gate, nees, nees_bounds
+from nls.filters.consistency import chi2_gate, nees, nees_bounds, regular
 from nls.filters.ekf import EKF
 
 x, l, o = kinds("x", "l", "o")
@@ -118,6 +118,7 @@ def test_a_singular_covariance_has_no_nees(P: np.ndarray) -> None:
     both = np.stack([np.eye(2), P])
     with pytest.raises(UnderconstrainedError, match=r"NEES of x8: its covariance is singular"):
         nees(x[[4, 8]], R(2), np.zeros((2, 2)), both, np.ones((2, 2)))
+    assert regular(both).tolist() == [True, False]
 
 
 def test_bounds_are_those_of_chi_squared() -> None:

@@ -1,0 +1,71 @@
+"""Lines of numbers without tags, blanks between, comments that begin with #: trajectories and logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from nls.io.files import read_bytes
+from nls.io.text import Text
+
+__all__ = ["or_compressed", "plain_lines", "plain_table", "refuse_late"]
+
+Index = npt.NDArray[np.intp]
+
+
+def or_compressed(folder: str | Path, name: str) -> Path:
+    """The file of a folder, or its compressed twin ``name.gz`` where it is not there."""
+    path = Path(folder) / name
+    return path if path.exists() else path.with_name(f"{name}.gz")
+
+
+def plain_lines(path: str | Path, what: str) -> tuple[Text, Index, Index, int]:
+    """The text of a file, its lines (n,) that are neither blank nor comments, how many words each has, comments.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read, or has no such line; `what` is what was expected.
+    """
+    text = Text(read_bytes(path), str(path))
+    count = np.diff(text.first)
+    lines = np.flatnonzero(count)
+    comment = text.characters(text.first[lines], 1)[:, 0] == ord("#")
+    lines = lines[~comment]
+    if not len(lines):
+        raise text.error(f"has {what}", 0)
+    return text, lines, count[lines], int(comment.sum())
+
+
+def plain_table(path: str | Path, columns: int, what: str, of: str = "row") -> tuple[Text, Index, Array, int]:
+    """The text, its lines (n,), their numbers (n, columns), how many comments.
+
+    Raises
+    ------
+    GraphFileError
+        With the line: another count of words than columns, or a word that is no finite number.
+    """
+    text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {what}")
+    if (wrong := count != columns).any():
+        k = int(np.argmax(wrong))
+        raise text.error(f"{count[k]} numbers, expected {columns}: {what}", int(lines[k]))
+    tokens = text.first[lines][:, None] + np.arange(columns)
+    return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
+
+
+def refuse_late(text: Text, lines: Index, times: Array, repeated: bool = False) -> None:
+    """Refuse times (n,) of lines (n,) that do not rise; with `repeated` they may stay the same.
+
+    Raises
+    ------
+    GraphFileError
+        With the line.
+    """
+    late = np.flatnonzero(times[1:] < times[:-1] if repeated else times[1:] <= times[:-1])
+    if len(late):
+        k = int(late[0]) + 1
+        said = "is before the" if repeated else "does not rise over"
+        raise text.error(f"time {float(times[k])!r} {said} {float(times[k - 1])!r} before it", int(lines[k]))

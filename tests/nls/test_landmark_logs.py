@@ -1,0 +1,100 @@
+"""Public logs of vehicles among landmarks: what their readers make of them, and what they refuse."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.errors import GraphFileError
+from nls.io.logs import read_mrclam, read_victoria_park
+
+MRCLAM = {
+    "Robot7_Odometry.dat": "# time v w\n100.5 0.1 0.2\n100.6 0.3 0.4\n\n100.6 0.5 0.6\n",
+    "Robot7_Measurement.dat": "# time barcode range bearing\n100.7 63 2.5 -0.25\n100.7 5 3.5 0.5\n100.8 99 4.5 1.0\n",
+    "Robot7_Groundtruth.dat": "100 1 2 3.0\n102 3 4 -3.0\n",
+    "Barcodes.dat": "# subject barcode\n1 5\n6 63\n7 81\n",
+    "Landmark_Groundtruth.dat": "# subject x y sigmas\n6 0.5 -4.25 1e-4 1e-4\n7 0.75 -4.5 1e-4 1e-4\n",
+}
+PARK = {
+    "DRS.txt": "1.0 0.5 0.01\n1.025 0.6 0.02\n",
+    "GPS.txt": "0 1 2\n1.2 3 4\n",
+    "LASER_TREE.txt": "0.85 20.5 -0.5 12.5 0.25\n1.06\n1.28 7.5 1.0\n",
+}
+
+
+def written(folder: Path, files: dict[str, str], **changed: str) -> Path:
+    """Files in a folder, some with another text; the names without their suffix."""
+    for name, text in files.items():
+        (folder / name).write_text(changed.get(name.split(".")[0], text))
+    return folder
+
+
+def test_an_mrclam_log(tmp_path: Path) -> None:
+    log = read_mrclam(written(tmp_path, MRCLAM), 7)
+    np.testing.assert_allclose(log.t, [0.5, 0.6])
+    np.testing.assert_array_equal(log.u, [[0.1, 0.2], [0.5, 0.6]])  # of two rows at one time the last
+    np.testing.assert_allclose(log.t_seen, [0.7, 0.7, 0.8])
+    np.testing.assert_array_equal(log.subject, [6, 1, 0])
+    np.testing.assert_array_equal(log.z, [[-0.25, 2.5], [0.5, 3.5], [1.0, 4.5]])
+    np.testing.assert_array_equal(log.landmarks, [6, 7])
+    np.testing.assert_array_equal(log.places, [[0.5, -4.25], [0.75, -4.5]])
+    np.testing.assert_allclose(log.true_poses(np.array([0.5, 1.0])), [[1.5, 2.5, 3 + (np.pi - 3) / 2], [2, 3, -np.pi]])
+
+
+def test_a_victoria_park_log(tmp_path: Path) -> None:
+    folder = written(tmp_path, PARK)
+    scans = folder / "LASER_TREE.txt"
+    (folder / "LASER_TREE.txt.gz").write_bytes(gzip.compress(scans.read_bytes()))
+    scans.unlink()
+    log = read_victoria_park(folder)
+    np.testing.assert_array_equal(log.u, [[0.5, 0.01], [0.6, 0.02]])
+    np.testing.assert_array_equal(log.t_scan, [0.85, 1.06, 1.28])
+    np.testing.assert_array_equal(log.scan, [0, 0, 2])
+    np.testing.assert_array_equal(log.z, [[-0.5, 20.5], [0.25, 12.5], [1.0, 7.5]])
+    np.testing.assert_array_equal(log.gps, [[2, 1], [4, 3]])  # east and north
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("Robot7_Odometry", "# only\n", r"Robot7_Odometry\.dat:1: has no row; expected lines of 3 numbers: time, ve"),
+        ("Robot7_Odometry", "1 2 3\n1 2\n", r"Robot7_Odometry\.dat:2: 2 numbers, expected 3: .* \[1 2\]"),
+        ("Robot7_Odometry", "#\n2 0 0\n1 0 0\n", r"Robot7_Odometry\.dat:3: time 1\.0 is before the 2\.0 before it"),
+        ("Robot7_Odometry", "1 fast 3\n", r"Robot7_Odometry\.dat:1: 'fast' is not a number"),
+        ("Robot7_Measurement", "1 63 2 0\n\n1 63 0 0\n", r"Robot7_Measurement\.dat:3: no range is 0 or below"),
+        ("Robot7_Measurement", "1 6.5 2 0\n", r"Robot7_Measurement\.dat:1: id '6\.5' is not a whole number"),
+        ("Robot7_Groundtruth", "1 2 3 nan\n", r"Robot7_Groundtruth\.dat:1: 'nan' is not a number"),
+        ("Barcodes", "1 5\n6 5\n", r"Barcodes\.dat:2: barcode 5 was given before"),
+        ("Landmark_Groundtruth", "6 1 2 3\n", r"Landmark_Groundtruth\.dat:1: 4 numbers, expected 5: subject, x, y"),
+    ],
+)
+def test_what_is_no_mrclam_log(tmp_path: Path, name: str, text: str, said: str) -> None:
+    with pytest.raises(GraphFileError, match=said):
+        read_mrclam(written(tmp_path, MRCLAM, **{name: text}), 7)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("DRS", "1 0 0\n1 0 0\n", r"DRS\.txt:2: time 1\.0 does not rise over 1\.0"),
+        ("GPS", "1 0\n", r"GPS\.txt:1: 2 numbers, expected 3: time, north, east"),
+        ("LASER_TREE", "\n", r"LASER_TREE\.txt:1: has no scan; expected lines of a time and pairs"),
+        ("LASER_TREE", "1 20 0.5\n2 20 0.5 7\n", r"LASER_TREE\.txt:2: 4 numbers, expected a time and pairs of range"),
+        ("LASER_TREE", "1 20 0.5\n2 -20 0.5\n", r"LASER_TREE\.txt:2: no range is 0 or below"),
+        ("LASER_TREE", "1 20 0.5\n\n2 2_0 0.5\n", r"LASER_TREE\.txt:3: '2_0' is not a number"),
+        ("LASER_TREE", "2 20 0.5\n1\n", r"LASER_TREE\.txt:2: time 1\.0 does not rise over 2\.0"),
+    ],
+)
+def test_what_is_no_victoria_park_log(tmp_path: Path, name: str, text: str, said: str) -> None:
+    with pytest.raises(GraphFileError, match=said):
+        read_victoria_park(written(tmp_path, PARK, **{name: text}))
+
+
+def test_a_log_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"Robot1_Odometry\.dat\.gz: cannot be read: No such file"):
+        read_mrclam(tmp_path, 1)
+    with pytest.raises(GraphFileError, match=r"DRS\.txt\.gz: cannot be read: No such file"):
+        read_victoria_park(tmp_path)
