@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from models.errors import OptionError
-from sim.arguments import add_parameters, flag, parameters, seed_number, whole_number
+from sim.arguments import add_parameters, flag, number, parameters, seed_number, whole_number
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
 from sim.landmark_world import LandmarkWorld
 from sim.monte_carlo import runs
+from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
 __all__ = ["SCENE_FILES", "add_compare", "add_estimators", "estimated"]
 
@@ -25,9 +27,12 @@ SETTINGS = {  # of the estimators: which has it, and what it is
     "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
     "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
     "every": (("online",), "online solves at every N-th step (default 1)"),
+    "iterations": (("ekf",), "how often at most ekf linearizes an update (default 1)"),
 }
-EXAMPLE = """example:
+LIMIT = 20.0  # s
+EXAMPLE = """examples:
   nls-sim compare --world lines --laps 1 --estimators ekf batch --out compared
+  nls-sim compare --scaling --out cost
 """
 Files = Callable[[Path], tuple[list[str], str]]
 
@@ -50,15 +55,29 @@ def add_compare(worlds: Any) -> None:
         allow_abbrev=False,
     )
     sub.add_argument("--seed", type=seed_number, default=0, metavar="N", help="of the random numbers (default 0)")
-    sub.add_argument("--out", metavar="DIR", help="write compare.png, compare.json and README.txt into this folder")
-    sub.add_argument("--world", choices=list(SCENES), default="subsea", help="the scene (default subsea)")
+    sub.add_argument(
+        "--out",
+        metavar="DIR",
+        help="write compare.png and .json (scaling.png and .json) and README.txt into this folder",
+    )
+    unset = argparse.SUPPRESS
+    sub.add_argument("--world", choices=list(SCENES), default=unset, help="the scene (default subsea)")
     sub.add_argument(
         "--estimators",
         nargs="+",
         choices=ESTIMATORS,
-        default=list(ESTIMATORS),
+        default=unset,
         metavar="NAME",
-        help=f"which ones: {', '.join(ESTIMATORS)} (default all)",
+        help=f"which ones: {', '.join(ESTIMATORS)} (default all; with --scaling {', '.join(SCALED)})",
+    )
+    sub.add_argument(
+        "--scaling",
+        nargs="?",
+        type=number,
+        const=LIMIT,
+        metavar="SECONDS",
+        help="what a step costs against the number of landmarks, on rings of 100 to 12,800; an estimator stops before "
+        f"a ring that would take longer than this (default {LIMIT:g})",
     )
     sub.add_argument("--memory", action="store_true", help="run each again and count what it holds, three times slower")
     add_parameters(sub, SCENES["subsea"], unset=True)  # those of the other scenes are among them
@@ -81,13 +100,13 @@ def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> tu
         Options that do not go together, or with values they cannot have.
     """
     options = dict(given)
+    if (limit := options.pop("scaling", None)) is not None:
+        return _scaled(seed, limit, options)
     memory, count, kept = options.pop("memory", False), options.pop("runs"), options.pop("resume")
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
-    scene = options.pop("world", name)
-    names = options.pop("estimators") if name == "compare" else [options.pop("estimator")]
+    scene = options.pop("world", "subsea" if name == "compare" else name)
+    names = options.pop("estimators", list(ESTIMATORS)) if name == "compare" else [options.pop("estimator")]
     _refuse(scene, names, options, settings)
-    if len(set(names)) < len(names):
-        raise OptionError("estimators", " ".join(names), "every one once")
     if kept is not None and (count is None or not kept):
         raise OptionError("resume", kept, "the name of a file, together with --runs")
     if memory and count is not None:
@@ -124,12 +143,13 @@ def _single(
     track, history = followed(world, name, **settings) if pictured else (tracked(world, name, **settings), [])
     found = errors(world, track)
     low, high = nees_bounds(track.manifold.dim, 1)
+    nees = f"{found['nees']:.4g} of the last pose" if "nees" in found else "not defined: the covariance is singular"
     rows = [
         ("estimator", track.method),
         ("ATE", f"{found['ate']:.4g} m, {found['aligned']:.4g} m after the best rigid motion"),
         ("smoothed", f"{found['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
         ("final", f"{found['final']:.4g} m off; 3 sigma {3 * found['sigma']:.4g} m per axis"),
-        ("NEES", f"{found['nees']:.4g} of the last pose; {low:.2f} to {high:.2f} with 95 %"),
+        ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
     ]
 
     def files(folder: Path) -> tuple[list[str], str]:
@@ -176,6 +196,35 @@ def _compared(
     return [*head, *compared_rows(world, found)], files, world.description
 
 
+def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[str, str]], Files, str]:
+    if limit <= 0:
+        raise OptionError("scaling", limit, "a number of seconds above 0")
+    options = {option: value for option, value in given.items() if value not in (None, False)}
+    names = options.pop("estimators", list(SCALED))
+    settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
+    if options:
+        option, value = next(iter(options.items()))
+        raise OptionError(option, value, "it without --scaling, which has rings of its own")
+    _refuse("", names, {}, settings)
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        found = costs(seed, names, settings, limit)
+    rows = [("world", f"circuit, seed {seed}"), *scaling_rows(found)]
+    rows += [("note", str(note.message)) for note in noted]
+
+    def files(folder: Path) -> tuple[list[str], str]:
+        from nls.cli.outputs import write_json
+        from nls.plot.filters import power_laws
+        from nls.plot.picture import write_picture
+
+        paths = [str(folder / "scaling.png"), str(folder / "scaling.json")]
+        write_picture(paths[0], power_laws(panels(found), FITTED, "landmarks"))
+        write_json({"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in found]}, paths[1])
+        return paths, "scaling.png: seconds against landmarks.\nscaling.json: the same, s.\n"
+
+    return rows, files, "Circuits: rings with 100 to 12,800 landmarks, each gone round once and 20 steps more."
+
+
 def _many(
     world: LandmarkWorld,
     head: list[tuple[str, str]],
@@ -207,7 +256,9 @@ def _many(
 
 
 def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dict[str, int]) -> None:
-    """What was given and would do nothing."""
+    """What was given twice, or would do nothing."""
+    if len(set(names)) < len(names):
+        raise OptionError("estimators", " ".join(names), "every one once")
     for option, value in options.items():
         if option not in parameters(SCENES[scene]):
             raise OptionError(option, value, f"it to another world; {scene} has no {flag(option)}")

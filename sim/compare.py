@@ -1,8 +1,10 @@
 r"""One data set, every estimator: errors, what they say of themselves, time and memory side by side.
 
 NEES is that of the last pose, e' P^-1 e. Of a consistent estimator its mean over independent runs is within bounds
-with 95 %; the poses of one run are not independent. Time is that of the whole run over its steps, on one BLAS thread.
-Memory is the largest that Python and NumPy held at once; a solver in C is not counted.
+with 95 %; the poses of one run are not independent. A covariance that is singular gives errors no size: few particles,
+of which one has nearly all the weight, do not know how wrong they are. Time is that of the processor for the whole run
+over its steps, on one BLAS thread. Memory is the largest that Python and NumPy held at once; a solver in C is not
+counted.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from sim.monte_carlo import Record
 __all__ = ["Compared", "compare", "compared_rows", "monte_carlo_rows", "quality"]
 
 COLUMNS = ("ate", "aligned", "smoothed", "final")
+SINGULAR = "singular"
 TITLES = ("ATE", "aligned", "smoothed", "final", "3 sigma")
 
 
@@ -35,7 +38,7 @@ class Compared:
     name : of the estimator.
     track : what it believed.
     errors : `sim.estimators.errors`.
-    seconds : of the run.
+    seconds : of the processor, for the run.
     megabytes : held at once at most; None where it was not measured.
     """
 
@@ -69,9 +72,9 @@ def compare(
     """
     out = []
     for name in estimators:
-        began = perf_counter()
+        began = process_time()
         track = tracked(world, name, **settings)
-        seconds = perf_counter() - began
+        seconds = process_time() - began
         held = _held(world, name, settings) if memory else None
         out.append(Compared(name, track, errors(world, track), seconds, held))
     return out
@@ -88,11 +91,12 @@ def compared_rows(world: LandmarkWorld, found: Sequence[Compared]) -> list[tuple
     ]
     for each in found:
         e = each.errors
-        numbers = [*(f"{e[c]:.3f}" for c in COLUMNS), f"{3 * e['sigma']:.3f}", f"{e['nees']:.4g}"]
+        numbers = [*(f"{e[c]:.3f}" for c in COLUMNS), f"{3 * e['sigma']:.3f}"]
+        numbers += [f"{e['nees']:.4g}" if "nees" in e else SINGULAR]
         numbers += [f"{1e3 * each.seconds / len(each.track.x):.2f}"]
         numbers += [f"{each.megabytes:.2f}"] if each.megabytes is not None else []
         rows.append((each.name, "".join(f"{text:>10s}" for text in numbers)))
-    return [*rows, ("NEES", f"of the last pose; {low:.2f} to {high:.2f} with 95 %"), *quality()]
+    return [*rows, ("NEES", f"of the last pose; {low:.2f} to {high:.2f} with 95 %"), *quality(rows)]
 
 
 def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) -> list[tuple[str, str]]:
@@ -103,21 +107,30 @@ def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) 
     ]
     rows.append(("estimator", "".join(f"{title:>10s}" for title in (*TITLES, "NEES", "ATE from", "to"))))
     for name in records[0]:
-        found = {key: np.array([record[name][key] for record in records]) for key in records[0][name]}
+        each = [record[name] for record in records]
+        found = {key: np.array([e[key] for e in each]) for key in each[0] if key != "nees"}
         numbers = [f"{found[c].mean():.3f}" if c in found else "" for c in COLUMNS]
-        numbers += [f"{3 * found['sigma'].mean():.3f}", f"{found['nees'].mean():.4g}"] if "nees" in found else ["", ""]
+        if "sigma" in found:
+            regular = all("nees" in e for e in each)
+            numbers += [f"{3 * found['sigma'].mean():.3f}"]
+            numbers += [f"{np.mean([e['nees'] for e in each]):.4g}" if regular else SINGULAR]
+        else:
+            numbers += ["", ""]
         numbers += [f"{found['ate'].min():.3f}", f"{found['ate'].max():.3f}"]
         rows.append((name, "".join(f"{text:>10s}" for text in numbers)))
-    return [*rows, ("NEES", f"of the last pose, mean; {low:.2f} to {high:.2f} with 95 %"), *quality()]
+    return [*rows, ("NEES", f"of the last pose, mean; {low:.2f} to {high:.2f} with 95 %"), *quality(rows)]
 
 
-def quality() -> list[tuple[str, str]]:
-    """What the columns are."""
-    return [
+def quality(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """What the columns of these rows are."""
+    said = [
         ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
         ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),
         ("final, 3 sigma", "m, error of the last position, and what is said of it, per axis"),
     ]
+    if any(SINGULAR in text for _, text in rows):
+        said.append((SINGULAR, "no NEES: a covariance of the last pose, in one run at least, gives errors no size"))
+    return said
 
 
 def _held(world: LandmarkWorld, name: str, settings: Mapping[str, int]) -> float:

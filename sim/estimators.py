@@ -17,7 +17,7 @@ from models.algebra import Array
 from models.errors import GraphWarning, OptionError
 from nls import Marginals
 from nls.filters.base import POSE, Filter, Step, Track, landmark_kind
-from nls.filters.consistency import nees
+from nls.filters.consistency import nees, regular
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
 from nls.filters.fixed_lag import FixedLag
@@ -45,7 +45,9 @@ ESTIMATORS = ("ekf", "ekf-first-estimates", "fastslam1", "fastslam2", "fixed-lag
 SCENES: dict[str, Callable[..., LandmarkWorld]] = {"subsea": subsea, "lines": lines}
 
 
-def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1) -> Track:
+def tracked(
+    world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1, iterations: int = 1
+) -> Track:
     """What an estimator finds in a world.
 
     Parameters
@@ -55,6 +57,7 @@ def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20
     particles : of fastslam1 and fastslam2.
     lag : poses in the window of fixed-lag.
     every : online solves at every k-th step.
+    iterations : how often at most ekf linearizes an update.
 
     Returns
     -------
@@ -73,7 +76,7 @@ def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20
     >>> errors(world, tracked(world, "ekf"))["ate"] < 0.5 < world.ate(world.start)
     True
     """
-    chosen = estimator(world, name, particles, lag, every)
+    chosen = estimator(world, name, particles, lag, every, iterations)
     return batch(world) if chosen is None else chosen.run(world.graph, world.start)
 
 
@@ -115,19 +118,22 @@ def errors(world: LandmarkWorld, track: Track) -> dict[str, float]:
     dict
         ``ate``, ``aligned``: rmse of the positions when they were the latest, nothing and rigidly aligned, m;
         ``smoothed``: of the positions as they are believed in the end, m; ``final``: error of the last position, m;
-        ``sigma``: of the last position as it is reported, per axis, m; ``nees``: of the last pose.
+        ``sigma``: of the last position as it is reported, per axis, m; ``nees``: of the last pose, left out where its
+        covariance is singular, as that of particles is which are one or two in the end.
     """
     truth = world.truth
     last, X = track.x[[len(track.x) - 1]], truth[track.x][-1:]
     away = track.manifold.position(track.X[-1:]) - track.manifold.position(X)
-    return {
+    found = {
         "ate": track.ate(truth).rmse,
         "aligned": track.ate(truth, "rigid").rmse,
         "smoothed": track.ate(truth, smoothed=True).rmse,
         "final": float(np.linalg.norm(away)),
         "sigma": float(np.sqrt(np.trace(track.P[-1, :2, :2]) / 2)),
-        "nees": float(nees(last, track.manifold, track.X[-1:], track.P[-1:], X)[0]),
     }
+    if regular(track.P[-1:])[0]:
+        found["nees"] = float(nees(last, track.manifold, track.X[-1:], track.P[-1:], X)[0])
+    return found
 
 
 def of_seed(
@@ -206,12 +212,16 @@ class Followed(Filter):
         self.history.append((keys, P.copy()))
 
 
-def estimator(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1) -> Filter | None:
+def estimator(
+    world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1, iterations: int = 1
+) -> Filter | None:
     """A filter by name, with the settings of `tracked`; None is the batch solution."""
     landmarks: Any = world.landmarks_as
     match name:
-        case "ekf" | "ekf-first-estimates":
-            return EKF(landmarks, first_estimates=name == "ekf-first-estimates")
+        case "ekf":
+            return EKF(landmarks, iterations=iterations)
+        case "ekf-first-estimates":
+            return EKF(landmarks, first_estimates=True)
         case "fastslam1" | "fastslam2":
             version: Literal[1, 2] = 1 if name == "fastslam1" else 2
             return FastSLAM(particles, version, rng=np.random.default_rng([world.seed or 0, particles, version]))

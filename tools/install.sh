@@ -72,7 +72,7 @@ fi
 pip() { .venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
 
 say "leadline and its development tools into .venv"
-pip --editable '.[dev]'
+pip --editable '.[dev,dask]'
 
 # --- SuiteSparse: the fast solvers, if they can be had -----------------------------------------------------------
 

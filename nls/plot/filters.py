@@ -11,7 +11,7 @@ ahead and to the left, m, and the heading, deg. The position of a landmark has o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,7 @@ from nls.covariance.frames import turned
 from nls.plot.ellipses import POINT, POSE, _around, _outlines
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -30,13 +31,22 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-__all__ = ["estimator_errors", "estimator_figure", "estimator_map", "landmark_sigmas", "several", "vehicle_sigmas"]
+__all__ = [
+    "estimator_errors",
+    "estimator_figure",
+    "estimator_map",
+    "landmark_sigmas",
+    "power_laws",
+    "several",
+    "vehicle_sigmas",
+]
 
 TRUE, PATH = "#202020", "#0b4f6c"
 COLORS = ("#0b4f6c", "#e07a2f", "#8e3a80", "#3f8f4f", "#c03a4a", "#7a6a2b", "#4a8fc0")
 RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # of the ellipse that holds a position with 95 %
 EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
+ROOM = 1.1  # above the highest line
 UNITS = np.array([1.0, 1.0, 180 / np.pi])
 
 
@@ -110,7 +120,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
             )
     axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="upper right", fontsize=8)
+    _legend_below(axes, *axes.get_legend_handles_labels())
 
 
 def vehicle_sigmas(track: Track, axes: Axes) -> None:
@@ -120,10 +130,10 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
         axes.plot(track.x.numbers, sigma[:, k], color=COLORS[k], linewidth=1.0, label=f"{name} [{unit}]")
     right = axes.twinx()
     right.plot(track.x.numbers, sigma[:, 2], color=COLORS[2], linewidth=1.0, linestyle="--", label="heading [deg]")
-    axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, None))
-    right.set(ylabel="sigma [deg]", ylim=(0, None))
+    axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
+    right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
     (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
-    axes.legend([*handles, *more], [*labels, *names], loc="lower center", fontsize=8)
+    _legend_below(axes, [*handles, *more], [*labels, *names])
 
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
@@ -158,15 +168,19 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
         axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
         if right is not None:
             right.plot(at, np.degrees(np.sqrt(variance[:, 0])), linestyle=":", **style)  # type: ignore[arg-type]
+    for each in (axes, right):
+        if each is not None:
+            each.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in each.lines))
     if right is not None:
         axes.set_ylabel("sigma of r [m]")
-        right.set(ylabel="sigma of alpha [deg], dotted", ylim=(0, None))
-    axes.set_ylim(0, None)
-    axes.legend(loc="upper right", fontsize=8, ncols=2)
+        right.set_ylabel("sigma of alpha [deg], dotted")
+    _legend_below(axes, *axes.get_legend_handles_labels())
 
 
 def several(tracks: Sequence[Track], truth: Values, title: str = "", probability: float = 0.95) -> Figure:
     """Several estimators on one data set: tracks, errors of the position, 3 sigma of the position, NEES with bounds.
+
+    Where a covariance is singular there is no NEES, and its line has a gap.
 
     Parameters
     ----------
@@ -181,7 +195,8 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     """
     from matplotlib.figure import Figure
 
-    from nls.filters.consistency import nees_bounds
+    from nls.filters.consistency import nees as nees_of
+    from nls.filters.consistency import nees_bounds, regular
 
     figure = Figure(figsize=(13, 9), layout="constrained")
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
@@ -194,7 +209,9 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
         places.plot(*p.T, **style)
         errors.plot(steps, np.linalg.norm(p - q, axis=1), **style)
         sigmas.plot(steps, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
-        nees.plot(steps, track.nees(truth), **style)
+        e2, there = np.full(len(steps), np.nan), regular(track.P)
+        e2[there] = nees_of(track.x[there], manifold, track.X[there], track.P[there], truth[track.x[there]])
+        nees.plot(steps, e2, **style)
     for bound in nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
     places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
@@ -206,6 +223,50 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     if title:
         figure.suptitle(title)
     return figure
+
+
+def power_laws(
+    panels: Mapping[str, Mapping[str, tuple[Sequence[int], Sequence[float], float]]], fitted: int, xlabel: str
+) -> Figure:
+    """What grows with a number, both axes logarithmic, with the slopes at the ends of the lines.
+
+    Parameters
+    ----------
+    panels : by title; in each, by name, n, y and the exponent p of y ~ n^p, nan for none.
+    fitted : how many of the last points p is from; they are drawn as a thick line.
+    xlabel : what n is.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6 * len(panels), 5), layout="constrained")
+    for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+        for color, (n, y, _) in zip(COLORS, lines.values(), strict=False):
+            axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)
+            axes.loglog(n[-fitted:], y[-fitted:], color=color, linewidth=3.0)
+        axes.set(title=title, xlabel=xlabel)
+        axes.grid(alpha=0.3)
+        right, (low, high) = axes.get_xlim()[1], np.log(axes.get_ylim())
+        axes.set_xlim(right=20 * right)  # the words in one column, none above another
+        axes.set_ylim(top=np.exp(high + 0.1 * (high - low)))
+        place = -np.inf
+        ends = zip([y[-1] for _, y, _ in lines.values()], lines, COLORS, strict=False)
+        for y_end, name, color in sorted(ends):
+            p = lines[name][2]
+            place = max(float(np.log(y_end)), place + 0.06 * (high - low))
+            text = name if np.isnan(p) else f"{name}, slope {p:.2f}"
+            axes.text(right, np.exp(place), text, va="center", color=color)
+    return figure
+
+
+def _legend_below(axes: Axes, handles: Sequence[Artist], labels: Sequence[str]) -> None:
+    """A legend under the axes, in one or two rows, where it covers nothing."""
+    columns = len(labels) if len(labels) <= 6 else -(-len(labels) // 2)
+    below = (0.5, -0.12)
+    axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
 
 def _sigmas(track: Track) -> Array:

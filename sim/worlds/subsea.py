@@ -15,7 +15,7 @@ import numpy as np
 
 from factors import BearingRange, Between, Diagonal, Factor, Heading, Isotropic, Prior
 from models import SE2, R
-from models.algebra import wrap
+from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.sensors import direction, distance, point_in_frame
 from nls import FactorGraph, Values, kinds
@@ -122,19 +122,12 @@ def subsea(
     X = chain(SE2, SE2.retract(BELIEVED, first * start_sigmas)[0], step)
     odometry = SE2.retract(step, walk * ODOMETRY)
 
-    away = np.linalg.norm(X[:, None, :2] - LANDMARKS, axis=2)
-    i, k = np.nonzero(away <= SIGHT)
-    p = point_in_frame(SE2, X[i], LANDMARKS[k])[0]
-    noise = noise_scale * rng.standard_normal((len(i), 2)) * (BEARING, RANGE)
-    z = np.concatenate([wrap(direction(p)[0] + noise[:, :1]), distance(p)[0] + noise[:, 1:]], axis=1)
-    if (z[:, 1] < 0).any():
-        raise OptionError("noise_scale", noise_scale, f"less: a range comes out at {z[:, 1].min():.3g} m")
-
+    seen = sightings(rng, X, LANDMARKS, SIGHT, noise_scale)
     at = np.arange(n)
     factors: list[Factor] = [
         Prior(x[0], BELIEVED, Diagonal(start_sigmas)),
         Between(x[at[:-1]], x[at[1:]], odometry, Diagonal(ODOMETRY)),
-        BearingRange(x[i], l[k], z, Diagonal(bearing=BEARING, range=RANGE)),
+        seen,
     ]
     if azimuth == "absolute":
         factors.append(Heading(x[at[1:]], wrap(X[1:, 2] + AZIMUTH * heading), Isotropic(AZIMUTH)))
@@ -149,8 +142,9 @@ def subsea(
     reckoned = Values({x: (SE2, chain(SE2, BELIEVED[0], odometry)), l: (R(2), np.zeros((m, 2)))})
     said = (
         f"Subsea: {laps} laps of a circle {2 * RADIUS:g} m across, {n} poses {STEP:.4g} m apart, {m} landmarks, "
-        f"{len(i)} sightings within {SIGHT:g} m. Standard deviations: odometry {ODOMETRY[0]:.3g} m and 0.5 deg a step, "
-        f"bearing 0.2 deg, range {RANGE:g} m{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. "
+        f"{len(seen)} sightings within {SIGHT:g} m. Standard deviations: odometry {ODOMETRY[0]:.3g} m and 0.5 deg a "
+        f"step, bearing 0.2 deg, range {RANGE:g} m"
+        f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. "
         f"The first pose is known to {'1 mm and 0.1 mrad' if known_start else '2 m and 0.5 deg'}. {SAID[landmarks]}"
         f"{f' Surveyed to {KNOWN:g} m: {known_landmarks}.' if known_landmarks else ''}"
         f"{' The heading is measured to 0.5 deg at each step.' if azimuth == 'absolute' else ''}"
@@ -159,3 +153,21 @@ def subsea(
     return LandmarkWorld(
         "subsea", truth, graph, start, measured_rows(graph.pattern(truth)), landmarks, seed_of(rng), said
     )
+
+
+def sightings(rng: np.random.Generator, X: Array, L: Array, sight: float, noise_scale: float = 1.0) -> BearingRange:
+    """Bearing and range of landmarks L (m, 2) from poses X (n, 3), wherever they are at most `sight` away, m.
+
+    Raises
+    ------
+    OptionError
+        So much noise that a range is below 0.
+    """
+    x, l = kinds("x", "l")
+    i, k = np.nonzero(np.linalg.norm(X[:, None, :2] - L, axis=2) <= sight)
+    p = point_in_frame(SE2, X[i], L[k])[0]
+    noise = noise_scale * rng.standard_normal((len(i), 2)) * (BEARING, RANGE)
+    z = np.concatenate([wrap(direction(p)[0] + noise[:, :1]), distance(p)[0] + noise[:, 1:]], axis=1)
+    if (z[:, 1] < 0).any():
+        raise OptionError("noise_scale", noise_scale, f"less: a range comes out at {z[:, 1].min():.3g} m")
+    return BearingRange(x[i], l[k], z, Diagonal(bearing=BEARING, range=RANGE))

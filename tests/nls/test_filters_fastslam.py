@@ -152,35 +152,35 @@ def test_systematic_resampling_keeps_every_weight_up_to_one_particle() -> None:
 
 @cache
 def subsea_errors(particles: int, version: Version) -> tuple[Array, Array]:
-    """ATE, and mean NEES of the last quarter, of the subsea scene with a known start, seeds 0 to 9."""
+    """ATE, and squared errors of the last quarter over what it says of them, one lap, start known, seeds 0 to 2."""
     found = []
-    for seed in range(10):
-        world = sim.subsea(np.random.default_rng(seed), known_start=True)
+    for seed in range(3):
+        world = sim.subsea(np.random.default_rng(seed), laps=1, known_start=True)
         track = FastSLAM(particles, version, rng=np.random.default_rng([seed, 1])).run(world.graph, world.start)
-        e = SE2.local(track.X, world.truth[x])[135:]
-        sigma = np.sqrt(np.diagonal(track.P, axis1=1, axis2=2)[135:].mean(axis=0))
-        found.append(
-            (track.ate(world.truth).rmse, float(np.square(e[:, :2]).sum(1).mean() / np.square(sigma[:2]).sum()))
-        )
+        e, P = SE2.local(track.X, world.truth[x])[68:, :2], track.P[68:, :2, :2]
+        said = np.trace(P, axis1=1, axis2=2).mean()
+        found.append((track.ate(world.truth).rmse, float(np.square(e).sum(axis=1).mean() / said)))
     return tuple(np.array(found).T)  # type: ignore[return-value]
 
 
 def test_errors_fall_with_the_particles_and_with_the_version() -> None:
-    errors = {(N, v): subsea_errors(N, v)[0].mean() for N in (10, 100) for v in (1, 2)}  # type: ignore[arg-type]
+    """Over 12 seeds: 0.74 and 0.40 m with 10 particles, 0.35 and 0.30 m with 300; over two laps see the benchmarks."""
+    errors = {(N, v): subsea_errors(N, v)[0].mean() for N in (10, 300) for v in (1, 2)}  # type: ignore[arg-type]
     for v in (1, 2):
-        assert errors[100, v] < errors[10, v]
-    for N in (10, 100):
-        assert errors[N, 2] < errors[N, 1]
-    assert 0.45 < errors[10, 1] < 1.4
-    assert 0.22 < errors[10, 2] < 0.60
-    assert errors[100, 2] < 0.40
+        assert errors[300, v] < 0.75 * errors[10, v]
+    assert errors[10, 2] < 0.7 * errors[10, 1]
+    assert errors[300, 2] < errors[300, 1]
+    assert 0.4 < errors[10, 1] < 1.2
+    assert 0.2 < errors[10, 2] < 0.6
+    assert errors[300, 1] < 0.5
+    assert errors[300, 2] < 0.4
 
 
 def test_the_covariance_of_few_particles_is_too_small_as_it_says() -> None:
     for version in (1, 2):
-        few, more = (subsea_errors(N, version)[1].mean() for N in (10, 100))  # type: ignore[arg-type]
-        assert few > 5  # times as much as it says
-        assert more < few
+        few, more = (subsea_errors(N, version)[1].mean() for N in (10, 300))  # type: ignore[arg-type]
+        assert few > 20  # times as much as it says: 5,000 and 100 over 12 seeds
+        assert more < few / 5  # 28 and 2
 
 
 def test_lines_and_wheels() -> None:

@@ -101,7 +101,19 @@ def test_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["README.txt", "compare.json", "compare.png"]
     assert list(json.loads((tmp_path / "compare.json").read_text())["estimators"]) == ["batch"]
     readme = (tmp_path / "README.txt").read_text(encoding="utf-8")
-    assert "Made by: nls-sim compare --seed 0 --world lines --estimators batch --laps 1\n" in readme
+    assert "Made by: nls-sim compare --seed 0 --world lines --laps 1 --estimators batch\n" in readme
+
+
+def test_particles_that_have_become_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A singular covariance is said in the place of NEES; nothing stops."""
+    few = ["fastslam1", "--particles", "2"]
+    assert main(["compare", *SMALL, "--estimators", *few, "--out", str(tmp_path)]) == 0
+    assert table(capsys.readouterr().out)["fastslam1"].split()[5] == "singular"
+    assert (tmp_path / "compare.png").exists()
+    assert "nees" not in json.loads((tmp_path / "compare.json").read_text())["estimators"]["fastslam1"]
+    assert main(["subsea", *SMALL, "--estimator", *few, "--out", str(tmp_path)]) == 0
+    assert table(capsys.readouterr().out)["NEES"].startswith("not defined: the covariance is singular")
+    assert "nees" not in json.loads((tmp_path / "estimate.json").read_text())
 
 
 def test_comparison_over_seeds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import sim
-from models.errors import GraphWarning, OptionError
+from models.errors import GraphWarning, OptionError, UnderconstrainedError
 from nls import FactorGraph, GaussNewton, Marginals, Result, Stop, Values, kinds
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
@@ -33,6 +35,9 @@ def world() -> sim.LandmarkWorld:
 def test_names(world: sim.LandmarkWorld) -> None:
     found = {name: estimator(world, name, particles=30, lag=5, every=30) for name in ESTIMATORS}
     assert found.pop("batch") is None
+    again = estimator(world, "ekf", iterations=10)
+    assert again is not None
+    assert again.method == "EKF (10 iterations)"
     assert {name: chosen.method for name, chosen in found.items() if chosen is not None} == METHODS
     with pytest.raises(OptionError, match="estimators: 'kalman' is not possible; expected one of ekf, "):
         tracked(world, "kalman")
@@ -172,6 +177,11 @@ def test_four_pictures(scene: str) -> None:
     P_0 = track.P_landmarks[0]
     expected = P_0[1, 1] if scene == "lines" else np.trace(P_0) / 2
     np.testing.assert_allclose(np.square(landmarks.lines[0].get_ydata()), expected)
+    figure.draw_without_rendering()
+    for axes in (places, vehicle, landmarks):  # no legend covers a line
+        assert axes.get_legend().get_window_extent().y1 < axes.get_window_extent().y0
+    top = max(np.max(line.get_ydata()) for line in landmarks.lines)
+    assert landmarks.get_ylim() == pytest.approx((0, 1.1 * top))
 
 
 def test_picture_of_several(world: sim.LandmarkWorld) -> None:
@@ -187,3 +197,36 @@ def test_picture_of_several(world: sim.LandmarkWorld) -> None:
         )
         assert away.lines[k].get_color() == COLORS[k]
     assert [line.get_ydata()[0] for line in nees.lines[2:]] == list(nees_bounds(3, 1))
+
+
+def test_few_particles_do_not_know_how_wrong_they_are(world: sim.LandmarkWorld) -> None:
+    """Of two particles the covariance has rank 1: no NEES in errors, table and picture, all else is there."""
+    found = compare(world, ["ekf", "fastslam1"], {"particles": 2})
+    ekf, few = (each.errors for each in found)
+    assert set(ekf) - set(few) == {"nees"}
+    assert few["ate"] == found[1].track.ate(world.truth).rmse
+    with pytest.raises(UnderconstrainedError, match=r"NEES of x0: its covariance is singular"):
+        found[1].track.nees(world.truth)
+    table = dict(compared_rows(world, found))
+    assert table["fastslam1"].split()[5] == "singular"
+    assert table["ekf"].split()[5] == f"{ekf['nees']:.4g}"
+    assert "gives errors no size" in table["singular"]
+    assert "singular" not in dict(compared_rows(world, found[:1]))
+    nees = several([each.track for each in found], world.truth).axes[3]
+    np.testing.assert_allclose(nees.lines[0].get_ydata(), found[0].track.nees(world.truth))
+    assert np.isnan(nees.lines[1].get_ydata()).all()  # type: ignore[arg-type]
+    some = {"ekf": ekf, "fastslam1": few}, {"ekf": ekf, "fastslam1": {**few, "nees": 3.0}}
+    means = dict(monte_carlo_rows(range(2), some, dim=3))
+    assert means["fastslam1"].split()[5] == "singular"  # a mean over some of the runs would look better than it is
+    assert means["fastslam1"].split()[0] == f"{few['ate']:.3f}"
+    assert means["ekf"].split()[5] == f"{ekf['nees']:.4g}"
+
+
+def test_a_line_has_gaps_where_a_covariance_is_singular(world: sim.LandmarkWorld) -> None:
+    track = tracked(world, "ekf")
+    P = track.P.copy()
+    P[10:20, 2] = P[10:20, :, 2] = 0.0
+    nees = several([replace(track, P=P)], world.truth).axes[3].lines[0].get_ydata()
+    there = np.isfinite(nees)  # type: ignore[arg-type]
+    assert np.flatnonzero(~there).tolist() == list(range(10, 20))
+    np.testing.assert_allclose(nees[there], track.nees(world.truth)[there])  # type: ignore[index]

@@ -185,7 +185,7 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path, threads: ThreadP
 def test_a_cluster_drops_in() -> None:
     distributed = pytest.importorskip("dask.distributed", reason="dask.distributed is not installed")
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
         assert runs(drawn, [5, 1, 3], client.get_executor()) == expected([5, 1, 3])
