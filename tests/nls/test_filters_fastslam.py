@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, Literal
 
@@ -79,6 +80,24 @@ def test_with_many_particles_it_is_the_posterior_of_the_batch(version: Version, 
     sigma = np.sqrt(np.diagonal(P_l, axis1=1, axis2=2))
     assert np.abs((track.values[track.landmarks] - best[track.landmarks]) / sigma).max() < noise
     close(np.diagonal(track.P_landmarks, axis1=1, axis2=2) / sigma**2, 1, atol=noise)
+
+
+@both
+def test_a_chart_that_comes_late_weighs_the_particles(version: Version) -> None:
+    """Each particle has its own idea of where a landmark is that has been seen before."""
+    graph, values = small()
+    chart = Prior(l[[0]], [[-5.9, 3.06]], Isotropic(0.03))
+    both_known = FactorGraph([*graph.factors, chart])
+    without, best = (g.optimize(values).values[x[3]] for g in (graph, both_known))
+    P = Marginals(both_known, both_known.optimize(values).values).covariance(x[3], frame="body")
+    filter = FastSLAM(20_000, version, rng=np.random.default_rng(0))
+    first, *middle, last = steps(graph, values)
+    filter.start(first, values)
+    for step in [*middle, replace(last, seen=[*last.seen, chart])]:
+        filter.step(step)
+    sigma = np.sqrt(np.diag(P))
+    off, shift = (np.abs(SE2.local(X[None], best[None])[0] / sigma).max() for X in (filter.pose[0], without))
+    assert off < {1: 0.25, 2: 0.12}[version] < 0.5 < shift
 
 
 def test_all_particles_at_once_are_each_particle_alone() -> None:
