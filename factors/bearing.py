@@ -11,10 +11,13 @@ __all__ = ["Bearing"]
 
 
 class Bearing(Seen):
-    r"""Direction from the sensor to a target, relative to the sensor's axes: x ahead, y to starboard, z down.
+    r"""Direction from the sensor to a target, relative to the sensor's axes.
 
     .. math:: h(X, l) = \mathrm{atan2}(p_y, p_x) \quad [, \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2})], \quad
               p = (X \circ O)^{-1} l
+
+    Angles are from the x axis of the sensor, ahead, towards its y axis: to starboard where z is down, as in space here;
+    to the left where z is up, as on most maps of the plane.
 
     Parameters
     ----------

@@ -13,10 +13,13 @@ __all__ = ["BearingRange"]
 
 
 class BearingRange(Seen):
-    r"""Direction and distance from the sensor to a target; sensor axes x ahead, y to starboard, z down.
+    r"""Direction and distance from the sensor to a target.
 
     .. math:: h(X, l) = (\mathrm{atan2}(p_y, p_x) \; [, \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2})], \; |p|), \quad
               p = (X \circ O)^{-1} l
+
+    Angles are from the x axis of the sensor, ahead, towards its y axis: to starboard where z is down, as in space here;
+    to the left where z is up, as on most maps of the plane.
 
     Parameters
     ----------

@@ -32,7 +32,8 @@ def parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 
 def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset: bool = False) -> None:
     """An option for each parameter; unset: what is not given is not there, in the place of its default."""
-    helps = dict(re.findall(r"^(\w+) : (.+)$", inspect.getdoc(make) or "", re.MULTILINE))
+    described = re.findall(r"^(\w+) : (.+(?:\n +.+)*)", inspect.getdoc(make) or "", re.MULTILINE)
+    helps = {name: " ".join(text.split()) for name, text in described}
     hints = typing.get_type_hints(make)
     for option, parameter in parameters(make).items():
         default = parameter.default

@@ -199,7 +199,7 @@ def _compared(
 def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[str, str]], Files, str]:
     if limit <= 0:
         raise OptionError("scaling", limit, "a number of seconds above 0")
-    options = {option: value for option, value in given.items() if value not in (None, False)}
+    options = {option: value for option, value in given.items() if value is not None and value is not False}
     names = options.pop("estimators", list(SCALED))
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
     if options:

@@ -38,7 +38,7 @@ SIZES = tuple(100 * 2**k for k in range(8))  # landmarks
 FITTED = 3  # sizes an exponent is fitted to: the largest
 PER_POSE, ASIDE, SIGHT = 4, 2.0, 4.0  # new landmarks a step; m from the way; m
 AGAIN = 20  # steps of the second round, all landmarks known: a step costs the median of these
-SIGMAS = (2e-3, 2e-3, 5e-6)  # of a step, m, m, rad: the largest ring closes within 0.3 m, of 2 m to the landmarks
+SIGMAS = (2e-3, 2e-3, 5e-6)  # of a step, m, m, rad: the largest ring closes within 1 m, of 2 m to the landmarks
 
 
 @dataclass
@@ -142,7 +142,8 @@ def costs(
         world = circuit(np.random.default_rng(seed), landmarks) if going else None
         for cost in going:
             if (time := _foreseen(cost, landmarks)) > seconds:
-                cost.stopped = f"{cost.name} stops before {landmarks} landmarks, which would take about {time:.0f} s"
+                about = f"{time:.0f}" if time >= 1 else f"{time:.2g}"
+                cost.stopped = f"{cost.name} stops before {landmarks} landmarks, which would take about {about} s"
                 continue
             assert world is not None
             each = _times(world, cost.name, settings)

@@ -10,8 +10,9 @@ Where S + mu D has no negative eigenvalue the first term is none either, so that
     optimum >= tr Lambda - mu n d
 
 whatever the start, and whether or not M is exactly stationary. S has r eigenvalues 0, of the rows of M, so mu has to be
-above 0 for a Cholesky factorization to tell. It is taken so small that mu n d is half a millionth of the cost, or 100
-eps times the largest entry of Q, where that is more.
+above 0 for a Cholesky factorization to tell. It is taken so small that mu n d is half a millionth of the cost; or 100
+eps times the largest entry of Q, where that is more. Then the gap may be as wide as this mu makes it, up to a hundredth
+of the cost: of one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
 
 Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization
 over the special Euclidean group", IJRR 38(2-3), 2019, section 4.
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
+from models.errors import EvaluationError
 from nls.certificate.newton import Optimum
 from nls.certificate.problem import PoseGraph
 from nls.linear.base import SingularSystemError
@@ -33,8 +35,10 @@ from nls.linear.normal import NormalState
 __all__ = ["RELATIVE", "Spectrum", "spectrum"]
 
 RELATIVE = 1e-6  # of the cost: a smaller gap is none
+COARSE = 1e-2  # of the cost: a wider gap is one, even where rounding could be its cause
 ROUNDING = 100 * np.finfo(float).eps  # of the largest entry of Q: smallest shift
 MORE = 10.0  # times the shift, until S + mu D is positive definite
+LARGEST = 1e20  # of the largest entry of Q: a shift that leaves nothing of S but the positions
 PRECISION = 1e-6  # of the eigenvalues of its inverse
 
 
@@ -47,7 +51,7 @@ class Spectrum:
     eigenvalues : (d + 1,) the smallest ones of S, positions eliminated.
     v : (n, d + 1) the eigenvector of the first.
     lowest : no pose graph costs less.
-    certified : the cost of the point is that, but for a millionth or rounding.
+    certified : the cost of the point is that, but for a millionth, or for rounding of at most a hundredth.
     """
 
     eigenvalues: Array
@@ -57,22 +61,36 @@ class Spectrum:
 
 
 def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
-    """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove."""
+    """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove.
+
+    Raises
+    ------
+    EvaluationError
+        Weights of positions that differ by more than the digits of numbers hold.
+    """
     n, d = graph.n, graph.d
     multipliers = graph.multipliers(found.M, graph.product(found.M))
     S = graph.on_diagonal - multipliers
     S[graph.held, d, d] += graph.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
     D = np.diag([1.0] * d + [0.0])
-    smallest = mu = max(RELATIVE / 2 * found.cost / (n * d), ROUNDING * float(graph.on_diagonal.max()))
+    size = float(graph.on_diagonal.max())
+    smallest = mu = max(RELATIVE / 2 * found.cost / (n * d), ROUNDING * size)
     while True:
         try:
             state = graph.factorized(S + mu * D, graph.off)
             break
-        except SingularSystemError:
+        except SingularSystemError as error:
+            if mu > LARGEST * size:
+                raise EvaluationError(
+                    "certify: the weights of positions differ by more than the digits of numbers hold, so that "
+                    "rounding leaves some of them free; check sigmas and units"
+                ) from error
             mu *= MORE
     lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
+    gap = found.cost - lowest
+    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * found.cost, graph.rounding(found.M))
     theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
-    return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, found.cost - lowest <= 2 * n * d * smallest)
+    return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 
 
 def _largest_of_inverse(state: NormalState, turns: npt.NDArray[np.bool_], count: int) -> tuple[Array, Array]:

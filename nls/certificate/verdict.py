@@ -26,8 +26,8 @@ class Certificate:
 
     Attributes
     ----------
-    verdict : ``certified``: no pose graph costs less than `lowest`, and that is `cost` but for a millionth;
-        ``refuted``: `better` costs less; ``undecided``: neither was shown.
+    verdict : ``certified``: no pose graph costs less than `lowest`, and that is `cost` but for a millionth, or
+        for what rounding hides, a hundredth at most; ``refuted``: `better` costs less; ``undecided``: neither is shown.
     cost : of `values`, the local minimum next to the values given.
     cost_given : of the values given.
     lowest : no pose graph costs less.
@@ -113,6 +113,8 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     GraphError
         Anything else in the graph: other measurements, robust kernels, several parts, spaces or held poses; information
         that has no inverse.
+    EvaluationError
+        Weights that overflow, or of positions that differ by more than the digits of numbers hold.
 
     Notes
     -----

@@ -227,6 +227,7 @@ class Solved:
         if "elevations" in vars(self) and (known := np.isfinite(self.elevations.sigma)).any():  # with files
             sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
+            out["at_limit"] = int(self.elevations.pushed.sum())
         return out
 
 
@@ -248,7 +249,10 @@ def lines(mission: dict[str, Any]) -> list[str]:
         out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
     if "elevation_sigma_deg" in mission:
         s = mission["elevation_sigma_deg"]
-        out.append(f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma)")
+        edge = f"; {mission['at_limit']} landmarks at the edge of the aperture" if mission["at_limit"] else ""
+        out.append(
+            f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma){edge}"
+        )
     return out
 
 

@@ -78,7 +78,9 @@ def parser() -> Parser:
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
     solve.add_argument(
-        "--certify", action="store_true", help="prove that a pose graph is at its global optimum, or find a better one"
+        "--certify",
+        action="store_true",
+        help="prove that a pose graph is at its global optimum; 1 is the exit status where a better one is found",
     )
     _json(solve)
     solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")

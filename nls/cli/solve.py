@@ -27,7 +27,7 @@ SHOWN = 12  # free directions in the table
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
-    from models.errors import GraphFileError
+    from models.errors import GraphFileError, LeadlineError
     from nls.cli import certified
     from nls.cli.doubts import doubts
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
@@ -68,16 +68,18 @@ def solve(options: argparse.Namespace) -> int:
     with _Progress(options) as progress:
         result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
     clock.lap("optimize")
-    certificate = None
-    if options.certify:
-        certificate = nls.certify(graph, result.values)
-        clock.lap("certify")
     solved = _solved(graph, values, result, report, solver, options.gauge)
     written, failed = _write(options, form, as_read, before, graph, result, solver, report, solved)
     said = {} if solved is None else {"mission": solved.record()}
-    if certificate is not None:
-        said["certificate"] = certified.record(certificate)
     clock.lap("write")
+    certificate = None
+    if options.certify:  # last: it can take longer than the solution, which is written by now
+        try:
+            certificate = nls.certify(graph, result.values)
+            said["certificate"] = certified.record(certificate)
+        except LeadlineError as error:
+            failed.append(error)
+        clock.lap("certify")
     timings = clock.timings(result.timings, stages)
 
     record: dict[str, Any] = {
@@ -123,12 +125,15 @@ def solve(options: argparse.Namespace) -> int:
         print(_table(record, result, shown, report.warnings, options.verbose))
     if not result.converged and not options.quiet:
         print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
+    refuted = certificate is not None and certificate.verdict == "refuted"
+    if refuted and not options.quiet:
+        print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
     for failure in failed:
         complain(failure)
     if failed and options.debug:
         raise failed[0]
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
-    return 1 if not (result.converged or allowed) else 2 if failed else 0
+    return 1 if refuted or not (result.converged or allowed) else 2 if failed else 0
 
 
 def _refuse_no_values(output: str | None, form: str) -> None:

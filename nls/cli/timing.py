@@ -13,7 +13,7 @@ __all__ = ["Clock", "iterations", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
-AFTER = ("other", "certify", "write", "process")
+AFTER = ("other", "write", "certify", "process")
 SUMS = ("solved", "total", "process")
 SAID = {
     "startup": "interpreter, up to the command line; processor time",
@@ -24,8 +24,8 @@ SAID = {
     "build": "gauge and pattern",
     "analyze": "elimination order, symbolic factorization",
     "other": "stop rules, degrees of freedom",
-    "certify": "optimum and eigenvalues in the SE-Sync cost",
     "write": "files asked for",
+    "certify": "optimum and eigenvalues in the SE-Sync cost",
 }
 
 
@@ -58,8 +58,8 @@ class Clock:
         out = {"read": seconds["read"], "init": seconds["init"], **optimize}
         out["other"] = whole - sum(optimize.values())
         out["solved"] = seconds["read"] + seconds["init"] + whole
-        out |= {name: seconds[name] for name in ("check", "certify", "write", "startup", "imports") if name in seconds}
-        out["total"] = out["solved"] + out["check"] + out.get("certify", 0.0) + out["write"]
+        out |= {name: seconds[name] for name in ("check", "write", "certify", "startup", "imports") if name in seconds}
+        out["total"] = out["solved"] + out["check"] + out["write"] + out.get("certify", 0.0)
         out["process"] = out["total"] + out["startup"] + out["imports"]
         return out | stages
 

@@ -3,3 +3,24 @@
 Every filter takes h, its Jacobians, the noise and the differences of angles from the factors, so that one data set, one
 `FactorGraph`, serves a filter and a batch solution alike.
 """
+
+from nls.filters.association import Assignment, JointCompatibility, Nearest
+from nls.filters.base import Filter, Step, Track, steps
+from nls.filters.ekf import EKF
+from nls.filters.fastslam import FastSLAM
+from nls.filters.fixed_lag import FixedLag
+from nls.filters.online import Online
+
+__all__ = [
+    "EKF",
+    "Assignment",
+    "FastSLAM",
+    "Filter",
+    "FixedLag",
+    "JointCompatibility",
+    "Nearest",
+    "Online",
+    "Step",
+    "Track",
+    "steps",
+]

@@ -29,7 +29,7 @@ from factors.seen import Seen
 from models import LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from models.options import is_whole
+from models.options import is_number, is_whole
 from nls.assemble import Index
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
@@ -61,10 +61,10 @@ class EKF(Filter):
     prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
     associate : how sightings find their landmarks where the graph does not know, `nls.filters.association`; the
         landmarks named in the graph are then ignored, new ones are numbered from 0. None: those of the graph.
-    gate : probability with which a sighting of a known landmark is within its gate; what is outside is of something
-        else and is left out. None: every sighting is believed, and one that is wrong is never undone.
     iterations : how often at most an update is linearized, again where the last linearization led, until that moves
         by less than 1e-6 (m, rad). More than one is needed where landmarks are known worse than they are measured.
+    gate : probability with which a sighting of a known landmark is within its gate; what is outside is of something
+        else and is left out. None: every sighting is believed, and one that is wrong is never undone.
 
     Attributes
     ----------
@@ -125,8 +125,8 @@ class EKF(Filter):
         self.associate, self.iterations = associate, int(iterations)
         if gate is not None and associate is not None:
             raise OptionError("gate", gate, "None with an association, which has gates of its own")
-        if gate is not None:
-            chi2_gate(1, gate)
+        if gate is not None and not (is_number(gate) and 0 < gate < 1):
+            raise OptionError("gate", gate, "a probability between 0 and 1, such as 0.999, or None")
         self.gate, self.left_out = gate, 0
         self.found: list[int] = []
         self._state: MapState | None = None

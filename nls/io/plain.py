@@ -17,9 +17,10 @@ Index = npt.NDArray[np.intp]
 
 
 def or_compressed(folder: str | Path, name: str) -> Path:
-    """The file of a folder, or its compressed twin ``name.gz`` where it is not there."""
+    """The file of a folder, or its compressed twin ``name.gz`` where only that is there."""
     path = Path(folder) / name
-    return path if path.exists() else path.with_name(f"{name}.gz")
+    twin = path.with_name(f"{name}.gz")
+    return twin if twin.exists() and not path.exists() else path
 
 
 def plain_lines(path: str | Path, what: str) -> tuple[Text, Index, Index, int]:

@@ -157,7 +157,8 @@ class Text:
         """
         tokens = self.first.take(lines) + column
         number, form = (each.take(tokens) for each in self._decimals)
-        value: npt.NDArray[np.int64] = number.astype(np.int64)
+        with np.errstate(invalid="ignore"):  # what is too large for it is read again below
+            value: npt.NDArray[np.int64] = number.astype(np.int64)
         for place in zip(*(form != WHOLE).nonzero(), strict=True):
             word = self.token(int(tokens[place]))
             exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63

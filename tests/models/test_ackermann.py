@@ -109,6 +109,8 @@ def test_what_cannot_be_integrated_is_refused() -> None:
         integrate_plane(t, twist[:, :2], S, boundaries=t)
     with pytest.raises(GraphError, match=r"density \(2, 3, 3\)"):
         integrate_plane(t, twist, np.zeros((2, 3, 3)), boundaries=t)
+    with pytest.raises(GraphError, match=r"density \(3, 3, 3\)"):
+        integrate_plane(t, twist, np.zeros((3, 3, 3)), boundaries=t)
     with pytest.raises(GraphError, match=r"t\[1\] = .* does not rise"):
         integrate_plane(t[[0, 0, 1, 2]], twist, S, boundaries=t)
     with pytest.raises(GraphError, match=r"boundaries\[1\] = .* is outside of the velocities"):

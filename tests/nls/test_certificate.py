@@ -267,6 +267,16 @@ def test_a_ring_wound_wrongly_is_refuted(turns: int, sigma: float) -> None:
     assert problem.cost(raised) - found.cost == pytest.approx(expected, rel=1e-2)
 
 
+def test_what_rounding_hides_is_not_certified() -> None:
+    """One edge 1e14 times the information of the others: its rounding is larger than the whole cost of a wrong ring."""
+    graph, values = ring(2, n=20, sigma=1.0)
+    stiff = Between(x[0], x[20], [1.0, 0.0, 0.0], Isotropic(1e-7))
+    X = np.concatenate([values[x[:20]], SE2.compose(values[x[:1]], stiff.z)])
+    found = nls.certify(FactorGraph([*graph.factors, stiff]), Values({x: (SE2, X)}))
+    assert found.verdict == "refuted"
+    assert (found.better_cost or 0.0) < 1e-20 * found.cost
+
+
 @pytest.mark.parametrize("turns", [-1, 2, 3])
 def test_rows_are_added_until_the_ring_unwinds(turns: int) -> None:
     graph, values = ring(turns)

@@ -107,7 +107,7 @@ def test_the_command_line_refutes(tmp_path: Path, capsys: Captured) -> None:
     lines = [f"VERTEX_SE2 {i} {np.cos(2 * turn * i)} {np.sin(2 * turn * i)} {2 * turn * i + 1}" for i in k]
     lines += [f"EDGE_SE2 {i} {(i + 1) % 8} 1 0 {turn} {INFORMATION_2}" for i in k]
     file = str(write(tmp_path, "\n".join(lines) + "\n"))
-    assert main(["solve", file, "--init", "file", "--certify", "--method", "levenberg-marquardt"]) == 0
+    assert main(["solve", file, "--init", "file", "--certify", "--method", "levenberg-marquardt"]) == 1
     shown = capsys.readouterr().out
     assert "certificate refuted: " in shown
     assert "not the global optimum of chi2" in shown
@@ -124,3 +124,16 @@ def test_the_command_line_refuses_before_the_work(
     assert error.startswith("nls: certify: ")
     assert len(error.splitlines()) == 1
     assert not out.exists()
+
+
+@pytest.mark.filterwarnings("ignore::models.errors.GraphWarning")
+def test_a_solution_is_written_before_its_certificate_fails(tmp_path: Path, capsys: Captured) -> None:
+    weights = ["1e10", "1e10", "1e-10", "1e10", "1e10"]
+    lines = [f"EDGE_SE2 {k} {k + 1} 1 0 0.1 {w} 0 0 {w} 0 {w}" for k, w in enumerate(weights)]
+    file, out = str(write(tmp_path, "\n".join(lines) + "\n")), tmp_path / "out.g2o"
+    options = ["--certify", "--method", "levenberg-marquardt", "--json", "-", "-o", str(out)]
+    assert main(["solve", file, *options]) == 2
+    captured = capsys.readouterr()
+    assert "nls: certify: the weights of positions differ by more than the digits" in captured.err
+    assert "certificate" not in json.loads(captured.out)
+    assert out.exists()

@@ -94,7 +94,7 @@ def test_the_files(tmp_path: Path, capsys: Captured) -> None:
 
     table, found = Table(out / "map.csv", MAP), elevations(graph, values, sigmas=True)
     assert table.floats("x_m", "y_m", "z_m") == pytest.approx(values[l], abs=1e-9)
-    Sigma = found.widened(marginals.all(l))
+    Sigma = found.bounded(marginals.all(l))
     named = [f"cov_{a}_{b}_m2" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")]
     assert table.floats(*named) == pytest.approx(Sigma[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], rel=1e-6)
     assert table.floats("elevation_rad", "sigma_elevation_rad").T == pytest.approx(

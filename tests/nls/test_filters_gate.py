@@ -60,7 +60,7 @@ def test_as_many_are_left_out_as_the_gate_says() -> None:
 def test_options() -> None:
     assert EKF(gate=0.99).method == "EKF (gate 0.99)"
     for gate in (0.0, 1.0, 1.5, "0.9", True):
-        with pytest.raises(OptionError, match="between 0 and 1"):
+        with pytest.raises(OptionError, match=r"gate: .* between 0 and 1"):
             EKF(gate=gate)  # type: ignore[arg-type]
     with pytest.raises(OptionError, match="gates of its own"):
         EKF(gate=0.99, associate=Nearest(0.99))

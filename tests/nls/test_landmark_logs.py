@@ -67,7 +67,10 @@ def test_a_victoria_park_log(tmp_path: Path) -> None:
         ("Robot7_Measurement", "1 63 2 0\n\n1 63 0 0\n", r"Robot7_Measurement\.dat:3: no range is 0 or below"),
         ("Robot7_Measurement", "1 6.5 2 0\n", r"Robot7_Measurement\.dat:1: id '6\.5' is not a whole number"),
         ("Robot7_Groundtruth", "1 2 3 nan\n", r"Robot7_Groundtruth\.dat:1: 'nan' is not a number"),
+        ("Robot7_Measurement", f"1 1{'0' * 20} 2 0\n", r"Robot7_Measurement\.dat:1: id '10+' is not a whole number"),
         ("Barcodes", "1 5\n6 5\n", r"Barcodes\.dat:2: barcode 5 was given before"),
+        ("Barcodes", "6 5\n6 7\n", r"Barcodes\.dat:2: subject 6 was given before"),
+        ("Landmark_Groundtruth", "6 1 2 1 1\n6 3 4 1 1\n", r"Landmark_Groundtruth\.dat:2: subject 6 was given before"),
         ("Landmark_Groundtruth", "6 1 2 3\n", r"Landmark_Groundtruth\.dat:1: 4 numbers, expected 5: subject, x, y"),
     ],
 )
@@ -94,7 +97,7 @@ def test_what_is_no_victoria_park_log(tmp_path: Path, name: str, text: str, said
 
 
 def test_a_log_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(GraphFileError, match=r"Robot1_Odometry\.dat\.gz: cannot be read: No such file"):
+    with pytest.raises(GraphFileError, match=r"Robot1_Odometry\.dat: cannot be read: No such file"):
         read_mrclam(tmp_path, 1)
-    with pytest.raises(GraphFileError, match=r"DRS\.txt\.gz: cannot be read: No such file"):
+    with pytest.raises(GraphFileError, match=r"DRS\.txt: cannot be read: No such file"):
         read_victoria_park(tmp_path)

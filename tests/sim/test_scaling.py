@@ -150,6 +150,8 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
         (["--world", "lines"], "--world: 'lines' is not possible; give it without --scaling"),
         (["--memory"], "--memory: True is not possible; give it without --scaling"),
         (["--laps", "3"], "--laps: 3 is not possible; give it without --scaling"),
+        (["--laps", "0"], "--laps: 0 is not possible; give it without --scaling"),
+        (["--particles", "0"], "--particles: 0 is not possible; give it to fastslam1 or fastslam2"),
         (["--particles", "9"], "--particles: 9 is not possible; give it to fastslam1 or fastslam2"),
         (["--estimators", "ekf", "ekf"], "--estimators: 'ekf ekf' is not possible; give every one once"),
     ],

@@ -53,7 +53,10 @@ class Mrclam:
     places: Array
 
     def true_poses(self, t: Array) -> Array:
-        """True poses (n, 3) at times (n,), on the straight line between the two captured before and after."""
+        """True poses (n, 3) at times (n,), on the straight line between the two captured before and after.
+
+        Before the first and after the last they are these.
+        """
         x, y, yaw = (np.interp(t, self.t_truth, each) for each in (*self.truth[:, :2].T, np.unwrap(self.truth[:, 2])))
         return np.column_stack([x, y, wrap(yaw)])
 
@@ -79,13 +82,13 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
 
     text, lines, _, _ = plain_table(folder / "Barcodes.dat", 2, "subject, barcode")
     subjects, barcodes = text.whole(lines, 0), text.whole(lines, 1)
-    order = np.argsort(barcodes, kind="stable")
-    if len(again := np.flatnonzero(np.diff(barcodes[order]) == 0)):
-        k = order[again[0] + 1]
-        raise text.error(f"barcode {barcodes[k]} was given before", int(lines[k]))
+    _once("subject", text, lines, subjects)
+    order = _once("barcode", text, lines, barcodes)
     at = order[np.minimum(np.searchsorted(barcodes, barcode, sorter=order), len(order) - 1)]
 
     text, lines, survey, _ = plain_table(folder / "Landmark_Groundtruth.dat", 5, "subject, x, y, their sigmas")
+    landmarks = text.whole(lines, 0)
+    _once("subject", text, lines, landmarks)
     return Mrclam(
         commands[last, 0] - t_0,
         commands[last, 1:],
@@ -94,7 +97,7 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
         seen[:, [3, 2]],
         truth[:, 0] - t_0,
         truth[:, 1:],
-        text.whole(lines, 0),
+        landmarks,
         survey[:, 1:3],
     )
 
@@ -104,3 +107,12 @@ def _timed(folder: Path, name: str, columns: int, what: str) -> tuple[Array, Tex
     text, lines, numbers, _ = plain_table(or_compressed(folder, name), columns, what)
     refuse_late(text, lines, numbers[:, 0], repeated=True)
     return numbers, text, lines
+
+
+def _once(what: str, text: Text, lines: Index, numbers: npt.NDArray[np.int64]) -> Index:
+    """The order of numbers (n,), each of which is given once."""
+    order = np.argsort(numbers, kind="stable")
+    if len(again := np.flatnonzero(np.diff(numbers[order]) == 0)):
+        k = order[again[0] + 1]
+        raise text.error(f"{what} {numbers[k]} was given before", int(lines[k]))
+    return order

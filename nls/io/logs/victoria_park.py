@@ -37,7 +37,7 @@ class VictoriaPark:
     t_scan : (m,) times of the scans, s.
     scan : (k,) the scan of each sighting, 0 to m - 1, rising.
     z : (k, 2) bearing, rad, and range, m, of a tree from the laser.
-    t_gps, gps : (g,) times, and (g, 2) places east and north of the first, m.
+    t_gps, gps : (g,) times, and (g, 2) places as in the file, east and north, m.
     wheelbase, encoder, laser : of the truck, m, as `models.vehicles.ackermann` takes them.
     """
 

@@ -48,7 +48,7 @@ def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> 
     are free.
     """
     n, keys, known = len(found.landmarks), l[found.landmarks], np.isfinite(found.sigma)[:, None]
-    Sigma = None if marginals is None else np.where(known, found.widened(marginals.covariance(keys))[:, *UPPER], np.nan)
+    Sigma = None if marginals is None else np.where(known, found.bounded(marginals.covariance(keys))[:, *UPPER], np.nan)
     sigma = None if marginals is None else found.sigma[:, None]
     return csv_text(
         MAP,

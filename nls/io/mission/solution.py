@@ -7,11 +7,15 @@ of dead reckoning and of the solution, nothing aligned. The elevation of a landm
     sigma^2 = H Sigma H',    H = [H_X, H_l] of the elevation, Sigma the joint covariance of that pose and landmark
 
 A hinge that pushes is a limit, not a measurement. In Sigma it knows the elevation as well as its softness s, 1 deg,
-where chi2 may hardly change over the whole aperture; here it says what an even spread over the aperture does:
+where chi2 may hardly change over the whole aperture. Here the aperture stands in for it: an even spread over it, seen
+from where the landmark was placed, which may be an end; and no elevation is known less well than that:
 
-    1 / sigma^2  ->  max(1 / sigma^2 - sum 1 / s^2, 0) + 3 / limit^2
+    v = limit^2 / 3 + elevation^2                                             mean square distance, even spread
+    sigma^2  ->  1 / (max(1 / sigma^2 - sum 1 / s^2, 0) + 1 / v)   pushed,    min(sigma^2, v)   not pushed
 
-Mean of (error / sigma)^2 of the landmarks pushed, hull, seeds 0 to 2: before 40, 14, 32, so 2.4, 1.0, 2.0.
+An arc is no straight line: a sigma that has grown by w adds 3/4 w^2 r^2 along the range, the mean square of r e^2 / 2.
+Mean of (error / sigma)^2 of the elevations that are pushed, hull, seeds 0 to 2: 40, 14, 32 by the covariances alone, so
+0.7, 0.4, 0.7; e' Sigma^-1 e of their places, 3 expected: 56, 17, 47, so 3.7, 1.4, 2.3.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from factors.keys import Keys, kinds
 from factors.noise import square
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array
+from models.algebra import Array, dot
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
 from nls.covariance import Marginals
@@ -117,9 +121,10 @@ class Elevations:
     range, azimuth, elevation : (n,) of the estimate, in the frame of the sonar at that pose, m and rad.
     pushed : (n,) whether a hinge keeps the landmark within the aperture, against its measurements.
     sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
-        landmark is free; of one that is pushed, with the aperture in place of its hinges.
-    widening : (n,) how much of sigma^2 comes from that, rad^2.
+        landmark is free.
+    before : (n,) the same by the covariances alone, before the aperture had its say.
     along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
+    ahead : (n, 3) unit vectors of the world: from the sonar to the landmark.
     """
 
     landmarks: Numbers
@@ -130,13 +135,25 @@ class Elevations:
     elevation: Array
     pushed: npt.NDArray[np.bool_]
     sigma: Array
-    widening: Array
+    before: Array
     along: Array
+    ahead: Array
 
-    def widened(self, Sigma: Array) -> Array:
-        """Covariances (n, 3, 3) of the landmarks along the axes of the world, with `widening` along their arcs."""
-        arc = self.range[:, None] * self.along
-        return np.asarray(Sigma + self.widening[:, None, None] * arc[:, :, None] * arc[:, None, :])
+    def bounded(self, Sigma: Array) -> Array:
+        """Covariances (n, 3, 3) of the landmarks along the axes of the world, with what the aperture says of them."""
+        was, now = np.square(self.before), np.square(self.sigma)
+        grown = np.where(now > was, now - was, 0.0)
+        arc, bow = (
+            np.sqrt(k)[:, None] * self.range[:, None] * v
+            for k, v in ((grown, self.along), (0.75 * grown**2, self.ahead))
+        )
+        Sh = np.matvec(Sigma, self.along)
+        known = np.where(now < was, 1 - np.divide(now, was, out=np.ones_like(now), where=was > 0), 0.0)
+        own = dot(self.along, Sh)  # 0 of a landmark that is held
+        less = np.sqrt(known / np.where(own > 0, own, 1.0))[:, None] * Sh
+        return np.asarray(
+            Sigma + sum(sign * v[:, :, None] * v[:, None, :] for sign, v in ((1, arc), (1, bow), (-1, less)))
+        )
 
 
 def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
@@ -217,24 +234,31 @@ def elevations(
     if sigmas:
         told = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
         sigma[told] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[told]
-    hinges, spread = _limits(graph, values, landmarks)
-    pushed, before = hinges > 0, np.square(sigma)
-    sigma = np.where(pushed, 1 / np.sqrt(np.maximum(1 / before - hinges, 0.0) + np.where(pushed, spread, 1.0)), sigma)
-    widening = np.nan_to_num(np.maximum(np.square(sigma) - before, 0.0))
-    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, widening, along)
+    hinges, limit = _limits(graph, values, landmarks)
+    pushed, before, v = hinges > 0, sigma.copy(), limit**2 / 3 + elevation**2
+    sigma = np.minimum(sigma, np.sqrt(v))
+    sigma[pushed] = 1 / np.sqrt(np.maximum(1 / before[pushed] ** 2 - hinges[pushed], 0.0) + 1 / v[pushed])
+    ahead = (p - SE3.position(S)) / r[:, None]
+    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, before, along, ahead)
 
 
 def _limits(graph: FactorGraph, values: Values, landmarks: Numbers) -> tuple[Array, Array]:
-    """Of landmarks that hinges push, the information of these hinges (n,), and that of their aperture; else 0."""
-    hinges, spread = np.zeros(len(landmarks)), np.zeros(len(landmarks))
+    """Information (n,) of the hinges that push a landmark, 0 for none, and its limit (n,), inf where nothing says.
+
+    A landmark that is held is not pushed: its place is given, and its hinges say something of the poses.
+    """
+    hinges, limit = np.zeros(len(landmarks)), np.zeros(len(landmarks))
+    held = np.concatenate([np.zeros(0, dtype=int), *(keys.numbers for keys in graph.fixed if keys.kind == l.name)])
     for factor in graph.factors:
         if isinstance(factor, ElevationHinge):
             W = square(factor.noise.sqrt_information(len(factor), factor.measures))[:, 0, 0]
-            pushes = factor.chi2(values) > 0
-            at = np.searchsorted(landmarks, factor.keys[1].numbers)
-            np.add.at(hinges, at[pushes], np.broadcast_to(np.square(W), len(factor))[pushes])
-            np.maximum.at(spread, at[pushes], 3 / factor.limit**2)
-    return hinges, spread
+            numbers = factor.keys[1].numbers
+            pushes = (factor.chi2(values) > 0) & ~np.isin(numbers, held)
+            here = np.flatnonzero(np.isin(numbers, landmarks))
+            at = np.searchsorted(landmarks, numbers[here])
+            np.add.at(hinges, at, np.where(pushes, np.square(W), 0.0)[here])
+            limit[at] = np.maximum(limit[at], factor.limit)
+    return hinges, np.where(limit > 0, limit, np.inf)
 
 
 def _sigmas(
