@@ -42,6 +42,7 @@ __all__ = [
 ]
 
 TRUE, PATH = "#202020", "#0b4f6c"
+BELOW = "0.82"  # of a true track, wide under the estimate
 COLORS = ("#0b4f6c", "#e07a2f", "#8e3a80", "#3f8f4f", "#c03a4a", "#7a6a2b", "#4a8fc0")
 RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # of the ellipse that holds a position with 95 %
 EVERY = 30  # ellipses of the vehicle, evenly spaced
@@ -93,7 +94,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
     Landmarks without a position, such as walls, are drawn as the infinite lines they are.
     """
     manifold = track.manifold
-    axes.plot(*manifold.position(truth[track.x]).T, color=TRUE, linewidth=0.8, label="truth")
+    axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     axes.plot(*manifold.position(track.X).T, color=PATH, linewidth=1.0, label=track.method)
     shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
     J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
@@ -114,10 +115,15 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
                     normal = np.array([np.cos(alpha), np.sin(alpha)])
                     axes.axline(r * normal, r * normal + (-normal[1], normal[0]), linewidth=0.6, **style)  # type: ignore[arg-type]
         else:
-            axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=5)
+            axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=9, label="true landmarks")
+            axes.plot(*L.T, ".", color=POINT, markersize=4)
             _outlines(
                 axes, L, _around(track.P_landmarks, RADIUS), color=POINT, linewidth=0.8, label="95 % of the landmarks"
             )
+            for number, place in zip(track.landmarks.numbers.tolist(), L, strict=True):
+                axes.annotate(
+                    f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=POINT, fontsize=8
+                )
     axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
     _legend_below(axes, *axes.get_legend_handles_labels())
@@ -202,7 +208,7 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
     q = manifold.position(truth[x])
-    places.plot(*q.T, color=TRUE, linewidth=1.2, label="truth")
+    places.plot(*q.T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     for k, track in enumerate(tracks):
         style = {"color": COLORS[k % len(COLORS)], "linewidth": 0.9, "label": track.method}
         p, steps = manifold.position(track.X), track.x.numbers
