@@ -16,6 +16,7 @@ import numpy.typing as npt
 from factors import Between, Diagonal
 from models import LieGroup
 from models.algebra import Array
+from models.dead_reckoning.chain import chain
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from sim.checks import check_not_negative, check_positive, check_rng
@@ -96,42 +97,6 @@ def measure(
     h = group.between(X_i, X_j)  # (n, size)
     v = rng.standard_normal((len(h), group.dim)) * np.asarray(sigmas, dtype=float)  # (n, dim)
     return group.retract(h, scale * v)
-
-
-def chain(group: LieGroup, first: npt.ArrayLike, steps: npt.ArrayLike) -> Array:
-    """Poses along a path: first, first o z_0, first o z_0 o z_1, ...
-
-    A parallel prefix product of plain arrays: after the k-th of log2(n) passes every element is the product of the 2^k
-    before it, so a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several
-    components there is `nls.starts.chain`.
-
-    Parameters
-    ----------
-    group : the group of the poses.
-    first : (size,) the pose the chain begins at.
-    steps : (n, size) each pose as seen from the one before.
-
-    Returns
-    -------
-    (n + 1, size) array.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from models import SE2
-    >>> chain(SE2, [0.0, 0.0, 0.0], np.tile([1.0, 0.0, np.pi / 2], (4, 1))).round(6) + 0.0
-    array([[ 0.      ,  0.      ,  0.      ],
-           [ 1.      ,  0.      ,  1.570796],
-           [ 1.      ,  1.      , -3.141593],
-           [ 0.      ,  1.      , -1.570796],
-           [ 0.      ,  0.      ,  0.      ]])
-    """
-    X = np.concatenate([np.asarray(first, dtype=float)[None], np.asarray(steps, dtype=float)])
-    reach = 1
-    while reach < len(X):
-        X = np.concatenate([X[:reach], group.compose(X[:-reach], X[reach:])])
-        reach *= 2
-    return X
 
 
 def build(

@@ -1,4 +1,4 @@
-"""Poses composed one after the other, all at once: a doubling scan of the rotations, then one cumulative sum.
+"""Poses composed one after the other, all at once: by a doubling scan; in SE3 of the rotations, then a cumulative sum.
 
     R_k+1 = R_k dR_k,    p_k+1 = p_k + R_k dp_k
 
@@ -9,12 +9,50 @@ stack each is the product of all up to it. Source: W. Hillis, G. Steele, "Data p
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from models.algebra import Array, apply
+from models.manifolds.base import LieGroup
 from models.manifolds.se3 import join, split
 from models.manifolds.so3 import SO3, quaternion_product, rotation3
 
-__all__ = ["chained"]
+__all__ = ["chain", "chained"]
+
+
+def chain(group: LieGroup, first: npt.ArrayLike, steps: npt.ArrayLike) -> Array:
+    """Poses along a path: first, first o z_0, first o z_0 o z_1, ...
+
+    A parallel prefix product of plain arrays: after the k-th of log2(n) passes every element is the product of the 2^k
+    before it, so a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several
+    components there is `nls.starts.chain`.
+
+    Parameters
+    ----------
+    group : the group of the poses.
+    first : (size,) the pose the chain begins at.
+    steps : (n, size) each pose as seen from the one before.
+
+    Returns
+    -------
+    (n + 1, size) array.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from models import SE2
+    >>> chain(SE2, [0.0, 0.0, 0.0], np.tile([1.0, 0.0, np.pi / 2], (4, 1))).round(6) + 0.0
+    array([[ 0.      ,  0.      ,  0.      ],
+           [ 1.      ,  0.      ,  1.570796],
+           [ 1.      ,  1.      , -3.141593],
+           [ 0.      ,  1.      , -1.570796],
+           [ 0.      ,  0.      ,  0.      ]])
+    """
+    X = np.concatenate([np.asarray(first, dtype=float)[None], np.asarray(steps, dtype=float)])
+    reach = 1
+    while reach < len(X):
+        X = np.concatenate([X[:reach], group.compose(X[:-reach], X[reach:])])
+        reach *= 2
+    return X
 
 
 def chained(steps: Array) -> Array:

@@ -20,7 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, gram, wrap
+from models.algebra import Array, gram
+from models.dead_reckoning.chain import chain
 from models.dead_reckoning.checks import rising, within
 from models.dead_reckoning.noise import sum_by_leg
 from models.errors import GraphError
@@ -47,28 +48,7 @@ class PlaneLegs:
 
     def track(self, start: npt.ArrayLike) -> Array:
         """Poses (k + 1, 3) at the boundaries, dead-reckoned from the pose start (3,)."""
-        return SE2.compose(SE2.stack(start), chained_plane(self.z))
-
-
-def chained_plane(steps: Array) -> Array:
-    """T_0 = identity, T_k+1 = T_k o step_k: (n + 1, 3) of (n, 3).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> chained_plane(np.tile([1.0, 0.0, np.pi / 2], (4, 1)))[:, :2].round(6) + 0.0
-    array([[0., 0.],
-           [1., 0.],
-           [1., 1.],
-           [0., 1.],
-           [0., 0.]])
-    """
-    theta = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    turned = steps.copy()
-    turned[:, :2] = SE2.act(np.column_stack([0 * steps[:, :2], theta[:-1]]), steps[:, :2])
-    T = np.concatenate([SE2.identity(), np.cumsum(turned, axis=0)])
-    T[:, 2] = wrap(theta)
-    return T
+        return chain(SE2, SE2.stack(start)[0], self.z)
 
 
 def integrate_plane(
@@ -117,7 +97,7 @@ def integrate_plane(
     grid = np.unique(np.concatenate([b, t[(t > b[0]) & (t < b[-1])]]))
     dt, held = np.diff(grid), np.searchsorted(t, grid[:-1], side="right") - 1
     xi = u[held] * dt[:, None]
-    T = chained_plane(SE2.exp(xi))
+    T = chain(SE2, SE2.identity()[0], SE2.exp(xi))
     cut, k = np.searchsorted(grid, b), len(b) - 1
     leg = np.repeat(np.arange(k), np.diff(cut))
     to_end = SE2.between(T[1:], T[cut[1:]][leg])
