@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -21,3 +24,13 @@ def data() -> Path:
     folder = Path(name)
     assert folder.is_dir(), f"LEADLINE_DATA is {name!r}, which is not a folder"
     return folder
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """A script of benchmarks/evidence, imported by its name; tests that need one are skipped in an installed copy."""
+    folder = Path(__file__).parents[1] / "benchmarks" / "evidence"
+    if not folder.is_dir():
+        pytest.skip("there are no benchmarks here (an installed copy has none)")
+    monkeypatch.syspath_prepend(str(folder))
+    return import_module
