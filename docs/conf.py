@@ -5,6 +5,8 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 
 from docutils.parsers.rst.states import Inliner
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
@@ -20,13 +22,16 @@ extensions = [
     "sphinx.ext.mathjax",
     # MathJax and its fonts as an ordinary pip dependency, copied into the build: equations need no network and no npm.
     "sphinx-mathjax-offline",
-    "factor_table",  # docs/_ext
+    "factor_table",  # docs/_ext, to the end of the list
+    "figure_alt",
     "gallery",
+    "made_figure",
+    "overview",
 ]
-exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]  # pictures may lie below _build
 
 # --- pages and notebooks ---
-myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
@@ -48,6 +53,8 @@ Inliner.dispatch["|"] = lambda self, match, lineno: (
 # --- looks ---
 html_theme = "sphinx_book_theme"
 html_title = "leadline"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "use_download_button": False, "use_fullscreen_button": False}
@@ -67,3 +74,16 @@ mathjax3_config = {
         }
     }
 }
+
+
+# --- pages are read in parallel: make docs passes -j ---
+def spread(app: Sphinx, env: BuildEnvironment, docnames: list[str]) -> None:
+    """Every fourth page together: a process is handed neighbors, and the slow ones, notebooks, are neighbors."""
+    docnames[:] = [name for first in range(4) for name in docnames[first::4]]
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("env-before-read-docs", spread)
+    # It copies MathJax when the build is finished and has no part in reading, which it does not say.
+    app.extensions["sphinx-mathjax-offline"].parallel_read_safe = True

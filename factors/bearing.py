@@ -30,7 +30,7 @@ class Bearing(Seen):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit.
+        Spaces or shapes that do not fit; an angle beyond a turn.
     SingularGeometryError
         At evaluation: a target at the sensor (plane) or on its z axis (space), where the azimuth is not defined.
 

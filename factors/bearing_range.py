@@ -32,7 +32,7 @@ class BearingRange(Seen):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit; a range below 0.
+        Spaces or shapes that do not fit; a range below 0, an angle beyond a turn.
     SingularGeometryError
         At evaluation: zero range, or a target on the z axis of the sensor in space.
 

@@ -54,7 +54,7 @@ class RangeAzimuth(InSpace):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit; a range below 0.
+        Spaces or shapes that do not fit; a range below 0, an angle beyond a turn.
     SingularGeometryError
         At evaluation: a target at the sonar, or on its z axis, where it has no azimuth.
 

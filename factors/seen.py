@@ -25,6 +25,7 @@ from factors.noise import Noise
 from models import LieGroup, Manifold, R
 from models.algebra import Array, product
 from models.errors import GraphError
+from models.manifolds.measured import ANGLES
 from models.sensors import point_in_frame
 
 __all__ = ["Seen"]
@@ -54,7 +55,7 @@ class Seen(Factor):
     Raises
     ------
     GraphError
-        A range below 0; keys, measurements and offset that do not fit together.
+        A range below 0, an angle beyond a turn; keys, measurements and offset that do not fit together.
     """
 
     relative = True
@@ -66,7 +67,7 @@ class Seen(Factor):
     ) -> None:
         keys = [pose, target, offset] if isinstance(offset, Keys) else [pose, target]
         super().__init__(keys, z, noise)
-        self._refuse_negative_range()
+        self._refuse_impossible()
         self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))  # type: ignore[misc]
         self.offset: Array | Keys | None = (
             self.keys[2] if len(keys) == 3 else None if offset is None else fixed_offset(self, offset)  # type: ignore[arg-type]
@@ -104,17 +105,23 @@ class Seen(Factor):
         other.slots = (*self.slots[:2], *other.slots[2:])  # type: ignore[misc]
         return other
 
-    def _refuse_negative_range(self) -> None:
-        """No distance is below 0; where one marks an echo that is missing, nothing was measured."""
-        z = self._z
+    def _refuse_impossible(self) -> None:
+        """No distance is below 0: one that marks an echo which is missing measured nothing. No direction is beyond a
+        turn, and degrees nearly always are."""
         for space in (self.measured(2), self.measured(3)):
-            if "range" in space.components and z.size and (space.size == 1 or z.shape[-1:] == (space.size,)):
-                r = z.reshape(-1, space.size)[:, space.components.index("range")]
-                if (below := r < 0).any():
-                    k = int(np.argmax(below))
-                    named = self.describe(k) if k < len(self) else repr(self)
-                    message = f"{named}: its range is {r[k]:g} m; none is below 0. Leave out what was not received"
-                    raise GraphError(message, self.keys, self.name)
+            z = self._z[..., None] if space.size == 1 and self._z.ndim < 2 else self._z
+            if z.shape[-1:] != (space.size,):
+                continue
+            for name, numbers in zip(space.components, z.reshape(-1, space.size).T, strict=True):
+                if name == "range":
+                    wrong, says = numbers < 0, "m; none is below 0. Leave out what was not received"
+                else:
+                    wrong = (np.abs(numbers) > 2 * np.pi) & (name in ANGLES)
+                    says = "rad, which is more than a turn; expected radians. Are these degrees? Then np.radians(z)"
+                if wrong.any():
+                    k = int(np.argmax(wrong))
+                    named, index = (self.describe(k), k) if k < len(self) else (repr(self), 0)
+                    raise GraphError(f"{named}: its {name} is {numbers[k]:g} {says}", self.keys, self.name, index)
 
     @abstractmethod
     def measured(self, d: int) -> Manifold:

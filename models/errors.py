@@ -56,10 +56,10 @@ class GraphFileError(LeadlineError, ValueError):
 
 
 class GraphError(LeadlineError, ValueError):
-    """A graph, factor or set of values that cannot be built: keys, dimensions, types."""
+    """A graph, factor or set of values that cannot be built: keys, dimensions, types; `index`: of which measurement."""
 
-    def __init__(self, message: str, keys: Sequence[Any] = (), factor: str = "") -> None:
-        self.keys, self.factor = tuple(keys), factor
+    def __init__(self, message: str, keys: Sequence[Any] = (), factor: str = "", index: int = 0) -> None:
+        self.keys, self.factor, self.index = tuple(keys), factor, index
         super().__init__(message)
 
 
@@ -83,8 +83,8 @@ class NoiseModelError(GraphError):
         value: float = float("nan"),
         keys: Sequence[Any] = (),
     ) -> None:
-        self.matrix, self.index, self.value = matrix, index, value
-        super().__init__(message, keys)
+        self.matrix, self.value = matrix, value
+        super().__init__(message, keys, index=index)
 
 
 class EvaluationError(LeadlineError, ArithmeticError):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nls import plot
     from nls.certificate import Certificate, certify
     from nls.covariance import Marginals
+    from nls.explanation import Explanation, Finding, explain
     from nls.graph import FactorGraph
     from nls.io import LoadReport, load, save
     from nls.linear import (
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
         backends,
     )
     from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
+    from nls.robust import Robustified, gnc
     from nls.starts import initialize
     from nls.system import LinearSystem
     from nls.values import Values
@@ -53,10 +55,12 @@ _WHERE = {
     "MissingSolverError NoiseModelError OptionError ResourceLimitError SingularGeometryError UnderconstrainedError",
     "nls.certificate": "Certificate certify",
     "nls.covariance": "Marginals",
+    "nls.explanation": "Explanation Finding explain",
     "nls.graph": "FactorGraph",
     "nls.io": "LoadReport load save",
     "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends",
     "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop",
+    "nls.robust": "Robustified gnc",
     "nls.starts": "initialize",
     "nls.system": "LinearSystem",
     "nls.values": "Values",
@@ -97,7 +101,9 @@ __all__ = [
     "DenseQR",
     "Dogleg",
     "EvaluationError",
+    "Explanation",
     "FactorGraph",
+    "Finding",
     "GaussNewton",
     "GraphError",
     "GraphFileError",
@@ -119,6 +125,7 @@ __all__ = [
     "Pinv",
     "ResourceLimitError",
     "Result",
+    "Robustified",
     "Schur",
     "SingularGeometryError",
     "Status",
@@ -127,6 +134,8 @@ __all__ = [
     "Values",
     "backends",
     "certify",
+    "explain",
+    "gnc",
     "initialize",
     "kinds",
     "load",

@@ -19,7 +19,20 @@ import sim
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "factors", "nls", "sim")
 ENGINE = ("values", "graph", "assemble", "system", "hessian", "linear", "optimizers", "gauge", "diagnose", "covariance")
-RIM = ("io", "starts", "inspect", "plot", "cli", "filters", "degeneracy", "observability", "certificate", "__main__")
+RIM = (
+    "robust",
+    "io",
+    "starts",
+    "inspect",
+    "plot",
+    "cli",
+    "filters",
+    "degeneracy",
+    "observability",
+    "certificate",
+    "explanation",
+    "__main__",
+)
 FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
 ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
 ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}

@@ -73,7 +73,7 @@ class FactorTable(SphinxDirective):
                 )
         head = nodes.thead("", nodes.row("", *(nodes.entry("", nodes.paragraph(text=title)) for title in HEADER)))
         columns = [nodes.colspec(colwidth=width) for width in WIDTHS]
-        return [nodes.table("", nodes.tgroup("", *columns, head, body, cols=len(HEADER)), classes=["full-width"])]
+        return [nodes.table("", nodes.tgroup("", *columns, head, body, cols=len(HEADER)), classes=["factors"])]
 
     def _row(self, factor: type[factors.Factor]) -> nodes.row:
         found = row(factor)

@@ -39,9 +39,9 @@ class Gallery(SphinxDirective):
         parts: list[nodes.Node] = []
         if case.file:
             parts += [nodes.paragraph(text=f"{FILE}:"), _code(_shown(case.file), "text")]
-        said = nodes.admonition("", nodes.title(text=outcome.error or "What the result says"), classes=["error"])
-        said += nodes.paragraph("", "", nodes.literal(text=outcome.sentence))  # literal: quotes stay as they are
-        parts += [_code(case.broken), said]
+        parts += [_code(case.broken), _said(outcome.error or "What the result says", outcome.sentence, "error")]
+        if outcome.finding:
+            parts.append(_said("What nls.explain says", outcome.finding, "hint"))
         if case.cured_file:
             parts += [nodes.paragraph(text=f"Cure, in {FILE}:"), _code(case.cured_file, "text")]
         if case.cure:
@@ -52,6 +52,12 @@ class Gallery(SphinxDirective):
         section = nodes.section("", nodes.title(text=title), *parts, names=[nodes.fully_normalize_name(title)])
         self.state.document.note_implicit_target(section, section)
         return section
+
+
+def _said(title: str, sentence: str, kind: str) -> nodes.admonition:
+    said = nodes.admonition("", nodes.title(text=title), classes=[kind])
+    said += nodes.paragraph("", "", nodes.literal(text=sentence))  # literal: quotes stay as they are
+    return said
 
 
 def _code(text: str, language: str = "python") -> nodes.literal_block:

@@ -47,6 +47,7 @@ def _main(argv: Sequence[str] | None, began: float, startup: float) -> int:
     try:
         options = parser().parse_args(argv)
         options.began, options.startup = began, startup
+        options.argv = sys.argv[1:] if argv is None else list(argv)
         debug = getattr(options, "debug", False)
         if options.version:
             return _version()

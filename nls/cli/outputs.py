@@ -17,8 +17,12 @@ TYPED = {  # what messages of the library name, and the options of the command l
     "repair_information: True": "--repair-information",
     "graph.robust(Cauchy(1))": "--robust cauchy:1",
     "nls.initialize(graph, values)": "--init",
+    "nls.certify(graph, values)": "nls solve --certify",
+    "nls.gnc(graph, values)": "nls solve --robust gnc-tls",
     "linear solver 'qr'": "--linear-solver qr",
     ", see `underconstrained`": "",
+    "; use preselect=False": "",
+    "; name factors with doubted=[...]": "",
 }
 
 

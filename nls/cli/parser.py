@@ -13,12 +13,15 @@ TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_f
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
+  nls solve survey.g2o --report survey.html            one page: pictures, convergence, findings with cures
   nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
+  nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
+  nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
@@ -47,7 +50,7 @@ def parser() -> Parser:
     from nls.optimizers import OPTIMIZERS
     from nls.starts import STARTS
 
-    top = Parser("nls", description="Least squares on factor graphs: solve, inspect, convert, draw.", epilog=EXAMPLES)
+    top = Parser("nls", description="Least squares on factor graphs: solve, explain, convert, draw.", epilog=EXAMPLES)
     top.formatter_class = argparse.RawDescriptionHelpFormatter
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
@@ -70,7 +73,8 @@ def parser() -> Parser:
     solve.add_argument(
         "--robust",
         metavar="[TYPE=]KERNEL:SIGMAS",
-        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1",
+        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
+        "gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them and list them",
     )
     solve.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
@@ -85,9 +89,15 @@ def parser() -> Parser:
     _json(solve)
     solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
     solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    solve.add_argument("--report", metavar="OUT.html", help="write a page to look at: pictures, findings, covariances")
     how = solve.add_mutually_exclusive_group()
     how.add_argument("--quiet", action="store_true", help="print nothing")
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
+
+    explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
+    explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
+    explain.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission (default: hinge)")
+    _json(explain)
 
     _json(command("info", "what is in a file", _info))
 
@@ -123,6 +133,12 @@ def _solve(options: argparse.Namespace) -> int:
     from nls.cli.solve import solve
 
     return solve(options)
+
+
+def _explain(options: argparse.Namespace) -> int:
+    from nls.cli.explain import explain
+
+    return explain(options)
 
 
 def _info(options: argparse.Namespace) -> int:

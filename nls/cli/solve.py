@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +28,11 @@ SHOWN = 12  # free directions in the table
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""
     import nls
-    from models.errors import GraphFileError, LeadlineError
-    from nls.cli import certified
+    from models.errors import GraphFileError, LeadlineError, UnderconstrainedError
+    from nls.cli import certified, outliers
     from nls.cli.doubts import doubts
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
+    from nls.cli.report import write_report
     from nls.cli.timing import Clock
     from nls.linear import SOLVERS, default_solver
     from nls.stages import collected
@@ -39,7 +41,8 @@ def solve(options: argparse.Namespace) -> int:
     clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     mission, form = Path(options.file).is_dir(), ""
-    refuse_unwritable(None if mission else options.output, options.covariance, options.plot, json=options.json)
+    output = None if mission else options.output
+    refuse_unwritable(output, options.covariance, options.plot, options.report, json=options.json)
     refuse_no_picture("--plot", options.plot)
     if mission:
         from nls.cli.mission import refuse_unwritable_folder
@@ -54,7 +57,13 @@ def solve(options: argparse.Namespace) -> int:
         as_read, values, report = read(options)
         graph = _prepared(as_read, values, options)
         clock.lap("read")
-        start, init, tried = nls.initialize(graph, values, options.init)
+        wrong = outliers.wanted(options.robust)
+        found = outliers.chosen(options.robust, options.init, graph, values) if wrong else None
+        if found is None:
+            start, init, tried = nls.initialize(graph, values, options.init)
+        else:
+            graph, start, init = found.graph, found.result.values, options.robust
+            tried = {init: found.result.chi2_final}
         chi2_read = _chi2_read(graph, values, tried)
         before = start if chi2_read is None else values  # what a picture can show
         clock.lap("init")
@@ -65,12 +74,22 @@ def solve(options: argparse.Namespace) -> int:
 
         certifiable(graph, start)
     clock.lap("check")
+    written: list[str] = []
+    failed: list[LeadlineError] = []
+    page = partial(write_report, options, graph, before, report, (init, tried))
     with _Progress(options) as progress:
-        result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
+        try:
+            result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
+        except UnderconstrainedError as error:  # the page says what is free
+            _attempt([(partial(page, error, {}, None, None), options.report)], written, failed)
+            for failure in failed:
+                complain(failure)
+            raise
     clock.lap("optimize")
     solved = _solved(graph, values, result, report, solver, options.gauge)
-    written, failed = _write(options, form, as_read, before, graph, result, solver, report, solved)
+    _write(options, form, as_read, before, graph, result, solver, report, solved, written, failed)
     said = {} if solved is None else {"mission": solved.record()}
+    said |= {} if found is None else outliers.record(found)
     clock.lap("write")
     certificate = None
     if options.certify:  # last: it can take longer than the solution, which is written by now
@@ -80,6 +99,12 @@ def solve(options: argparse.Namespace) -> int:
         except LeadlineError as error:
             failed.append(error)
         clock.lap("certify")
+    if options.report:
+        seconds = clock.timings(result.timings, stages)
+        rejected = () if found is None else found.rejected
+        last = partial(page, result, seconds, solved, certificate, rejected=rejected)
+        _attempt([(last, options.report)], written, failed)
+        clock.lap("report")
     timings = clock.timings(result.timings, stages)
 
     record: dict[str, Any] = {
@@ -121,7 +146,8 @@ def solve(options: argparse.Namespace) -> int:
         written.remove(options.json)
         failed.append(error)
     if not options.quiet and options.json != "-":
-        shown = [] if certificate is None else certified.rows(certificate)
+        shown = [] if found is None else outliers.rows(found)
+        shown += [] if certificate is None else certified.rows(certificate)
         print(_table(record, result, shown, report.warnings, options.verbose))
     if not result.converged and not options.quiet:
         print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
@@ -166,9 +192,11 @@ def _write(
     solver: LinearSolver,
     report: LoadReport,
     solved: Solved | None,
-) -> tuple[list[str], list[LeadlineError]]:
-    """Write every output, whether or not another can be; returns the names of those written, and the errors."""
-    from models.errors import GraphFileError, LeadlineError
+    written: list[str],
+    failed: list[LeadlineError],
+) -> None:
+    """Write every output but the reports."""
+    from models.errors import GraphFileError
 
     def optimum(path: str) -> None:
         from nls.cli.formats import rendered
@@ -198,8 +226,6 @@ def _write(
         report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
         outputs = []
     outputs.append((plot, options.plot))
-    written: list[str] = []
-    failed: list[LeadlineError] = []
     if solved is None:
         outputs = [(optimum, options.output), *outputs]
     elif options.output:
@@ -207,6 +233,15 @@ def _write(
             outputs = [*solved.outputs(options.output), *outputs]
         except GraphFileError as error:  # no folder, no files in it
             failed.append(error)
+    _attempt(outputs, written, failed)
+
+
+def _attempt(
+    outputs: Sequence[tuple[Callable[[str], None], str | None]], written: list[str], failed: list[LeadlineError]
+) -> None:
+    """Write what is asked for, whether or not another can be; names of those written and errors are added."""
+    from models.errors import GraphFileError, LeadlineError
+
     for write, path in outputs:
         try:
             if path:
@@ -216,7 +251,6 @@ def _write(
             failed.append(error)
         except (LeadlineError, OSError, MemoryError) as error:
             failed.append(LeadlineError(f"{path} was not written: {error}"))
-    return written, failed
 
 
 def _solved(
@@ -236,10 +270,11 @@ def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -
     """The graph that is solved: under the robust kernel, with the kinds held that were asked for."""
     import nls
     from factors.robust import kernel_from_text
+    from nls.cli import outliers
 
     prepared = nls.FactorGraph(graph.factors)
     prepared.fixed = list(graph.fixed)
-    if options.robust:
+    if options.robust and not outliers.wanted(options.robust):
         name, separator, kernel = options.robust.rpartition("=")
         names = list(dict.fromkeys(factor.name for factor in graph.factors))
         if separator and name not in names:
@@ -261,12 +296,12 @@ def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: _Progress) -
     return kind(stop, callback=progress.show)
 
 
-def _table(report: dict[str, Any], result: Result, certificate: list[str], warned: list[str], verbose: bool) -> str:
+def _table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:
     lines = result.steps if verbose else []
     names = {"file": "dead reckoning"} if "mission" in report else {}  # a mission has no start in a file
     start = ", ".join(f"{names.get(name, name)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
-    robust = f", robust kernel {report['robust']}" if report["robust"] else ""
+    robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
     lines += [
         f"input       {report['input']}: {report['variables']} variables, {report['factors']} measurements, "
@@ -277,7 +312,7 @@ def _table(report: dict[str, Any], result: Result, certificate: list[str], warne
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",
-        *certificate,
+        *findings,
     ]
     if "mission" in report:
         from nls.cli.mission import lines as worth

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from nls.optimizers import Iteration
 
-__all__ = ["Clock", "iterations", "table"]
+__all__ = ["Clock", "iterations", "rows", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
-AFTER = ("other", "write", "certify", "process")
+AFTER = ("other", "write", "certify", "report", "process")
 SUMS = ("solved", "total", "process")
 SAID = {
     "startup": "interpreter, up to the command line; processor time",
@@ -26,6 +26,7 @@ SAID = {
     "other": "stop rules, degrees of freedom",
     "write": "files asked for",
     "certify": "optimum and eigenvalues in the SE-Sync cost",
+    "report": "explanation, covariances and pictures of the page",
 }
 
 
@@ -58,20 +59,24 @@ class Clock:
         out = {"read": seconds["read"], "init": seconds["init"], **optimize}
         out["other"] = whole - sum(optimize.values())
         out["solved"] = seconds["read"] + seconds["init"] + whole
-        out |= {name: seconds[name] for name in ("check", "write", "certify", "startup", "imports") if name in seconds}
-        out["total"] = out["solved"] + out["check"] + out["write"] + out.get("certify", 0.0)
+        told = ("check", "write", "certify", "report", "startup", "imports")
+        out |= {name: seconds[name] for name in told if name in seconds}
+        out["total"] = out["solved"] + sum(out.get(name, 0.0) for name in ("check", "write", "certify", "report"))
         out["process"] = out["total"] + out["startup"] + out["imports"]
         return out | stages
+
+
+def rows(timings: dict[str, float]) -> list[str]:
+    """Names of the stages, one after the other, and of the whole."""
+    more = [name for name in timings if name not in (*BEFORE, *AFTER, *SUMS) and " " not in name]  # of other solvers
+    return [row for row in (*BEFORE, *more, *AFTER) if row in timings]
 
 
 def table(timings: dict[str, float]) -> list[str]:
     """Lines: milliseconds and share of every stage, with what it consists of, and their sum."""
     whole = timings["process"]
     lines = ["time               ms       %"]
-    more = [name for name in timings if name not in (*BEFORE, *AFTER, *SUMS) and " " not in name]  # of other solvers
-    for row in (*BEFORE, *more, *AFTER):
-        if row not in timings:
-            continue
+    for row in rows(timings):
         lines.append(f"{row:11s} {_shares(timings[row], whole)}   {SAID.get(row, '')}".rstrip())
         inside = [(name, s) for name, s in timings.items() if name.startswith(f"{row} ")]
         lines += [f"  {name.removeprefix(row):9s} {_shares(s, whole)}" for name, s in inside]

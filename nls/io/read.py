@@ -187,7 +187,7 @@ def _factor(
     except NoiseModelError as error:
         raise text.error(str(error).split(": ", 1)[-1], int(at[error.index])) from error
     except GraphError as error:
-        raise text.error(str(error), int(at[0])) from error
+        raise text.error(str(error), int(at[error.index])) from error
     return factor
 
 

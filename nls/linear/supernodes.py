@@ -85,6 +85,11 @@ class Supernodes:
         """Where the rows below supernode k are in the front of its parent."""
         return self._place[self._below[k] : self._below[k + 1]]
 
+    def place_below(self, k: Index, row: Index) -> Index:
+        """Places of rows of L, given by (p,) supernode and row, among those below these supernodes, from 0."""
+        rows = np.repeat(np.arange(len(self)), np.diff(self._front)) * len(self.node) + self._rows  # rising
+        return np.searchsorted(rows, k * len(self.node) + row) - self._front[k] - self.width[k]
+
     @property
     def numbers(self) -> int:
         """Most numbers in fronts that are needed at one time, from the last supernode to the first."""

@@ -1,4 +1,4 @@
-r"""Diagonal blocks of H^-1 from the Cholesky factor of H, without the rest of the inverse.
+r"""Blocks of H^-1 from the Cholesky factor of H, without the rest of the inverse: where H itself has any.
 
 With H = L L', J the columns of a supernode and S the rows below them, L L' Sigma = I gives, from the last supernode to
 the first,
@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg.lapack import dtrtri
 
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from nls.hessian import Blocks
     from nls.linear.normal import NormalState
 
-__all__ = ["diagonal_blocks", "takahashi"]
+__all__ = ["diagonal_blocks", "inverse_blocks", "takahashi"]
 
 
 def diagonal_blocks(blocks: Blocks, state: NormalState, memory_limit: float) -> Array:
@@ -55,8 +56,25 @@ def diagonal_blocks(blocks: Blocks, state: NormalState, memory_limit: float) -> 
     ResourceLimitError
         They would take more.
     """
+    every = np.arange(len(blocks.dims))
+    return inverse_blocks(blocks, state, every, every, memory_limit)
+
+
+def inverse_blocks(blocks: Blocks, state: NormalState, i: Index, j: Index, memory_limit: float) -> Array:
+    """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
+
+    Parameters
+    ----------
+    blocks, state, memory_limit : as for `diagonal_blocks`.
+    i, j : (p,) free variables, by their number among these; any two that share a factor, or one twice.
+
+    Raises
+    ------
+    ResourceLimitError
+        The fronts would take more.
+    """
     dims, V = blocks.dims, len(blocks.dims)
-    if not V:
+    if not len(i):
         return np.zeros(0)
     L, p = state.lower()
     owner = np.repeat(np.arange(V), dims)[p]
@@ -76,17 +94,20 @@ def diagonal_blocks(blocks: Blocks, state: NormalState, memory_limit: float) -> 
         )
     place = np.empty(len(p), dtype=np.intp)
     place[p] = np.arange(len(p))
-    source, target, first = _places(dims, nodes.node[place], nodes.local[place], nodes.width)
-    Sigma = np.empty(len(target))
+    start, size = place[np.cumsum(dims) - dims], dims[i] * dims[j]
+    offset, inside = np.cumsum(size) - size, nodes.node[start[i]] == nodes.node[start[j]]
+    Sigma = np.empty(int(size.sum()))
+    parts = [_places(nodes, start, dims, i, j, offset, pairs) for pairs in (inside, ~inside)]
     with single_thread():
-        for k, Sigma_JJ in takahashi(L, nodes):
-            part = slice(first[k], first[k + 1])
-            Sigma[target[part]] = np.take(Sigma_JJ, source[part])
+        for k, *found in takahashi(L, nodes):
+            for (source, target, first), block in zip(parts, found, strict=True):
+                part = slice(first[k], first[k + 1])
+                Sigma[target[part]] = np.take(block, source[part])
     return Sigma
 
 
-def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array]]:
-    """Sigma_JJ (w, w), symmetric, of every supernode k, the last first.
+def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array, Array]]:
+    """Sigma_JJ (w, w), symmetric, and Sigma_SJ (h, w) of every supernode k, the last first.
 
     Parameters
     ----------
@@ -106,7 +127,7 @@ def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array]]
         L_J = np.zeros((w + h, w))
         L_J.reshape(-1)[where[rows[entries]] * w + local[entries]] = data[entries]
         L_JJ_inv = dtrtri(L_J[:w].T, lower=0)[0].T  # the transpose of a C array is what LAPACK takes without a copy
-        Sigma_JJ = L_JJ_inv.T @ L_JJ_inv
+        Sigma_JJ, Sigma_SJ = L_JJ_inv.T @ L_JJ_inv, L_J[w:]
         if h:
             Y = L_J[w:] @ L_JJ_inv
             Sigma_SS = _submatrix(fronts[parent], nodes.below(k))
@@ -121,7 +142,7 @@ def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array]]
             front[:w, :w] = Sigma_JJ
             if h:
                 front[w:, :w], front[:w, w:], front[w:, w:] = Sigma_SJ, Sigma_SJ.T, Sigma_SS
-        yield k, Sigma_JJ
+        yield k, Sigma_JJ, Sigma_SJ
 
 
 def _submatrix(front: Array | None, place: Index) -> Array:
@@ -133,30 +154,44 @@ def _submatrix(front: Array | None, place: Index) -> Array:
     return np.asarray(front[place[:, None], place])
 
 
-def _places(dims: Index, node: Index, local: Index, width: Index) -> tuple[Index, Index, Index]:
-    """Where the numbers of all blocks are in the Sigma_JJ of their supernode, and where they go; by supernode.
+def _places(
+    nodes: Supernodes, start: Index, dims: Index, i: Index, j: Index, offset: Index, pairs: npt.NDArray[np.bool_]
+) -> tuple[Index, Index, Index]:
+    """Where the numbers of some blocks are in the Sigma_JJ of their supernode, or in its Sigma_SJ, and where they go.
 
     Parameters
     ----------
-    dims : (V,) sizes of the blocks.
-    node, local : (n,) supernode of every column, and the place there, columns in the order of the blocks.
-    width : (K,) columns of the supernodes.
+    nodes : the supernodes.
+    start : (V,) first column of every variable in L.
+    dims : (V,) sizes of the variables.
+    i, j : (p,) variables of the blocks.
+    offset : (p,) where the numbers of a block go, by rows.
+    pairs : (p,) those that are meant: all in one supernode, or none.
 
     Returns
     -------
     source, target, first : supernode k has the numbers first[k] to first[k + 1].
     """
-    start, offset = np.cumsum(dims) - dims, np.cumsum(dims**2) - dims**2
-    order = np.argsort(node[start], kind="stable")
-    size = dims[order] ** 2
+    k = np.flatnonzero(pairs)
+    turned = start[i[k]] < start[j[k]]  # the later one is the row
+    row, column = start[np.where(turned, j[k], i[k])], start[np.where(turned, i[k], j[k])]
+    node = nodes.node[column]
+    same = nodes.node[row] == node
+    row = nodes.local[row] if same.all() else nodes.place_below(node, row)
+    order = np.argsort(node, kind="stable")
+    k, turned, node, row, column = k[order], turned[order], node[order], row[order], nodes.local[column[order]]
+    height, width = np.where(turned, dims[j[k]], dims[i[k]]), np.where(turned, dims[i[k]], dims[j[k]])
+    size = height * width
     begin = np.cumsum(size) - size
     source, target = np.empty(int(size.sum()), dtype=np.intp), np.empty(int(size.sum()), dtype=np.intp)
-    for d in np.unique(dims):
-        k = np.flatnonzero(dims[order] == d)
-        at = local[start[order[k], None] + np.arange(d)]  # (., d)
-        across = width[node[start[order[k]]]][:, None, None]
-        inner = begin[k, None] + np.arange(d * d)
-        source[inner] = (at[:, :, None] * across + at[:, None, :]).reshape(len(k), d * d)
-        target[inner] = offset[order[k], None] + np.arange(d * d)
-    counts = np.bincount(node[start[order]], weights=size, minlength=len(width))
+    base = int(dims.max(initial=0)) + 1
+    shapes = (height * base + width) * 2 + turned
+    for shape in np.flatnonzero(np.bincount(shapes)):
+        (h, w), back = divmod(int(shape) // 2, base), bool(shape % 2)
+        q = np.flatnonzero(shapes == shape)
+        r, c = (grid.reshape(-1) for grid in np.indices((h, w)))
+        inner = begin[q, None] + np.arange(h * w)
+        source[inner] = (row[q, None] + r) * nodes.width[node[q], None] + column[q, None] + c
+        target[inner] = offset[k[q], None] + (c * h + r if back else r * w + c)
+    counts = np.bincount(node, weights=size, minlength=len(nodes))
     return source, target, np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)

@@ -1,8 +1,9 @@
-"""Pictures: trajectories, ellipses, sparsity, convergence, sonar. Here alone is matplotlib imported, and lazily."""
+"""Pictures, and a page of them; here alone is matplotlib imported, and lazily."""
 
 from nls.plot.convergence import convergence
 from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
+from nls.plot.report import report
 from nls.plot.sonar import fan_image, polar_image
 from nls.plot.sparsity import spy
 from nls.plot.trajectory import before_after, trajectory
@@ -14,6 +15,7 @@ __all__ = [
     "ellipses",
     "fan_image",
     "polar_image",
+    "report",
     "spy",
     "trajectory",
 ]

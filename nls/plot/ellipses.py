@@ -9,6 +9,7 @@ ellipse is drawn level, at the height of the position.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,11 +24,12 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.covariance import Marginals
 
-__all__ = ["ellipses"]
+__all__ = ["ellipses", "visible_scale"]
 
 POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
 MOST = 120  # of one kind, where it is not said how many
 CORNERS = 48
+VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
 
 
 def ellipses(
@@ -143,3 +145,24 @@ def _which(step: int) -> str:
         return "every "
     ending = {1: "st", 2: "nd", 3: "rd"}.get(step % 10, "th") if step % 100 not in (11, 12, 13) else "th"
     return f"every {step}{ending} "
+
+
+def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> float:
+    """1, 2, 5, 10, ...: how many times larger than they are ellipses must be drawn to be seen, of some kinds or all."""
+    stacks = marginals.values.stacks
+    places = [(kind, stacks[kind].manifold.position(stacks[kind].X)) for kind in kinds or stacks]
+    extent = max((float(np.ptp(t[:, :2], axis=0).max()) for _, t in places if t.shape[1]), default=0.0)
+    largest = max((_largest(marginals, kind) for kind, t in places if t.shape[1]), default=0.0)
+    wanted = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
+    steps = [m * 10.0**k for k in range(6) for m in (1, 2, 5)]
+    return max((step for step in steps if step <= wanted), default=1.0)
+
+
+def _largest(marginals: Marginals, kind: str) -> float:
+    """The largest sigma of a position, m."""
+    stack = marginals.values.stack(kind)
+    known = np.flatnonzero(np.array(marginals.status(kind)) == "estimated")
+    if not len(known):
+        return 0.0
+    Sigma = marginals.covariance(Keys(kind, stack.numbers[known]), view="position")[:, :2, :2]
+    return float(np.sqrt(np.linalg.eigvalsh(Sigma).max()))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import kinds
-from nls.plot.ellipses import ellipses
+from nls.plot.ellipses import ellipses, visible_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["landmark_map", "track"]
 
 SOLUTION, DEAD, TRUE, POINT = "#0b4f6c", "#e07a2f", "#202020", "#3f8f4f"
-VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
 HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
 WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
@@ -62,7 +61,7 @@ def track(
         _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
     _path(axes[0], values, color=SOLUTION, linewidth=1.0, label="solution")
     if marginals is not None:
-        ellipses(marginals, axes[0], scale=_scale(marginals), kind=x, north_up=True)
+        ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)
     axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
     axes[0].set_aspect("equal", adjustable="datalim")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
@@ -172,13 +171,3 @@ def _path(axes: Axes, values: Values, **style: object) -> None:
     stack = values.stack(x)
     position: Array = np.asarray(stack.manifold.position(stack.X))[np.argsort(stack.numbers)]
     axes.plot(position[:, 1], position[:, 0], **style)  # type: ignore[arg-type]
-
-
-def _scale(marginals: Marginals) -> float:
-    """1, 2, 5, 10, ...: how many times larger than they are ellipses must be drawn to be seen."""
-    stack = marginals.values.stack(x)
-    position = np.asarray(stack.manifold.position(stack.X))[:, :2]
-    largest = float(np.sqrt(np.linalg.eigvalsh(marginals.all(x, view="position")[:, :2, :2]).max()))
-    wanted = VISIBLE * float(np.ptp(position, axis=0).max()) / (2 * largest) if largest > 0 else 1.0
-    steps = [m * 10.0**k for k in range(4) for m in (1, 2, 5)]
-    return max((step for step in steps if step <= wanted), default=1.0)

@@ -190,6 +190,31 @@ def test_no_range_is_below_zero(make: Callable[[], Factor], named: str) -> None:
         make()
 
 
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Bearing(x[0], l[0], 45.0, UNIT), r"Bearing\(x0, l0\): its bearing is 45 rad"),
+        (lambda: Bearing(x[[0, 1]], l[0], [0.5, -6.3], UNIT), r"Bearing\(x1, l0\): its bearing is -6.3 rad"),
+        (lambda: Bearing(x[[0, 1]], l[0], [[0, 1], [0, 7]], UNIT), r"Bearing\(x1, l0\): its elevation is 7 rad"),
+        (lambda: BearingRange(x[0], l[0], [90, 3], UNIT), r"BearingRange\(x0, l0\): its bearing is 90 rad"),
+        (lambda: RangeAzimuth(x[[0, 1]], l[0], [[9, 1], [9, 12]], UNIT), r"RangeAzimuth\(x1, l0\): its azimuth is 12"),
+    ],
+)
+def test_no_direction_is_beyond_a_turn(make: Callable[[], Factor], named: str) -> None:
+    with pytest.raises(GraphError, match=rf"^{named}.* expected radians. Are these degrees\?"):
+        make()
+
+
+def test_a_turn_is_a_direction_and_meters_are_no_angle() -> None:
+    """Bearings from 0 to 2 pi are read as well as those from -pi to pi; a range or a coordinate may be any number."""
+    here = Values({x: (SE2, [[0.0, 0.0, 0.0]]), l: (R(2), [[3.0, -3.0]])})
+    for z in (-pi / 4, 7 * pi / 4):
+        same(error(Bearing(x[0], l[0], z, UNIT), here), [[0.0]], atol=1e-12)
+    assert len(Bearing(x[0], l[0], 2 * pi, UNIT)) == 1
+    for factor in (Range(x[0], l[0], 45.0, UNIT), Landmark(x[0], l[0], [45.0, -45.0], UNIT)):
+        assert len(factor) == 1
+
+
 def test_what_is_no_range_may_be_below_zero() -> None:
     for factor in (
         Landmark(x[0], l[0], [-1, -1], UNIT),

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import nls
 from models.errors import LeadlineError
 
 __all__ = ["FILE", "PRELUDE", "Case", "Outcome", "problems", "run"]
@@ -24,10 +25,11 @@ PRELUDE = """
 import numpy as np
 import nls
 from factors import (
-    Bearing, Between, Cauchy, Covariance, Diagonal, Factor, Isotropic, Landmark, Prior, Range, check_jacobians
+    ZPR, Bearing, Between, BetweenSensors, Cauchy, Covariance, Diagonal, Factor, Heading, Information, Isotropic,
+    Landmark, Prior, Projection, Range, RangeAzimuth, Robust, Tukey, check_jacobians
 )
 from models import SE2, SE3, R
-from nls import FactorGraph, LevenbergMarquardt, Values
+from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Values
 
 x, l, p = nls.kinds("x", "l", "p")
 noise = Diagonal(x=0.1, y=0.1, yaw=0.02)
@@ -49,6 +51,7 @@ class Case:
     words : what its sentence must contain: names, places, what to do.
     cure : the lines that put it right; they end in a result or an assertion. Empty where there is nothing to run.
     file, cured_file : content of the file that `broken` and `cure` read.
+    explained : what one finding of `nls.explain` of `graph` must contain, at the values of the error or of `result`.
     """
 
     title: str
@@ -58,35 +61,38 @@ class Case:
     cure: str = ""
     file: str | bytes = ""
     cured_file: str = ""
+    explained: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case: the name of the exception or warning, its sentence, and what the cure left behind."""
+    """What came of a case: the name of the exception or warning, its sentence, what the cure left behind, a finding."""
 
     error: str
     sentence: str
     cured: dict[str, Any]
+    finding: str = ""
 
 
 def run(case: Case) -> Outcome:
     """Run a case, then its cure, in an empty folder. Anything but an error or warning of the library comes through."""
     with _folder(case.file):
-        namespace = _executed(PRELUDE, {})
+        namespace, values = _executed(PRELUDE, {}), None
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             try:
                 _executed(case.broken, namespace)
             except LeadlineError as error:
-                name, sentence = type(error).__name__, str(error)
+                name, sentence, values = type(error).__name__, str(error), getattr(error, "values", None)
             else:
                 name, sentence = "", str(namespace.get("said", ""))
                 if warned and not sentence:
                     name, sentence = warned[0].category.__name__, str(warned[0].message)
+    finding = _finding(case, namespace["graph"], values or namespace["result"].values) if case.explained else ""
     with _folder(case.cured_file or case.file), warnings.catch_warnings():
         warnings.simplefilter("error")
         cured = _executed(case.cure, namespace) if case.cure else {}
-    return Outcome(name, sentence, cured)
+    return Outcome(name, sentence, cured, finding)
 
 
 def problems(case: Case, outcome: Outcome) -> list[str]:
@@ -95,10 +101,18 @@ def problems(case: Case, outcome: Outcome) -> list[str]:
     if outcome.error != case.error:
         found.append(f"expected {case.error or 'no error'}, came {outcome.error or 'no error'}: {outcome.sentence}")
     found += [f"{word!r} is not in: {outcome.sentence}" for word in case.words if word not in outcome.sentence]
+    if case.explained and not outcome.finding:
+        found.append(f"no finding of nls.explain has {case.explained}")
     result = outcome.cured.get("result") if case.cure else None
     if result is not None and not result.converged:
         found.append(f"the cure does not converge: {result!r}")
     return found
+
+
+def _finding(case: Case, graph: nls.FactorGraph, values: nls.Values) -> str:
+    """The first finding with these words, and its cure; empty where there is none."""
+    said = (f"{finding.says} -> {finding.cure}" for finding in nls.explain(graph, values).findings)
+    return next((text for text in said if all(word in text for word in case.explained)), "")
 
 
 def _executed(code: str, namespace: dict[str, Any]) -> dict[str, Any]:

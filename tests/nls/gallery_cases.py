@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from tests.nls.gallery import Case
+from tests.nls.gallery_data import DATA
 from tests.nls.gallery_files import FILES
+from tests.nls.gallery_geometry import GEOMETRY
 from tests.nls.gallery_missions import MISSIONS
 from tests.nls.gallery_python import PYTHON
 
-__all__ = ["CHAPTERS"]
+__all__ = ["CHAPTERS", "FREE"]
 
 FREE = (
     Case(
@@ -40,6 +42,22 @@ result = graph.optimize(values, gauge="none")
 """,
     ),
     Case(
+        "A track cut in two by leaving one measurement out",
+        """
+graph = FactorGraph([chain[[0, 1, 3]]])  # without x2 to x3
+result = graph.optimize(values)  # nothing is refused: the gauge of each part is held
+said = f"gauge: {result.gauge}"
+""",
+        "",
+        ("x0, x3 held",),
+        """
+graph.add(chain[[2]])
+result = graph.optimize(values)
+assert result.gauge == "x0 held"
+""",
+        explained=("2 parts", "3 with x0, 2 with x3", "add a measurement between them"),
+    ),
+    Case(
         "A variable that no factor touches",
         """
 values = Values({x: (SE2, SE2.identity(6))})
@@ -66,6 +84,7 @@ graph.optimize(values)
 graph.add(Range(x[1], l[0], [3.2], Isotropic(0.1)))
 result = graph.optimize(values)
 """,
+        explained=("bearing of l0", "seen once"),
     ),
     Case(
         "A landmark whose bearing was measured once",
@@ -80,6 +99,7 @@ graph.optimize(values)
 graph.add(Bearing(x[1], l[0], [1.25], Isotropic(0.01)))
 result = graph.optimize(values)
 """,
+        explained=("range of l0", "seen once", "second place"),
     ),
     Case(
         "A component that nothing measures",
@@ -93,6 +113,7 @@ graph.optimize(values)
 graph.add(Prior(x[0], [0.0, 0.0, 0.0], Isotropic(0.02), components=("yaw",)))
 result = graph.optimize(values)
 """,
+        explained=("yaw", "all 5 variables joined to x0"),
     ),
     Case(
         "Fewer measurements than unknowns, and a method that would not notice",
@@ -173,6 +194,8 @@ result = FactorGraph([grid]).optimize(large, linear_solver=nls.LU(memory_limit=1
 
 CHAPTERS = {
     "What the measurements leave free": FREE,
+    "What their geometry leaves free": GEOMETRY,
+    "Measurements, weights and starts that are wrong": DATA,
     "Graphs made in Python": PYTHON,
     "Too large": SIZE,
     "Files": FILES,

@@ -10,7 +10,9 @@ import nls
 from models.errors import LeadlineError
 from nls import Cholesky
 from tests.nls.gallery import Case, Outcome, problems, run
-from tests.nls.gallery_cases import CHAPTERS
+from tests.nls.gallery_cases import CHAPTERS, FREE
+from tests.nls.gallery_data import DATA
+from tests.nls.gallery_geometry import GEOMETRY
 
 CASES = [case for cases in CHAPTERS.values() for case in cases]
 
@@ -38,8 +40,23 @@ def test_a_case_is_short_and_checks_something(case: Case) -> None:
 
 
 def test_the_gallery_is_large_and_titles_differ() -> None:
-    assert len(CASES) >= 40
+    assert len(CASES) >= 65
+    assert len([*FREE, *GEOMETRY, *DATA]) >= 30  # broken graphs, not broken files or calls
     assert len({case.title for case in CASES}) == len(CASES)
+
+
+def test_a_finding_holds_all_the_words_and_comes_with_its_cure() -> None:
+    """It is asked for at the values of the error, or of the result."""
+    loose = "graph = FactorGraph([chain, Prior(x[0], [0.0, 0.0, 0.0], Isotropic(0.1), components=('x', 'y'))])\n"
+    for broken, error in (
+        (loose + "graph.optimize(values)\n", "UnderconstrainedError"),
+        (loose + "result = graph.optimize(values, LevenbergMarquardt())\n", ""),
+    ):
+        found = run(Case("Loose", broken, error, (), explained=("yaw", "add a prior"))).finding
+        assert found.startswith("yaw about x0 of all 5 variables")
+        assert " -> add a prior" in found
+        assert run(Case("Loose", broken, error, (), explained=("yaw", "pitch"))).finding == ""
+        assert run(Case("Loose", broken, error, ())).finding == ""
 
 
 def test_problems_are_seen() -> None:
@@ -52,6 +69,9 @@ def test_problems_are_seen() -> None:
     assert problems(case, Outcome("GraphError", "x7 has no value", {})) == []
     assert len(problems(case, Outcome("GraphError", "x8 has no value", {}))) == 1
     assert len(problems(case, Outcome("", "", {"result": Stuck()}))) == 3
+    asked = Case("A case", "", "", ("x7",), explained=("x9", "sigma"))
+    assert problems(asked, Outcome("", "x7", {}, "x9: sigma")) == []
+    assert problems(asked, Outcome("", "x7", {})) == ["no finding of nls.explain has ('x9', 'sigma')"]
     with pytest.raises(ZeroDivisionError):
         run(Case("A mistake of the gallery itself", "1 / 0", "GraphError", ()))
     with pytest.raises(nls.GraphWarning):

@@ -1,0 +1,63 @@
+"""A crumpled ball of poses unfolds into a sphere in a few Gauss-Newton steps, and chi2 falls from ten million to what
+noise alone would leave.
+
+The start is the odometry of `sim.sphere`. Each frame stands between two iterates, X retracted by a part of the step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+import nls
+import sim
+from models import SE3
+
+INK, ACCENT = "#0b4f6c", "#e07a2f"
+STEPS, PARTS = 5, np.linspace(0, 1, 7)[1:-1]
+
+
+def make() -> tuple[list[Figure], list[float]]:
+    """Frames and seconds."""
+    world = sim.sphere(np.random.default_rng(3), rings=16, per_ring=24, sigma_r=0.05)
+    one = nls.GaussNewton(nls.Stop(max_iterations=1))
+    values, frames, seconds, chi2 = world.start, [], [], []
+    for step in range(STEPS + 1):
+        X = values.stack("x").X
+        chi2.append(world.graph.chi2(values))
+        frames.append(_drawn(world, X, chi2, f"step {step}"))
+        seconds.append(0.9)
+        if step < STEPS:
+            values = world.graph.optimize(values, one).values
+            delta = SE3.local(X, values.stack("x").X)
+            for part in PARTS:
+                frames.append(_drawn(world, SE3.retract(X, part * delta), chi2, f"step {step} to {step + 1}"))
+                seconds.append(0.09)
+    seconds[0], seconds[-1] = 1.5, 3.0
+    return frames, seconds
+
+
+def _drawn(world: sim.World, X: np.ndarray, chi2: list[float], title: str) -> Figure:
+    figure = Figure(figsize=(8, 4.2))
+    ball = figure.add_axes((0.0, 0.0, 0.52, 0.92), projection="3d")
+    fall = figure.add_axes((0.63, 0.13, 0.35, 0.77))
+    P = SE3.position(X)
+    P = P - P.mean(axis=0)
+    _, closures = world.graph.factors
+    ends = np.stack([P[keys.numbers] for keys in closures.keys], axis=1)
+    ball.add_collection3d(Line3DCollection(ends, color=ACCENT, linewidth=0.4, alpha=0.5))
+    ball.plot(*P.T, color=INK, linewidth=0.9)
+    for set_limits in (ball.set_xlim, ball.set_ylim, ball.set_zlim):
+        set_limits(-62, 62)
+    ball.view_init(20, -60)
+    ball.set_axis_off()
+    ball.set_box_aspect((1, 1, 1), zoom=1.6)
+    ball.set_title(title)
+    fall.semilogy(chi2, "o-", color=INK)
+    dof = 6 * (sum(map(len, world.graph.factors)) - len(P) + 1)
+    fall.axhline(dof, color="0.5", linestyle="--", linewidth=1)
+    fall.text(STEPS, 0.8 * dof, "expected of noise alone", ha="right", va="top", color="0.4")
+    fall.set(xlim=(-0.3, STEPS + 0.3), ylim=(dof / 4, 3 * chi2[0]), xlabel="step", title=f"chi2 = {chi2[-1]:,.0f}")
+    fall.minorticks_off()
+    return figure

@@ -1,0 +1,63 @@
+"""``nls explain``: solve, and say in plain words what is free, what does not fit, and what helps."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nls.cli.outputs import refuse_unwritable, typed, write_json
+
+if TYPE_CHECKING:
+    from nls.explanation import Explanation
+    from nls.graph import FactorGraph
+    from nls.values import Values
+
+__all__ = ["explain"]
+
+
+def explain(options: argparse.Namespace) -> int:
+    """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
+    import nls
+    from nls.cli.formats import read
+
+    refuse_unwritable(json=options.json)
+    graph, values, report = read(options)
+    start, init, _ = nls.initialize(graph, values, options.init)
+    explanation, how = _explained(graph, start)
+    head = {"input": options.file, "format": report.format, "init": init, "optimum": how}
+    write_json(head | {"notes": report.notes} | explanation.record(), options.json)
+    if options.json != "-":
+        print(f"{options.file}, {how}\n\n{typed(explanation.report())}")
+        for note in report.notes:
+            if note not in report.warnings:
+                print(f"note        {note}")
+    return 0
+
+
+def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
+    """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
+    import nls
+    from models.errors import EvaluationError, UnderconstrainedError
+
+    values, how, why = start, "at the start", ""
+    for method in (None, nls.LevenbergMarquardt()):
+        try:
+            result = graph.optimize(start, method)
+        except UnderconstrainedError:
+            why = why or "something is free, see below"
+            continue
+        except EvaluationError as error:
+            why = str(error)
+            continue
+        if result.converged:
+            return nls.explain(
+                graph, result.values
+            ), f"at its optimum ({result.method}, {result.iterations} iterations)"
+        values, why = result.values, f"{result.status.value}: {typed(result.reason)}"
+        how = f"at the best values found ({result.method}, {result.iterations} iterations)"
+    explanation = nls.explain(graph, values)
+    says = f"no optimum was found ({why}): what follows is about the values {how}"
+    finding = nls.Finding("not converged", (), says, "repair what is free; or try another --init")
+    others = tuple(other for other in explanation.findings if other.kind != "no optimum")
+    return replace(explanation, findings=(finding, *others)), how

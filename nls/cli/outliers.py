@@ -1,0 +1,61 @@
+"""``nls solve --robust gnc-tls``: the graph without wrong measurements, and what table and report say of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nls.graph import FactorGraph
+    from nls.robust import Robustified
+    from nls.values import Values
+
+__all__ = ["chosen", "record", "rows", "wanted"]
+
+PREFIX = "gnc-"
+SHOWN = 6  # rejected measurements in the table
+
+
+def wanted(robust: str | None) -> bool:
+    """Whether the option asks for graduated non-convexity, not for a kernel."""
+    return bool(robust and robust.startswith(PREFIX))
+
+
+def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robustified:
+    """The measurements to believe, by ``gnc-LOSS[:PROBABILITY]``.
+
+    Raises
+    ------
+    OptionError
+        No such loss, no probability, or a start that would not be used.
+    """
+    import nls
+    from nls.robust.graduated import LOSSES
+
+    loss, _, number = robust.removeprefix(PREFIX).partition(":")
+    allowed = " or ".join(f"{PREFIX}{name}[:PROBABILITY]" for name in LOSSES) + ", such as gnc-tls:0.99"
+    try:
+        probability = float(number) if number else 0.99
+    except ValueError as error:
+        raise nls.OptionError("--robust", robust, allowed) from error
+    if loss not in LOSSES or not 0 < probability < 1:
+        raise nls.OptionError("--robust", robust, allowed)
+    if init != "auto":
+        raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
+    return nls.gnc(graph, values, loss, probability)
+
+
+def record(found: Robustified) -> dict[str, Any]:
+    """For programs."""
+    return {
+        "doubted": found.doubted,
+        "sigma0": found.sigma0,
+        "sigma0_between_neighbors": found.local,
+        "strain": found.strain,
+        "rejected": [{"factor": each.factor, "sigmas": each.sigmas} for each in found.rejected],
+    }
+
+
+def rows(found: Robustified) -> list[str]:
+    """For the table."""
+    first, *others = found.report(SHOWN)
+    return [f"rejected    {first}", *(f"          {line}" for line in others)]

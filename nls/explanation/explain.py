@@ -1,0 +1,289 @@
+"""`explain`: what a graph is made of, what it leaves free, whether its measurements agree, and what would help."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import Keys
+from models.algebra import Array
+from models.errors import EvaluationError, GraphError, SingularGeometryError
+from nls.assemble import measured_rows
+from nls.covariance.frames import axes, turned
+from nls.explanation import doubts
+from nls.explanation.findings import Explanation, Finding, Measurement, Part, Weak, some
+from nls.explanation.free import Freedom, freedom
+from nls.explanation.naming import named_directions
+from nls.explanation.statistics import Tested, checks, kinds_of, quantiles, spoiled, tail
+from nls.explanation.suspects import Suspects, suspects
+from nls.explanation.twins import twins
+from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
+from nls.graph import FactorGraph
+from nls.linear.threads import single_thread
+from nls.observability.report import ANGULAR, LENGTHS
+from nls.values import Values
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+
+    Mask = npt.NDArray[np.bool_]
+
+__all__ = ["explain"]
+
+WORST = 10  # measurements that are named
+AT_OPTIMUM = 0.01, 1e-5  # fall of chi2 in a further step: in all, and as a part of chi2
+PARTS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise what the problem does not keep
+
+
+@single_thread()
+def explain(graph: FactorGraph, values: Values) -> Explanation:
+    """What is determined and what is free, whether the measurements agree with each other, and what would help.
+
+    Parameters
+    ----------
+    graph : as for `FactorGraph.optimize`; not changed. Measurements under a robust kernel count with their weight.
+    values : usually the optimum, ``graph.optimize(...).values``. Elsewhere the findings begin with that.
+
+    Returns
+    -------
+    Explanation
+
+    Raises
+    ------
+    GraphError
+        Nothing to explain; a factor's variable without a value.
+    EvaluationError
+        The values cannot be evaluated.
+    ResourceLimitError
+        The graph is so large that its covariances would need more than 4 GB.
+
+    Notes
+    -----
+    The statistics are those of geodetic networks, see the theory page on explanations.
+
+    Examples
+    --------
+    A square whose diagonal was measured as 5 m and not as 2.8:
+
+    >>> import numpy as np
+    >>> import nls
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> (x,) = nls.kinds("x")
+    >>> sides = Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 0]], [2, 0, np.pi / 2], Isotropic(0.05))
+    >>> graph = nls.FactorGraph([sides, Between(x[0], x[2], [3.5, 3.5, np.pi], Isotropic(0.05))])
+    >>> corners = [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, np.pi], [0, 2, -np.pi / 2]]
+    >>> result = graph.optimize(nls.Values({x: (SE2, corners)}))
+    >>> explanation = nls.explain(graph, result.values)
+    >>> explanation.rank, explanation.suspects[0].factor
+    (9, 'Between(x0, x2)')
+    """
+    if not isinstance(graph, FactorGraph) or not isinstance(values, Values):
+        raise GraphError(f"explain: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
+    if not len(graph):
+        raise GraphError("the graph has no factors: nothing to explain")
+    whole = graph.pattern(values)
+    fixed, touched = fixed_variables(graph.fixed, values), touched_variables(whole)
+    idle = ~touched & ~fixed
+    gauge = choose_gauge("first", whole, values, fixed | idle)
+    pattern = whole.holding(gauge.held)
+    free = freedom(graph.factors, pattern, values)
+    directions, texts = named_directions(free, pattern, values)
+    moving = _moving(pattern)
+    findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
+    findings += (
+        _unmeasured(pattern, idle) + directions + _parts_of_the_graph(pattern, moving, gauge.held & ~gauge.fixed)
+    )
+    chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
+    dof = measured_rows(pattern) - (pattern.n - free.count)
+    robust = any(factor.kernel is not None for factor in graph.factors)
+    tests: list[Tested] | None = None
+    found: Suspects | None = None
+    parts: tuple[Part, ...] = ()
+    worst: tuple[Measurement, ...] = ()
+    weakest: tuple[Weak, ...] = ()
+    promised = float("nan")
+    if free.checked is None:
+        findings.append(_ill_conditioned(free))
+    else:
+        promised = free.checked.promised
+        tests = checks(free.checked, len(graph.factors))
+        parts = _parts(pattern, values, tests)
+        worst = _worst(pattern, values, tests)
+        weakest = _weakest(free, pattern, values, idle)
+        fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > _little(chi2) else 0.0
+        if fall > _little(chi2):
+            findings.insert(0, doubts.no_optimum(fall, chi2))
+        else:
+            if not free.count:
+                findings += twins(free.checked, pattern, values)
+            found = suspects(_held(graph, whole, idle), free.checked.linear.pattern, values, free.checked)
+            lower = graph.chi2(found.values)
+            if lower < graph.chi2(values) - _little(chi2):
+                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values)))
+            rest = parts if found.values is values else _parts(pattern, found.values, found.tests, found)
+            kinds = doubts.of_parts(rest, found.many, robust)
+            alike = [kind for kind in kinds if kind.kind == "systematic"]
+            if alike and not found.many:
+                found = None  # where most are off, it is not these
+            findings += alike if found is None else alike + doubts.of_suspects(found, graph, whole)
+            findings += [kind for kind in kinds if kind not in alike]
+        findings += doubts.unchecked(tests, whole)
+    findings += doubts.repeated(graph, values)
+    low, high = quantiles(dof)
+    return Explanation(
+        variables=len(values),
+        unknowns=pattern.n,
+        measurements=len(graph),
+        rows=measured_rows(pattern),
+        components=_sizes(pattern, moving),
+        gauge=gauge.said,
+        nullity=free.count,
+        capped=free.more,
+        chi2=chi2,
+        dof=dof,
+        low=low,
+        high=high,
+        promised=promised,
+        robust=robust,
+        findings=tuple(findings),
+        free=tuple(texts),
+        parts=parts,
+        worst=worst,
+        suspects=() if found is None else doubts.taken_out(found, graph, whole, values),
+        chi2_without=None if found is None or not found.places else (found.chi2, found.dof),
+        weakest=weakest,
+    )
+
+
+def _little(chi2: float) -> float:
+    """A fall of chi2 that makes no difference."""
+    return AT_OPTIMUM[0] + AT_OPTIMUM[1] * chi2
+
+
+def _fall(graph: FactorGraph, values: Values, step: Array) -> float:
+    """By how much chi2 falls in a step (dim,) or in a part of it, at most; 0 where it does not."""
+    here, falls = graph.chi2(values), [0.0]
+    for part in PARTS:
+        try:
+            falls.append(here - graph.chi2(values.retract(part * step)))
+        except (EvaluationError, SingularGeometryError):
+            continue
+    return max(falls)
+
+
+def _held(graph: FactorGraph, pattern: Pattern, idle: Mask) -> FactorGraph:
+    """The same graph with what no measurement touches fixed."""
+    out = FactorGraph(graph.factors)
+    out.fixed = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(idle))]
+    return out
+
+
+def _moving(pattern: Pattern) -> Mask:
+    """(V,) what moves when everything does: touched by a factor, and no calibration."""
+    moving = touched_variables(pattern)
+    for batch in pattern.batches:
+        for slot in batch.model.factor.unmoved:
+            moving[batch.variables[slot]] = False
+    return moving
+
+
+def _sizes(pattern: Pattern, moving: Mask) -> tuple[int, ...]:
+    """Variables of every connected part, the largest first."""
+    sizes = np.bincount(component_labels(pattern)[moving])
+    return tuple(np.sort(sizes[sizes > 0])[::-1].tolist())
+
+
+def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
+    if not idle.any():
+        return []
+    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
+    them, stay = ("it", "it stays") if len(keys) == 1 else ("them", "they stay")
+    says = f"{some(keys)}: no measurement touches {them}; {stay} where the start has {them}"
+    return [Finding("unmeasured", keys, says, f"add the factors that are missing, or leave {them} out of the values")]
+
+
+def _parts_of_the_graph(pattern: Pattern, moving: Mask, gauge: Mask) -> list[Finding]:
+    """Parts that nothing joins, where not all of them have a place of their own; the largest first."""
+    label = component_labels(pattern)
+    names, first, sizes = np.unique(label[moving], return_index=True, return_counts=True)
+    if len(names) < 2 or not gauge.any():
+        return []
+    keys = [pattern.key(int(np.flatnonzero(moving)[k])) for k in first]
+    order = np.argsort(-sizes, kind="stable")
+    listed = some([f"{sizes[k]} with {keys[k]!r}" for k in order])
+    says = f"the graph falls into {len(names)} parts that no measurement joins ({listed})"
+    says += ": how they lie to each other is as the start has it"
+    return [
+        Finding(
+            "components", tuple(keys[k] for k in order), says, "add a measurement between them, or solve each by itself"
+        )
+    ]
+
+
+def _ill_conditioned(free: Freedom) -> Finding:
+    says = "weights or scales of the measurements differ by so much that A'A, which keeps 13 digits, is not invertible"
+    return Finding("ill-conditioned", (), says, "check sigmas and units; solve with linear solver 'qr'")
+
+
+def _parts(pattern: Pattern, values: Values, tests: list[Tested], found: Suspects | None = None) -> tuple[Part, ...]:
+    """chi2 by kind of measurement; without the suspects where they are given."""
+    out = []
+    for name, kind in kinds_of(pattern, len(tests)).items():
+        if found is not None:
+            kind = [(k, which[found.accepted[k][which] > 0]) for k, which in kind]
+        squares = [pattern.batches[k].model.factor.chi2(values)[which] for k, which in kind]
+        dof = round(float(sum(tests[k].dof[which].sum() for k, which in kind)), 6) + 0.0
+        count = sum(len(which) for _, which in kind)
+        rows = int(sum(tests[k].rows[which].sum() for k, which in kind))
+        low, high = quantiles(dof)
+        out.append(Part(name, count, rows, float(sum(s.sum() for s in squares)), dof, low, high, spoiled(tests, kind)))
+    return tuple(out)
+
+
+def _worst(pattern: Pattern, values: Values, tests: list[Tested]) -> tuple[Measurement, ...]:
+    """The most doubtful measurements."""
+    n = sum(int((test.m > 0).sum()) for test in tests)
+    rows: list[tuple[float, float, int, int]] = []
+    for k, test in enumerate(tests):
+        if pattern.batches[k].model.factor.limit_only:
+            continue
+        chance = tail(test.t, test.m)
+        order = np.lexsort((-test.t, chance))[:WORST]
+        rows += [(float(chance[i]), -float(test.t[i]), k, i) for i in order.tolist() if test.m[i] > 0]
+    return tuple(
+        doubts.measurement(pattern.batches[k].model.factor, i, values, -minus, min(1.0, chance * n))
+        for chance, minus, k, i in sorted(rows)[:WORST]
+    )
+
+
+def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tuple[Weak, ...]:
+    """Per kind and component the variable of the largest sigma, of those that are not free; axes of the world."""
+    assert free.checked is not None
+    moved = np.zeros(pattern.n, dtype=bool)
+    moved[free.singles.indices] = True
+    scaled = np.abs(free.others) * free.norms[:, None]
+    moved |= (scaled > 1e-6 * scaled.max(axis=0, initial=0.0)).any(axis=1)
+    owner, _ = pattern.column_owner()
+    known = ~pattern.held & ~idle
+    known[owner[moved]] = False
+    number, sizes = np.cumsum(~pattern.held) - 1, pattern.dims[~pattern.held] ** 2
+    begin = np.cumsum(sizes) - sizes
+    out = []
+    for name, stack in values.stacks.items():
+        rows = np.flatnonzero(known[pattern.offsets[name] + np.arange(len(stack))])
+        if not len(rows):
+            continue
+        d, keys = stack.manifold.dim, Keys(name, stack.numbers[rows])
+        at = begin[number[pattern.offsets[name] + rows], None] + np.arange(d * d)
+        frame = "world" if stack.manifold.body_axes else None
+        J, names = axes(keys, stack.manifold, np.asarray(stack.X)[rows], frame, None)
+        Sigma = turned(J, free.checked.diagonal[at].reshape(-1, d, d))
+        sigma = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
+        for c, component in enumerate(names):
+            k = int(np.argmax(sigma[:, c]))
+            unit = "rad" if component in ANGULAR else "m" if component in LENGTHS else ""
+            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit))
+    return tuple(out)

@@ -1,0 +1,229 @@
+"""What `nls.explain` returns: numbers, findings with their cures, and both in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from factors.keys import Keys
+
+__all__ = ["Explanation", "Finding", "Measurement", "Part", "Weak", "number", "some"]
+
+SHOWN = 5  # of a list
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or that one should know.
+
+    Attributes
+    ----------
+    kind : ``no optimum``, ``free``, ``unmeasured``, ``ill-conditioned``, ``components``, ``wrong closure``,
+        ``local minimum``, ``systematic``, ``outlier``, ``many outliers``, ``sigmas``, ``rejected``, ``repeated``,
+        ``a turn``, ``twins`` or ``unchecked``; of the command line also ``not converged``.
+    keys : the variables it is about.
+    says : what, in words.
+    cure : what helps; empty where there is nothing to be done.
+    """
+
+    kind: str
+    keys: tuple[Keys, ...]
+    says: str
+    cure: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """chi2 of one kind of measurement.
+
+    Attributes
+    ----------
+    name : factor type; `Between` in two, steps and closures, where it has both.
+    measurements, rows : how many, and how many numbers.
+    chi2 : sum of squared whitened errors at the values, before any robust kernel.
+    expected : degrees of freedom: rows less what the kind has spent on the unknowns.
+    low, high : within which chi2 is in 95 % of all cases.
+    typical : variance of the middle measurement of the kind, 1 expected; outliers do not move it. nan of one or two.
+    """
+
+    name: str
+    measurements: int
+    rows: int
+    chi2: float
+    expected: float
+    low: float
+    high: float
+    typical: float
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measurement against what all others say.
+
+    Attributes
+    ----------
+    factor : ``Between(x3, x90)``.
+    keys : its variables.
+    chi2, sigmas : |b_i|^2 at the values, and its root.
+    normalized : distance from what all others say, in sigmas of the difference.
+    chance : of one such measurement among all of them, if the model is right.
+    """
+
+    factor: str
+    keys: tuple[Keys, ...]
+    chi2: float
+    sigmas: float
+    normalized: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class Weak:
+    """The least certain component of a variable among its like.
+
+    Attributes
+    ----------
+    key, component : ``x40``, ``yaw``; along the axes of the world.
+    sigma : of it, in `unit`.
+    typical : the middle sigma of its like.
+    unit : ``m``, ``rad`` or empty.
+    """
+
+    key: Keys
+    component: str
+    sigma: float
+    typical: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A graph at some values, explained; ``print(explanation.report())``.
+
+    Attributes
+    ----------
+    variables, unknowns, measurements, rows : how many; unknowns without what is fixed or held by the gauge.
+    components : variables of every connected part, the largest first.
+    gauge : what is held, in words.
+    nullity : free directions besides; `capped` where there may be more.
+    chi2, dof, low, high : before robust kernels; expected value and 95 % of it.
+    promised : by how much chi2 would fall in one more Gauss-Newton step.
+    robust : whether a measurement has a robust kernel: it counts with its weight, chi2 is the one without.
+    findings : the important first.
+    free : every free direction, in words.
+    parts : chi2 by kind of measurement.
+    worst : the most doubtful measurements, the worst first.
+    suspects : those that do not fit what is left without them, in the order in which they were taken out.
+    chi2_without : chi2 and degrees of freedom without the suspects; None where there are none.
+    weakest : per kind and component the least certain variable.
+    """
+
+    variables: int
+    unknowns: int
+    measurements: int
+    rows: int
+    components: tuple[int, ...]
+    gauge: str
+    nullity: int
+    capped: bool
+    chi2: float
+    dof: int
+    low: float
+    high: float
+    promised: float
+    robust: bool
+    findings: tuple[Finding, ...]
+    free: tuple[str, ...]
+    parts: tuple[Part, ...]
+    worst: tuple[Measurement, ...]
+    suspects: tuple[Measurement, ...]
+    chi2_without: tuple[float, float] | None
+    weakest: tuple[Weak, ...]
+
+    @property
+    def rank(self) -> int:
+        """Directions that are determined; where `capped`, at most."""
+        return self.unknowns - self.nullity
+
+    @property
+    def summary(self) -> str:
+        """One or two sentences."""
+        from nls.explanation.words import summary
+
+        return summary(self)
+
+    def report(self) -> str:
+        """Everything in words, the verdict first."""
+        from nls.explanation.words import report
+
+        return report(self)
+
+    def record(self) -> dict[str, Any]:
+        """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""
+        return {
+            "summary": self.summary,
+            "variables": self.variables,
+            "unknowns": self.unknowns,
+            "measurements": self.measurements,
+            "rows": self.rows,
+            "components": list(self.components),
+            "gauge": self.gauge,
+            "rank": self.rank,
+            "nullity": self.nullity,
+            "nullity_is_at_least": self.capped,
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "quantiles": [self.low, self.high],
+            "promised": _finite(self.promised),
+            "robust": self.robust,
+            "findings": [_plain(each) for each in self.findings],
+            "free": list(self.free),
+            "parts": [_plain(each) for each in self.parts],
+            "worst": [_plain(each) for each in self.worst],
+            "suspects": [_plain(each) for each in self.suspects],
+            "chi2_without": None if self.chi2_without is None else list(self.chi2_without),
+            "weakest": [_plain(each) for each in self.weakest],
+        }
+
+    def __str__(self) -> str:
+        return self.report()
+
+
+def _plain(item: Finding | Part | Measurement | Weak) -> dict[str, Any]:
+    """Fields by name, variables by their names."""
+    out = {}
+    for name, value in vars(item).items():
+        if isinstance(value, Keys):
+            value = repr(value)
+        out[name] = [repr(key) for key in value] if isinstance(value, tuple) else _finite(value)
+    return out
+
+
+def _finite(value: Any) -> Any:
+    """None for what is not known."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def some(items: Sequence[object], shown: int = SHOWN) -> str:
+    """The first few of some things, and how many more.
+
+    Examples
+    --------
+    >>> some(["x0", "x1", "x2", "x3"], 2)
+    'x0, x1 and 2 more'
+    """
+    listed = ", ".join(map(str, items[:shown]))
+    return listed + (f" and {len(items) - shown} more" if len(items) > shown else "")
+
+
+def number(value: float) -> str:
+    """With four digits; thousands set apart, and 0 for rounding.
+
+    Examples
+    --------
+    >>> [number(value) for value in (45564.39, 42.2746, 2.1e-28)]
+    ['45,564', '42.27', '0']
+    """
+    return "0" if abs(value) < 1e-9 else f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"

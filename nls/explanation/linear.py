@@ -1,0 +1,184 @@
+r"""One linearization of all measurements, each with its weight, the covariance of what it predicts, and its residual.
+
+With P = (sum w_i A_i'A_i)^-1 over all measurements, dx = P sum w_i A_i'b_i the step to the minimum,
+
+    e_i = b_i - A_i dx     what the fit leaves of measurement i, in sigmas
+    C_i = A_i P A_i'       the covariance of what the fit says about it, (m, m)
+
+and without measurement i, exactly where the problem is linear,
+
+    e_i <- (I - w_i C_i)^-1 e_i,   C_i <- C_i (I - w_i C_i)^-1
+
+Any two variables of one factor are neighbors in A'A, so the blocks of P that C_i needs come out of one pass over its
+Cholesky factor (`nls.linear.takahashi`), and taking a measurement out changes all others by products of its m columns
+P A_i'. W. Baarda, "A testing procedure for use in geodetic networks", 1968; the redundancy numbers tr(I - C_i) are in
+P. Teunissen, "Testing theory: an introduction", 2000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.algebra import Array, apply, product
+from nls.hessian import Blocks
+from nls.linear import default_solver
+from nls.linear.normal import NormalEquations
+from nls.linear.takahashi import inverse_blocks
+from nls.system import LinearSystem
+
+if TYPE_CHECKING:
+    from nls.assemble import Pattern
+    from nls.linear.normal import NormalState
+    from nls.values import Values
+
+__all__ = ["Checked", "Linearization"]
+
+MEMORY_LIMIT = 4e9  # bytes of the dense fronts
+
+
+class Linearization:
+    """Whitened Jacobians A, errors b and weights w of every batch, and the weighted system of them.
+
+    Parameters
+    ----------
+    pattern : the numbering, with the gauge held.
+    values : where to linearize.
+    accepted : (k,) per batch, which measurements count; all when omitted.
+
+    Attributes
+    ----------
+    A, b, w : per batch the blocks (k, m, d) of every slot, errors (k, m), weights (k,): of the robust kernel, or 1.
+    system : sqrt(w) A dx = sqrt(w) b.
+    """
+
+    def __init__(self, pattern: Pattern, values: Values, accepted: Sequence[Array] | None = None) -> None:
+        self.pattern, self.A, self.b, self.w = pattern, [], [], []
+        blocks, rows = [], np.empty(pattern.m)
+        for k, batch in enumerate(pattern.batches):
+            model, X = values.gather(batch.model.factor)
+            A, b = model.linearize(*X)
+            kernel = model.factor.kernel
+            w = np.ones(len(b)) if kernel is None else kernel.weight(np.square(b).sum(axis=1))
+            if accepted is not None and k < len(accepted):
+                w = w * accepted[k]
+            root = np.sqrt(w)
+            plain = bool((w == 1).all())
+            blocks.append(A if plain else tuple(A_k * root[:, None, None] for A_k in A))
+            rows[batch.rows] = (b if plain else b * root[:, None]).reshape(-1)
+            self.A.append(A)
+            self.b.append(b)
+            self.w.append(w)
+        self.system = LinearSystem(pattern, blocks, rows)
+
+    def factorized(self) -> tuple[Blocks, NormalState]:
+        """A'A of the weighted system, factorized.
+
+        Raises
+        ------
+        SingularSystemError
+            Something is free.
+        """
+        solver = default_solver()
+        assert isinstance(solver, NormalEquations)
+        blocks, state = solver.analyze(self.pattern)
+        state.factorize(blocks.fill(self.system))
+        state.refuse_free(self.system)
+        return blocks, state
+
+
+class Checked:
+    """Every measurement against all others.
+
+    Parameters
+    ----------
+    linear : a linearization of full rank.
+
+    Attributes
+    ----------
+    w, e, C : per batch the weights (k,), residuals (k, m) and covariances of the prediction (k, m, m).
+    dx : (n,) the step to the minimum of the linear problem.
+    promised : by how much chi2 falls in that step, if the problem is linear.
+    diagonal : (d, d) covariances of the free variables, one after the other, row by row.
+    """
+
+    def __init__(self, linear: Linearization) -> None:
+        self.linear, pattern = linear, linear.pattern
+        self.blocks, self.state = linear.factorized()
+        self.dx = self.state.solve(linear.system.gradient)
+        self.promised = linear.system.promised(self.dx)
+        X = pattern.by_kind(self.dx)
+        self.w = [w.copy() for w in linear.w]
+        self.e = []
+        for batch, A, b in zip(pattern.batches, linear.A, linear.b, strict=True):
+            moved = [apply(A_k, X[kind][at]) for A_k, kind, at in zip(A, batch.kinds, batch.index, strict=True)]
+            self.e.append(b - sum(moved[1:], moved[0]))
+        self._taken: list[tuple[Array, Array]] = []
+        self._predictions()
+
+    def _predictions(self) -> None:
+        """C of all measurements, from the blocks of P of their variables."""
+        pattern, dims = self.linear.pattern, self.blocks.dims
+        number = np.where(pattern.held, -1, np.cumsum(~pattern.held) - 1)
+        every = np.arange(len(dims))
+        ones, others = [every], [every]
+        for batch in pattern.batches:
+            for a, b in combinations(range(len(batch.variables)), 2):
+                i, j = number[batch.variables[a]], number[batch.variables[b]]
+                both = (i >= 0) & (j >= 0)
+                ones.append(i[both])
+                others.append(j[both])
+        found = inverse_blocks(self.blocks, self.state, np.concatenate(ones), np.concatenate(others), MEMORY_LIMIT)
+        sizes = [int((dims[i] * dims[j]).sum()) for i, j in zip(ones, others, strict=True)]
+        parts = iter(np.split(found, np.cumsum(sizes)[:-1]))
+        self.diagonal = next(parts)
+        begin = np.cumsum(dims**2) - dims**2
+        self.C = []
+        for batch, A in zip(pattern.batches, self.linear.A, strict=True):
+            C = np.zeros((len(batch), batch.model.dim, batch.model.dim))
+            free = [number[v] >= 0 for v in batch.variables]
+            for A_a, v, here in zip(A, batch.variables, free, strict=True):
+                d = A_a.shape[2]
+                P = self.diagonal[begin[number[v[here]], None] + np.arange(d * d)].reshape(-1, d, d)
+                C[here] += product(product(A_a[here], P), A_a[here].mT)
+            for a, b in combinations(range(len(A)), 2):
+                both = free[a] & free[b]
+                P = next(parts).reshape(-1, A[a].shape[2], A[b].shape[2])
+                half = product(product(A[a][both], P), A[b][both].mT)
+                C[both] += half + half.mT
+            self.C.append((C + C.mT) / 2)
+
+    def take_out(self, batch: int, index: int) -> None:
+        """All others without one measurement: e, C and w as if the linear problem had been solved again."""
+        pattern, A = self.linear.pattern, self.linear.A
+        m = A[batch][0].shape[1]
+        columns = np.zeros((pattern.n, m))  # A_i'
+        for A_k, variables in zip(A[batch], pattern.batches[batch].variables, strict=True):
+            start, d = pattern.starts[variables[index]], A_k.shape[2]
+            if start >= 0:
+                columns[start : start + d] += A_k[index].T
+        U = self.state.solve(columns)
+        for V, K in self._taken:
+            U += V @ (K @ (V.T @ columns))
+        w, e = self.w[batch][index], self.e[batch][index].copy()
+        K = w * np.linalg.inv(np.eye(m) - w * self.C[batch][index])
+        self._taken.append((U, K))
+        for c, G in enumerate(self._times(U)):  # (k, m_j, m)
+            self.e[c] = self.e[c] + G @ (K @ e)
+            self.C[c] = self.C[c] + G @ K @ G.mT
+        self.w[batch][index] = 0.0
+
+    def _times(self, U: Array) -> list[Array]:
+        """A U by batch, (k, m, columns)."""
+        pattern, out = self.linear.pattern, []
+        for batch, A in zip(pattern.batches, self.linear.A, strict=True):
+            G = np.zeros((len(batch), batch.model.dim, U.shape[1]))
+            for A_k, variables in zip(A, batch.variables, strict=True):
+                start, d = pattern.starts[variables], A_k.shape[2]
+                free = start >= 0
+                G[free] += A_k[free] @ U[start[free, None] + np.arange(d)]
+            out.append(G)
+        return out

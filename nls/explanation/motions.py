@@ -1,0 +1,144 @@
+r"""Free directions of a whole part of the graph, as motions of the world: translations, rotations, scale.
+
+A motion of the world moves a point p by  v + omega x p + s p  and turns a frame by omega. What it does to the unknowns
+of a part of the graph is a column of G. The motions in the span of free directions N are the k with
+
+    (I - Q Q') G k = 0,   N = Q R,   columns scaled as those of A
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.bundle import CAMERA
+from models import SO3
+from models.algebra import Array, apply
+
+if TYPE_CHECKING:
+    from models import Manifold
+
+__all__ = ["Motion", "generators", "motions", "places", "said"]
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
+SAME = 1e-4  # sine of the angle between a motion and the free directions
+NEAR = 1e-3  # of the extent: a center this near to a variable is there
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A velocity v (3,), rate of rotation omega (3,) and rate of growth s of the world."""
+
+    v: Array
+    omega: Array
+    s: float
+
+
+def generators(manifold: Manifold, X: Array) -> Array:
+    """What the seven motions of the world do to variables at X, (n, dim, 7); zeros where that is not known."""
+    n, out = len(X), np.zeros((len(X), manifold.dim, len(AXES)))
+    if manifold is CAMERA:  # P = R(w) X + t
+        R, w, t = SO3.rotation(SO3.exp(X[:, :3])), X[:, :3], X[:, 3:]
+        out[:, 3:, :3], out[:, 3:, 6] = -R, t
+        out[:, :3, 3:6] = -SO3.jr_inv(w)
+        return out
+    p = np.zeros((n, 3))
+    position = manifold.position(X)
+    p[:, : position.shape[1]] = position
+    world = np.zeros((n, 6, len(AXES)))
+    world[:, :3, :3] = world[:, 3:, 3:6] = np.eye(3)
+    x, y, z = p.T
+    world[:, :3, 3:6] = np.stack([[0 * x, z, -y], [-z, 0 * x, x], [y, -x, 0 * x]]).transpose(2, 0, 1)
+    world[:, :3, 6] = p
+    if not all(name in AXES for name in manifold.components):
+        return out
+    named = world[:, [AXES.index(name) for name in manifold.components]]
+    if "z" not in manifold.components:  # the plane
+        named[:, :, [2, 3, 4]] = 0.0
+    return np.asarray(manifold.world_axes(X).mT @ named)
+
+
+def places(manifold: Manifold, X: Array) -> Array:
+    """Where variables at X are, (n, 3), z = 0 in the plane; (0, 3) where they have no place."""
+    if manifold is CAMERA:
+        return -apply(SO3.rotation(SO3.exp(X[:, :3])).mT, X[:, 3:])
+    p = manifold.position(X)
+    return np.pad(p, ((0, 0), (0, 3 - p.shape[1]))) if p.shape[1] else np.zeros((0, 3))
+
+
+def motions(N: Array, G: Array) -> tuple[list[Motion], Array]:
+    """The motions of the world in the span of some free directions, and an orthonormal basis of the rest of these.
+
+    Parameters
+    ----------
+    N : (n, r) free directions, the rows of all unknowns of a part, columns of A scaled to length 1.
+    G : (n, 7) motions, scaled likewise.
+    """
+    Q = np.linalg.qr(N)[0]
+    length = np.linalg.norm(G, axis=0)
+    there = np.flatnonzero(length > 0)
+    if not len(there):
+        return [], Q
+    scaled = G[:, there] / length[there]
+    _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
+    V = Vt[s > NEAR * s[0]].T  # motions that differ in what they do
+    outside = scaled @ V - Q @ (Q.T @ (scaled @ V))
+    _, s, Wt = np.linalg.svd(np.linalg.qr(outside, mode="r"))
+    size = np.linalg.norm(scaled @ V @ Wt.T, axis=0)
+    K = np.linalg.qr(V @ Wt[np.pad(s, (0, len(Wt) - len(s))) <= SAME * size].T)[0]
+    rest = Q - _onto(scaled @ K, Q)
+    U, s, _ = np.linalg.svd(rest, full_matrices=False)
+    pure = [k for k in range(len(there)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME]
+    others = np.linalg.svd(K - np.eye(len(there))[:, pure] @ K[pure], full_matrices=False)
+    found = [np.eye(len(there))[k] for k in pure]
+    found += list(others[0].T[: K.shape[1] - len(pure)])
+    out = []
+    for k in found:
+        of_all = np.zeros(len(AXES))
+        of_all[there] = k / length[there]
+        out.append(Motion(of_all[:3], of_all[3:6], float(of_all[6])))
+    return out, U[:, s > 0.5]
+
+
+def _onto(B: Array, Q: Array) -> Array:
+    """Projection of columns Q onto the span of B."""
+    U = np.linalg.qr(B)[0]
+    return np.asarray(U @ (U.T @ Q))
+
+
+def said(motion: Motion, positions: Array, names: list[str]) -> str:
+    """A motion in words: ``x``, ``yaw``, ``yaw about x0``, ``scale about (1.2, 0.3, 0)``.
+
+    Parameters
+    ----------
+    positions : (n, 3) of the variables that have one.
+    names : of these.
+    """
+    extent = max(float((positions.max(axis=0) - positions.min(axis=0)).max()), 1e-300) if len(positions) else 1.0
+    v, omega, s = motion.v, motion.omega, motion.s
+    turning, growing = float(np.linalg.norm(omega)) * extent, abs(s) * extent
+    speed = float(np.linalg.norm(v))
+    if max(turning, growing) < NEAR * speed:
+        axis = np.abs(v) / speed
+        return AXES[int(axis.argmax())] if axis.max() > 1 - SAME else f"a shift along {_numbers(v / speed)}"
+    W = np.array([[s, -omega[2], omega[1]], [omega[2], s, -omega[0]], [-omega[1], omega[0], s]])
+    center = -np.linalg.lstsq(W, v, rcond=1e-9)[0]
+    flat = not positions[:, 2].any()
+    if growing > turning:
+        what, distance = "scale", np.linalg.norm(positions - center, axis=1)
+    else:
+        a = omega / np.linalg.norm(omega)
+        axis = np.abs(a)
+        what = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
+        away = positions - center
+        distance = np.linalg.norm(away - np.outer(away @ a, a), axis=1)  # from the axis
+    nearest = int(np.argmin(distance)) if len(distance) else -1
+    if nearest >= 0 and distance[nearest] <= NEAR * extent:
+        return f"{what} about {names[nearest]}"
+    return f"{what} about {_numbers(center[:2] if flat else center)}"
+
+
+def _numbers(a: Array) -> str:
+    return f"({', '.join(f'{round(float(x), 3):g}' for x in a)})"

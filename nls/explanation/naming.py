@@ -1,0 +1,224 @@
+"""Free directions in words, by what they have in common, and what would repair each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import Keys
+from models.algebra import Array
+from nls.explanation.findings import Finding, some
+from nls.explanation.motions import AXES, Motion, generators, motions, places, said
+from nls.explanation.sights import Sight, named, sights
+from nls.gauge import component_labels
+
+if TYPE_CHECKING:
+    from nls.assemble import Index, Pattern
+    from nls.explanation.free import Freedom
+    from nls.values import Values
+
+    Mask = npt.NDArray[np.bool_]
+
+__all__ = ["named_directions"]
+
+SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
+CURES = {
+    "elevation": "see them from a pose with another roll, higher or lower, or tell what the sonar's aperture says "
+    "(an Elevation prior, ElevationHinge)",
+    "range": "see them from a second place to the side, or measure a range",
+    "bearing": "measure more ranges, from places that are not in one line, or a bearing",
+    "azimuth": "measure more ranges, from places that are not in one line, or a bearing",
+}
+
+
+@dataclass(frozen=True)
+class Single:
+    """What is free of one variable alone."""
+
+    variable: int
+    names: tuple[str, ...]
+    sight: Sight | None
+
+
+def named_directions(free: Freedom, pattern: Pattern, values: Values) -> tuple[list[Finding], list[str]]:
+    """Findings, one for all that has the same cure, and every direction in words.
+
+    Parameters
+    ----------
+    free : the directions, over the free columns of the pattern.
+    pattern : the graph with the gauge held.
+    """
+    findings, texts = _whole(free, pattern, values)
+    singles = _singles(free, pattern, values)
+    groups: dict[tuple[str, ...], list[Single]] = {}
+    for single in singles:
+        once = "" if single.sight is None else "once" if single.sight.count == 1 else "more"
+        groups.setdefault((once, *single.names), []).append(single)
+        seen = f" as seen from {single.sight.pose!r}" if single.sight is not None else ""
+        texts += [f"{pattern.key(single.variable)!r}: {name}{seen}" for name in single.names]
+    for members in groups.values():
+        findings.append(_group(members, pattern))
+    return findings, texts
+
+
+def _group(members: list[Single], pattern: Pattern) -> Finding:
+    """One finding for variables of which the same is free."""
+    names, keys = members[0].names, tuple(pattern.key(single.variable) for single in members)
+    what = ", ".join(names)
+    them = "it" if len(keys) == 1 else "them"
+    if members[0].sight is None:
+        says = f"{what} of {some(keys)}: no measurement reacts to a change of {them}"
+        cure = f"measure {what} of {them}, add a prior on {them}, or fix {them}"
+        if " about " in what:
+            cure = f"see a point that is not on that axis, measure the attitude, or add a prior on {them}"
+        return Finding("free", keys, says, cure)
+    sighted = [single.sight for single in members if single.sight is not None]
+    listed = some([f"{key!r} (from {sight.pose!r})" for key, sight in zip(keys, sighted, strict=True)])
+    how = "seen once" if sighted[0].count == 1 else "seen more than once, but only from where that does not show"
+    points = "this point is" if len(keys) == 1 else f"these {len(keys)} points are"
+    cure = next((CURES[name] for name in names if name in CURES), "see them from another place, or add a prior")
+    if len(keys) == 1:
+        cure = cure.replace("them", "it")
+    return Finding("free", keys, f"{what} of {listed}, as seen by the sensor: {points} {how}", cure)
+
+
+def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
+    """Directions of single variables, variable by variable."""
+    if not free.singles.shape[1]:
+        return []
+    owner, _ = pattern.column_owner()
+    first = free.singles.indices[free.singles.indptr[:-1]]
+    variables, inverse = np.unique(owner[first], return_inverse=True)
+    seen = sights(pattern, values, variables)
+    out = []
+    for k, v in enumerate(variables.tolist()):
+        rows = pattern.starts[v] + np.arange(pattern.dims[v])
+        U = np.linalg.qr(free.singles[:, np.flatnonzero(inverse == k)][rows].toarray())[0]
+        sight = seen.get(v)
+        names = () if sight is None else named(U, sight.axes, sight.names)
+        if not names:
+            sight, components = None, pattern.component_names(v)
+            names = named(U, np.eye(len(components)), components) or _turning(U, v, pattern, values)
+            names = names or _mixed(U, components)
+        out.append(Single(v, names, sight))
+    return out
+
+
+def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, ...]:
+    """The one motion that a pose is free to make, with the variable it turns about; () of others."""
+    key = pattern.key(v)
+    stack = values.stack(key.kind)
+    if U.shape[1] != 1 or not stack.manifold.body_axes:
+        return ()
+    X = np.asarray(stack.X)[stack.index(key)]
+    motion = np.asarray(np.linalg.lstsq(generators(stack.manifold, X)[0, :, :6], U[:, 0], rcond=None)[0], dtype=float)
+    others = [pattern.key(int(other)) for other in _beside(v, pattern)]
+    there = [places(values.stack(k.kind).manifold, values[k][None]) for k in others]
+    names = [repr(k) for k, place in zip(others, there, strict=True) if len(place)]
+    positions = np.concatenate([*there, places(stack.manifold, X)])
+    return (said(Motion(motion[:3], motion[3:], 0.0), positions, [*names, repr(key)]),)
+
+
+def _beside(v: int, pattern: Pattern) -> Index:
+    """The other variables of the factors of one."""
+    found = [np.zeros(0, dtype=np.intp)]
+    for batch in pattern.batches:
+        at = np.logical_or.reduce([variables == v for variables in batch.variables])
+        found += [variables[at] for variables in batch.variables]
+    return np.setdiff1d(np.concatenate(found), [v])
+
+
+def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
+    """A name for each of q directions that are no axes."""
+    taking = [name for name, u in zip(components, np.abs(U).max(axis=1), strict=True) if u >= SHARE]
+    return tuple(f"a direction of {', '.join(taking)}" for _ in range(U.shape[1]))
+
+
+def _whole(free: Freedom, pattern: Pattern, values: Values) -> tuple[list[Finding], list[str]]:
+    """Directions that move several variables: of whole parts of the graph where they are motions of the world."""
+    if not free.others.shape[1]:
+        return [], []
+    owner, _ = pattern.column_owner()
+    label = component_labels(pattern)
+    scaled = free.others * free.norms[:, None]
+    share = np.stack([np.square(scaled[label[owner] == k]).sum(axis=0) for k in np.unique(label[owner])])
+    home = np.unique(label[owner])[np.argmax(share, axis=0)]  # component of every direction
+    findings, texts = [], []
+    for k in np.unique(home).tolist():
+        members = np.flatnonzero(label == k)
+        N, G, positions, names = _motions_of(members, free, home == k, pattern, values)
+        found, rest = motions(N, G)
+        words = [said(motion, positions, names) for motion in found]
+        words.sort(key=lambda word: AXES.index(word) if word in AXES else len(AXES))
+        first = pattern.key(int(members[0]))
+        whole = f"of all {len(members)} variables joined to {first!r}" if len(members) > 1 else f"of {first!r}"
+        if words:
+            cure = _cure(words)
+            findings.append(Finding("free", (first,), f"{', '.join(words)} {whole}, moved as one", cure))
+            texts += [f"{word} {whole}" for word in words]
+        moved = members[~pattern.held[members]]
+        columns = np.concatenate([pattern.starts[v] + np.arange(pattern.dims[v]) for v in moved])
+        for text, keys in _loose(rest[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern):
+            cure = "add a prior on one of them, a measurement of it from another place, or fix one"
+            findings.append(Finding("free", keys, f"{text} can move together", cure))
+            texts.append(text)
+    return findings, texts
+
+
+def _motions_of(
+    members: Index, free: Freedom, which: Mask, pattern: Pattern, values: Values
+) -> tuple[Array, Array, Array, list[str]]:
+    """Directions and motions over all unknowns of some variables, scaled; positions and names of those that have one.
+
+    What is held does not move in a direction, and must not in a motion; what no measurement reacts to may.
+    """
+    sizes = pattern.dims[members]
+    ends = np.cumsum(sizes)
+    begin = np.cumsum(pattern.dims) - pattern.dims
+    rows = np.repeat(begin[members] - (ends - sizes), sizes) + np.arange(ends[-1])  # among all unknowns
+    N = np.stack([pattern.expand(u)[rows] for u in free.others.T[which]], axis=1)
+    G = np.zeros((len(rows), len(AXES)))
+    positions, names = [], []
+    for name, stack in values.stacks.items():
+        place = members - pattern.offsets[name]
+        here = np.flatnonzero((place >= 0) & (place < len(stack)))
+        if not len(here):
+            continue
+        X = np.asarray(stack.X)[place[here]]
+        G[(ends - sizes)[here, None] + np.arange(stack.manifold.dim)] = generators(stack.manifold, X)
+        if len(p := places(stack.manifold, X)):
+            positions.append(p)
+            names += [repr(Keys(name, int(number))) for number in stack.numbers[place[here]]]
+    D = free.scale[rows, None]
+    return N * D, G * D, np.concatenate([np.zeros((0, 3)), *positions]), names
+
+
+def _cure(words: list[str]) -> str:
+    if any(word.startswith("scale") for word in words):
+        return "measure one distance, or fix a second variable: directions alone say nothing of the size"
+    what = ", ".join(word for word in words if word in AXES) or "that"
+    return f"add a prior or another measurement of {what} to one of them, or fix one"
+
+
+def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[tuple[str, tuple[Keys, ...]]]:
+    """Directions that are no motion of the whole, each by the unknowns that it moves."""
+    if not rest.shape[1]:
+        return []
+    from scipy.linalg import qr
+
+    pivots = qr(rest.T, mode="r", pivoting=True)[1][: rest.shape[1]]
+    owner, component = pattern.column_owner()
+    out = []
+    for u in np.abs(rest @ np.linalg.inv(rest[pivots])).T:
+        moving = columns[np.flatnonzero(u >= SHARE * u.max())]
+        parts: dict[int, list[str]] = {}
+        for v, c in zip(owner[moving].tolist(), component[moving].tolist(), strict=True):
+            parts.setdefault(v, []).append(pattern.component_names(v)[c])
+        keys = tuple(pattern.key(v) for v in parts)
+        out.append(
+            (some([f"{key!r}: {', '.join(names)}" for key, names in zip(keys, parts.values(), strict=True)]), keys)
+        )
+    return out

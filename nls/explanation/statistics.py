@@ -1,0 +1,150 @@
+r"""The measurements, one by one and by kind: against what the fit of all others says.
+
+    t_i = e_i' (I - C_i)^-1 e_i  ~  chi2(m_i)      under the model, without measurement i (w_i = 1)
+    dof = sum_i m_i - tr(w_i C_i)                  of a kind: its numbers, less what it has spent on the unknowns
+
+With a weight w_i < 1 of a robust kernel the covariance of the residual without i is
+
+    (I - w_i C_i)^-1 (I + (1 - w_i) C_i)
+
+In the axes of C_i, with eigenvalues c, both are sums. Where 1 - w c vanishes nothing else checks that direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factors import Between, BetweenSensors
+from models.algebra import Array
+from nls.filters.consistency import chi2_gate
+
+if TYPE_CHECKING:
+    from factors.base import Model
+    from nls.assemble import Batch, Index, Pattern
+    from nls.explanation.linear import Checked
+
+__all__ = ["Tested", "checks", "closures", "kinds_of", "measuring", "quantiles", "spoiled", "steps", "tail", "tested"]
+
+UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
+FEW = 3  # measurements, fewer have no middle one
+
+
+@dataclass(frozen=True)
+class Tested:
+    """The measurements of one batch.
+
+    Attributes
+    ----------
+    t : (k,) squared distance from what all others say, in its sigmas.
+    m : (k,) numbers that all others check, the degrees of freedom of t.
+    rows : (k,) numbers that measure something.
+    dof : (k,) share of the degrees of freedom of chi2.
+    checked : (k,) whether all its numbers are checked.
+    """
+
+    t: Array
+    m: Index
+    rows: Index
+    dof: Array
+    checked: npt.NDArray[np.bool_]
+
+
+def tested(batch: Batch, e: Array, C: Array, w: Array) -> Tested:
+    """t and redundancy of the measurements of a batch, from residuals e (k, m), C (k, m, m) and weights (k,)."""
+    c, V = np.linalg.eigh(C)
+    r = 1 - w[:, None] * c
+    seen = r > UNCHECKED
+    along = np.square(np.matvec(V.mT, e))
+    variance = np.where(seen, r * (1 + (1 - w)[:, None] * c), np.inf)
+    rows = measuring(batch.model)
+    idle = c.shape[1] - rows  # zero rows: nothing spent, nothing seen
+    m = np.maximum(seen.sum(axis=1) - idle, 0)
+    return Tested((along / variance).sum(axis=1), m, rows, r.sum(axis=1) - idle, seen.all(axis=1))
+
+
+def measuring(model: Model) -> Index:
+    """(n,) numbers per measurement that measure something, as `nls.assemble.measured_numbers` counts them."""
+    n, W = len(model.z), model.W
+    zero = (W == 0).sum(axis=1) if W.ndim == 2 else (W == 0).all(axis=2).sum(axis=1)
+    return np.broadcast_to(model.dim - model.factor.eliminated - zero, n)
+
+
+def steps(batch: Batch, pattern: Pattern) -> npt.NDArray[np.bool_]:
+    """(k,) which measurements join two poses of one trajectory that follow each other in number: odometry."""
+    return np.asarray(_relative(batch) & (_apart(batch, pattern) == 1))
+
+
+def closures(batch: Batch, pattern: Pattern) -> npt.NDArray[np.bool_]:
+    """(k,) which measurements join two poses that do not: loop closures, matches."""
+    return np.asarray(_relative(batch) & (_apart(batch, pattern) != 1))
+
+
+def _relative(batch: Batch) -> bool:
+    return isinstance(batch.model.factor, Between | BetweenSensors)
+
+
+def _apart(batch: Batch, pattern: Pattern) -> Index:
+    """(k,) how many numbers lie between the first two variables of a measurement, 0 where they differ in kind."""
+    if len(batch.kinds) < 2 or batch.kinds[0] != batch.kinds[1]:
+        return np.zeros(len(batch), dtype=np.intp)
+    numbers = pattern.numbers[batch.kinds[0]]
+    rank = np.empty(len(numbers), dtype=np.intp)
+    rank[np.argsort(numbers, kind="stable")] = np.arange(len(numbers))
+    return np.asarray(np.abs(rank[batch.index[0]] - rank[batch.index[1]]))
+
+
+def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
+    """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, which) each."""
+    out: dict[str, list[tuple[int, Index]]] = {}
+    split = [closures(batch, pattern) for batch in pattern.batches[:count]]
+    both = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}
+    for k, (batch, closing) in enumerate(zip(pattern.batches, split, strict=False)):
+        name = batch.model.factor.name
+        if batch.model.factor.limit_only:
+            continue
+        sides = {f"{name}, steps": ~closing, f"{name}, closures": closing} if name in both else {name: ~closing}
+        for side, which in sides.items():
+            if which.any():
+                out.setdefault(side, []).append((k, np.flatnonzero(which)))
+    return out
+
+
+def quantiles(dof: float, probability: float = 0.95) -> tuple[float, float]:
+    """Within which chi-squared of so many degrees of freedom is with this probability; zeros where there are none."""
+    from scipy.special import gammaincinv
+
+    if not dof > 0:
+        return 0.0, 0.0
+    outside = (1 - probability) / 2
+    return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
+
+
+def tail(t: Array, m: Index) -> Array:
+    """Probability of a chi-squared of m degrees of freedom above t; 1 where there are none."""
+    from scipy.special import gammaincc
+
+    return np.where(m > 0, gammaincc(np.maximum(m, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)
+
+
+def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
+    """By what the variances of a kind are too small, judged by the middle one of its t, which outliers do not move.
+
+    nan where there are too few to say.
+    """
+    t = np.concatenate([tests[k].t[which] for k, which in kind])
+    m = np.concatenate([tests[k].m[which] for k, which in kind])
+    if (m > 0).sum() < FEW:
+        return float("nan")
+    middle = np.zeros(int(m.max()) + 1)
+    middle[1:] = [chi2_gate(d, 0.5) for d in range(1, len(middle))]
+    return float(np.median(t[m > 0] / middle[m[m > 0]]))
+
+
+def checks(checked: Checked, count: int) -> list[Tested]:
+    """Of every batch of measurements."""
+    batches = checked.linear.pattern.batches[:count]
+    return [tested(*each) for each in zip(batches, checked.e, checked.C, checked.w, strict=False)]

@@ -1,0 +1,168 @@
+"""Wrong measurements one by one: the worst is taken out, all others are judged anew, until none stands out.
+
+One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. What is taken
+out goes by the linear problem; then the rest is optimized, and what was taken out and fits after all comes back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.algebra import Array
+from models.errors import EvaluationError, GraphError, UnderconstrainedError
+from nls.explanation.linear import Checked, Linearization
+from nls.explanation.statistics import Tested, checks, kinds_of, spoiled, steps, tail
+from nls.graph import FactorGraph
+from nls.linear.base import SingularSystemError
+from nls.optimizers import LevenbergMarquardt, Stop
+
+if TYPE_CHECKING:
+    from nls.assemble import Index, Pattern
+    from nls.values import Values
+
+__all__ = ["Suspects", "suspects"]
+
+SIGNIFICANT = 1e-3  # chance of the worst measurement among all, if the model is right
+MOST, PART = 10, 0.05  # that are looked for: so many, or this part of all measurements that close loops
+TURNS = 3  # of taking out and optimizing the rest
+ITERATIONS = 25  # of one of these
+STEPS = 0.5  # the worst one is a step of the trajectory only if it is this much worse than any other
+MANY = 10  # measurements of a kind that tell the size of its sigmas
+RIVAL = 0.9  # of the squared distance: measurements as far off cannot be told apart
+LARGEST = 10.0  # variance of the middle measurement; what is above that are no sigmas that are too small
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """What was taken out, and how the rest is judged without it.
+
+    Attributes
+    ----------
+    places : (batch, index) in the order in which they were taken out.
+    rivals : of each of them, how many others it might be instead, and one of these, None where there is none.
+    accepted : (k,) by batch, 0 for these and 1 for all others.
+    tests : of every batch at the end; t of a suspect is its distance from what the others say.
+    values : the optimum of the rest.
+    chi2, dof : of the rest there.
+    many : whether the search was given up.
+    """
+
+    places: list[tuple[int, int]]
+    rivals: dict[tuple[int, int], tuple[int, tuple[int, int] | None]]
+    accepted: list[Array]
+    tests: list[Tested]
+    values: Values
+    chi2: float
+    dof: float
+    many: bool
+
+
+def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Checked) -> Suspects:
+    """Take out what does not fit, the worst first.
+
+    Parameters
+    ----------
+    graph : the measurements, what no measurement touches fixed; not changed.
+    pattern : of `checked`; its first batches are those of the graph.
+    values : the optimum.
+    checked : every measurement against all others; changed.
+    """
+    count = len(graph.factors)
+    kinds = kinds_of(pattern, count)
+    scale = _scales(kinds, checks(checked, count), count)
+    closing = sum(len(which) for name, kind in kinds.items() if name.endswith("closures") for _, which in kind)
+    most = max(MOST, int(PART * closing))
+    places: list[tuple[int, int]] = []
+    rivals: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
+    many = False
+    for _ in range(TURNS):
+        found = _search(checked, scale, most - len(places), count)
+        places, rivals = places + list(found), rivals | found
+        many = len(places) >= most
+        if many or not found:
+            break
+        try:
+            values, checked = _without(graph, pattern, values, places)
+            tests = checks(checked, count)
+            chance = [_chances(tests, scale)[k][i] for k, i in places]
+            if (kept := [place for place, c in zip(places, chance, strict=True) if c <= SIGNIFICANT]) != places:
+                places = kept
+                values, checked = _without(graph, pattern, values, places)
+        except (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError):
+            break  # the linear problem has the last word: also where a factor is made from a function and has no parts
+    tests, accepted = checks(checked, count), _accepted(pattern, places, count)
+    chi2 = sum(float(np.square(e[a > 0]).sum()) for e, a in zip(checked.e, accepted, strict=False))
+    dof = round(sum(float(test.dof[a > 0].sum()) for test, a in zip(tests, accepted, strict=True)), 6) + 0.0
+    return Suspects(places, rivals, accepted, tests, values, chi2, dof, many)
+
+
+def _scales(kinds: dict[str, list[tuple[int, Index]]], tests: list[Tested], count: int) -> list[Array]:
+    """By what t of every measurement is divided: where all of a kind are too large, the sigmas are, not they."""
+    out = [np.ones(len(tests[k].t)) for k in range(count)]
+    for kind in kinds.values():
+        size = spoiled(tests, kind) if sum(len(which) for _, which in kind) >= MANY else 1.0
+        for k, which in kind:
+            out[k][which] = min(max(size, 1.0), LARGEST)
+    return out
+
+
+def _chances(tests: list[Tested], scale: list[Array]) -> list[Array]:
+    """Chance of every measurement as the worst one of all, if the model is right."""
+    n = sum(int((test.m > 0).sum()) for test in tests)
+    return [np.minimum(tail(test.t / s, test.m) * n, 1.0) for test, s in zip(tests, scale, strict=True)]
+
+
+def _search(
+    checked: Checked, scale: list[Array], most: int, count: int
+) -> dict[tuple[int, int], tuple[int, tuple[int, int] | None]]:
+    """Up to so many that do not fit, taken out of the linear problem one after the other, and the rivals of each.
+
+    In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it comes last.
+    """
+    pattern = checked.linear.pattern
+    odometry = [steps(batch, pattern) for batch in pattern.batches[:count]]
+    out: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
+    while len(out) < most:
+        tests = checks(checked, count)
+        off, worth = [], []
+        for k, (test, chance, s) in enumerate(zip(tests, _chances(tests, scale), scale, strict=True)):
+            counts = not pattern.batches[k].model.factor.limit_only
+            open_ = counts & test.checked & (checked.w[k] > 0) & (chance <= SIGNIFICANT) & (test.m > 0)
+            off.append(np.where(open_, test.t / s / np.maximum(test.m, 1), 0.0))
+            worth.append(off[k] * np.where(odometry[k], STEPS, 1.0))
+        best, k, i = max((float(w.max()), k, int(w.argmax())) for k, w in enumerate(worth) if len(w))
+        if not best > 0:
+            break
+        as_far = [(j, int(o)) for j, each in enumerate(off) for o in np.flatnonzero(each >= RIVAL * off[k][i])]
+        as_far.remove((k, i))
+        out[k, i] = len(as_far), as_far[0] if as_far else None
+        checked.take_out(k, i)
+    return out
+
+
+def _accepted(pattern: Pattern, places: list[tuple[int, int]], count: int) -> list[Array]:
+    accepted = [np.ones(len(batch)) for batch in pattern.batches[:count]]
+    for k, i in places:
+        accepted[k][i] = 0.0
+    return accepted
+
+
+def _without(
+    graph: FactorGraph, pattern: Pattern, values: Values, places: list[tuple[int, int]]
+) -> tuple[Values, Checked]:
+    """The optimum of all other measurements, from here, and every measurement against these.
+
+    Raises
+    ------
+    SingularSystemError, EvaluationError, GraphError, UnderconstrainedError
+        There is none.
+    """
+    accepted = _accepted(pattern, places, len(graph.factors))
+    parts = [f if a.all() else f[a > 0] for f, a in zip(graph.factors, accepted, strict=True)]
+    rest = FactorGraph([part for part in parts if len(part)])
+    rest.fixed = list(graph.fixed)
+    result = rest.optimize(values, LevenbergMarquardt(Stop(max_iterations=ITERATIONS)))
+    return result.values, Checked(Linearization(pattern, result.values, accepted))

@@ -1,0 +1,70 @@
+"""HTML from pieces: text is escaped wherever it comes from, only what was built here is markup."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+__all__ = ["Html", "joined", "listed", "section", "table", "tag"]
+
+EMPTY = {"img", "meta"}  # elements without content
+
+
+class Html(str):
+    """Markup, as opposed to text that has to be escaped."""
+
+    __slots__ = ()
+
+
+def joined(parts: Iterable[str], between: str = "") -> Html:
+    """Markup and text one after the other.
+
+    Examples
+    --------
+    >>> joined(["a < b", tag("b", "!")])
+    'a &lt; b<b>!</b>'
+    """
+    return Html(escape(between).join(part if isinstance(part, Html) else escape(part) for part in parts))
+
+
+def tag(name: str, /, *inside: str, **attributes: str | float) -> Html:
+    """One element; the underscore of ``class_`` is dropped.
+
+    Examples
+    --------
+    >>> tag("p", "<script>", class_="note")
+    '<p class="note">&lt;script&gt;</p>'
+    """
+    said = "".join(f' {key.rstrip("_")}="{escape(str(value))}"' for key, value in attributes.items())
+    return Html(f"<{name}{said}>" if name in EMPTY else f"<{name}{said}>{joined(inside)}</{name}>")
+
+
+def section(name: str, heading: str, *inside: str) -> Html:
+    """A section with its heading; `name` is what links lead to."""
+    return tag("section", joined([tag("h2", heading), *inside], "\n"), id=name)
+
+
+def listed(items: Iterable[tuple[str, str]], **attributes: str) -> Html:
+    """Terms and what they are."""
+    return tag("dl", *(tag("div", tag("dt", term), tag("dd", what)) for term, what in items), **attributes)
+
+
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int] = ()) -> Html:
+    """A table that scrolls by itself where the page is narrow.
+
+    Parameters
+    ----------
+    caption, heads, rows : what it shows; the first column names its row.
+    numbers : columns of numbers, aligned to the right.
+    """
+    right = set(numbers)
+
+    def cell(name: str, column: int, what: str, **attributes: str) -> Html:
+        return tag(name, what, **attributes, **({"class_": "number"} if column in right else {}))
+
+    head = tag("thead", tag("tr", *(cell("th", k, what, scope="col") for k, what in enumerate(heads))))
+    body = [
+        tag("tr", cell("th", 0, row[0], scope="row"), *(cell("td", k, what) for k, what in enumerate(row[1:], 1)))
+        for row in rows
+    ]
+    return tag("div", tag("table", tag("caption", caption), head, tag("tbody", joined(body, "\n"))), class_="scroll")

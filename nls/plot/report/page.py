@@ -1,0 +1,137 @@
+"""The page as a whole."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from models.errors import GraphWarning, UnderconstrainedError
+from nls.plot.report.markup import Html, joined, tag
+from nls.plot.report.sections import SECTIONS
+from nls.plot.report.style import STYLE
+from nls.plot.report.told import Rejected, Told
+from nls.plot.report.verdict import key_figures, verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from nls.certificate import Certificate
+    from nls.covariance import Marginals
+    from nls.explanation import Explanation
+    from nls.graph import FactorGraph
+    from nls.optimizers import Result
+    from nls.values import Values
+
+__all__ = ["report"]
+
+LINKS = {
+    "maps": "Map",
+    "findings": "Findings",
+    "kinds": "Sigmas",
+    "worst": "Measurements",
+    "certificate": "Certificate",
+    "covariances": "Covariances",
+    "convergence": "Convergence",
+    "sparsity": "Sparsity",
+    "provenance": "Source",
+    "time": "Time",
+}
+
+
+def report(
+    graph: FactorGraph,
+    start: Values,
+    result: Result | UnderconstrainedError,
+    explanation: Explanation | None = None,
+    *,
+    title: str = "",
+    init: str = "",
+    marginals: Marginals | None = None,
+    certificate: Certificate | None = None,
+    rejected: Sequence[Rejected] = (),
+    facts: Mapping[str, str] | None = None,
+    seconds: Mapping[str, float] | None = None,
+    pictures: Mapping[str, Figure] | None = None,
+) -> str:
+    """A solution on one page of HTML, with everything in it: no network and no scripts.
+
+    The same arguments give the same bytes, but for `seconds`.
+
+    Parameters
+    ----------
+    graph : what was solved.
+    start : the values as they came; they can be evaluated.
+    result : of the optimization, or the error it ended with: the page then tells what is known.
+    explanation : of the graph at the result; made when omitted.
+    title : heads the page, such as the name of a file.
+    init : how the start was found, such as ``chordal``.
+    marginals : covariances at the optimum; computed when omitted.
+    certificate : of `nls.certify`.
+    rejected : measurements that robust estimation has left out, each with its `factor` and `sigmas`.
+    facts : where it comes from, by name.
+    seconds : where the time went, by part; only this differs between two runs.
+    pictures : figures by caption, in the place of the maps before and after and of the ellipses.
+
+    Returns
+    -------
+    str
+        Of a file, or of ``IPython.display.HTML``.
+
+    Raises
+    ------
+    EvaluationError, SingularGeometryError
+        `start` has no chi2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.plot import report
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=8)
+    >>> page = report(world.graph, world.start, world.graph.optimize(world.start), title="two laps")
+    >>> page[:15], "two laps" in page, "<script" in page
+    ('<!DOCTYPE html>', True, False)
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
+        found = start if result.values is None else result.values
+        if explanation is None:
+            from nls.explanation import explain
+
+            explanation = explain(graph, found)
+        told = Told(
+            graph,
+            start,
+            result,
+            explanation,
+            init,
+            marginals,
+            certificate,
+            rejected,
+            facts or {},
+            seconds or {},
+            pictures or {},
+        )
+        body = {make.__name__: made for make in SECTIONS if (made := make(told)) is not None}
+        head = [
+            tag("p", title, class_="file"),
+            verdict(told),
+            key_figures(told),
+            tag("nav", joined([tag("a", LINKS[name], href=f"#{name}") for name in body], " ")),
+        ]
+        return _document(
+            title or "Report", [tag("header", joined(head, "\n")), tag("main", joined(body.values(), "\n"))]
+        )
+
+
+def _document(title: str, body: Sequence[Html]) -> str:
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", title),
+        tag("style", Html(STYLE)),
+    ]
+    inside = tag("div", joined(body, "\n"), class_="leadline")
+    page = tag("html", tag("head", joined(head, "\n")), tag("body", inside), lang="en")
+    return f"<!DOCTYPE html>\n{page}\n"

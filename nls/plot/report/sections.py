@@ -1,0 +1,261 @@
+"""The sections of the page, each from what is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.errors import UnderconstrainedError
+from nls.inspect import inspect
+from nls.plot.report.bars import across, bar
+from nls.plot.report.markup import Html, joined, listed, section, table, tag
+from nls.plot.report.pictures import picture
+from nls.plot.report.verdict import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nls.explanation import Measurement
+    from nls.plot.report.told import Told
+    from nls.values import Values
+
+__all__ = ["SECTIONS"]
+
+WRONG = "#c1121f"
+MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone
+ROWS, FEW = 10, 5  # of a table, and of one that shows nothing remarkable
+RARE = 0.05  # chance of a remarkable measurement
+DRAWN = 60  # ellipses
+
+
+def maps(told: Told) -> Html | None:
+    """Before and after; or the pictures that were given."""
+    from nls.plot.trajectory import trajectory
+
+    if told.pictures:
+        shown = [picture(figure, name, name, told.size) for name, figure in told.pictures.items()]
+        return section("maps", "Map", tag("div", *shown, class_="pictures"))
+    if not any(stack.manifold.position(stack.X).shape[1] for stack in told.values.stacks.values()):
+        return None
+    both = [("Before", told.start)]
+    if told.values is not told.start:
+        both.append(("After" if told.result is not None else "Where it stopped", told.values))
+    wrong = told.explanation.suspects
+    shown = []
+    for name, values in both:
+        chi2 = number(told.graph.chi2(values))
+        figure = trajectory(told.graph, values)
+        _marked(figure.axes[0], values, wrong)
+        alt = f"{name}: positions of {len(values):,} variables and the measurements between them, chi2 {chi2}"
+        red = "; red: what does not fit the others" if wrong else ""
+        shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{red}", told.size, MAP))
+    return section("maps", "Before and after", tag("div", *shown, class_="pictures"))
+
+
+def findings(told: Told) -> Html:
+    """What is wrong, and what helps."""
+    found = [
+        tag("li", tag("p", each.says), *([tag("p", f"What helps: {each.cure}", class_="quiet")] if each.cure else []))
+        for each in told.explanation.findings
+    ]
+    what = tag("ol", joined(found, "\n")) if found else tag("p", "Nothing suspicious.")
+    return section("findings", "Findings", what)
+
+
+def kinds(told: Told) -> Html | None:
+    """chi2 of every kind of measurement against what noise explains."""
+    parts = [part for part in told.explanation.parts if part.expected > 0]
+    if not parts:
+        return None
+    ratios = [ratio / part.expected for part in parts for ratio in (part.chi2, part.low, part.high)]
+    rows = [
+        (
+            part.name,
+            across(part.low / part.expected, part.high / part.expected, part.chi2 / part.expected, ratios),
+            f"{part.chi2 / part.expected:.3g}",
+            number(part.chi2),
+            number(part.expected),
+            f"{part.measurements:,}",
+        )
+        for part in parts
+    ]
+    note = (
+        "The band is where chi2 / expected of a right model is in 95 % of all cases, the line is 1, the dot is this "
+        "graph: right of the band the sigmas are too small or there are outliers, left of it they are too large."
+    )
+    heads = ("kind", "less than expected ← 1 → more", "ratio", "chi2", "expected", "measurements")
+    return section(
+        "kinds", "Do the sigmas fit?", table("chi2 by kind of measurement", heads, rows, range(2, 6)), _note(note)
+    )
+
+
+def worst(told: Told) -> Html | None:
+    """The measurements that fit worst, and those that were rejected."""
+    doubted = told.explanation.worst
+    doubted = doubted[: ROWS if doubted and doubted[0].chance < RARE else FEW]
+    rows = [(each.factor, f"{each.normalized:.3g}", f"{each.sigmas:.3g}", _chance(each.chance)) for each in doubted]
+    inside = []
+    if rows:
+        heads = ("measurement", "sigmas from all others", "sigmas", "by chance")
+        note = (
+            "Sigmas from all others: how far it is from what all other measurements say, in sigmas of that difference; "
+            "the other sigmas are those of its error here. By chance: how likely one such measurement among all is, if "
+            "the model is right."
+        )
+        inside += [table("Measurements that fit worst", heads, rows, range(1, 4)), _note(note)]
+    if told.rejected:
+        shown = [(each.factor, f"{each.sigmas:.3g}") for each in told.rejected]
+        inside.append(table(f"{len(shown):,} measurements were rejected", ("measurement", "sigmas"), shown[:ROWS], [1]))
+        if len(shown) > ROWS:
+            rest = table("All others", ("measurement", "sigmas"), shown[ROWS:], [1])
+            inside.append(tag("details", tag("summary", f"and {len(shown) - ROWS:,} more"), rest))
+    return section("worst", "Which measurements fit worst?", *inside) if inside else None
+
+
+def certificate(told: Told) -> Html | None:
+    """What the certificate says."""
+    if told.certificate is None:
+        return None
+    lines = [tag("p", line, class_="lines") for line in told.certificate.report().splitlines()]
+    return section("certificate", "Is there a lower minimum?", *lines)
+
+
+def covariances(told: Told) -> Html | None:
+    """Ellipses on the map, and the least certain variables."""
+    from nls.plot.ellipses import ellipses, visible_scale
+
+    found = told.covariances
+    inside: list[Html] = []
+    if isinstance(found, UnderconstrainedError):
+        inside.append(_note(f"There are no covariances: {found}"))
+    elif found is not None and not told.pictures:
+        most = max(len(stack) for stack in found.values.stacks.values())
+        figure = ellipses(found, scale=visible_scale(found), every=-(-most // DRAWN))
+        if figure.axes[0].has_data():
+            alt = "Positions from above, with the ellipses that hold them with 95 %"
+            caption = f"Where the positions are with 95 %, from above. {found.gauge}."
+            inside.append(picture(figure, alt, caption, told.size, MAP))
+    weak = told.explanation.weakest[: 2 * ROWS]
+    if weak:
+        rows = [
+            (repr(each.key), each.component, _sigma(each.sigma, each.unit), _sigma(each.typical, each.unit))
+            for each in weak
+        ]
+        inside.append(
+            table(
+                "The least certain variable of each kind",
+                ("variable", "component", "sigma", "middle of all"),
+                rows,
+                (2, 3),
+            )
+        )
+    return section("covariances", "How sure is it?", tag("div", *inside, class_="pictures")) if inside else None
+
+
+def convergence(told: Told) -> Html | None:
+    """chi2 and the step by iteration."""
+    from nls.plot.convergence import convergence
+
+    result = told.result
+    if result is None:
+        return None
+    alt = f"chi2 falls from {number(result.chi2_initial)} to {number(result.chi2_final)} in {result.iterations} steps"
+    figure = picture(convergence(result), alt, f"{result.status.name}: {result.reason}", len(result.history), MAP)
+    rows = [
+        (f"{it.number}", f"{it.chi2:.6g}", *(("", "") if it.number == 0 else (f"{it.update:.3g}", f"{it.damping:.3g}")))
+        for it in result.history
+    ]
+    steps = table("Iterations; lambda is the damping", ("step", "chi2", "max |dx|", "lambda"), rows, range(4))
+    if len(rows) > ROWS:
+        steps = tag("details", tag("summary", f"all {result.iterations} iterations"), steps)
+    return section("convergence", "How did it get there?", tag("div", figure, steps, class_="pictures"))
+
+
+def sparsity(told: Told) -> Html:
+    """Where the numbers are, and what a factorization costs."""
+    from nls.plot.sparsity import spy
+
+    cost = inspect(told.graph, told.values)
+    upper = (told.system.H.nnz + cost["columns_of_A"]) // 2
+    facts = [
+        ("A", f"{cost['rows_of_A']:,} rows, {cost['columns_of_A']:,} columns, {cost['numbers_in_A']:,} numbers"),
+        ("H = A'A", f"{upper:,} numbers on the diagonal and above"),
+        (
+            "R with R'R = H",
+            f"{cost['numbers_in_R']:,} numbers, {cost['numbers_in_R'] - upper:,} of them fill-in; "
+            f"{cost['factorization_mb']:.3g} MB",
+        ),
+        ("factorization", f"{cost['factorization_mflop']:,.3g} million multiplications and additions"),
+    ]
+    try:
+        figure = spy(told.system)
+    except UnderconstrainedError as error:
+        drawn = _note(f"There is no R: {error}")
+    else:
+        said = ", ".join(axes.get_title() for axes in figure.axes)
+        for axes, name in zip(figure.axes, ("A", "H = A'A", "R, reordered"), strict=True):
+            axes.set_title(name)
+        caption = "Where A, H = A'A and its Cholesky factor R have numbers. Orange is fill-in, which H does not have."
+        drawn = picture(figure, f"Dots where there are numbers: {said}", caption, told.size)
+    return section("sparsity", "What does a step cost?", listed(facts, class_="facts"), drawn)
+
+
+def provenance(told: Told) -> Html | None:
+    """Where it comes from."""
+    facts = listed(told.facts.items(), class_="facts")
+    return section("provenance", "Where does it come from?", facts) if told.facts else None
+
+
+def time(told: Told) -> Html | None:
+    """Seconds by part: all that differs between two runs on the same file."""
+    if not told.seconds:
+        return None
+    most = max(told.seconds.values())
+    rows = [(name, f"{1e3 * s:,.1f}", bar(s / most if most > 0 else 0.0)) for name, s in told.seconds.items()]
+    note = "Of this run on this machine. All else on this page is the same for the same input."
+    return section(
+        "time",
+        "Where did the time go?",
+        table(f"{sum(told.seconds.values()):.2f} s in all", ("part", "ms", ""), rows, [1]),
+        _note(note),
+    )
+
+
+SECTIONS: tuple[Callable[[Told], Html | None], ...] = (
+    maps,
+    findings,
+    kinds,
+    worst,
+    certificate,
+    covariances,
+    convergence,
+    sparsity,
+    provenance,
+    time,
+)
+
+
+def _marked(axes: Axes, values: Values, wrong: Sequence[Measurement]) -> None:
+    """Red lines along measurements that do not fit."""
+    dim = 3 if axes.name == "3d" else 2
+    for each in wrong:
+        stacks = [values.stack(key.kind) for key in each.keys]
+        ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, each.keys, strict=True)]
+        X = np.concatenate([end for end in ends if end.shape[1] == dim] or [np.zeros((0, dim))])
+        axes.plot(*X.T, ".-", color=WRONG, linewidth=2.0, zorder=5)
+
+
+def _note(text: str) -> Html:
+    return tag("p", text, class_="quiet")
+
+
+def _chance(p: float) -> str:
+    """A probability as people say it."""
+    return "below 0.01 %" if p < 1e-4 else f"{100 * p:.2g} %" if p < 0.095 else f"{100 * p:.0f} %"
+
+
+def _sigma(sigma: float, unit: str) -> str:
+    """A sigma with its unit, angles in degrees."""
+    return f"{np.degrees(sigma):.3g}°" if unit == "rad" else f"{sigma:.3g} {unit}".strip()

@@ -1,0 +1,57 @@
+"""The top of the page: what came out in a sentence, and the key figures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from nls.plot.report.markup import Html, joined, listed, tag
+
+if TYPE_CHECKING:
+    from nls.plot.report.told import Told
+
+__all__ = ["key_figures", "number", "verdict"]
+
+NOTED = {"repeated", "unchecked", "components"}  # findings that one should know; an optimum with them is sound
+
+
+def number(value: float) -> str:
+    """Four digits; all before the point of what is larger."""
+    return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.4g}"
+
+
+def verdict(told: Told) -> Html:
+    """One word, and why; of an optimum the sentences of its explanation."""
+    result = told.result
+    refuted = told.certificate is not None and told.certificate.verdict == "refuted"
+    says = told.explanation.summary
+    if result is None:
+        word, grade, says = "Not solved", "bad", str(told.outcome)
+    elif not result.converged:
+        word, grade, says = "Not converged", "bad", f"{result.status.value}: {result.reason}."
+    elif refuted:
+        word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
+    else:
+        doubted = [each for each in told.explanation.findings if each.kind not in NOTED]
+        word, grade = "Converged", "warn" if doubted else "good"
+    return tag("h1", tag("span", word, class_=f"verdict {grade}"), f" {says}")
+
+
+def key_figures(told: Told) -> Html:
+    """Sizes, chi2 and what holds the graph."""
+    result, explained = told.result, told.explanation
+    kinds = ", ".join(f"{len(stack):,} {kind}" for kind, stack in told.values.stacks.items())
+    figures = [("variables", kinds, ""), ("measurements", f"{len(told.graph):,}", "")]
+    before = number(told.graph.chi2(told.start))
+    if result is None:
+        figures += [("chi2", before, ""), ("start", told.init, "")]
+    else:
+        expected = f"{number(explained.low)} to {number(explained.high)} expected"
+        figures += [
+            ("chi2", f"{before} → {number(result.chi2_final)}", "robust cost" if result.robust else expected),
+            ("iterations", f"{result.iterations}", result.method),
+            ("start", told.init, ""),
+            ("gauge", result.gauge, ""),
+        ]
+    return listed(
+        [(name, joined([what, tag("small", note)])) for name, what, note in figures if what], class_="figures"
+    )

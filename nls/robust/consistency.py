@@ -1,0 +1,105 @@
+r"""Do two loop closures agree with the odometry between them? (pairwise consistency)
+
+Two closures a = (i, j), b = (k, l) whose ends lie near one another on the track make a short loop,
+
+    z_a = T_ik o z_b o T_lj,     xi = Log(z_a^-1 o T_ik o z_b o T_lj),     d = xi' S^-1 xi,
+
+in which only a few steps of odometry add to the covariance S of xi. True closures agree with their neighbors, and d is
+chi2 distributed with the dimension of the group. A wrong closure seldom finds one that agrees with it by accident; a
+place that looks like another gives a whole group of wrong closures, all of which agree.
+
+The same d tell by how much the stated sigmas are wrong: sigma0^2 = median(d) / median of chi2. Geodesy calls it the
+variance of unit weight. It changes no estimate, but every test.
+
+The covariance of the pose of j in i along odometry needs no walk from i to j: in the axes of the world the covariances
+of the steps, Ad(T_k) C_k Ad(T_k)', just add up, so that a running sum serves all pairs.
+
+Source: J. G. Mangelson, D. Dominic, R. M. Eustice, R. Vasudevan, "Pairwise consistent measurement set maximization for
+robust multi-robot map merging", ICRA 2018, which takes the largest set of which every pair agrees; here agreement is
+asked of neighbors only, which needs a few pairs for each closure, and `nls.robust.growth` goes on from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.algebra import Array
+from nls.components import connected
+from nls.filters.consistency import chi2_gate
+from nls.robust.closures import Index, Links, turned
+
+__all__ = ["Neighbors", "neighbors"]
+
+WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures that are compared; for sigma0
+AGREED = 0.99  # probability with which two true closures agree
+
+
+@dataclass(frozen=True)
+class Neighbors:
+    """Which closures agree with which.
+
+    Attributes
+    ----------
+    support : (m,) how many others agree with each.
+    cluster : (m,) the connected part of each, named by its first closure.
+    sigma0 : the factor by which the stated sigmas have to be multiplied; 1 where no two closures are near.
+    """
+
+    support: Index
+    cluster: Index
+    sigma0: float
+
+
+class Odometry:
+    """Relative poses and their covariances along the track."""
+
+    def __init__(self, odometry: Links, T: Array) -> None:
+        forward, group = odometry.forward(), odometry.group
+        _, first = np.unique(forward.j, return_index=True)
+        steps = forward[first]
+        world = np.zeros((len(T), group.dim, group.dim))
+        world[steps.j] = turned(group.adjoint(T[steps.j]), steps.C)
+        self.group, self.T, self.sums = group, T, np.cumsum(world, axis=0)
+
+    def between(self, i: Index, j: Index) -> tuple[Array, Array]:
+        """Pose (m, size) of j in i and its covariance (m, d, d) at j."""
+        group, T = self.group, self.T
+        S = self.sums[np.maximum(i, j)] - self.sums[np.minimum(i, j)]
+        return group.compose(group.inverse(T[i]), T[j]), turned(group.adjoint(group.inverse(T[j])), S)
+
+
+def mahalanobis(xi: Array, S: Array) -> Array:
+    """xi' S^-1 xi (m,)."""
+    return np.asarray((xi * np.linalg.solve(S, xi[..., None])[..., 0]).sum(axis=1))
+
+
+def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
+    """Compare every closure with those near it.
+
+    Parameters
+    ----------
+    closures, odometry : the links.
+    T : (n, size) poses along odometry alone, in the order of places.
+    """
+    from scipy.spatial import cKDTree
+
+    track, loops, group, m = Odometry(odometry, T), closures.forward(), closures.group, len(closures)
+    ends = np.stack([loops.i, loops.j], axis=1)
+    pairs = cKDTree(ends.astype(float)).query_pairs(WINDOW, p=np.inf, output_type="ndarray")
+    a, b = pairs[np.lexsort(pairs.T[::-1])].T
+    if not len(a):
+        return Neighbors(np.zeros(m, dtype=np.intp), np.arange(m), 1.0)
+    T_ik, C_ik = track.between(loops.i[a], loops.i[b])
+    T_lj, C_lj = track.between(loops.j[b], loops.j[a])
+    z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
+    around = group.compose(group.compose(T_ik, z_b), T_lj)
+    xi = group.log(group.compose(group.inverse(loops.z[a]), around))
+    S = loops.C[a] + turned(to_j @ group.adjoint(group.inverse(z_b)), C_ik) + turned(to_j, loops.C[b]) + C_lj
+    d = mahalanobis(xi, S)
+    near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
+    variance = float(np.median(d[near])) / chi2_gate(group.dim, 0.5) if near.any() else 1.0
+    agree = d <= variance * chi2_gate(group.dim, AGREED)
+    a, b = a[agree], b[agree]
+    return Neighbors(np.bincount(np.r_[a, b], minlength=m), connected(a, b, m), float(np.sqrt(variance)))

@@ -1,0 +1,88 @@
+"""``nls solve --robust gnc-tls``: the wrong closures in the table, the report and the exit status."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from nls.cli import main
+from tests.nls.test_robust import names, wrong_closures
+
+
+@pytest.fixture(scope="module")
+def spoiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, set[str]]:
+    """A city with twenty wrong closures in two groups, and their names."""
+    world = sim.manhattan(np.random.default_rng(3), n_poses=300)
+    wrong = wrong_closures(world, 20, np.random.default_rng(4), 10)
+    path = tmp_path_factory.mktemp("spoiled") / "city.g2o"
+    nls.save(path, nls.FactorGraph([*world.graph.factors, wrong]), world.truth)
+    return path, names(wrong)
+
+
+@pytest.mark.parametrize("loss", ["tls", "gm:0.999"])
+def test_what_was_rejected_is_said(
+    spoiled: tuple[Path, set[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str], loss: str
+) -> None:
+    path, wrong = spoiled
+    report = tmp_path / "r.json"
+    assert main(["solve", str(path), "--robust", f"gnc-{loss}", "--json", str(report), "--certify"]) == 0
+    said = capsys.readouterr()
+    record = json.loads(report.read_text())
+    rejected = {each["factor"] for each in record["rejected"]}
+    assert wrong <= rejected
+    assert len(rejected) <= len(wrong) + 0.05 * record["doubted"]
+    assert record["init"] == f"gnc-{loss}"
+    assert record["certificate"]["verdict"] == "certified"
+    assert record["chi2_final"] < 2 * record["dof"]
+    assert f"{len(rejected)} of {record['doubted']} doubted measurements rejected" in said.out
+    assert record["rejected"][0]["factor"] in said.out
+    assert not said.err
+
+
+def test_plain_least_squares_is_bent_by_the_same(spoiled: tuple[Path, set[str]], tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    main(["solve", str(spoiled[0]), "--json", str(report), "--quiet"])
+    record = json.loads(report.read_text())
+    assert "rejected" not in record
+    assert record["chi2_final"] > 10 * record["dof"]
+
+
+def test_the_page_lists_them(spoiled: tuple[Path, set[str]], tmp_path: Path) -> None:
+    path, wrong = spoiled
+    page = tmp_path / "page.html"
+    assert main(["solve", str(path), "--robust", "gnc-tls", "--report", str(page), "--quiet"]) == 0
+    text = page.read_text()
+    assert sum(name in text for name in wrong) >= 5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--robust", "gnc-tsl"], "gnc-tls[:PROBABILITY] or gnc-gm"),
+        (["--robust", "gnc-tls:2"], "such as gnc-tls:0.99"),
+        (["--robust", "gnc-tls:x"], "such as gnc-tls:0.99"),
+        (["--robust", "gnc-tls", "--init", "chordal"], "begins with odometry"),
+    ],
+)
+def test_what_is_not_possible_is_one_line(
+    spoiled: tuple[Path, set[str]], capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    assert main(["solve", str(spoiled[0]), *options]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_a_graph_without_closures_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "chain.g2o"
+    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n")
+    assert main(["solve", str(path), "--robust", "gnc-tls"]) == 2
+    err = capsys.readouterr().err
+    assert "no loop closures" in err
+    assert "doubted=" not in err
+    assert err.count("\n") == 1

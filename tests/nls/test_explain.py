@@ -1,0 +1,280 @@
+"""`nls.explain`: what it finds in graphs that were broken on purpose, by name, and nothing in good ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from factors import (
+    BearingRange,
+    Between,
+    Diagonal,
+    Factor,
+    Isotropic,
+    Prior,
+    Range,
+    Robust,
+    Tukey,
+)
+from models import SE2, SE3, R
+from models.algebra import Array
+from nls import Explanation, FactorGraph, GraphError, Values
+
+x, l = nls.kinds("x", "l")
+NOISE = Diagonal(x=0.1, y=0.1, yaw=0.02)
+
+
+def kinds(explanation: Explanation) -> list[str]:
+    return [finding.kind for finding in explanation.findings]
+
+
+def ring(*more: Factor, seed: int = 0) -> tuple[FactorGraph, Values]:
+    """Two laps of twenty poses, measured with noise, and more factors."""
+    world = sim.ring(np.random.default_rng(seed), laps=2, per_lap=20)
+    return FactorGraph([*world.graph.factors, *more]), world.start
+
+
+def explained(graph: FactorGraph, start: Values) -> Explanation:
+    return nls.explain(graph, graph.optimize(start, nls.LevenbergMarquardt()).values)
+
+
+def test_a_good_graph_is_good() -> None:
+    explanation = explained(*ring())
+    assert explanation.rank == explanation.unknowns == 117
+    assert explanation.low < explanation.chi2 < explanation.high
+    assert kinds(explanation) == ["unchecked"]
+    assert explanation.findings[0].keys == (x[38], x[39])
+    assert explanation.report().startswith("117 unknowns, all determined. chi2, 42.27, is as expected.\n")
+    json.dumps(explanation.record(), allow_nan=False)
+    assert json.loads(json.dumps(explanation.record()))["parts"][0]["name"] == "Between, steps"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wrong_closure_is_named_and_its_neighbors_are_not(seed: int) -> None:
+    good = explained(*ring(seed=seed))
+    explanation = explained(*ring(Between(x[7], x[33], [3, 0, 0.5], NOISE), seed=seed))
+    wrong = [finding for finding in explanation.findings if finding.kind == "wrong closure"]
+    assert [finding.keys for finding in wrong] == [(x[7], x[33])]
+    assert "outlier" not in kinds(explanation)
+    assert explanation.chi2 > 100 * explanation.dof
+    assert explanation.chi2_without is not None
+    assert explanation.chi2_without == pytest.approx((good.chi2, good.dof), rel=1e-4)
+    assert sum(w.chance < 1e-3 for w in explanation.worst) > 3  # before it is taken out, others look wrong as well
+    (suspect,) = explanation.suspects
+    assert suspect.factor == "Between(x7, x33)"
+    assert suspect.normalized > 50
+
+
+def test_three_wrong_closures_in_space() -> None:
+    world = sim.sphere(np.random.default_rng(4), 12, 12)
+    z = SE3.between(world.truth[x[[5, 40, 99]]], world.truth[x[[77, 120, 12]]])
+    wrong = Between(x[[5, 40, 99]], x[[77, 120, 12]], SE3.retract(z, np.full((3, 6), 1.0)), Isotropic(0.05))
+    graph = FactorGraph([*world.graph.factors, wrong])
+    explanation = explained(graph, world.truth)
+    assert {suspect.factor for suspect in explanation.suspects} == {wrong.describe(k) for k in range(3)}
+    shuffled = FactorGraph(
+        [factor[np.random.default_rng(1).permutation(len(factor))] for factor in graph.factors[::-1]]
+    )
+    again = explained(shuffled, world.truth)
+    assert [suspect.factor for suspect in again.suspects] == [suspect.factor for suspect in explanation.suspects]
+    for one, other in zip(explanation.worst, again.worst, strict=True):
+        assert one.factor == other.factor
+        assert one.normalized == pytest.approx(other.normalized, rel=1e-5)
+
+
+def test_one_landmark_under_two_numbers() -> None:
+    """The two that are one, of eight; not two that are seen from one pose, nor two too far apart for their sigmas."""
+    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    (seen,) = (factor for factor in world.graph.factors if factor.keys[-1].kind == "l")
+    others = [factor for factor in world.graph.factors if factor is not seen]
+    pose, point = seen.keys
+    late = (point.numbers == 0) & (pose.numbers > 60)
+    again = seen[point.numbers == 1]
+    start = world.start.extended(l[[50, 60]], world.start[l[[0, 1]]])
+    for shift, expected in ((0.0, [(l[0], l[50])]), (1.0, [])):
+        z = seen.z + shift * late[:, None] * [0, 1]
+        numbered = BearingRange(pose, l[np.where(late, 50, point.numbers)], z, seen.noise)
+        graph = FactorGraph(
+            [*others, numbered, BearingRange(again.keys[0], l[[60] * len(again)], again.z, again.noise)]
+        )
+        values = graph.optimize(start).values
+        found = [finding for finding in nls.explain(graph, values).findings if finding.kind == "twins"]
+        assert [finding.keys for finding in found] == expected
+        if expected:
+            joint = nls.Marginals(graph, values).joint(l[[0, 50]]).matrix
+            D = np.hstack([np.eye(2), -np.eye(2)])
+            apart = values[l[0]] - values[l[50]]
+            sigmas = np.sqrt(apart @ np.linalg.solve(D @ joint @ D.T, apart))
+            assert f"{np.linalg.norm(apart):.2g} m apart, {sigmas:.2g} sigmas, and never seen" in found[0].says
+
+
+def test_a_closure_read_the_wrong_way_round() -> None:
+    graph, start = ring()
+    X = graph.optimize(start).values
+    graph.add(Between(x[35], x[10], SE2.between(X[x[[10]]], X[x[[35]]])[0], NOISE))
+    (finding,) = (found for found in explained(graph, start).findings if found.kind == "wrong closure")
+    assert ". It fits when it is read from x10 to x35: are i and j swapped?" in finding.says
+    assert finding.cure == "exchange its two variables"
+
+
+def test_in_a_single_loop_nothing_tells_the_wrong_one() -> None:
+    k = np.arange(4)
+    z = np.array([[2, 0, np.pi / 2], [2, 0, np.pi / 2], [2, 0, np.pi / 2], [5, 0, np.pi / 2]])
+    order = np.array([1, 0, 3, 2])  # the closure, from x3 to x0, neither first nor last
+    graph = FactorGraph([Between(x[k[order]], x[(k[order] + 1) % 4], z[order], Isotropic(0.1))])
+    start = Values({x: (SE2, [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, np.pi], [0, 2, -np.pi / 2]])})
+    explanation = explained(graph, start)
+    assert kinds(explanation)[0] == "wrong closure"
+    assert explanation.findings[0].keys == (x[3], x[0])
+    assert "or one of 3 others, such as Between(x1, x2), as nothing tells them apart" in explanation.findings[0].says
+
+
+def test_many_wrong_closures_are_too_many_to_name() -> None:
+    rng = np.random.default_rng(3)
+    i, j = rng.integers(0, 18, 30), rng.integers(20, 40, 30)
+    explanation = explained(*ring(Between(x[i], x[j], rng.normal(size=(30, 3)), NOISE)))
+    many = next(finding for finding in explanation.findings if finding.kind == "many outliers")
+    assert many.says.startswith("at least 10 measurements do not fit the others")
+    assert "gnc" in many.cure
+
+
+def test_a_range_that_is_no_range() -> None:
+    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    values = world.graph.optimize(world.start).values
+    target = values[l[0]]
+    d = np.linalg.norm(target - values[x[5]][: len(target)])
+    graph = FactorGraph([*world.graph.factors, Range(x[5], l[0], d + 4.0, Isotropic(0.2))])
+    explanation = explained(graph, values)
+    assert [finding.keys for finding in explanation.findings if finding.kind == "outlier"] == [(x[5], l[0])]
+    assert "Range(x5, l0) is probably wrong: " in explanation.report()
+
+
+@pytest.mark.parametrize(("factor", "words"), [(0.5, "2 times too far off"), (2.0, "sigmas about 2"), (1.0, "")])
+def test_sigmas_of_the_wrong_size(factor: float, words: str) -> None:
+    """Judged by kind, to a fifth, and no measurement is blamed for it."""
+    world = sim.manhattan(np.random.default_rng(0), 400)
+    sized = [Between(*f.keys, f.z, Isotropic(0.02 * factor), f.convention) for f in world.graph.factors]
+    explanation = explained(FactorGraph(sized), world.truth)
+    assert {"wrong closure", "outlier", "many outliers"}.isdisjoint(kinds(explanation))
+    sigmas = [finding.says for finding in explanation.findings if finding.kind == "sigmas"]
+    assert len(sigmas) == (0 if factor == 1 else 2)
+    for part in explanation.parts:
+        assert part.typical == pytest.approx(factor**-2, rel=0.4)
+    if factor == 2.0:
+        assert all("times too large" in said for said in sigmas)
+    if factor == 0.5:
+        assert all("too small" in said for said in sigmas)
+
+
+@pytest.mark.parametrize("wrong", [[1, 1, -1], [3.28, 3.28, 1], [1, 1, 57.3]], ids=["sign", "feet", "degrees"])
+def test_a_kind_that_is_wrong_as_a_whole(wrong: list[float]) -> None:
+    world = sim.manhattan(np.random.default_rng(0), 200)
+    steps = world.graph.factors[0]
+    turned = Between(*steps.keys, steps.z * wrong, steps.noise)
+    found = kinds(explained(FactorGraph([turned, *world.graph.factors[1:]]), world.truth))
+    assert "systematic" in found
+    assert found[0] == "systematic"
+    assert {"outlier", "wrong closure"}.isdisjoint(found)
+
+
+def test_a_local_minimum_is_seen_from_a_lower_one() -> None:
+    k = np.arange(8)
+    graph = FactorGraph([Between(x[k], x[(k + 1) % 8], [1, 0, np.pi / 4], Isotropic(0.02))])
+    a = -k * np.pi / 4
+    explanation = explained(graph, Values({x: (SE2, np.column_stack([np.cos(a), np.sin(a), a - np.pi / 2]))}))
+    assert kinds(explanation) == ["local minimum"]
+    assert "This is a local minimum." in explanation.summary
+
+
+def test_a_factor_made_from_a_function_and_an_angle_that_nobody_wrapped() -> None:
+    """Such factors have no parts; what is wrong in them is named all the same."""
+    angle = np.array([3.1, -3.1, 3.1])
+
+    def minus(X: Array) -> Array:
+        return X[:, :1] - angle[:, None]
+
+    graph = FactorGraph([Factor.from_function(minus, x[[0, 0, 0]], 1, Isotropic(0.1))])
+    explanation = explained(graph, Values({x: (R(1), [3.1])}))
+    assert explanation.worst[0].factor == "minus(x0)"
+    assert explanation.findings[0].kind == "outlier"
+    off = Factor.from_function(lambda X: X + 6.2, x[[0]], 1, Isotropic(0.1))
+    (finding,) = (f for f in nls.explain(FactorGraph([off]), Values({x: (R(1), [0.0])})).findings if f.kind == "a turn")
+    assert "its error is -6.2, nearly a turn" in finding.says
+    assert "wrap" in finding.cure
+    assert "repeated" not in kinds(explanation)
+
+
+def test_values_that_are_no_optimum() -> None:
+    graph, start = ring()
+    explanation = nls.explain(graph, start)
+    assert kinds(explanation)[0] == "no optimum"
+    assert explanation.promised > 1
+    assert explanation.suspects == ()
+    assert explanation.report().startswith("117 unknowns, all determined. The values are no optimum.")
+
+
+def test_repetitions_across_batches() -> None:
+    graph, start = ring()
+    closures = graph.factors[1]
+    graph.add(closures[[2]])
+    graph.add(closures[[2, 4]])
+    (finding,) = (found for found in explained(graph, start).findings if found.kind == "repeated")
+    assert finding.says.startswith("3 measurements are in the graph again with the same numbers")
+    assert set(finding.keys) == {keys[[k]] for keys in closures.keys for k in (2, 4)}
+
+
+def test_a_kernel_that_rejects_everything() -> None:
+    k = np.arange(4)
+    step = Between(x[k], x[(k + 1) % 4], [2, 0, np.pi / 2], Robust(Isotropic(0.01), Tukey(1)))
+    graph = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(0.1)), step])
+    explanation = nls.explain(graph, Values({x: (SE2, np.zeros((4, 3)))}))
+    assert explanation.nullity == 9
+    assert kinds(explanation)[0] == "rejected"
+    assert "Tukey(1) rejects 4 of 4 measurements" in explanation.findings[0].says
+
+
+def test_parts_and_variables_that_nothing_joins() -> None:
+    graph = FactorGraph([Between(x[[0, 1, 10]], x[[1, 2, 11]], [1, 0, 0], Isotropic(0.1))])
+    values = Values({x: (SE2, np.zeros((6, 3)), [0, 1, 2, 10, 11, 20])})
+    explanation = nls.explain(graph, values)
+    assert explanation.components == (3, 2)
+    assert {"unmeasured", "components"} <= set(kinds(explanation))
+    found = {finding.kind: finding for finding in explanation.findings}
+    assert found["unmeasured"].keys == (x[20],)
+    assert "2 parts that no measurement joins (3 with x0, 2 with x10)" in found["components"].says
+    assert "no measurement is checked by another" in found["unchecked"].says
+
+
+def test_weights_too_different_for_the_normal_equations() -> None:
+    graph = FactorGraph([Prior(x[0], [0.0, 0.0], Isotropic(1e3)), Between(x[0], x[1], [1.0, 0.0], Isotropic(1e-4))])
+    explanation = nls.explain(graph, Values({x: (R(2), np.zeros((2, 2)))}))
+    assert kinds(explanation) == ["ill-conditioned"]
+    assert (explanation.nullity, explanation.parts) == (0, ())
+    assert "which keeps 13 digits" in explanation.report()
+
+
+def test_nothing_to_estimate_and_nothing_measured() -> None:
+    graph, start = ring()
+    graph.add(Between(x[[]], x[[]], np.zeros((0, 3)), NOISE))
+    graph.fix(x[np.arange(40)])
+    explanation = nls.explain(graph, start)
+    assert (explanation.unknowns, explanation.rank, explanation.weakest) == (0, 0, ())
+    assert explanation.dof == 147
+    assert json.dumps(explanation.record(), allow_nan=False)
+
+
+def test_what_cannot_be_explained() -> None:
+    with pytest.raises(GraphError, match="no factors: nothing to explain"):
+        nls.explain(FactorGraph(), Values())
+    with pytest.raises(GraphError, match="expected a graph and its values"):
+        nls.explain(Values(), FactorGraph())  # type: ignore[arg-type]
+    graph, start = ring()
+    factors, numbers = list(graph.factors), start[x].copy()
+    nls.explain(graph, start)
+    assert graph.factors == factors
+    assert graph.fixed == []
+    np.testing.assert_array_equal(start[x], numbers)

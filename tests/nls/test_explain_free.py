@@ -1,0 +1,118 @@
+"""`nls.explain` on graphs that leave something free: every direction by its name, and as many as there are."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import nls
+from factors import Bearing, Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range, RangeAzimuth
+from models import SE2, SE3, R
+from models.algebra import Array
+from nls import FactorGraph, Values
+
+x, l = nls.kinds("x", "l")
+
+
+def seen_from(graph: FactorGraph, values: Values) -> list[str]:
+    return list(nls.explain(graph, values).free)
+
+
+def test_landmarks_in_the_plane() -> None:
+    """A range leaves the bearing, a bearing the range; a pose that sees one point turns about it."""
+    pose, values = Prior(x[0], [0, 0, 0], Isotropic(0.1)), Values({x: (SE2, [0, 0, 0]), l: (R(2), [3.0, 1.0])})
+    assert seen_from(FactorGraph([pose, Range(x[0], l[0], 3.0, Isotropic(0.1))]), values) == [
+        "l0: bearing as seen from x0"
+    ]
+    assert seen_from(FactorGraph([pose, Bearing(x[0], l[0], 0.3, Isotropic(0.1))]), values) == [
+        "l0: range as seen from x0"
+    ]
+    point = Prior(l[0], [3, 1], Isotropic(0.1))
+    sight = Landmark(x[0], l[0], [3, 1], Isotropic(0.1))
+    assert seen_from(FactorGraph([point, sight]), values) == ["x0: yaw about l0"]
+
+
+def test_a_pose_that_sees_points_on_one_line() -> None:
+    """It turns about that line, wherever it stands."""
+    line = np.array([[3, 0, 1.0], [4, 0, 1], [5, 0, 1], [6, 0, 1]])
+    pose = np.array([[0, 2.0, 0, 0, 0, 0, 1]])
+    points = Prior(l[[0, 1, 2, 3]], line, Isotropic(0.1))
+    graph = FactorGraph([points, Landmark(x[0], l[[0, 1, 2, 3]], line - pose[:, :3], Isotropic(0.1))])
+    explanation = nls.explain(graph, Values({x: (SE3, pose), l: (R(3), line)}))
+    assert len(explanation.free) == 1
+    assert re.fullmatch(r"x0: roll about l[0-3]", explanation.free[0])
+    assert "not on that axis" in explanation.findings[0].cure
+
+
+@pytest.mark.parametrize("motion", [[1, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0.1, 0.995]], ids=["surge", "yaw"])
+def test_the_elevation_of_an_imaging_sonar(motion: list[float]) -> None:
+    """Seen twice, where that does not show: the elevation; with a heave nothing."""
+    for heave in (0.0, 0.5):
+        X = SE3.stack([[0, 0, 0, 0, 0, 0, 1], motion + np.array([0, 0, heave, 0, 0, 0, 0])]) if motion[6] == 1 else None
+        X = SE3.compose([[0, 0, 0, 0, 0, 0, 1.0]], _unit(motion)) if X is None else X[1:]
+        X = np.concatenate([SE3.identity(), X + np.array([0, 0, heave if motion[6] != 1 else 0, 0, 0, 0, 0])])
+        point = np.array([[5.0, 0.5, 0.0 if motion[6] == 1 else 1.0]])
+        p = np.matvec(SE3.rotation(X).mT, point - X[:, :3])
+        z = np.column_stack([np.linalg.norm(p, axis=1), np.arctan2(p[:, 1], p[:, 0])])
+        contact = RangeAzimuth(x[[0, 1]], l[0], z, Diagonal(range=0.01, azimuth=0.005))
+        step = Between(x[0], x[1], SE3.between(X[:1], X[1:])[0], Isotropic(0.01))
+        graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.1)), step, contact])
+        explanation = nls.explain(graph, Values({x: (SE3, X), l: (R(3), point)}))
+        assert explanation.free == (() if heave else ("l0: elevation as seen from x0",))
+        assert explanation.nullity == (0 if heave else 1)
+        if not heave:
+            assert "another roll, higher or lower" in explanation.findings[0].cure
+
+
+def _unit(motion: list[float]) -> Array:
+    q = np.array([motion], dtype=float)
+    q[:, 3:] /= np.linalg.norm(q[:, 3:])
+    return q
+
+
+def test_three_hundred_points_seen_once() -> None:
+    """Each by name, in one finding: as many as there are, however many."""
+    rng = np.random.default_rng(0)
+    z = np.column_stack([rng.uniform(3, 6, 300), rng.uniform(-0.5, 0.5, 300)])
+    contact = RangeAzimuth(x[0], l[np.arange(300)], z, Diagonal(range=0.01, azimuth=0.005))
+    pose = SE3.exp(rng.normal(size=(1, 6)))  # any attitude: the elevation is the sonar's, not the world's
+    points = SE3.act(pose, RangeAzimuth.arc(z, rng.uniform(-0.1, 0.1, 300)))
+    graph = FactorGraph([Prior(x[0], pose[0], Isotropic(0.1)), contact])
+    explanation = nls.explain(graph, Values({x: (SE3, pose), l: (R(3), points)}))
+    assert (explanation.nullity, explanation.capped, explanation.rank) == (300, False, 606)
+    assert set(explanation.free) == {f"l{k}: elevation as seen from x0" for k in range(300)}
+    assert len(explanation.findings[0].keys) == 300
+    assert "and 295 more" in explanation.findings[0].says
+
+
+def test_wholes_that_move_as_one() -> None:
+    """Scale of bearings only; turning of ranges only; x, y of a part whose heading alone is known."""
+    rng = np.random.default_rng(0)
+    P, L = np.array([[0, 0, 0], [1, 0, 0.1], [2, 0.5, 0.2]]), rng.uniform(-5, 5, (8, 2))
+    i, j = np.repeat(np.arange(3), 8), np.tile(np.arange(8), 3)
+    d, values = L[j] - P[i, :2], Values({x: (SE2, P), l: (R(2), L)})
+    bearings = Bearing(x[i], l[j], np.arctan2(d[:, 1], d[:, 0]) - P[i, 2], Isotropic(0.01))
+    whole = "of all 11 variables joined to x0"
+    assert seen_from(FactorGraph([bearings]), values) == [f"scale about x0 {whole}"]
+    ranges = Range(x[i], l[j], np.linalg.norm(d, axis=1), Isotropic(0.01))
+    assert set(seen_from(FactorGraph([ranges]), values)) == {f"yaw about x0 {whole}", "x1: yaw", "x2: yaw"}
+    k = np.arange(3)
+    graph = FactorGraph(
+        [Between(x[k], x[k + 1], [1, 0, 0], Isotropic(0.1)), Prior(x[1], [0, 0, 0], Isotropic(1), ["yaw"])]
+    )
+    straight = Values({x: (SE2, np.column_stack([np.arange(4), np.zeros((4, 2))]))})
+    explanation = nls.explain(graph, straight)
+    assert explanation.free == ("x of all 4 variables joined to x0", "y of all 4 variables joined to x0")
+    assert explanation.rank == np.linalg.matrix_rank(graph.linearize(straight).A.toarray()) == 10
+
+
+def test_more_free_directions_than_are_found_at_once() -> None:
+    """Twenty pairs of points with a difference each, not declared relative: 40 directions that move two of them."""
+    k = np.arange(20)
+    graph = FactorGraph([Factor.from_function(lambda X, Y: Y - X, [l[k], l[100 + k]], 2, Isotropic(0.1))])
+    values = Values({l: (R(2), np.random.default_rng(0).normal(size=(40, 2)), np.concatenate([k, 100 + k]))})
+    explanation = nls.explain(graph, values)
+    assert (explanation.nullity, explanation.rank, explanation.capped) == (40, 40, False)
+    assert {f"{c} of all 2 variables joined to l{n}" for c in "xy" for n in k} == set(explanation.free)

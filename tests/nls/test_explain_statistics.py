@@ -1,0 +1,219 @@
+"""What `nls.explain` computes, against brute force: measurements really left out, dense inverses, dense ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import nls
+from factors import XYH, Between, Cauchy, Diagonal, Factor, Information, Isotropic, Prior, Robust
+from models import SE2, SE3, R
+from models.algebra import Array
+from nls import FactorGraph, Marginals, Values
+from nls.explanation.free import freedom
+from nls.explanation.linear import Checked, Linearization
+from nls.explanation.statistics import checks, quantiles, tail
+from nls.gauge import choose_gauge, fixed_variables
+from nls.linear import default_solver
+from nls.linear.takahashi import inverse_blocks
+from tests.nls.graphs import ODD, informations, pose_graph, x
+
+ELSEWHERE = 3.0  # where linear problems are linearized: nothing may depend on it
+
+
+def network(seed: int = 0, kernel: bool = False) -> tuple[FactorGraph, Values]:
+    """A linear problem: points of the plane, correlated differences, two priors."""
+    rng = np.random.default_rng(seed)
+    i, j = np.array([0, 1, 2, 3, 4, 0, 1, 5, 2]), np.array([1, 2, 3, 4, 0, 2, 3, 0, 5])
+    P = rng.normal(size=(6, 2))
+    z = P[j] - P[i] + 0.3 * rng.normal(size=(9, 2))
+    noise = Information(informations(9, 2, rng))
+    graph = FactorGraph([Between(x[i], x[j], z, Robust(noise, Cauchy(1.0)) if kernel else noise)])
+    graph.add(Prior(x[[0, 3]], P[[0, 3]], Diagonal([0.1, 0.2])))
+    return graph, Values({x: (R(2), P + ELSEWHERE)})
+
+
+def checked(graph: FactorGraph, values: Values) -> Checked:
+    pattern = graph.pattern(values)
+    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
+    found = freedom(graph.factors, pattern.holding(gauge.held), values).checked
+    assert found is not None
+    return found
+
+
+def left_out(graph: FactorGraph, values: Values, batch: int, index: int) -> tuple[float, Array]:
+    """t of a measurement from the optimum of all others, and their chi2 there; of a linear problem."""
+    others = []
+    for k, factor in enumerate(graph.factors):
+        keep = np.arange(len(factor)) != index if k == batch else np.ones(len(factor), dtype=bool)
+        others.append(factor[keep])
+    rest = FactorGraph(others)
+    optimum = rest.optimize(values).values
+    A, _ = rest.linearize(optimum)
+    P = np.linalg.inv((A.T @ A).toarray())
+    one = FactorGraph([graph.factors[batch][[index]]])
+    A_i, b_i = one.linearize(optimum)
+    C = A_i @ P @ A_i.T
+    return float(b_i @ np.linalg.solve(np.eye(len(b_i)) + C, b_i)), rest.factors[0].chi2(optimum)
+
+
+def test_leaving_out_is_what_really_leaving_out_gives() -> None:
+    graph, values = network()
+    tests = checks(checked(graph, values), 2)
+    for batch, factor in enumerate(graph.factors):
+        for index in range(len(factor)):
+            t, _ = left_out(graph, values, batch, index)
+            np.testing.assert_allclose(tests[batch].t[index], t, rtol=1e-8)
+    assert all((test.m == 2).all() for test in tests)
+
+
+def test_after_taking_two_out_the_others_are_as_if_solved_again() -> None:
+    graph, values = network(1)
+    found = checked(graph, values)
+    found.take_out(0, 3)
+    found.take_out(1, 0)
+    accepted = [np.ones(9), np.ones(2)]
+    accepted[0][3] = accepted[1][0] = 0.0
+    again = Checked(Linearization(found.linear.pattern, values, accepted))
+    for e, C, w, e_2, C_2, w_2 in zip(found.e, found.C, found.w, again.e, again.C, again.w, strict=True):
+        np.testing.assert_allclose(e, e_2, atol=1e-9)
+        np.testing.assert_allclose(C, C_2, atol=1e-9)
+        np.testing.assert_array_equal(w, w_2)
+    t, chi2 = left_out(graph, values, 0, 3)
+    once = checked(graph, values)
+    before = checks(once, 2)[0].t[3]
+    once.take_out(0, 3)
+    np.testing.assert_allclose([before, checks(once, 2)[0].t[3]], t, rtol=1e-8)  # out or in: judged by the others
+    np.testing.assert_allclose(np.square(np.delete(once.e[0], 3, axis=0)).sum(axis=1), chi2, rtol=1e-7, atol=1e-12)
+
+
+def test_weights_of_a_kernel_count() -> None:
+    """With weights w the others are sqrt(w) A, sqrt(w) b; the one left out counts in full."""
+    graph, values = network(2, kernel=True)
+    values = graph.optimize(values, nls.GaussNewton(nls.Stop(update_tol=1e-12, chi2_rtol=0, gradient_tol=0))).values
+    found = checked(graph, values)
+    t = checks(found, 2)[0].t
+    w = found.linear.w[0]
+    assert w.min() < 0.5 < w.max() < 1
+    A, _ = graph.linearize(values)
+    H = (A.T @ A).toarray()
+    for k in range(9):
+        B = np.zeros((2, 12))
+        for A_slot, keys in zip(found.linear.A[0], graph.factors[0].keys, strict=True):
+            B[:, 2 * keys.numbers[k] : 2 * keys.numbers[k] + 2] = A_slot[k]
+        P = np.linalg.inv(H - w[k] * B.T @ B)
+        b = found.linear.b[0][k]
+        e = b + w[k] * B @ P @ B.T @ b  # the optimum of the others, weights kept
+        np.testing.assert_allclose(t[k], e @ np.linalg.solve(np.eye(2) + B @ P @ B.T, e), rtol=1e-6)
+
+
+@pytest.mark.parametrize("group", [R(2), SE2, SE3], ids=repr)
+@pytest.mark.parametrize("held", [False, True])
+def test_the_shares_are_the_degrees_of_freedom(group: object, held: bool) -> None:
+    sample = pose_graph(group, anchored=not held, numbers=ODD)  # type: ignore[arg-type]
+    if held:
+        sample.graph.fix(x[[7, 12]])
+    result = sample.graph.optimize(sample.values)
+    explanation = nls.explain(sample.graph, result.values)
+    assert sum(part.expected for part in explanation.parts) == pytest.approx(result.dof, abs=1e-5)
+    assert sum(part.chi2 for part in explanation.parts) == pytest.approx(result.chi2_final, rel=1e-9)
+    assert (explanation.chi2, explanation.dof) == (pytest.approx(result.chi2_final), result.dof)
+    assert explanation.rank == explanation.unknowns == sample.graph.linearize(result.values).pattern.n
+    assert {part.name for part in explanation.parts} >= {"Between, steps", "Between, closures"}
+
+
+def test_zero_rows_measure_nothing() -> None:
+    """An information without one direction: a number less, for all that counts them."""
+    omega = np.diag([100.0, 100.0, 0.0])
+    k = np.arange(4)
+    graph = FactorGraph([Between(x[k], x[(k + 1) % 4], [2.0, 0, np.pi / 2], Isotropic(0.1))])
+    graph.add(Between(x[0], x[2], [2.1, 2, np.pi], Information(omega)))
+    values = Values({x: (SE2, [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, np.pi], [0, 2, -np.pi / 2]])})
+    result = graph.optimize(values)
+    explanation = nls.explain(graph, result.values)
+    by_name = {part.name: part for part in explanation.parts}
+    assert by_name["Between, closures"].rows == 5
+    assert sum(part.expected for part in explanation.parts) == pytest.approx(result.dof) == 5
+    worst = next(w for w in explanation.worst if w.factor == "Between(x0, x2)")
+    assert worst.normalized > worst.sigmas > 0
+    test = checks(checked(graph, result.values), 2)
+    assert (test[1].m.tolist(), test[1].rows.tolist()) == ([2], [2])
+    assert test[1].dof == pytest.approx(2 - np.trace(checked(graph, result.values).C[1][0]))
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=repr)
+def test_blocks_of_the_inverse(group: object) -> None:
+    """Every pair of variables that share a factor, in both orders, from the pass over the Cholesky factor."""
+    sample = pose_graph(group, numbers=ODD)  # type: ignore[arg-type]
+    system = sample.graph.linearize(sample.values)
+    blocks, state = default_solver().analyze(system.pattern)
+    state.factorize(blocks.fill(system))
+    i, j = np.concatenate([blocks.u, blocks.v]), np.concatenate([blocks.v, blocks.u])
+    d = int(blocks.dims[0])
+    found = inverse_blocks(blocks, state, i, j, 4e9).reshape(-1, d, d)
+    P = np.linalg.inv(system.H.toarray()).reshape(8, d, 8, d)
+    np.testing.assert_allclose(found, P[i, :, j, :], rtol=1e-6, atol=1e-12)
+
+
+def test_anchors_take_the_freedom_and_nothing_else() -> None:
+    """C and e are those of the pseudo-inverse, A A^+ and b - A A^+ b, of a graph whose x, y and heading are free."""
+    graph, values = chain_of_depths()
+    found = checked(graph, values)
+    A, b = graph.linearize(values)
+    D = np.linalg.norm(A.toarray(), axis=0)
+    D[D == 0] = 1
+    S = A.toarray() / D
+    C = S @ np.linalg.pinv(S, rcond=1e-9)
+    begin = 0
+    for k, factor in enumerate(graph.factors):
+        m = found.C[k].shape[1]
+        for index in range(len(factor)):
+            rows = slice(begin, begin + m)
+            np.testing.assert_allclose(found.C[k][index], C[rows, rows], atol=1e-7)
+            np.testing.assert_allclose(found.e[k][index], (b - C @ b)[rows], atol=1e-6)
+            begin += m
+
+
+def chain_of_depths() -> tuple[FactorGraph, Values]:
+    """Three poses in space, their heading and place free as a whole: XYH steps, and depth and tilt priors."""
+    X = np.array([[0, 0, 0.1, 0, 0, 0, 1.0], [1, 0, 0.2, 0, 0, 0.2, 0.98], [2, 1, 0, 0, 0, 0.3, 0.95]])
+    X[:, 3:] /= np.linalg.norm(X[:, 3:], axis=1)[:, None]
+    steps: Factor = XYH(x[[0, 1, 0]], x[[1, 2, 2]], [[1, 0.1, 0.4], [1, 0.6, 0.2], [2, 1, 0.6]], Isotropic(0.1))
+    prior = Prior(x[[0, 1, 2]], X, Diagonal(z=0.1, roll=0.02, pitch=0.02), components=("z", "roll", "pitch"))
+    return FactorGraph([steps, prior]), Values({x: (SE3, X)})
+
+
+def test_of_consistent_worlds_nothing_is_suspected() -> None:
+    """Twenty simulated rings: t / m is 1 in the mean, chi2 by kind within bounds, no measurement is taken out."""
+    import sim
+
+    ratios, outside = [], 0
+    for seed in range(20):
+        world = sim.ring(np.random.default_rng(seed), laps=2, per_lap=20)
+        explanation = nls.explain(world.graph, world.graph.optimize(world.start).values)
+        assert explanation.suspects == ()
+        assert {finding.kind for finding in explanation.findings} <= {"unchecked", "sigmas"}
+        outside += sum(not part.low <= part.chi2 <= part.high for part in explanation.parts)
+        values = world.graph.optimize(world.start).values
+        test = checks(checked(world.graph, values), len(world.graph.factors))
+        ratios += [float(t.t[t.m > 0].sum() / t.m.sum()) for t in test]
+    assert abs(np.mean(ratios) - 1) < 0.1
+    assert outside <= 6  # of 40, 2 expected
+
+
+def test_quantiles_and_tails() -> None:
+    assert quantiles(10.0) == pytest.approx((3.247, 20.483), abs=1e-3)  # a table of chi-squared
+    assert quantiles(0.0) == (0.0, 0.0)
+    np.testing.assert_allclose(tail(np.array([11.345, 0.0, 5.0]), np.array([3, 3, 0])), [0.01, 1, 1], atol=1e-5)
+
+
+def test_the_least_certain_are_those_of_the_marginals() -> None:
+    sample = pose_graph(SE3, numbers=ODD)
+    values = sample.graph.optimize(sample.values).values
+    explanation = nls.explain(sample.graph, values)
+    sigma = np.sqrt(np.diagonal(Marginals(sample.graph, values).all(x, frame="world"), axis1=1, axis2=2))
+    assert [weak.component for weak in explanation.weakest] == list(SE3.components)
+    for c, weak in enumerate(explanation.weakest):
+        assert weak.key.numbers[0] == values.stack("x").numbers[sigma[:, c].argmax()]
+        assert (weak.sigma, weak.typical) == pytest.approx((sigma[:, c].max(), np.median(sigma[:, c])), rel=1e-6)
+        assert weak.unit == ("m" if c < 3 else "rad")

@@ -1,0 +1,294 @@
+"""Wrong loop closures: the kernels, what neighbors and groups tell, and that exactly the wrong ones are rejected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from factors import Between, Diagonal, Factor, GemanMcClure, Information, Isotropic, Range
+from models import SE2, SE3, R
+from models.errors import GraphError, OptionError
+from nls import FactorGraph, Values, kinds
+from nls.filters.consistency import chi2_gate
+from nls.robust import grow
+from nls.robust.closures import chained, loop_closures, with_only
+from nls.robust.consistency import Odometry, neighbors
+from nls.robust.graduated import GemanMcClureSquares, TruncatedSquares
+from nls.robust.groups import FITS, WIDE, misfits
+from nls.robust.paths import path_covariances
+
+(x,) = kinds("x")
+RNG = np.random.default_rng
+S = np.array([1e-4, 0.3, 0.9, 1.1, 4.0, 17.0, 400.0])
+
+
+@pytest.fixture(scope="module")
+def city() -> sim.World:
+    return sim.manhattan(RNG(3), n_poses=400)
+
+
+def wrong_closures(world: sim.World, count: int, rng: np.random.Generator, group: int = 1) -> Between:
+    """Closures with the measurement of a true one between two other poses, in groups that agree with one another."""
+    masks = loop_closures(world.graph, world.truth)
+    factor, true = next((f, np.flatnonzero(m)) for f, m in zip(world.graph.factors, masks, strict=True) if m.any())
+    truth = world.truth[x]
+    manifold, n = world.truth.stack("x").manifold, len(truth)
+    i, j = rng.integers(0, n - group, (2, 20 * count))
+    i, j = (each[np.abs(i - j) > 4 * group][: count // group] for each in (i, j))
+    z = factor.bind(manifold, manifold).z[rng.choice(true, len(i))]
+    i, j, first = np.repeat(i, group), np.repeat(j, group), np.repeat(np.arange(len(i)), group)
+    step = np.tile(np.arange(group), len(i) // group)
+    back = manifold.compose(manifold.inverse(truth[i + step]), truth[i])  # type: ignore[attr-defined]
+    ahead = manifold.compose(manifold.inverse(truth[j]), truth[j + step])  # type: ignore[attr-defined]
+    z = manifold.compose(manifold.compose(back, z[first]), ahead)  # type: ignore[attr-defined]
+    names = manifold.components
+    sigmas = Diagonal(**{name: 0.05 if name in "xyz" else 0.01 for name in names})
+    return Between(x[i + step], x[j + step], z, sigmas, convention=factor.convention)
+
+
+def loose(factor: Factor, times: float) -> Between:
+    """The same measurements with sigmas so many times larger."""
+    W = factor.bind(SE2, SE2).W / times
+    W = W if W.ndim == 3 else W[:, :, None] * np.eye(3)
+    information = np.broadcast_to(W.mT @ W, (len(factor), 3, 3))
+    return Between(*factor.keys, factor.z, Information(information), convention=factor.convention)
+
+
+def names(factor: Between) -> set[str]:
+    return {factor.describe(k) for k in range(len(factor))}
+
+
+# --- kernels ---
+
+
+@pytest.mark.parametrize("mu", [1e-3, 0.2, 1.0, 7.0, 1e3])
+@pytest.mark.parametrize("kind", [TruncatedSquares, GemanMcClureSquares])
+def test_the_weight_is_the_slope_of_the_cost(kind: type[TruncatedSquares | GemanMcClureSquares], mu: float) -> None:
+    kernel = kind(1.7)
+    kernel.mu = mu
+    h = 1e-6 * S
+    np.testing.assert_allclose(
+        (kernel.rho(S + h) - kernel.rho(S - h)) / (2 * h), kernel.weight(S), rtol=1e-5, atol=1e-5
+    )
+    assert (np.diff(kernel.rho(S)) >= 0).all()
+    assert (kernel.weight(S) >= 0).all()
+    assert (kernel.weight(S) <= 1).all()
+
+
+def test_graduated_kernels_end_where_they_should() -> None:
+    truncated, squares = TruncatedSquares(2.0), GemanMcClureSquares(2.0)
+    truncated.begin(400.0)
+    squares.begin(400.0)
+    assert (truncated.weight(S) > 0).all()
+    assert (squares.weight(S) > 0.4).all()
+    while truncated.bend() | squares.bend():
+        pass
+    np.testing.assert_allclose(truncated.rho(S), np.minimum(S, 4.0), atol=2e-2)
+    np.testing.assert_array_equal(truncated.weight(S[S != 4.0]), S[S != 4.0] < 4.0)
+    np.testing.assert_array_equal(squares.rho(S), GemanMcClure(2.0).rho(S))
+    np.testing.assert_array_equal(squares.weight(S), GemanMcClure(2.0).weight(S))
+
+
+# --- covariances of predictions ---
+
+
+@pytest.mark.parametrize("space", [SE2, SE3])
+def test_covariances_along_paths_are_those_of_the_chain(space: type) -> None:
+    rng, n = RNG(1), 9
+    step = space.exp(0.3 * rng.normal(size=(n - 1, space.dim)))  # type: ignore[attr-defined]
+    noise = Isotropic(0.02)
+    a = np.arange(n - 1)
+    a, b = np.where(a % 3 == 1, a + 1, a), np.where(a % 3 == 1, a, a + 1)  # some are measured backward
+    step[a > b] = space.inverse(step[a > b])  # type: ignore[attr-defined]
+    graph = FactorGraph([Between(x[a], x[b], step, noise)])
+    values = nls.starts.chain(graph, Values({x: (space, space.identity(n))}))  # type: ignore[attr-defined]
+    _, links, odometry = chained(graph, values)
+    assert odometry.all()
+    T, i, j = values[x], np.array([0, 7, 3, 5]), np.array([8, 2, 4, 0])
+    Z, C = Odometry(links, T).between(i, j)
+    np.testing.assert_allclose(Z, space.compose(space.inverse(T[i]), T[j]), atol=1e-12)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(path_covariances(links, T, i, j, 1.0), C, atol=1e-12)
+    for k, (first, last) in enumerate(zip(i, j, strict=True)):  # by the graph itself, that pose held
+        held = FactorGraph(graph.factors)
+        held.fix(x[int(first)])
+        expected = nls.Marginals(held, values).covariance(x[int(last)], frame="body")
+        np.testing.assert_allclose(C[k], expected, rtol=1e-6, atol=1e-10)
+
+
+def test_the_shortest_path_is_taken_through_a_closure() -> None:
+    a = np.arange(20)
+    odometry = Between(x[a], x[a + 1], [1.0, 0.0, 0.0], Isotropic(0.1))
+    short = Between(x[1], x[19], [18.0, 0.0, 0.0], Isotropic(0.2))
+    graph = FactorGraph([odometry, short])
+    values = Values({x: (SE2, np.c_[np.arange(21.0), np.zeros((21, 2))])})
+    _, links, _ = chained(graph, values)
+    P = path_covariances(links, values[x], np.array([0]), np.array([20]), 1.0)[0]
+    assert P[2, 2] == pytest.approx(0.1**2 + 0.2**2 + 0.1**2)
+
+
+# --- neighbors and groups ---
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.1])
+def test_neighbors_support_each_other_and_tell_the_noise(city: sim.World, factor: float) -> None:
+    loops, group = wrong_closures(city, 12, RNG(0)), wrong_closures(city, 10, RNG(1), group=10)
+    graph = FactorGraph([*city.graph.factors, loops, group])
+    _, links, odometry = chained(graph, city.truth)
+    T = nls.starts.chain(graph, city.truth)[x]
+    scaled = [replace(each, C=each.C / factor**2) for each in (links[~odometry], links[odometry])]
+    found = neighbors(*scaled, T)
+    true = (~odometry).sum() - 22
+    assert (found.support[:true] > 0).mean() > 0.9
+    assert (found.support[true : true + 12] > 0).sum() <= 2
+    assert (found.support[-10:] >= 5).all()
+    assert len(set(found.cluster[-10:])) == 1
+    assert 0.8 < neighbors(scaled[0][:true], scaled[1], T).sigma0 / factor < 1.25
+    assert 0.5 < found.sigma0 / factor < 1.25  # the group agrees too well, without noise
+
+
+def test_without_neighbors_nothing_is_supported() -> None:
+    a = np.arange(200)
+    odometry = Between(x[a], x[a + 1], [1.0, 0.0, 0.0], Isotropic(0.1))
+    loops = Between(x[[10, 90]], x[[150, 40]], [0.0, 0.0, 0.0], Isotropic(0.1))
+    values = Values({x: (SE2, np.c_[np.arange(201.0), np.zeros((201, 2))])})
+    _, links, along = chained(FactorGraph([odometry, loops]), values)
+    found = neighbors(links[~along], links[along], values[x])
+    assert found.support.tolist() == [0, 0]
+    assert found.cluster.tolist() == [0, 1]
+    assert found.sigma0 == 1.0
+
+
+def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
+    rng, a = RNG(2), np.arange(30)
+    odometry = Between(x[a], x[a + 1], rng.normal(size=(30, 2)), Isotropic(0.5))
+    loops = Between(
+        x[[0, 3, 5, 20, 21]], x[[11, 14, 29, 9, 8]], rng.normal(size=(5, 2)), Isotropic([0.1, 0.2, 0.3, 0.2, 0.1])
+    )
+    graph, values = FactorGraph([odometry, loops]), Values({x: (R(2), np.zeros((31, 2)))})
+    result = graph.optimize(values)
+    edges, _, _ = chained(graph, values)
+    groups = np.array([7, 7, 2, 4, 4])
+    for group in (7, 2, 4):
+        kept = FactorGraph([odometry, loops[groups != group]])
+        fall = result.chi2_final - kept.optimize(values).chi2_final
+        gate = WIDE * chi2_gate(2 * int((groups == group).sum()), FITS)
+        for above, found in ((1.001, False), (0.999, True)):  # linear: the statistic is exactly that fall
+            wrong = misfits(graph, result.values, edges, np.arange(30, 35), groups, above * fall / gate)
+            assert wrong[groups == group].all() == found
+            assert wrong[groups == group].any() == found
+
+
+# --- the whole ---
+
+
+@pytest.mark.parametrize("loss", ["tls", "gm"])
+@pytest.mark.parametrize("group", [1, 10])
+def test_exactly_the_wrong_closures_are_rejected(city: sim.World, loss: str, group: int) -> None:
+    wrong = wrong_closures(city, 100, RNG(4), group)
+    graph = FactorGraph([*city.graph.factors, wrong])
+    found = nls.gnc(graph, city.truth, loss)
+    assert names(wrong) <= {each.factor for each in found.rejected}
+    assert len(found.rejected) <= len(wrong) + 0.05 * found.doubted
+    assert found.weights[-1].tolist() == [0.0] * len(wrong)
+    assert found.result.converged
+    assert [each.sigmas for each in found.rejected] == sorted((each.sigmas for each in found.rejected), reverse=True)
+    assert sum(int((1 - w).sum()) for w in found.weights) == len(found.rejected) == len(graph) - len(found.graph)
+    clean = city.graph.optimize(city.truth).values
+    assert nls.metrics.ate(found.result.values[x], clean[x], "rigid").rmse < 0.05
+    assert nls.metrics.ate(graph.optimize(nls.initialize(graph, city.truth)[0]).values[x], clean[x], "rigid").rmse > 1
+    assert 0.5 < found.strain < 2
+
+
+def test_in_space() -> None:
+    world = sim.sphere(RNG(0), rings=12, per_ring=20)
+    wrong = wrong_closures(world, 60, RNG(5), 10)
+    graph = FactorGraph([*world.graph.factors, wrong])
+    found = nls.gnc(graph, world.truth)
+    assert names(wrong) <= {each.factor for each in found.rejected}
+    clean = world.graph.optimize(world.truth).values
+    assert nls.metrics.ate(found.result.values[x], clean[x], "rigid").rmse < 0.05
+
+
+def test_frame_start_and_order_of_factors_change_nothing(city: sim.World) -> None:
+    wrong = wrong_closures(city, 60, RNG(4), 10)
+    factors = [*city.graph.factors, wrong]
+    found = nls.gnc(FactorGraph(factors), city.truth)
+    moved = Values({x: (SE2, SE2.compose(np.array([[30.0, -7.0, 2.5]]), city.truth[x]))})
+    assert [r.factor for r in nls.gnc(FactorGraph(factors), moved).rejected] == [r.factor for r in found.rejected]
+    swapped = nls.gnc(FactorGraph(factors[::-1]), nls.starts.chain(FactorGraph(factors), city.truth))
+    assert {r.factor for r in swapped.rejected} == {r.factor for r in found.rejected}
+    assert swapped.result.chi2_final == pytest.approx(found.result.chi2_final, rel=1e-6)
+
+
+def test_sigmas_a_hundred_times_too_large_hide_nothing(city: sim.World) -> None:
+    wrong = wrong_closures(city, 60, RNG(4), 10)
+    factors = [loose(factor, 100.0) for factor in (*city.graph.factors, wrong)]
+    found = nls.gnc(FactorGraph(factors), city.truth)
+    assert names(wrong) <= {each.factor for each in found.rejected}
+    assert 0.005 < found.local < 0.02
+    assert found.sigma0 < 0.05
+
+
+def test_without_wrong_ones_nothing_is_lost(city: sim.World) -> None:
+    found = nls.gnc(city.graph, city.truth)
+    assert len(found.rejected) <= 0.03 * found.doubted
+    assert "doubted measurements rejected" in str(found)
+
+
+def test_named_factors_are_doubted_from_the_values_given() -> None:
+    l = nls.Kind("l")
+    places = np.array([[0.0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0], [2, -2, 0]])
+    point = np.array([1.0, 2.5])
+    z = np.linalg.norm(places[:, :2] - point, axis=1) + np.array([0.01, -0.02, 0.01, 3.0, 0.0])
+    heard = Range(x[np.arange(5)], l[0], z, Isotropic(0.05))
+    graph = FactorGraph([heard])
+    graph.fix(x[np.arange(5)])
+    values = Values({x: (SE2, places), l: (R(2), [[2.0, 2.0]])})
+    found = nls.gnc(graph, values, doubted=[heard])
+    assert [each.factor for each in found.rejected] == ["Range(x3, l0)"]
+    assert np.isnan(found.strain)
+    np.testing.assert_allclose(found.result.values[l[0]], point, atol=0.05)
+    with pytest.raises(GraphError, match="not in this graph"):
+        nls.gnc(graph, values, doubted=[heard[:2]])
+
+
+def test_plain_graduation_from_odometry_finds_single_ones(city: sim.World) -> None:
+    wrong = wrong_closures(city, 20, RNG(6))
+    graph = FactorGraph([*city.graph.factors, wrong])
+    found = nls.gnc(graph, nls.initialize(graph, city.truth, "odometry")[0], preselect=False)
+    assert names(wrong) <= {each.factor for each in found.rejected}
+
+
+# --- refusals ---
+
+
+def test_what_cannot_be_judged_is_refused_by_name(city: sim.World) -> None:
+    chain = Between(x[[0, 1, 3]], x[[1, 2, 4]], [1.0, 0.0, 0.0], Isotropic(0.1))
+    loop = Between(x[[0, 2]], x[[4, 0]], [0.0, 0.0, 0.0], Isotropic(0.1))
+    values = Values({x: (SE2, SE2.identity(5))})
+    with pytest.raises(GraphError, match="none joins x2 to x3"):
+        nls.gnc(FactorGraph([chain, loop]), values)
+    with pytest.raises(GraphError, match="no loop closures"):
+        nls.gnc(FactorGraph([chain]), values)
+    blind = Between(x[[0, 2]], x[[4, 0]], [0.0, 0.0, 0.0], Information(np.diag([1.0, 1.0, 0.0])))
+    whole = Between(x[[0, 1, 2, 3]], x[[1, 2, 3, 4]], [1.0, 0.0, 0.0], Isotropic(0.1))
+    with pytest.raises(GraphError, match=r"Between\(x0, x4\): its weights say nothing"):
+        nls.gnc(FactorGraph([whole, blind]), values)
+    with pytest.raises(OptionError, match="loss"):
+        nls.gnc(city.graph, city.truth, "huber")
+    for probability in (0.0, 1.0, np.nan, "0.9"):
+        with pytest.raises(OptionError, match="probability"):
+            nls.gnc(city.graph, city.truth, probability=probability)  # type: ignore[arg-type]
+
+
+def test_loop_closures_are_told_by_place_not_by_number() -> None:
+    graph = FactorGraph([Between(x[[10, 20, 10]], x[[20, 40, 40]], np.tile([1.0, 0.0, 0.0], (3, 1)), Isotropic(0.1))])
+    values = Values({x: (SE2, np.zeros((3, 3)), np.array([40, 10, 20]))})
+    (mask,) = loop_closures(graph, values)
+    assert mask.tolist() == [False, False, True]
+    assert len(with_only(graph, [~mask])) == 2
+    assert grow(graph, values).masks[0].tolist() == [True, True, False]
