@@ -38,16 +38,19 @@ def explain(options: argparse.Namespace) -> int:
 def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
     import nls
-    from models.errors import EvaluationError, UnderconstrainedError
+    from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
 
     values, how, why = start, "at the start", ""
-    for method in (None, nls.LevenbergMarquardt()):
+    for again, method in ((False, None), (False, nls.LevenbergMarquardt()), (True, None)):
         try:
-            result = graph.optimize(start, method)
+            begin = (
+                nls.initialize(graph, start, "odometry")[0] if again else start
+            )  # closures may have spoiled the other
+            result = graph.optimize(begin, method)
         except UnderconstrainedError:
             why = why or "something is free, see below"
             continue
-        except EvaluationError as error:
+        except (EvaluationError, GraphError, SingularGeometryError) as error:
             why = str(error)
             continue
         if result.converged:
@@ -58,6 +61,11 @@ def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
         how = f"at the best values found ({result.method}, {result.iterations} iterations)"
     explanation = nls.explain(graph, values)
     says = f"no optimum was found ({why}): what follows is about the values {how}"
-    finding = nls.Finding("not converged", (), says, "repair what is free; or try another --init")
+    finding = nls.Finding(
+        "not converged",
+        (),
+        says,
+        "try another --init; of a pose graph with many wrong closures: nls solve --robust gnc-tls",
+    )
     others = tuple(other for other in explanation.findings if other.kind != "no optimum")
     return replace(explanation, findings=(finding, *others)), how

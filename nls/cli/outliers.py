@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from nls.cli.outputs import typed
+
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["chosen", "record", "rows", "wanted"]
+__all__ = ["chosen", "kept", "left_out", "record", "rows", "wanted"]
 
 PREFIX = "gnc-"
+NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 
 
 def wanted(robust: str | None) -> bool:
     """Whether the option asks for graduated non-convexity, not for a kernel."""
-    return bool(robust and robust.startswith(PREFIX))
+    return bool(robust and robust.rpartition("=")[2].startswith(NAME))
 
 
 def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robustified:
@@ -31,10 +34,10 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     import nls
     from nls.robust.graduated import LOSSES
 
-    loss, _, number = robust.removeprefix(PREFIX).partition(":")
+    loss, colon, number = robust.removeprefix(PREFIX).partition(":")
     allowed = " or ".join(f"{PREFIX}{name}[:PROBABILITY]" for name in LOSSES) + ", such as gnc-tls:0.99"
     try:
-        probability = float(number) if number else 0.99
+        probability = float(number) if colon else 0.99
     except ValueError as error:
         raise nls.OptionError("--robust", robust, allowed) from error
     if loss not in LOSSES or not 0 < probability < 1:
@@ -57,5 +60,18 @@ def record(found: Robustified) -> dict[str, Any]:
 
 def rows(found: Robustified) -> list[str]:
     """For the table."""
-    first, *others = found.report(SHOWN)
+    first, *others = map(typed, found.report(SHOWN))
     return [f"rejected    {first}", *(f"          {line}" for line in others)]
+
+
+def kept(as_read: FactorGraph, found: Robustified) -> FactorGraph:
+    """What is written: the graph as it was read, without what was rejected."""
+    from nls.robust.closures import with_only
+
+    return with_only(as_read, [weight > 0 for weight in found.weights])
+
+
+def left_out(found: Robustified, output: str | None) -> list[str]:
+    """The note on what the output does not hold."""
+    count = len(found.rejected)
+    return [f"{output} holds the graph without the {count} rejected measurements"] if output and count else []

@@ -22,6 +22,8 @@ TYPED = {  # what messages of the library name, and the options of the command l
     "linear solver 'qr'": "--linear-solver qr",
     ", see `underconstrained`": "",
     "; use preselect=False": "",
+    "(`findings` has them)": "(--json has them)",
+    "(`rejected` has them)": "(--json has them)",
     "; name factors with doubted=[...]": "",
 }
 

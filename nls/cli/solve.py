@@ -63,6 +63,8 @@ def solve(options: argparse.Namespace) -> int:
             start, init, tried = nls.initialize(graph, values, options.init)
         else:
             graph, start, init = found.graph, found.result.values, options.robust
+            as_read = outliers.kept(as_read, found)
+            report.notes += outliers.left_out(found, options.output)
             tried = {init: found.result.chi2_final}
         chi2_read = _chi2_read(graph, values, tried)
         before = start if chi2_read is None else values  # what a picture can show
@@ -112,7 +114,7 @@ def solve(options: argparse.Namespace) -> int:
         "format": report.format,
         "dimension": report.dimension,
         "variables": len(values),
-        "factors": len(graph),
+        "factors": len(graph) + len(said.get("rejected", ())),
         "convention": report.convention,
         "robust": options.robust,
         "held": options.hold,

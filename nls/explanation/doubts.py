@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import Between, BetweenSensors
+from factors import Between, BetweenSensors, Cauchy, Huber
 from factors.base import Factor
 from factors.function import FunctionFactor
 from nls.explanation.findings import Finding, Measurement, Part, number, some
@@ -177,7 +177,8 @@ def switched_off(graph: FactorGraph, values: Values) -> list[Finding]:
         off = np.flatnonzero(factor.weights(values) < OFF)
         if factor.kernel is not None and len(off) > len(factor) / 2:
             says = f"{factor.kernel!r} rejects {len(off)} of {len(factor)} measurements of {factor!r} at these values"
-            cure = "start nearer, or use a wider kernel or one that forgets nothing, such as Cauchy"
+            cure = "start nearer, or use a wider kernel"
+            cure += "" if isinstance(factor.kernel, Huber | Cauchy) else " or one that forgets nothing, such as Cauchy"
             keys = tuple(dict.fromkeys(keys[[i]] for i in off[:5].tolist() for keys in factor.keys))
             out.append(Finding("rejected", keys, says, cure))
     return out

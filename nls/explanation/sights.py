@@ -32,14 +32,12 @@ class Sight:
     count : sightings of the point, by all factors.
     axes : (d, d) unit vectors in the world, a row for each of `names`; nan straight above the sensor.
     names : range, azimuth, elevation; range, bearing in the plane.
-    factor : the type of the factor.
     """
 
     pose: Keys
     count: int
     axes: Array
     names: tuple[str, ...]
-    factor: str
 
 
 def sights(pattern: Pattern, values: Values, points: Index) -> dict[int, Sight]:
@@ -65,8 +63,8 @@ def sights(pattern: Pattern, values: Values, points: Index) -> dict[int, Sight]:
         variables, first = np.unique(batch.variables[1][which], return_index=True)
         for v, k in zip(variables.tolist(), first.tolist(), strict=True):
             if v not in out:
-                out[v] = Sight(factor.keys[0][[which[k]]], 0, E[k], names, factor.name)
-    return {v: Sight(s.pose, int(count[v]), s.axes, s.names, s.factor) for v, s in out.items()}
+                out[v] = Sight(factor.keys[0][[which[k]]], 0, E[k], names)
+    return {v: Sight(s.pose, int(count[v]), s.axes, s.names) for v, s in out.items()}
 
 
 def _spherical(p: Array) -> tuple[tuple[str, ...], Array]:

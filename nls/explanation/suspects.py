@@ -31,7 +31,7 @@ TURNS = 3  # of taking out and optimizing the rest
 ITERATIONS = 25  # of one of these
 STEPS = 0.5  # the worst one is a step of the trajectory only if it is this much worse than any other
 MANY = 10  # measurements of a kind that tell the size of its sigmas
-RIVAL = 0.9  # of the squared distance: measurements as far off cannot be told apart
+RIVAL = 0.9  # of the squared distance: measurements as far off, that fit without the other, cannot be told apart
 LARGEST = 10.0  # variance of the middle measurement; what is above that are no sigmas that are too small
 
 
@@ -125,21 +125,28 @@ def _search(
     pattern = checked.linear.pattern
     odometry = [steps(batch, pattern) for batch in pattern.batches[:count]]
     out: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
+    off = _off(checked, scale, count)
     while len(out) < most:
-        tests = checks(checked, count)
-        off, worth = [], []
-        for k, (test, chance, s) in enumerate(zip(tests, _chances(tests, scale), scale, strict=True)):
-            counts = not pattern.batches[k].model.factor.limit_only
-            open_ = counts & test.checked & (checked.w[k] > 0) & (chance <= SIGNIFICANT) & (test.m > 0)
-            off.append(np.where(open_, test.t / s / np.maximum(test.m, 1), 0.0))
-            worth.append(off[k] * np.where(odometry[k], STEPS, 1.0))
+        worth = [each * np.where(along, STEPS, 1.0) for each, along in zip(off, odometry, strict=True)]
         best, k, i = max((float(w.max()), k, int(w.argmax())) for k, w in enumerate(worth) if len(w))
         if not best > 0:
             break
         as_far = [(j, int(o)) for j, each in enumerate(off) for o in np.flatnonzero(each >= RIVAL * off[k][i])]
+        checked.take_out(k, i)
+        off = _off(checked, scale, count)
+        as_far = [(j, o) for j, o in as_far if not off[j][o] > 0]  # what is as far off still is wrong by itself
         as_far.remove((k, i))
         out[k, i] = len(as_far), as_far[0] if as_far else None
-        checked.take_out(k, i)
+    return out
+
+
+def _off(checked: Checked, scale: list[Array], count: int) -> list[Array]:
+    """(k,) by batch, the squared distance per number of every measurement that does not fit; 0 of all others."""
+    tests, out = checks(checked, count), []
+    for k, (test, chance, s) in enumerate(zip(tests, _chances(tests, scale), scale, strict=True)):
+        counts = not checked.linear.pattern.batches[k].model.factor.limit_only
+        open_ = counts & test.checked & (checked.w[k] > 0) & (chance <= SIGNIFICANT) & (test.m > 0)
+        out.append(np.where(open_, test.t / s / np.maximum(test.m, 1), 0.0))
     return out
 
 

@@ -132,11 +132,10 @@ def _covariances(model: object) -> Array:
     assert isinstance(group, LieGroup)
     (_, A), _ = model.linearize(group.identity(len(model.z)), model.z)
     information = gram(A)
-    try:
-        C = np.linalg.inv(information)
-    except np.linalg.LinAlgError:
-        C = np.full(information.shape, np.nan)
-    bad = ~(np.isfinite(C).all(axis=(1, 2)) & (np.diagonal(C, axis1=1, axis2=2) > 0).all(axis=1))
+    sizes = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+    sizes = np.where(sizes > 0, sizes, 1.0)  # meters and radians in units of their own: a rank is of numbers alike
+    correlation = information / (sizes[:, :, None] * sizes[:, None, :])
+    bad = np.linalg.matrix_rank(correlation, hermitian=True) < group.dim
     if bad.any():
         name = model.factor.describe(int(np.argmax(bad)))
         raise GraphError(
@@ -145,4 +144,4 @@ def _covariances(model: object) -> Array:
             model.factor.keys,
             name,
         )
-    return np.asarray(C)
+    return np.asarray(np.linalg.inv(information))

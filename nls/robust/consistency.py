@@ -6,10 +6,11 @@ Two closures a = (i, j), b = (k, l) whose ends lie near one another on the track
 
 in which only a few steps of odometry add to the covariance S of xi. True closures agree with their neighbors, and d is
 chi2 distributed with the dimension of the group. A wrong closure seldom finds one that agrees with it by accident; a
-place that looks like another gives a whole group of wrong closures, all of which agree.
+place that looks like another gives a whole group of wrong closures, all of which agree. A copy of a closure agrees
+with it whatever it says, and counts for nothing.
 
 The same d tell by how much the stated sigmas are wrong: sigma0^2 = median(d) / median of chi2. Geodesy calls it the
-variance of unit weight. It changes no estimate, but every test.
+variance of unit weight. It changes no estimate, but every test. Numbers without any noise say nothing of it.
 
 The covariance of the pose of j in i along odometry needs no walk from i to j: in the axes of the world the covariances
 of the steps, Ad(T_k) C_k Ad(T_k)', just add up, so that a running sum serves all pairs.
@@ -30,10 +31,13 @@ from nls.components import connected
 from nls.filters.consistency import chi2_gate
 from nls.robust.closures import Index, Links, turned
 
-__all__ = ["Neighbors", "neighbors"]
+__all__ = ["Neighbors", "neighbors", "unit_variance"]
 
 WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures that are compared; for sigma0
 AGREED = 0.99  # probability with which two true closures agree
+EXACT = 1e-12  # variance of unit weight of numbers without noise: what is below is rounding
+FEW = 10  # pairs that are too few to tell the noise: one wrong closure among four spoils half of them
+COPY = 1e-9  # m and rad; the same measurement once more, but for the rounding of an inverse
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Neighbors:
     ----------
     support : (m,) how many others agree with each.
     cluster : (m,) the connected part of each, named by its first closure.
-    sigma0 : the factor by which the stated sigmas have to be multiplied; 1 where no two closures are near.
+    sigma0 : by what the stated sigmas have to be multiplied; 1 where few closures are near, or all are exact.
     """
 
     support: Index
@@ -68,6 +72,11 @@ class Odometry:
         group, T = self.group, self.T
         S = self.sums[np.maximum(i, j)] - self.sums[np.minimum(i, j)]
         return group.compose(group.inverse(T[i]), T[j]), turned(group.adjoint(group.inverse(T[j])), S)
+
+
+def unit_variance(noise: float) -> float:
+    """The variance of unit weight where there is noise; 1, that of the stated sigmas, where there is rounding alone."""
+    return noise if noise > EXACT else 1.0
 
 
 def mahalanobis(xi: Array, S: Array) -> Array:
@@ -96,10 +105,12 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
     around = group.compose(group.compose(T_ik, z_b), T_lj)
     xi = group.log(group.compose(group.inverse(loops.z[a]), around))
+    new = (ends[a] != ends[b]).any(axis=1) | (np.abs(xi) > COPY).any(axis=1)
     S = loops.C[a] + turned(to_j @ group.adjoint(group.inverse(z_b)), C_ik) + turned(to_j, loops.C[b]) + C_lj
-    d = mahalanobis(xi, S)
+    a, b, d = a[new], b[new], mahalanobis(xi[new], S[new])
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
-    variance = float(np.median(d[near])) / chi2_gate(group.dim, 0.5) if near.any() else 1.0
+    told = near.sum() >= FEW
+    variance = unit_variance(float(np.median(d[near])) / chi2_gate(group.dim, 0.5)) if told else 1.0
     agree = d <= variance * chi2_gate(group.dim, AGREED)
     a, b = a[agree], b[agree]
     return Neighbors(np.bincount(np.r_[a, b], minlength=m), connected(a, b, m), float(np.sqrt(variance)))

@@ -13,10 +13,14 @@ with one weighted step for every mu, which follows one minimum from the first, w
 
 From odometry that is not the right first one if half of the closures are wrong, or if they come in groups that agree
 with one another. For pose graphs the start is therefore that of `nls.robust.growth`, odometry and the closures it could
-verify, and mu begins at 1, where what is far out is out.
+verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower: the first
+leaves alone what was set aside, the second takes back right closures that the start did not fit yet.
 
-sigma0 is 1, the stated sigmas, unless the accepted closures show them to be more than three times too large (`Growth`):
-where all residuals are a hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass.
+    sigma0^2 = min(9 noise, max(1, noise)),      noise = chi2 over its 5 % quantile with what `Growth` accepted
+
+is 1, the stated sigmas, unless they are too small, or more than three times too large: where all residuals are a
+hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
+exactly, noise is 1.
 
 Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", RA-L
 5(2), 2020.
@@ -40,6 +44,7 @@ from nls.graph import FactorGraph
 from nls.linear.threads import single_thread
 from nls.optimizers import Optimizer, Result, Status
 from nls.robust.closures import Mask, loop_closures, with_only
+from nls.robust.consistency import unit_variance
 from nls.robust.growth import grow
 from nls.starts import chordal
 from nls.values import Values
@@ -54,8 +59,9 @@ __all__ = ["LOSSES", "Rejected", "Robustified", "gnc"]
 FASTER = 1.4  # mu from step to step, as in the paper
 DONE = 1e3  # mu of a kernel that is as good as truncated
 PASSES = 8  # of choosing and solving at most; three are the rule
-FAR = 20.0  # thresholds; what is farther out than that, after preselection, has no weight at any mu
+FAR = (10.0, 1000.0)  # thresholds within which closures pull at first, after preselection: the lower cost is taken
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
+UNLIKELY = 0.05  # of chi2 to be smaller
 BETTER = 1e-3  # part of chi2 by which another start must be lower
 
 
@@ -143,7 +149,11 @@ class Robustified:
 
     @property
     def strain(self) -> float:
-        """Noise of the estimate over noise between neighbors, 1 to 2 where closures were chosen well; nan without."""
+        """Noise of the estimate over noise between neighbors: 1 to 2.2 where closures were chosen well, nan without.
+
+        Far above that the closures and their weights do not fit together. Near 1 it proves nothing: a whole group of
+        wrong closures that was accepted does not show.
+        """
         return float(np.sqrt(self.result.chi2_final / max(self.result.dof, 1))) / self.local
 
     def __repr__(self) -> str:
@@ -152,9 +162,11 @@ class Robustified:
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected at which threshold, and the first of them."""
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
-        lines = [f"{counted}, threshold at {self.sigma0:.3g} stated sigmas"]
+        lines = [counted] if self.sigma0 == 1.0 else [f"{counted}, by {self.sigma0:.3g} times the stated sigmas"]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
-        return lines + ([f"  and {len(self.rejected) - most} more"] if len(self.rejected) > most else [])
+        return lines + (
+            [f"  and {len(self.rejected) - most} more (`rejected` has them)"] if len(self.rejected) > most else []
+        )
 
     def __str__(self) -> str:
         return "\n".join([str(self.result), *self.report()])
@@ -224,7 +236,9 @@ def gnc(
     >>> [rejected.factor for rejected in found.rejected], found.result.converged
     (['Between(x3, x20)', 'Between(x7, x52)'], True)
     """
-    if loss not in LOSSES:
+    if not isinstance(graph, FactorGraph) or not isinstance(values, Values):
+        raise GraphError(f"gnc: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
+    if not isinstance(loss, str) or loss not in LOSSES:
         raise OptionError("loss", loss, "one of " + ", ".join(LOSSES))
     if not is_number(probability) or not 0 < probability < 1:
         raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
@@ -237,27 +251,52 @@ def gnc(
     if preselect and doubted is None:
         grown = grow(graph, values)
         first = _lowest(with_only(graph, grown.masks), grown.values)
-        noise = first.chi2_final / max(first.dof, 1)
-        values, scale, local = first.values, min(WIDE**2 * noise, max(1.0, noise)) or 1.0, grown.sigma0
-    values = _bent(graph, values, masks, [scale * gate for gate in gates], loss, all_in=np.isnan(local))
+        accepted = any((m & kept).any() for m, kept in zip(masks, grown.masks, strict=True))
+        likely = chi2_gate(max(first.dof, 1), UNLIKELY)  # of few numbers chi2 may be small by chance
+        noise = unit_variance(first.chi2_final / likely) if accepted else 1.0  # odometry fits by itself
+        values, scale, local = first.values, min(WIDE**2 * noise, max(1.0, noise)), grown.sigma0
+    thresholds = [scale * gate for gate in gates]
+    tried = [_settled(graph, values, masks, thresholds, loss, far) for far in ([np.inf] if np.isnan(local) else FAR)]
+    found = min(tried, key=lambda each: each.cost)
+    off = [
+        (float(s[n]), factor.describe(n))
+        for factor, m, s in zip(graph.factors, found.kept, found.s, strict=True)
+        for n in np.flatnonzero(~m).tolist()
+    ]
+    rejected = tuple(Rejected(name, k**0.5) for k, name in sorted(off, key=lambda each: -each[0]))
+    weights = [m.astype(float) for m in found.kept]
+    return Robustified(found.result, found.graph, weights, rejected, total, float(np.sqrt(scale)), local)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A choice of measurements that reproduces itself: cost is the sum of min(s, c^2) where doubted, of s elsewhere."""
+
+    result: Result
+    graph: FactorGraph
+    kept: list[Mask]
+    s: list[Array]
+    cost: float
+
+
+def _settled(
+    graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], loss: str, far: float
+) -> Settled:
+    """Where graduated kernels lead from some values, and then choosing and solving in turns."""
+    values = _bent(graph, values, masks, thresholds, loss, far)
     kept: list[Mask] = []
     for _ in range(PASSES):
         s = [factor.chi2(values) for factor in graph.factors]
-        before, kept = kept, [~m | (k <= scale * q) for m, k, q in zip(masks, s, gates, strict=True)]
+        before, kept = kept, [~m | (k <= c2) for m, k, c2 in zip(masks, s, thresholds, strict=True)]
         if before and all((a == b).all() for a, b in zip(before, kept, strict=True)):
             break
         part = with_only(graph, kept)
         result = part.optimize(values) if before else _lowest(part, values)
         values = result.values
-    off = [(float(k), f.describe(n)) for f, m, s_f in zip(graph.factors, kept, s, strict=True) for n, k in _out(m, s_f)]
-    rejected = tuple(Rejected(name, k**0.5) for k, name in sorted(off, key=lambda each: -each[0]))
-    return Robustified(result, part, [m.astype(float) for m in kept], rejected, total, float(np.sqrt(scale)), local)
-
-
-def _out(kept: Mask, s: Array) -> list[tuple[int, float]]:
-    """Numbers and chi2 of the measurements that are not kept."""
-    out = np.flatnonzero(~kept)
-    return list(zip(out.tolist(), s[out].tolist(), strict=True))
+    else:
+        s = [factor.chi2(values) for factor in graph.factors]  # two choices take turns: the last one is taken
+    cost = sum(float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(masks, s, thresholds, strict=True))
+    return Settled(result, part, kept, s, cost)
 
 
 def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:
@@ -275,20 +314,19 @@ def _numbers(factor: Factor, values: Values) -> int:
 
 
 def _bent(
-    graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], loss: str, all_in: bool
+    graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], loss: str, far: float
 ) -> Values:
-    """Where graduated kernels lead from some values: from the convex one, or from what is near the threshold."""
+    """Where graduated kernels lead from some values, beginning where all pull that are within `far` thresholds."""
     factors: list[Factor] = []
     kernels: list[TruncatedSquares | GemanMcClureSquares] = []
     for factor, mask, c2 in zip(graph.factors, masks, thresholds, strict=True):
         if (~mask).any():
             factors.append(factor[~mask])
         s = factor.chi2(values)
-        near = mask if all_in else mask & (s <= FAR * c2)
+        near = mask & (s <= far * c2)
         if near.any():
             kernel = LOSSES[loss](c2**0.5)
-            if all_in:
-                kernel.begin(float(s[near].max()))
+            kernel.begin(float(s[near].max()))
             kernels.append(kernel)
             factors.append(factor[near].robust(kernel))
     if not kernels:

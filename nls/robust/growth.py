@@ -29,7 +29,7 @@ from nls.filters.consistency import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
 from nls.robust.closures import Index, Links, Mask, chained, with_only
-from nls.robust.consistency import mahalanobis, neighbors
+from nls.robust.consistency import mahalanobis, neighbors, unit_variance
 from nls.robust.groups import misfits
 from nls.robust.paths import path_covariances
 from nls.starts.chain import along_chain
@@ -116,7 +116,7 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
         closures = np.flatnonzero(~odometry)[accepted]
         part = with_only(graph, masks)
         result = part.optimize(values)
-        noise = result.chi2_final / max(result.dof, 1)
+        noise = unit_variance(result.chi2_final / max(result.dof, 1))
         wrong = misfits(part, result.values, edges, closures, found.cluster[accepted], noise)
         if wrong.any():
             accepted[np.flatnonzero(accepted)[wrong]] = False

@@ -14,7 +14,7 @@ from nls.robust.closures import Index, Links, turned
 
 __all__ = ["path_covariances"]
 
-SOURCES = 400  # searched from together
+TOGETHER = 10_000_000  # places that paths are kept to, from all sources searched together: 120 MB
 
 
 def path_covariances(links: Links, T: Array, i: Index, j: Index, meters: float) -> Array:
@@ -40,9 +40,10 @@ def path_covariances(links: Links, T: Array, i: Index, j: Index, meters: float) 
     steps = sp.csr_array((length[best], (ends.min(axis=0), ends.max(axis=0))), shape=(n, n))
     sums = np.zeros((len(i), d * d))
     sources, source = np.unique(i, return_inverse=True)
-    for begin in range(0, len(sources), SOURCES):
-        mine = np.flatnonzero((source >= begin) & (source < begin + SOURCES))
-        _, before = dijkstra(steps, False, sources[begin : begin + SOURCES], return_predecessors=True)
+    size = max(TOGETHER // n, 1)
+    for begin in range(0, len(sources), size):
+        mine = np.flatnonzero((source >= begin) & (source < begin + size))
+        _, before = dijkstra(steps, False, sources[begin : begin + size], return_predecessors=True)
         at, row = j[mine], source[mine] - begin
         while len(mine):  # all paths one step back, until each is where it began
             last = before[row, at]

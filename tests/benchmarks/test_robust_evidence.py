@@ -139,16 +139,16 @@ def test_telling_failed_from_good(evidence: Any, trials: Any) -> None:
     assert evidence.area(failed, good) == pytest.approx(7.5 / 8)
     assert evidence.best_threshold(failed, good) == pytest.approx(2.75)  # both failed ones and one good one above it
     made = [
-        trials.Trial(trials.Task("intel", 1, 0.1, k), off, 1.0, 0.9, 0.99, strain, 0.5, 0.2, 2.0)
+        trials.Trial(trials.Task("intel", 1, 0.5, k), off, 1.0, 0.9, 0.99, strain, 0.5, 0.2, 2.0)
         for k, (off, strain) in enumerate(
             [(0.2, 3.0), (0.3, 5.0), (0.001, 1.0), (0.002, 2.0), (0.003, 2.5), (0.004, 3.0)]
         )
     ]
     (row,) = [line for line in evidence.telling(made) if "strain" in line]
-    assert "| 0.94 |" in row
+    assert row == "| `strain` | 0.94 | 2.75 | 2 of 2 | 1 of 4 | 0.94 |"
     assert evidence.telling(made[2:]) == ["Of all 4 trials 0 failed: nothing to tell apart."]
-    *_, line = evidence.ours(made, [trials.Task("intel", 1, 0.1, 0)])
-    assert line == "| intel | single | 10 | 4 of 6 | 0.35 | 30 | 100.0 | 90.0 | 99.0 | 2.75 | 5.00 | 2.0 |"
+    *_, line = evidence.ours(made, [trials.Task("intel", 1, 0.5, 0)])
+    assert line == "| intel | single | 50 | 4 of 6 | 0.35 | 30 | 100.0 | 90.0 | 99.0 | 2.75 | 5.00 | 2.0 |"
 
 
 def test_real_closures(data: Path, script: Callable[[str], Any]) -> None:

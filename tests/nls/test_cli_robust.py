@@ -66,6 +66,9 @@ def test_the_page_lists_them(spoiled: tuple[Path, set[str]], tmp_path: Path) -> 
         (["--robust", "gnc-tsl"], "gnc-tls[:PROBABILITY] or gnc-gm"),
         (["--robust", "gnc-tls:2"], "such as gnc-tls:0.99"),
         (["--robust", "gnc-tls:x"], "such as gnc-tls:0.99"),
+        (["--robust", "gnc-tls:"], "such as gnc-tls:0.99"),
+        (["--robust", "gnc"], "gnc-tls[:PROBABILITY] or gnc-gm"),
+        (["--robust", "Between=gnc-tls"], "gnc-tls[:PROBABILITY] or gnc-gm"),
         (["--robust", "gnc-tls", "--init", "chordal"], "begins with odometry"),
     ],
 )
@@ -86,3 +89,18 @@ def test_a_graph_without_closures_is_refused(tmp_path: Path, capsys: pytest.Capt
     assert "no loop closures" in err
     assert "doubted=" not in err
     assert err.count("\n") == 1
+
+
+def test_the_output_is_the_graph_without_them(
+    spoiled: tuple[Path, set[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, wrong = spoiled
+    out = tmp_path / "out.g2o"
+    assert main(["solve", str(path), "--robust", "gnc-tls", "-o", str(out)]) == 0
+    assert "without the" in capsys.readouterr().out
+    before, (graph, values, _) = nls.load(path)[0], nls.load(out)
+    written = {factor.describe(k) for factor in graph.factors for k in range(len(factor))}
+    assert not written & wrong
+    assert len(before) - len(graph) >= len(wrong)
+    assert graph.chi2(values) < 2 * 3 * len(graph)
+    assert main(["solve", str(out)]) == 0

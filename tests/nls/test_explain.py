@@ -12,6 +12,7 @@ import sim
 from factors import (
     BearingRange,
     Between,
+    Cauchy,
     Diagonal,
     Factor,
     Isotropic,
@@ -20,6 +21,7 @@ from factors import (
     Robust,
     Tukey,
 )
+from factors.robust import Kernel
 from models import SE2, SE3, R
 from models.algebra import Array
 from nls import Explanation, FactorGraph, GraphError, Values
@@ -131,6 +133,26 @@ def test_in_a_single_loop_nothing_tells_the_wrong_one() -> None:
     assert kinds(explanation)[0] == "wrong closure"
     assert explanation.findings[0].keys == (x[3], x[0])
     assert "or one of 3 others, such as Between(x1, x2), as nothing tells them apart" in explanation.findings[0].says
+
+
+def test_two_that_are_wrong_by_themselves_are_no_rivals() -> None:
+    graph, start = ring()
+    X = graph.optimize(start).values
+    i, j = np.array([3, 12]), np.array([28, 31])
+    graph.add(Between(x[i], x[j], SE2.between(X[x[i]], X[x[j]]) + np.array([3.0, 0.0, 0.5]), NOISE))
+    graph.fix(x[np.arange(40)])
+    findings = [found for found in nls.explain(graph, X).findings if found.kind == "wrong closure"]
+    assert {found.keys for found in findings} == {(x[3], x[28]), (x[12], x[31])}
+    assert not [found.says for found in findings if "nothing tells them apart" in found.says]
+
+
+@pytest.mark.parametrize("kernel", [Cauchy(0.1), Tukey(0.1)])
+def test_a_kernel_that_rejects_most_is_not_recommended_itself(kernel: Kernel) -> None:
+    graph, start = ring()
+    robust = FactorGraph([factor.robust(kernel) for factor in graph.factors])
+    (finding, *_) = (found for found in nls.explain(robust, start).findings if found.kind == "rejected")
+    assert repr(kernel) in finding.says
+    assert ("such as Cauchy" in finding.cure) == isinstance(kernel, Tukey)
 
 
 def test_many_wrong_closures_are_too_many_to_name() -> None:
