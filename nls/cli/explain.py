@@ -41,12 +41,10 @@ def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
 
     values, how, why = start, "at the start", ""
-    for again, method in ((False, None), (False, nls.LevenbergMarquardt()), (True, None)):
+    damped = nls.LevenbergMarquardt()
+    for init, method in (("file", None), ("file", damped), ("odometry", damped)):  # closures may have spoiled the start
         try:
-            begin = (
-                nls.initialize(graph, start, "odometry")[0] if again else start
-            )  # closures may have spoiled the other
-            result = graph.optimize(begin, method)
+            result = graph.optimize(nls.initialize(graph, start, init)[0], method)
         except UnderconstrainedError:
             why = why or "something is free, see below"
             continue
@@ -54,18 +52,13 @@ def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
             why = str(error)
             continue
         if result.converged:
-            return nls.explain(
-                graph, result.values
-            ), f"at its optimum ({result.method}, {result.iterations} iterations)"
+            how = f"at its optimum ({result.method}, {result.iterations} iterations)"
+            return nls.explain(graph, result.values), how
         values, why = result.values, f"{result.status.value}: {typed(result.reason)}"
         how = f"at the best values found ({result.method}, {result.iterations} iterations)"
     explanation = nls.explain(graph, values)
     says = f"no optimum was found ({why}): what follows is about the values {how}"
-    finding = nls.Finding(
-        "not converged",
-        (),
-        says,
-        "try another --init; of a pose graph with many wrong closures: nls solve --robust gnc-tls",
-    )
+    cure = "try another --init; of a pose graph with many wrong closures: nls solve --robust gnc-tls"
+    finding = nls.Finding("not converged", (), says, cure)
     others = tuple(other for other in explanation.findings if other.kind != "no optimum")
     return replace(explanation, findings=(finding, *others)), how
