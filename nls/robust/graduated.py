@@ -14,7 +14,8 @@ with one weighted step for every mu, which follows one minimum from the first, w
 From odometry that is not the right first one if half of the closures are wrong, or if they come in groups that agree
 with one another. For pose graphs the start is therefore that of `nls.robust.growth`, odometry and the closures it could
 verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower: the first
-leaves alone what was set aside, the second takes back right closures that the start did not fit yet.
+leaves alone what was set aside, the second takes back right closures that the start did not fit yet. The second is left
+out where so many wrong ones are within it that factorizing becomes ten times dearer.
 
     sigma0^2 = min(9 noise, max(1, noise)),      noise = chi2 over its 5 % quantile with what `Growth` accepted
 
@@ -40,7 +41,9 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
 from nls.filters.consistency import chi2_gate
+from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
+from nls.linear.fill import fill_in
 from nls.linear.threads import single_thread
 from nls.optimizers import Optimizer, Result, Status
 from nls.robust.closures import Mask, loop_closures, with_only
@@ -60,6 +63,7 @@ FASTER = 1.4  # mu from step to step, as in the paper
 DONE = 1e3  # mu of a kernel that is as good as truncated
 PASSES = 8  # of choosing and solving at most; three are the rule
 FAR = (10.0, 1000.0)  # thresholds within which closures pull at first, after preselection: the lower cost is taken
+DEARER = 10  # a second reach that takes so many times the operations is left out: torus3D, half wrong, 9 minutes
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
 UNLIKELY = 0.05  # of chi2 to be smaller
 BETTER = 1e-3  # part of chi2 by which another start must be lower
@@ -256,7 +260,8 @@ def gnc(
         noise = unit_variance(first.chi2_final / likely) if accepted else 1.0  # odometry fits by itself
         values, scale, local = first.values, min(WIDE**2 * noise, max(1.0, noise)), grown.sigma0
     thresholds = [scale * gate for gate in gates]
-    tried = [_settled(graph, values, masks, thresholds, loss, far) for far in ([np.inf] if np.isnan(local) else FAR)]
+    reaches = [np.inf] if np.isnan(local) else _affordable(graph, values, masks, thresholds)
+    tried = [_settled(graph, values, masks, thresholds, loss, far) for far in reaches]
     found = min(tried, key=lambda each: each.cost)
     off = [
         (float(s[n]), factor.describe(n))
@@ -266,6 +271,21 @@ def gnc(
     rejected = tuple(Rejected(name, k**0.5) for k, name in sorted(off, key=lambda each: -each[0]))
     weights = [m.astype(float) for m in found.kept]
     return Robustified(found.result, found.graph, weights, rejected, total, float(np.sqrt(scale)), local)
+
+
+def _within(graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], far: float) -> list[Mask]:
+    """The measurements that are trusted, and those doubted ones that are within so many thresholds."""
+    s = [factor.chi2(values) for factor in graph.factors]
+    return [~m | (k <= far * c2) for m, k, c2 in zip(masks, s, thresholds, strict=True)]
+
+
+def _affordable(graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float]) -> list[float]:
+    """The reaches of `FAR` whose factorization takes at most `DEARER` times the operations of the first."""
+    flops = []
+    for far in FAR:
+        pattern = with_only(graph, _within(graph, values, masks, thresholds, far)).pattern(values)
+        flops.append(fill_in(pattern, fixed_variables(graph.fixed, values)).flops)
+    return [far for far, each in zip(FAR, flops, strict=True) if each <= DEARER * flops[0]]
 
 
 @dataclass(frozen=True)
@@ -319,14 +339,13 @@ def _bent(
     """Where graduated kernels lead from some values, beginning where all pull that are within `far` thresholds."""
     factors: list[Factor] = []
     kernels: list[TruncatedSquares | GemanMcClureSquares] = []
-    for factor, mask, c2 in zip(graph.factors, masks, thresholds, strict=True):
+    within = _within(graph, values, masks, thresholds, far)
+    for factor, mask, inside, c2 in zip(graph.factors, masks, within, thresholds, strict=True):
         if (~mask).any():
             factors.append(factor[~mask])
-        s = factor.chi2(values)
-        near = mask & (s <= far * c2)
-        if near.any():
+        if (near := mask & inside).any():
             kernel = LOSSES[loss](c2**0.5)
-            kernel.begin(float(s[near].max()))
+            kernel.begin(float(factor.chi2(values)[near].max()))
             kernels.append(kernel)
             factors.append(factor[near].robust(kernel))
     if not kernels:
