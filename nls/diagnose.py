@@ -116,8 +116,8 @@ def _unmeasured(pattern: Pattern, zero: npt.NDArray[np.bool_], values: Values | 
             zero & touched,
             "factors that do not react to a change here",
             "Either these factors never measure that component (add one that does), or their Jacobian is zero at these "
-            "values alone (try another start or convention; a robust kernel may have rejected them). To leave "
-            "landmarks where they are along it: Levenberg-Marquardt, or linear solver "
+            "values alone (try another start or convention), or a robust kernel has rejected them. To leave landmarks "
+            "where they are along it: Levenberg-Marquardt, or linear solver "
             "nls.Schur(block_inverse=nls.degeneracy.truncated_inverse).",
         ),
     ):
