@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
@@ -30,6 +31,11 @@ __all__ = ["FactorGraph"]
 class FactorGraph:
     """Factors over variables; `optimize` finds the values of lowest chi2.
 
+    Parameters
+    ----------
+    factors : batches of measurements, as `add` takes them.
+    fixed : variables that are held, as `fix` takes them.
+
     Examples
     --------
     >>> from factors import Between, Isotropic, Prior
@@ -44,7 +50,7 @@ class FactorGraph:
     (True, [0.0, 1.0, 2.1])
     """
 
-    def __init__(self, factors: Sequence[Factor] = ()) -> None:
+    def __init__(self, factors: Sequence[Factor] = (), fixed: Sequence[Keys] = ()) -> None:
         self.factors: list[Factor] = []
         self.fixed: list[Keys] = []
         self._pattern: Pattern | None = None
@@ -52,6 +58,10 @@ class FactorGraph:
             raise GraphError(f"FactorGraph: expected a list of factors, got {factors!r:.80}")
         for factor in factors:
             self.add(factor)
+        if not isinstance(fixed, Iterable) or isinstance(fixed, Keys | str):
+            raise GraphError(f"FactorGraph: expected a list of variables to hold such as [x[0]], got {fixed!r:.80}")
+        for keys in fixed:
+            self.fix(keys)
 
     def __len__(self) -> int:
         """Measurements, over all factors."""
@@ -94,9 +104,24 @@ class FactorGraph:
 
     def robust(self, kernel: Kernel) -> FactorGraph:
         """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
-        other = FactorGraph([factor.robust(kernel) for factor in self.factors])
-        other.fixed = list(self.fixed)
-        return other
+        return FactorGraph([factor.robust(kernel) for factor in self.factors], self.fixed)
+
+    def only(self, masks: Sequence[npt.NDArray[np.bool_]]) -> FactorGraph:
+        """A graph of some of the measurements: of every factor those (n,) where its mask is True.
+
+        Raises
+        ------
+        GraphError
+            Not one mask for every factor, or one of another length.
+        """
+        shapes = [np.shape(mask) for mask in masks]
+        if shapes != [(len(factor),) for factor in self.factors]:
+            raise GraphError(
+                f"FactorGraph.only: expected a mask for each of {len(self.factors)} factors, as long as it has "
+                f"measurements, got {len(shapes)} of shapes {shapes!s:.60}"
+            )
+        kept = [f if m.all() else f[m] for f, m in zip(self.factors, masks, strict=True) if m.any()]
+        return FactorGraph(kept, self.fixed)
 
     def chi2(self, values: Values) -> float:
         """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""

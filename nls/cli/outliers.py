@@ -32,7 +32,7 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
         No such loss, no probability, or a start that would not be used.
     """
     import nls
-    from nls.robust.graduated import LOSSES
+    from nls.robust.kernels import LOSSES
 
     loss, colon, number = robust.removeprefix(PREFIX).partition(":")
     allowed = " or ".join(f"{PREFIX}{name}[:PROBABILITY]" for name in LOSSES) + ", such as gnc-tls:0.99"
@@ -66,9 +66,7 @@ def rows(found: Robustified) -> list[str]:
 
 def kept(as_read: FactorGraph, found: Robustified) -> FactorGraph:
     """What is written: the graph as it was read, without what was rejected."""
-    from nls.robust.closures import with_only
-
-    return with_only(as_read, [weight > 0 for weight in found.weights])
+    return as_read.only([weight > 0 for weight in found.weights])
 
 
 def left_out(found: Robustified, output: str | None) -> list[str]:

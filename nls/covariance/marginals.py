@@ -140,8 +140,8 @@ class Marginals:
         ----------
         keys : ``x[3]`` or ``x[[1, 2, 3]]``.
         frame : ``body`` or ``world``, required for poses and rotations in space.
-        view : ``position``, (2, 2) or (3, 3) along the axes of the world; ``euler``, (6, 6) of (roll, pitch, yaw, x, y,
-            z) of a pose in space, rad and m; both need no frame.
+        view : ``position``, (2, 2) or (3, 3) along the axes of the world; ``euler``, (6, 6) of roll, pitch, yaw, x,
+            y and z of a pose in space, rad and m; both need no frame.
 
         Returns
         -------

@@ -9,8 +9,11 @@ import numpy as np
 from factors import Between, BetweenSensors, Cauchy, Huber
 from factors.base import Factor
 from factors.function import FunctionFactor
+from nls.chi_squared import chi2_tail
 from nls.explanation.findings import Finding, Measurement, Part, number, some
-from nls.explanation.statistics import Tested, closures, measuring, tail
+from nls.explanation.offers import certifies, graduates
+from nls.explanation.statistics import Tested, measuring
+from nls.track import closures
 
 if TYPE_CHECKING:
     from nls.assemble import Pattern
@@ -57,14 +60,15 @@ def no_optimum(fall: float, chi2: float) -> Finding:
     return Finding("no optimum", (), says, "solve first: nls.explain(graph, graph.optimize(values).values)")
 
 
-def local_minimum(lower: float, chi2: float) -> Finding:
+def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values) -> Finding:
     """chi2 is lower elsewhere."""
     says = (
         f"these values are a local minimum: chi2 is {number(chi2)} here and {number(lower)} at another one, found by "
         "taking measurements out and putting them back. What follows is about that one"
     )
-    cure = "nls.initialize(graph, values) looks for a better start; nls.certify(graph, values) proves of a pose graph"
-    return Finding("local minimum", (), says, f"{cure} whether there is a lower one")
+    cure = "nls.initialize(graph, values) looks for a better start"
+    cure += "; nls.certify(graph, values) proves whether there is a lower one" * certifies(graph, values)
+    return Finding("local minimum", (), says, cure)
 
 
 def taken_out(found: Suspects, graph: FactorGraph, pattern: Pattern, values: Values) -> tuple[Measurement, ...]:
@@ -73,7 +77,7 @@ def taken_out(found: Suspects, graph: FactorGraph, pattern: Pattern, values: Val
     out = []
     for k, i in found.places:
         t, m = found.tests[k].t[i], found.tests[k].m[i]
-        out.append(measurement(graph.factors[k], i, values, float(t), min(1.0, float(tail(t, m)) * n)))
+        out.append(measurement(graph.factors[k], i, values, float(t), min(1.0, float(chi2_tail(t, m)) * n)))
     return tuple(out)
 
 
@@ -85,7 +89,9 @@ def of_suspects(found: Suspects, graph: FactorGraph, pattern: Pattern) -> list[F
     if found.many:
         keys = tuple(dict.fromkeys(keys[[i]] for k, i in found.places for keys in graph.factors[k].keys))
         says = f"at least {len(named)} measurements do not fit the others, the worst: {some(named)}"
-        cure = "find them by graduated non-convexity, nls.gnc(graph, values), or use a kernel (graph.robust(Cauchy(1)))"
+        gnc = "find them by graduated non-convexity, nls.gnc(graph, values), or " * graduates(graph, found.values)
+        robust = any(factor.kernel is not None for factor in graph.factors)
+        cure = gnc + ("look at them and remove them" if robust else "use a kernel, graph.robust(Cauchy(1))")
         return [Finding("many outliers", keys, says, cure)]
     out = []
     for (k, i), one in zip(found.places, named, strict=True):
@@ -118,28 +124,37 @@ def _turned(factor: Factor, index: int, found: Suspects) -> str:
         return ""
     one = factor[[index]]
     one.keys = one.keys[::-1]
-    if tail(one.chi2(found.values), np.array([measuring(found.values.gather(one)[0])[0]]))[0] < UNLIKELY:
+    if chi2_tail(one.chi2(found.values), np.array([measuring(found.values.gather(one)[0])[0]]))[0] < UNLIKELY:
         return ""
     i, j = (repr(keys[[index]]) for keys in factor.keys)
     return f". It fits when it is read from {j} to {i}: are i and j swapped?"
 
 
-def of_parts(parts: tuple[Part, ...], many: bool, robust: bool) -> list[Finding]:
-    """Kinds of measurements whose chi2 no chance explains; with many outliers only those that are off as a whole."""
+def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> list[Finding]:
+    """Kinds of measurements whose chi2 no chance explains; with many outliers only those that are off as a whole.
+
+    Parameters
+    ----------
+    parts : without the suspects.
+    found : these.
+    """
     out, alike = [], []
+    robust = any(factor.kernel is not None for factor in graph.factors)
+    without = ", without " + ("the suspect" if len(found.places) == 1 else "the suspects") if found.places else ""
     for part in parts:
         if not part.chi2 > EXACT * part.expected > 0:  # numbers without noise are no fault
             continue
-        above, typical = float(tail(np.array(part.chi2), np.array(part.expected))), part.typical**0.5
+        above, typical = float(chi2_tail(np.array(part.chi2), np.array(part.expected))), part.typical**0.5
         if UNLIKELY < above < 1 - UNLIKELY:
             continue
         ratio = part.chi2 / part.expected
         times = number(float(f"{ratio:.2g}"))
-        head = f"{part.name}: chi2 {number(part.chi2)} is {times} times its expectation of {number(part.expected)}"
+        head = f"{part.name}{without}: chi2 {number(part.chi2)} is {times} times its expectation of "
+        head += number(part.expected)
         if typical > ALIKE and ratio > 1 and part.measurements >= MANY:
             alike.append(f"{part.name} (the middle one {typical:.2g} times too far)")
             continue
-        if many:
+        if found.many:
             continue
         if typical > SIZEABLE and ratio > 1 and part.measurements >= MANY:
             says = f"{head}; the middle one is {typical:.2g} times too far off: sigmas about that much too small"
@@ -162,10 +177,9 @@ def of_parts(parts: tuple[Part, ...], many: bool, robust: bool) -> list[Finding]
             f"most measurements are off alike: {some(alike)}. That is a wrong sign, unit or frame, or sigmas much too "
             "small (variances given as sigmas? information in another order?), or a local minimum; or most are outliers"
         )
-        cure = (
-            "check these first; nls.initialize(graph, values) gives another start, nls.certify(graph, values) says "
-            "whether a pose graph has a lower minimum, nls.gnc(graph, values) stands many outliers"
-        )
+        cure = "check these first; nls.initialize(graph, values) gives another start"
+        cure += ", nls.certify(graph, values) says whether there is a lower minimum" * certifies(graph, found.values)
+        cure += ", nls.gnc(graph, values) stands many outliers" * graduates(graph, found.values)
         out.insert(0, Finding("systematic", (), says, cure))
     return out
 

@@ -11,12 +11,13 @@ from factors.keys import Keys
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from nls.assemble import measured_rows
+from nls.chi_squared import chi2_interval, chi2_tail
 from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
 from nls.explanation.findings import Explanation, Finding, Measurement, Part, Weak, some
 from nls.explanation.free import Freedom, freedom
 from nls.explanation.naming import named_directions
-from nls.explanation.statistics import Tested, checks, kinds_of, quantiles, spoiled, tail
+from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
 from nls.explanation.suspects import Suspects, suspects
 from nls.explanation.twins import twins
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
@@ -110,7 +111,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
-        parts = _parts(pattern, values, tests)
+        parts = _parts(pattern, [factor.chi2(values) for factor in graph.factors], tests)
         worst = _worst(pattern, values, tests)
         weakest = _weakest(free, pattern, values, idle)
         fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > _little(chi2) else 0.0
@@ -122,9 +123,9 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
             found = suspects(_held(graph, whole, idle), free.checked.linear.pattern, values, free.checked)
             lower = graph.chi2(found.values)
             if lower < graph.chi2(values) - _little(chi2):
-                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values)))
-            rest = parts if found.values is values else _parts(pattern, found.values, found.tests, found)
-            kinds = doubts.of_parts(rest, found.many, robust)
+                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
+            rest = _parts(pattern, found.s, found.tests, found.accepted)
+            kinds = doubts.of_parts(rest, found, graph)
             alike = [kind for kind in kinds if kind.kind == "systematic"]
             if alike and not found.many:
                 found = None  # where most are off, it is not these
@@ -132,7 +133,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
             findings += [kind for kind in kinds if kind not in alike]
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)
-    low, high = quantiles(dof)
+    low, high = chi2_interval(dof)
     return Explanation(
         variables=len(values),
         unknowns=pattern.n,
@@ -176,9 +177,7 @@ def _fall(graph: FactorGraph, values: Values, step: Array) -> float:
 
 def _held(graph: FactorGraph, pattern: Pattern, idle: Mask) -> FactorGraph:
     """The same graph with what no measurement touches fixed."""
-    out = FactorGraph(graph.factors)
-    out.fixed = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(idle))]
-    return out
+    return FactorGraph(graph.factors, [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(idle))])
 
 
 def _moving(pattern: Pattern) -> Mask:
@@ -228,18 +227,20 @@ def _ill_conditioned(free: Freedom) -> Finding:
     return Finding("ill-conditioned", (), says, "check sigmas and units; solve with linear solver 'qr'")
 
 
-def _parts(pattern: Pattern, values: Values, tests: list[Tested], found: Suspects | None = None) -> tuple[Part, ...]:
-    """chi2 by kind of measurement; without the suspects where they are given."""
+def _parts(
+    pattern: Pattern, s: list[Array], tests: list[Tested], accepted: list[Array] | None = None
+) -> tuple[Part, ...]:
+    """chi2 by kind of measurement, from squared residuals s by batch; of those accepted, 1 and not 0, where given."""
     out = []
     for name, kind in kinds_of(pattern, len(tests)).items():
-        if found is not None:
-            kind = [(k, which[found.accepted[k][which] > 0]) for k, which in kind]
-        squares = [pattern.batches[k].model.factor.chi2(values)[which] for k, which in kind]
+        if accepted is not None:
+            kind = [(k, which[accepted[k][which] > 0]) for k, which in kind]
         dof = round(float(sum(tests[k].dof[which].sum() for k, which in kind)), 6) + 0.0
         count = sum(len(which) for _, which in kind)
         rows = int(sum(tests[k].rows[which].sum() for k, which in kind))
-        low, high = quantiles(dof)
-        out.append(Part(name, count, rows, float(sum(s.sum() for s in squares)), dof, low, high, spoiled(tests, kind)))
+        low, high = chi2_interval(dof)
+        chi2 = float(sum(s[k][which].sum() for k, which in kind))
+        out.append(Part(name, count, rows, chi2, dof, low, high, spoiled(tests, kind)))
     return tuple(out)
 
 
@@ -250,7 +251,7 @@ def _worst(pattern: Pattern, values: Values, tests: list[Tested]) -> tuple[Measu
     for k, test in enumerate(tests):
         if pattern.batches[k].model.factor.limit_only:
             continue
-        chance = tail(test.t, test.m)
+        chance = chi2_tail(test.t, test.m)
         order = np.lexsort((-test.t, chance))[:WORST]
         rows += [(float(chance[i]), -float(test.t[i]), k, i) for i in order.tolist() if test.m[i] > 0]
     return tuple(

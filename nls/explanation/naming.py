@@ -163,7 +163,7 @@ def _whole(free: Freedom, pattern: Pattern, values: Values) -> tuple[list[Findin
         columns = np.concatenate([pattern.starts[v] + np.arange(pattern.dims[v]) for v in moved])
         for text, keys in _loose(rest[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern):
             cure = "add a prior on one of them, a measurement of it from another place, or fix one"
-            findings.append(Finding("free", keys, f"{text} can move together", cure))
+            findings.append(Finding("free", keys, text, cure))
             texts.append(text)
     return findings, texts
 
@@ -218,7 +218,8 @@ def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[tuple[str, tup
         for v, c in zip(owner[moving].tolist(), component[moving].tolist(), strict=True):
             parts.setdefault(v, []).append(pattern.component_names(v)[c])
         keys = tuple(pattern.key(v) for v in parts)
-        out.append(
-            (some([f"{key!r}: {', '.join(names)}" for key, names in zip(keys, parts.values(), strict=True)]), keys)
-        )
+        comma, how = (", ", "can move together") if len(keys) > 1 else (" and ", "cannot be told apart")
+        moved = [f"{comma.join(names)} of {key!r}" for key, names in zip(keys, parts.values(), strict=True)]
+        how = how if len(moving) > 1 else "can move"
+        out.append((f"{some(moved)} {how}", keys))
     return out

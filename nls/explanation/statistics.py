@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from factors import Between, BetweenSensors
 from models.algebra import Array
-from nls.filters.consistency import chi2_gate
+from nls.chi_squared import chi2_gate
+from nls.track import closures
 
 if TYPE_CHECKING:
     from factors.base import Model
     from nls.assemble import Batch, Index, Pattern
     from nls.explanation.linear import Checked
 
-__all__ = ["Tested", "checks", "closures", "kinds_of", "measuring", "quantiles", "spoiled", "steps", "tail", "tested"]
+__all__ = ["Tested", "checks", "kinds_of", "measuring", "spoiled", "tested"]
 
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
 FEW = 3  # measurements, fewer have no middle one
@@ -73,30 +73,6 @@ def measuring(model: Model) -> Index:
     return np.broadcast_to(model.dim - model.factor.eliminated - zero, n)
 
 
-def steps(batch: Batch, pattern: Pattern) -> npt.NDArray[np.bool_]:
-    """(k,) which measurements join two poses of one trajectory that follow each other in number: odometry."""
-    return np.asarray(_relative(batch) & (_apart(batch, pattern) == 1))
-
-
-def closures(batch: Batch, pattern: Pattern) -> npt.NDArray[np.bool_]:
-    """(k,) which measurements join two poses that do not: loop closures, matches."""
-    return np.asarray(_relative(batch) & (_apart(batch, pattern) != 1))
-
-
-def _relative(batch: Batch) -> bool:
-    return isinstance(batch.model.factor, Between | BetweenSensors)
-
-
-def _apart(batch: Batch, pattern: Pattern) -> Index:
-    """(k,) how many numbers lie between the first two variables of a measurement, 0 where they differ in kind."""
-    if len(batch.kinds) < 2 or batch.kinds[0] != batch.kinds[1]:
-        return np.zeros(len(batch), dtype=np.intp)
-    numbers = pattern.numbers[batch.kinds[0]]
-    rank = np.empty(len(numbers), dtype=np.intp)
-    rank[np.argsort(numbers, kind="stable")] = np.arange(len(numbers))
-    return np.asarray(np.abs(rank[batch.index[0]] - rank[batch.index[1]]))
-
-
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
     """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, which) each."""
     out: dict[str, list[tuple[int, Index]]] = {}
@@ -111,23 +87,6 @@ def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]
             if which.any():
                 out.setdefault(side, []).append((k, np.flatnonzero(which)))
     return out
-
-
-def quantiles(dof: float, probability: float = 0.95) -> tuple[float, float]:
-    """Within which chi-squared of so many degrees of freedom is with this probability; zeros where there are none."""
-    from scipy.special import gammaincinv
-
-    if not dof > 0:
-        return 0.0, 0.0
-    outside = (1 - probability) / 2
-    return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
-
-
-def tail(t: Array, m: Index) -> Array:
-    """Probability of a chi-squared of m degrees of freedom above t; 1 where there are none."""
-    from scipy.special import gammaincc
-
-    return np.where(m > 0, gammaincc(np.maximum(m, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)
 
 
 def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:

@@ -13,11 +13,14 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
+from nls.chi_squared import chi2_tail
 from nls.explanation.linear import Checked, Linearization
-from nls.explanation.statistics import Tested, checks, kinds_of, spoiled, steps, tail
+from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
 from nls.graph import FactorGraph
 from nls.linear.base import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
+from nls.starts import chordal
+from nls.track import steps
 
 if TYPE_CHECKING:
     from nls.assemble import Index, Pattern
@@ -45,6 +48,7 @@ class Suspects:
     rivals : of each of them, how many others it might be instead, and one of these, None where there is none.
     accepted : (k,) by batch, 0 for these and 1 for all others.
     tests : of every batch at the end; t of a suspect is its distance from what the others say.
+    s : of every batch at the end (k,), squared residuals at the optimum of the rest, as the linear problem has it.
     values : the optimum of the rest.
     chi2, dof : of the rest there.
     many : whether the search was given up.
@@ -54,6 +58,7 @@ class Suspects:
     rivals: dict[tuple[int, int], tuple[int, tuple[int, int] | None]]
     accepted: list[Array]
     tests: list[Tested]
+    s: list[Array]
     values: Values
     chi2: float
     dof: float
@@ -94,9 +99,10 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
         except (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError):
             break  # the linear problem has the last word: also where a factor is made from a function and has no parts
     tests, accepted = checks(checked, count), _accepted(pattern, places, count)
-    chi2 = sum(float(np.square(e[a > 0]).sum()) for e, a in zip(checked.e, accepted, strict=False))
+    s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
+    chi2 = sum(float(each[a > 0].sum()) for each, a in zip(s, accepted, strict=True))
     dof = round(sum(float(test.dof[a > 0].sum()) for test, a in zip(tests, accepted, strict=True)), 6) + 0.0
-    return Suspects(places, rivals, accepted, tests, values, chi2, dof, many)
+    return Suspects(places, rivals, accepted, tests, s, values, chi2, dof, many)
 
 
 def _scales(kinds: dict[str, list[tuple[int, Index]]], tests: list[Tested], count: int) -> list[Array]:
@@ -112,7 +118,7 @@ def _scales(kinds: dict[str, list[tuple[int, Index]]], tests: list[Tested], coun
 def _chances(tests: list[Tested], scale: list[Array]) -> list[Array]:
     """Chance of every measurement as the worst one of all, if the model is right."""
     n = sum(int((test.m > 0).sum()) for test in tests)
-    return [np.minimum(tail(test.t / s, test.m) * n, 1.0) for test, s in zip(tests, scale, strict=True)]
+    return [np.minimum(chi2_tail(test.t / s, test.m) * n, 1.0) for test, s in zip(tests, scale, strict=True)]
 
 
 def _search(
@@ -168,8 +174,9 @@ def _without(
         There is none.
     """
     accepted = _accepted(pattern, places, len(graph.factors))
-    parts = [f if a.all() else f[a > 0] for f, a in zip(graph.factors, accepted, strict=True)]
-    rest = FactorGraph([part for part in parts if len(part)])
-    rest.fixed = list(graph.fixed)
-    result = rest.optimize(values, LevenbergMarquardt(Stop(max_iterations=ITERATIONS)))
+    rest = graph.only([a > 0 for a in accepted[: len(graph.factors)]])
+    damped = LevenbergMarquardt(Stop(max_iterations=ITERATIONS))
+    result = rest.optimize(values, damped)
+    if not result.converged and (start := chordal(rest, values)) is not values:  # what was wrong has bent it too far
+        result = min(result, rest.optimize(start, damped), key=lambda each: each.chi2_final)
     return result.values, Checked(Linearization(pattern, result.values, accepted))

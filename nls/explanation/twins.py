@@ -12,8 +12,8 @@ import numpy as np
 from factors import Seen
 from factors.keys import Keys
 from models import R
+from nls.chi_squared import chi2_gate
 from nls.explanation.findings import Finding
-from nls.filters.consistency import chi2_gate
 
 if TYPE_CHECKING:
     from nls.assemble import Index, Pattern

@@ -8,9 +8,11 @@ from nls.explanation.findings import number
 from nls.observability.report import shown
 
 if TYPE_CHECKING:
-    from nls.explanation.findings import Explanation, Part
+    from collections.abc import Sequence
 
-__all__ = ["report", "summary"]
+    from nls.explanation.findings import Explanation, Finding, Part
+
+__all__ = ["cured", "report", "summary"]
 
 SHOWN = 12  # findings, and rows of a table
 
@@ -53,9 +55,10 @@ def summary(e: Explanation) -> str:
 def report(e: Explanation) -> str:
     """Everything in words, as a terminal shows it."""
     lines = [e.summary, ""]
-    for count, finding in enumerate(e.findings[:SHOWN], 1):
-        lines.append(f"{count}. {_sentence(finding.says)}")
-        lines += [f"   -> {finding.cure}"] if finding.cure else []
+    for first, alike in cured(e.findings[:SHOWN]):
+        lines += [f"{first + k}. {_sentence(finding.says)}" for k, finding in enumerate(alike)]
+        each = f"{first} to {first + len(alike) - 1}: " if len(alike) > 1 else ""
+        lines += [f"   -> {each}{alike[0].cure}"] if alike[0].cure else []
     if (more := len(e.findings) - SHOWN) > 0:
         lines.append(f"and {more} more findings (`findings` has them)")
     lines += [""] if e.findings else []
@@ -84,7 +87,7 @@ def report(e: Explanation) -> str:
         lines += ["", "farthest from what the others say    sigmas    from the fit      chance"]
         lines += [
             f"{worst.factor:36s} {worst.normalized:6.3g} {worst.sigmas:15.3g} {worst.chance:11.2g}"
-            for worst in e.worst[:5]
+            for worst in sorted(e.worst[:5], key=lambda each: -each.normalized)
         ]
     if e.weakest:
         lines += ["", "least certain       sigma        the middle one"]
@@ -94,6 +97,17 @@ def report(e: Explanation) -> str:
             for weak in e.weakest
         ]
     return "\n".join(lines)
+
+
+def cured(findings: Sequence[Finding]) -> list[tuple[int, list[Finding]]]:
+    """Findings that follow each other and have the same cure, together; with the number of the first, from 1."""
+    out: list[tuple[int, list[Finding]]] = []
+    for count, finding in enumerate(findings, 1):
+        if out and out[-1][1][0].cure == finding.cure:
+            out[-1][1].append(finding)
+        else:
+            out.append((count, [finding]))
+    return out
 
 
 def _row(part: Part) -> str:

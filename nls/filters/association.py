@@ -32,7 +32,7 @@ from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
 from models.options import is_number
-from nls.filters.consistency import chi2_gate
+from nls.chi_squared import chi2_gate
 
 if TYPE_CHECKING:
     from nls.assemble import Index
@@ -90,7 +90,7 @@ def assignment(d2: Array, gate: float) -> Index:
 
     Notes
     -----
-    D. F. Crouse, "On implementing 2D rectangular assignment algorithms", 2016, as SciPy has it.
+    Source: D. F. Crouse, "On implementing 2D rectangular assignment algorithms", 2016, as SciPy has it.
 
     Examples
     --------

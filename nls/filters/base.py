@@ -85,8 +85,8 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
 
     Returns
     -------
-    list of `Step`. A prior of a landmark alone is at the step that sees the landmark first, or the first step if
-    none does.
+    list of Step
+        A prior of a landmark alone is at the step that sees the landmark first, or the first step if none does.
 
     Raises
     ------

@@ -17,39 +17,12 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array
-from models.errors import OptionError, UnderconstrainedError
-from models.options import is_number, is_whole
+from models.errors import UnderconstrainedError
+from nls.chi_squared import chi2_gate
 
-__all__ = ["chi2_gate", "nees", "nees_bounds", "regular"]
+__all__ = ["nees", "nees_bounds", "regular"]
 
 SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
-
-
-def chi2_gate(dim: int, probability: float) -> float:
-    """The bound that chi-squared of `dim` degrees of freedom stays below with this probability.
-
-    Parameters
-    ----------
-    dim : degrees of freedom, at least 1.
-    probability : between 0 and 1.
-
-    Raises
-    ------
-    OptionError
-        Not such numbers.
-
-    Examples
-    --------
-    >>> round(chi2_gate(2, 0.95), 3), round(chi2_gate(1, 0.99), 3)
-    (5.991, 6.635)
-    """
-    if not is_whole(dim) or dim < 1:
-        raise OptionError("dim", dim, "a whole number of at least 1")
-    if not is_number(probability) or not 0 < probability < 1:
-        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
-    from scipy.special import gammaincinv
-
-    return float(2 * gammaincinv(dim / 2, probability))
 
 
 def nees_bounds(dim: int, runs: int, probability: float = 0.95) -> tuple[float, float]:

@@ -31,9 +31,9 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number, is_whole
 from nls.assemble import Index
+from nls.chi_squared import chi2_gate
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
-from nls.filters.consistency import chi2_gate
 from nls.filters.map_state import MapState
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
 from nls.filters.pieces import Piece, associated, distances, part, stacked

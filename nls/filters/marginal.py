@@ -1,7 +1,7 @@
 r"""Variables taken out of a graph exactly: what is left of their measurements is one prior on their neighbors.
 
 The factors that touch the variables e that leave, linearized, are rows A_e d_e + A_r d_r = b over them and over the
-variables r they are joined to. With [A_e A_r b] = Q R,
+variables r they are joined to. With [A_e A_r b] = Q R::
 
     R = | R_ee  R_er  c_e |          min over d_e of |A d - b|^2  =  |R_rr d_r - c_r|^2 + constant
         |       R_rr  c_r |

@@ -12,9 +12,9 @@ from factors.seen import Seen
 from models import Manifold
 from models.algebra import Array
 from nls.assemble import Index
+from nls.chi_squared import chi2_gate
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
-from nls.filters.consistency import chi2_gate
 from nls.filters.map_state import MapState
 
 __all__ = ["Piece", "associated", "distances", "part", "stacked"]

@@ -1,5 +1,7 @@
 r"""The Schur complement of a block-diagonal part of H, block by block, without forming anything dense.
 
+::
+
     H = [ H_ll  H_lp ]     H_ll block diagonal:  X_l' X_l = H_ll^-1  for every l on its own
         [ H_pl  H_pp ]     Y_lp = X_l H_lp       for every pair l, p that shares a factor
 

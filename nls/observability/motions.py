@@ -237,8 +237,7 @@ def _seen_again(graph: FactorGraph, values: Values, pose: Keys, motion: Array) -
     last = int(pose.numbers[0])
     joined = np.concatenate([k.numbers for part in parts for k in part.keys if k.kind == pose.kind])
     before = joined[joined < last].max(initial=-1)
-    extended = FactorGraph(graph.factors)
-    extended.fixed = list(graph.fixed)
+    extended = FactorGraph(graph.factors, graph.fixed)
     for part in parts:
         keys = [
             Keys(k.kind, np.where(k.numbers == last, new, np.where(k.numbers == before, last, k.numbers)))

@@ -15,15 +15,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from factors.base import Model
 from factors.between import Between
 from models import LieGroup
 from models.algebra import Array, gram
 from models.errors import GraphError
+from nls.covariance.frames import turned
 from nls.graph import FactorGraph
 from nls.starts.edges import PoseEdges, pose_edges
+from nls.track import closures
 from nls.values import Values
 
-__all__ = ["Links", "Mask", "chained", "loop_closures", "with_only"]
+__all__ = ["Links", "Mask", "chained", "loop_closures"]
 
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -35,7 +38,9 @@ class Links:
 
     Attributes
     ----------
-    i, j : (m,) places of the poses; z : (m, size) measured poses of j in i; C : (m, d, d) covariances of Exp at j.
+    i, j : (m,) places of the poses.
+    z : (m, size) measured poses of j in i.
+    C : (m, d, d) covariances of Exp at j.
     """
 
     group: LieGroup
@@ -64,31 +69,11 @@ class Links:
         return replace(self, i=np.minimum(self.i, self.j), j=np.maximum(self.i, self.j), z=z, C=C)
 
 
-def turned(A: Array, C: Array) -> Array:
-    """A C A' of stacks (m, d, d)."""
-    return np.asarray(A @ C @ np.swapaxes(A, 1, 2))
-
-
 def loop_closures(graph: FactorGraph, values: Values) -> list[Mask]:
     """Which measurements of every factor are loop closures: `Between` of poses that are no neighbors in number."""
-    masks = []
-    for factor in graph.factors:
-        mask = np.zeros(len(factor), dtype=bool)
-        if isinstance(factor, Between):
-            a, b = factor.keys
-            order = {kind: np.argsort(np.argsort(values.stack(kind).numbers)) for kind in {a.kind, b.kind}}
-            i, j = (order[k.kind][values.stack(k.kind).index(k)] for k in (a, b))
-            mask = (np.abs(i - j) != 1) | (a.kind != b.kind)
-        masks.append(mask)
-    return masks
-
-
-def with_only(graph: FactorGraph, masks: list[Mask]) -> FactorGraph:
-    """The graph with the measurements of every factor that its mask keeps."""
-    kept = [f if m.all() else f[m] for f, m in zip(graph.factors, masks, strict=True) if m.any()]
-    other = FactorGraph(kept)
-    other.fixed = list(graph.fixed)
-    return other
+    pattern = graph.pattern(values)
+    between = [isinstance(factor, Between) for factor in graph.factors]
+    return [closures(batch, pattern) & each for batch, each in zip(pattern.batches, between, strict=True)]
 
 
 def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]:
@@ -106,10 +91,8 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
             f"{sum(len(each.kinds) for each in found) or 'none'}; use preselect=False"
         )
     edges = found[0]
-    place = np.empty(edges.n, dtype=np.intp)
-    place[edges.order] = np.arange(edges.n)
     C = np.concatenate([_covariances(model) for model in edges.models])
-    links = Links(edges.group, place[edges.i], place[edges.j], edges.z, C)
+    links = Links(edges.group, edges.place[edges.i], edges.place[edges.j], edges.z, C)
     odometry = np.abs(links.i - links.j) == 1
     joined = np.zeros(edges.n, dtype=bool)
     joined[np.maximum(links.i, links.j)[odometry]] = True
@@ -123,11 +106,8 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
     return edges, links, odometry
 
 
-def _covariances(model: object) -> Array:
+def _covariances(model: Model) -> Array:
     """(m, d, d) covariances of the measurements of a bound `Between`."""
-    from factors.base import Model
-
-    assert isinstance(model, Model)
     group = model.space
     assert isinstance(group, LieGroup)
     (_, A), _ = model.linearize(group.identity(len(model.z)), model.z)

@@ -27,9 +27,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array
+from nls.chi_squared import chi2_gate
 from nls.components import connected
-from nls.filters.consistency import chi2_gate
-from nls.robust.closures import Index, Links, turned
+from nls.covariance.frames import turned
+from nls.robust.closures import Index, Links
 
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
 

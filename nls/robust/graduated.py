@@ -4,12 +4,9 @@ A measurement that may be wrong costs no more than c^2, whatever its residual s 
 
     chi2 = sum of min(s, c^2),        c^2 = sigma0^2 q,   q the quantile of chi2 of that many numbers
 
-has a minimum for every choice of measurements. So the kernel is bent slowly, by a number mu, from a parabola
-
-    TLS   w = 1 for s <= mu/(mu+1) c^2,   0 for s >= (mu+1)/mu c^2,   c sqrt(mu(mu+1)/s) - mu between;   mu from ~0 up
-    GM    w = (mu c^2 / (mu c^2 + s))^2;                                                                 mu down to 1
-
-with one weighted step for every mu, which follows one minimum from the first, where all measurements pull, to the last.
+has a minimum for every choice of measurements. So the kernel is bent slowly from a parabola (`nls.robust.kernels`),
+with one weighted step for every bend, which follows one minimum from the first, where all measurements pull, to the
+last.
 
 From odometry that is not the right first one if half of the closures are wrong, or if they come in groups that agree
 with one another. For pose graphs the start is therefore that of `nls.robust.growth`, odometry and the closures it could
@@ -31,93 +28,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.base import Factor
-from factors.robust import Kernel
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
-from nls.filters.consistency import chi2_gate
-from nls.gauge import fixed_variables
+from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
-from nls.linear.fill import fill_in
 from nls.linear.threads import single_thread
-from nls.optimizers import Optimizer, Result, Status
-from nls.robust.closures import Mask, loop_closures, with_only
+from nls.optimizers import Result
+from nls.robust.choice import Doubts, lowest
+from nls.robust.closures import Mask, loop_closures
 from nls.robust.consistency import unit_variance
 from nls.robust.growth import grow
-from nls.starts import chordal
+from nls.robust.kernels import LOSSES
 from nls.values import Values
 
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
+__all__ = ["Rejected", "Robustified", "gnc"]
 
-__all__ = ["LOSSES", "Rejected", "Robustified", "gnc"]
-
-FASTER = 1.4  # mu from step to step, as in the paper
-DONE = 1e3  # mu of a kernel that is as good as truncated
-PASSES = 8  # of choosing and solving at most; three are the rule
 FAR = (10.0, 1000.0)  # thresholds within which closures pull at first, after preselection: the lower cost is taken
-DEARER = 10  # a second reach that takes so many times the operations is left out: torus3D, half wrong, 9 minutes
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
 UNLIKELY = 0.05  # of chi2 to be smaller
-BETTER = 1e-3  # part of chi2 by which another start must be lower
-
-
-class TruncatedSquares(Kernel):
-    """min(s, c^2), made convex by a small mu; `mu` is raised while it is in use."""
-
-    mu = 1.0
-
-    def rho(self, s: Array) -> Array:
-        c, mu = self.c, self.mu
-        between = 2 * c * np.sqrt(mu * (mu + 1) * s) - mu * (c * c + s)
-        return np.where(s <= mu / (mu + 1) * c * c, s, np.where(s >= (mu + 1) / mu * c * c, c * c, between))
-
-    def weight(self, s: Array) -> Array:
-        c, mu = self.c, self.mu
-        least = mu / (mu + 1) * c * c
-        return np.clip(c * np.sqrt(mu * (mu + 1) / np.maximum(s, least)) - mu, 0.0, 1.0)
-
-    def begin(self, worst: float) -> None:
-        """The mu at which the worst residual still pulls."""
-        self.mu = self.c**2 / max(2 * worst - self.c**2, self.c**2)
-
-    def bend(self) -> bool:
-        """The next mu; False at the last."""
-        self.mu *= FASTER
-        return self.mu < DONE
-
-
-class GemanMcClureSquares(Kernel):
-    """Geman and McClure's kernel with c^2 widened by a large mu; `mu` is lowered while it is in use."""
-
-    mu = 1.0
-
-    def rho(self, s: Array) -> Array:
-        wide = self.mu * self.c**2
-        return wide * s / (wide + s)
-
-    def weight(self, s: Array) -> Array:
-        wide = self.mu * self.c**2
-        return np.square(wide / (wide + s))
-
-    def begin(self, worst: float) -> None:
-        """The mu at which the worst residual still pulls."""
-        self.mu = max(2 * worst / self.c**2, 1.0)
-
-    def bend(self) -> bool:
-        """The next mu; False at the last."""
-        last, self.mu = self.mu == 1.0, max(self.mu / FASTER, 1.0)
-        return not last
-
-
-LOSSES: dict[str, type[TruncatedSquares | GemanMcClureSquares]] = {"tls": TruncatedSquares, "gm": GemanMcClureSquares}
 
 
 @dataclass(frozen=True)
@@ -174,23 +107,6 @@ class Robustified:
 
     def __str__(self) -> str:
         return "\n".join([str(self.result), *self.report()])
-
-
-@dataclass(frozen=True)
-class Graduated(Optimizer):
-    """One Gauss-Newton step for every mu of some kernels, from the present one to the last."""
-
-    kernels: tuple[TruncatedSquares | GemanMcClureSquares, ...] = ()
-    name = "graduated"
-
-    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
-        going = True
-        while going:
-            X = problem.retract(X, problem.solve(system))
-            going = sum(kernel.bend() for kernel in self.kernels) > 0
-            system = problem.linearize(X)
-        watch.best, watch.lowest = X, system.chi2
-        watch.end(Status.STOPPED, "the kernels are as bent as they get")
 
 
 @single_thread()
@@ -251,72 +167,26 @@ def gnc(
     if not total:
         raise GraphError("nothing in this graph can be doubted: no loop closures; name factors with doubted=[...]")
     gates = [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors]
-    scale, local = 1.0, float("nan")
+    scale, local, reaches = 1.0, float("nan"), [np.inf]
     if preselect and doubted is None:
         grown = grow(graph, values)
-        first = _lowest(with_only(graph, grown.masks), grown.values)
+        first = lowest(graph.only(grown.masks), grown.values)
         accepted = any((m & kept).any() for m, kept in zip(masks, grown.masks, strict=True))
         likely = chi2_gate(max(first.dof, 1), UNLIKELY)  # of few numbers chi2 may be small by chance
         noise = unit_variance(first.chi2_final / likely) if accepted else 1.0  # odometry fits by itself
         values, scale, local = first.values, min(WIDE**2 * noise, max(1.0, noise)), grown.sigma0
-    thresholds = [scale * gate for gate in gates]
-    reaches = [np.inf] if np.isnan(local) else _affordable(graph, values, masks, thresholds)
-    tried = [_settled(graph, values, masks, thresholds, loss, far) for far in reaches]
-    found = min(tried, key=lambda each: each.cost)
+    doubts = Doubts(graph, masks, [scale * gate for gate in gates])
+    if preselect and doubted is None:
+        reaches = doubts.affordable(values, FAR)
+    found = min((doubts.choice(values, loss, far) for far in reaches), key=lambda each: each.cost)
     off = [
-        (float(s[n]), factor.describe(n))
+        Rejected(factor.describe(n), float(s[n]) ** 0.5)
         for factor, m, s in zip(graph.factors, found.kept, found.s, strict=True)
         for n in np.flatnonzero(~m).tolist()
     ]
-    rejected = tuple(Rejected(name, k**0.5) for k, name in sorted(off, key=lambda each: -each[0]))
+    rejected = tuple(sorted(off, key=lambda each: -each.sigmas))
     weights = [m.astype(float) for m in found.kept]
     return Robustified(found.result, found.graph, weights, rejected, total, float(np.sqrt(scale)), local)
-
-
-def _within(graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], far: float) -> list[Mask]:
-    """The measurements that are trusted, and those doubted ones that are within so many thresholds."""
-    s = [factor.chi2(values) for factor in graph.factors]
-    return [~m | (k <= far * c2) for m, k, c2 in zip(masks, s, thresholds, strict=True)]
-
-
-def _affordable(graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float]) -> list[float]:
-    """The reaches of `FAR` whose factorization takes at most `DEARER` times the operations of the first."""
-    flops = []
-    for far in FAR:
-        pattern = with_only(graph, _within(graph, values, masks, thresholds, far)).pattern(values)
-        flops.append(fill_in(pattern, fixed_variables(graph.fixed, values)).flops)
-    return [far for far, each in zip(FAR, flops, strict=True) if each <= DEARER * flops[0]]
-
-
-@dataclass(frozen=True)
-class Settled:
-    """A choice of measurements that reproduces itself: cost is the sum of min(s, c^2) where doubted, of s elsewhere."""
-
-    result: Result
-    graph: FactorGraph
-    kept: list[Mask]
-    s: list[Array]
-    cost: float
-
-
-def _settled(
-    graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], loss: str, far: float
-) -> Settled:
-    """Where graduated kernels lead from some values, and then choosing and solving in turns."""
-    values = _bent(graph, values, masks, thresholds, loss, far)
-    kept: list[Mask] = []
-    for _ in range(PASSES):
-        s = [factor.chi2(values) for factor in graph.factors]
-        before, kept = kept, [~m | (k <= c2) for m, k, c2 in zip(masks, s, thresholds, strict=True)]
-        if before and all((a == b).all() for a, b in zip(before, kept, strict=True)):
-            break
-        part = with_only(graph, kept)
-        result = part.optimize(values) if before else _lowest(part, values)
-        values = result.values
-    else:
-        s = [factor.chi2(values) for factor in graph.factors]  # two choices take turns: the last one is taken
-    cost = sum(float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(masks, s, thresholds, strict=True))
-    return Settled(result, part, kept, s, cost)
 
 
 def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:
@@ -331,36 +201,3 @@ def _numbers(factor: Factor, values: Values) -> int:
     """Numbers of one measurement."""
     model, _ = values.gather(factor)
     return int(model.dim)
-
-
-def _bent(
-    graph: FactorGraph, values: Values, masks: list[Mask], thresholds: list[float], loss: str, far: float
-) -> Values:
-    """Where graduated kernels lead from some values, beginning where all pull that are within `far` thresholds."""
-    factors: list[Factor] = []
-    kernels: list[TruncatedSquares | GemanMcClureSquares] = []
-    within = _within(graph, values, masks, thresholds, far)
-    for factor, mask, inside, c2 in zip(graph.factors, masks, within, thresholds, strict=True):
-        if (~mask).any():
-            factors.append(factor[~mask])
-        if (near := mask & inside).any():
-            kernel = LOSSES[loss](c2**0.5)
-            kernel.begin(float(factor.chi2(values)[near].max()))
-            kernels.append(kernel)
-            factors.append(factor[near].robust(kernel))
-    if not kernels:
-        return values
-    doubted = FactorGraph(factors)
-    doubted.fixed = list(graph.fixed)
-    return doubted.optimize(values, Graduated(kernels=tuple(kernels))).values
-
-
-def _lowest(graph: FactorGraph, values: Values) -> Result:
-    """The optimum from the values or from the chordal start, whichever is lower."""
-    result = graph.optimize(values)
-    start = chordal(graph, values)
-    if start is not values:
-        other = graph.optimize(start)
-        if other.chi2_final < result.chi2_final * (1 - BETTER):
-            return other
-    return result

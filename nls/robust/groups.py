@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from factors.keys import Keys
+from nls.chi_squared import chi2_gate
 from nls.covariance import Marginals
-from nls.filters.consistency import chi2_gate
 from nls.graph import FactorGraph
 from nls.robust.closures import Index, Mask
 from nls.starts.edges import PoseEdges

@@ -21,14 +21,15 @@ Before it starts, closures that agree with no neighbor are set aside (`nls.robus
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
 from models.algebra import Array
-from nls.filters.consistency import chi2_gate
+from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
-from nls.robust.closures import Index, Links, Mask, chained, with_only
+from nls.robust.closures import Index, Links, Mask, chained
 from nls.robust.consistency import mahalanobis, neighbors, unit_variance
 from nls.robust.groups import misfits
 from nls.robust.paths import path_covariances
@@ -41,6 +42,7 @@ __all__ = ["Growth", "grow"]
 
 FITS = 0.999  # probability with which a true closure passes
 SHARE = 0.25  # of those that pass, accepted in one round
+SLACK = 4.0  # times the variances of its last prediction: what does not pass even so has no new one computed
 ROUNDS, LITTLE = 40, 0.005  # rounds at most; the last ones add less than this part of what is accepted
 METERS = 10  # steps of odometry that weigh as much as a radian when paths are compared
 BRIEF = Stop(max_iterations=4, chi2_rtol=1e-3)
@@ -95,14 +97,16 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
     meters = METERS * float(np.median(np.linalg.norm(steps, axis=1))) or 1.0
     sigma0, few = found.sigma0, 0
     waiting = found.support > 0
+    P = np.full_like(loops.C, np.nan)
     for _ in range(ROUNDS):
         T = values.stacks[kind].X[edges.order]
         left = np.flatnonzero(waiting & ~accepted)
         known = links[odometry].joined(loops[accepted])
-        fits, order = _tested(known, loops[left], T, sigma0, found.cluster[left], meters)
+        fits, order, P[left] = _tested(known, loops[left], T, sigma0, found.cluster[left], meters, P[left])
         if not len(fits):
             break
-        new = left[fits[order <= np.partition(order, k := -(-len(fits) // int(1 / SHARE)) - 1)[k]]]
+        last = np.sort(order)[ceil(SHARE * len(fits)) - 1]
+        new = left[fits[order <= last]]  # all of those that are as certain: their numbers must not decide
         accepted[new] = True
         values, s = _solved(graph, values, edges, odometry, accepted)
         sigma0 = max(found.sigma0, float(np.sqrt(np.median(s[accepted]) / chi2_gate(group.dim, 0.5))))
@@ -114,7 +118,7 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
     masks = _masks(graph, edges, odometry, accepted)
     if accepted.any():
         closures = np.flatnonzero(~odometry)[accepted]
-        part = with_only(graph, masks)
+        part = graph.only(masks)
         result = part.optimize(values)
         noise = unit_variance(result.chi2_final / max(result.dof, 1))
         wrong = misfits(part, result.values, edges, closures, found.cluster[accepted], noise)
@@ -125,16 +129,24 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
     return Growth(values, masks, found.sigma0)
 
 
-def _tested(known: Links, loops: Links, T: Array, sigma0: float, cluster: Index, meters: float) -> tuple[Index, Array]:
-    """Which closures (k,) pass, and the rank (k,) of each, the most certain lowest."""
-    group = loops.group
-    P = path_covariances(known, T, loops.i, loops.j, meters)
+def _tested(
+    known: Links, loops: Links, T: Array, sigma0: float, cluster: Index, meters: float, P: Array
+) -> tuple[Index, Array, Array]:
+    """Which closures (k,) pass, the rank (k,) of each, the most certain lowest, and the covariances of all predictions.
+
+    P are those of the round before, nan where there are none. They shrink with nearly every link, so what does not pass
+    with twice their sigmas keeps them: half of the time on manhattan with as many wrong closures.
+    """
+    group, gate = loops.group, sigma0**2 * chi2_gate(loops.group.dim, FITS)
     xi = group.log(group.compose(group.inverse(loops.z), group.compose(group.inverse(T[loops.i]), T[loops.j])))
+    open_ = ~(mahalanobis(xi, loops.C + SLACK * P) > gate)
+    P = P.copy()
+    P[open_] = path_covariances(known, T, loops.i[open_], loops.j[open_], meters)
     S = loops.C + P
-    fits = np.flatnonzero(mahalanobis(xi, S) <= sigma0**2 * chi2_gate(group.dim, FITS))
+    fits = np.flatnonzero(open_ & (mahalanobis(xi, S) <= gate))
     open_volume = np.linalg.slogdet(S[fits])[1] - np.linalg.slogdet(loops.C[fits])[1]
     _, group_of, members = np.unique(cluster[fits], return_inverse=True, return_counts=True)
-    return fits, open_volume - members[group_of]
+    return fits, open_volume - members[group_of], P
 
 
 def _masks(graph: FactorGraph, edges: PoseEdges, odometry: Mask, accepted: Mask) -> list[Mask]:
@@ -150,7 +162,7 @@ def _solved(
     graph: FactorGraph, values: Values, edges: PoseEdges, odometry: Mask, accepted: Mask
 ) -> tuple[Values, Array]:
     """The poses under the accepted closures, and chi2 (m,) of every closure there."""
-    part = with_only(graph, _masks(graph, edges, odometry, accepted))
+    part = graph.only(_masks(graph, edges, odometry, accepted))
     start = chordal(part, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
     if part.chi2(start) < part.chi2(values):
         values = start

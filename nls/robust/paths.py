@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
-from nls.robust.closures import Index, Links, turned
+from nls.covariance.frames import turned
+from nls.robust.closures import Index, Links
 
 __all__ = ["path_covariances"]
 

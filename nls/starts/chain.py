@@ -47,10 +47,8 @@ def chain(graph: FactorGraph, values: Values) -> Values:
 
 def along_chain(edges: PoseEdges, X: Array) -> Array:
     """Poses (n, size) composed from one number to the next, from those of X at the roots."""
-    place = np.empty(edges.n, dtype=np.intp)
-    place[edges.order] = np.arange(edges.n)
     pairs = edges.first_pairs()
-    jump = np.abs(place[edges.i[pairs]] - place[edges.j[pairs]]).astype(float)
+    jump = np.abs(edges.place[edges.i[pairs]] - edges.place[edges.j[pairs]]).astype(float)
     steps = pairs[jump == 1]
     if len(steps) < edges.n - 1:
         from scipy.sparse.csgraph import minimum_spanning_tree

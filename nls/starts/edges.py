@@ -73,6 +73,13 @@ class PoseEdges:
         return np.asarray(np.bincount(self.i, at_i, self.n) + np.bincount(self.j, at_j, self.n), dtype=float)
 
     @cached_property
+    def place(self) -> Index:
+        """(n,) the place of every node in the order."""
+        place = np.empty(self.n, dtype=np.intp)
+        place[self.order] = np.arange(self.n)
+        return place
+
+    @cached_property
     def touched(self) -> npt.NDArray[np.bool_]:
         """(n,) nodes that have an edge."""
         touched = np.zeros(self.n, dtype=bool)
@@ -95,9 +102,7 @@ class PoseEdges:
 
     def _in_order(self, edges: Index, roots: Index) -> tuple[Index, Index] | None:
         """What `tree` gives where every edge leads from one node to the next in order and every root comes first."""
-        place = np.empty(self.n, dtype=np.intp)
-        place[self.order] = np.arange(self.n)
-        i, j = place[self.i[edges]], place[self.j[edges]]
+        i, j = self.place[self.i[edges]], self.place[self.j[edges]]
         later = self.order[np.maximum(i, j)]
         parent, edge = np.full((2, self.n), -1, dtype=np.intp)
         parent[later], edge[later] = self.order[np.minimum(i, j)], edges

@@ -87,7 +87,7 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     """
     which, _, _ = pairs.placed(pairs.O)
     code = pairs.pose[which] * len(pairs.points) + pairs.point[which]
-    distances, wanted, held = FactorGraph(), [], dict[str, npt.NDArray[np.bool_]]()
+    distances, wanted, held = FactorGraph(fixed=graph.fixed), [], dict[str, npt.NDArray[np.bool_]]()
     for factor in graph.factors:
         if isinstance(factor, Projection | RangeAzimuth) and len(factor) and factor.keys[1].kind == pairs.points.kind:
             Sigma, good = covariance(factor, values)
@@ -100,7 +100,6 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
                 mask[stack.index(keys)] |= isinstance(factor, Projection)
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
-    distances.fixed = list(graph.fixed)
     part, within = Parts(distances, values).take([*wanted, np.ones(len(axes), dtype=bool)], held, values)
     cure = "let the rig move and turn while it sees the same points, or give a guess and leave calibrate out"
     try:

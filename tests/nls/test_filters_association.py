@@ -13,6 +13,7 @@ from models import SE2, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
 from nls import FactorGraph, Values, kinds
+from nls.chi_squared import chi2_gate
 from nls.filters import association
 from nls.filters.association import (
     Assignment,
@@ -25,7 +26,6 @@ from nls.filters.association import (
     nearest,
     precision_recall,
 )
-from nls.filters.consistency import chi2_gate
 from nls.filters.ekf import EKF
 from sim.landmark_world import LandmarkWorld
 

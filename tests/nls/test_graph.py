@@ -136,3 +136,34 @@ def test_a_batch_equals_its_measurements_one_by_one() -> None:
     np.testing.assert_allclose(
         together.linearize(sample.values).A.toarray(), apart.linearize(sample.values).A.toarray(), rtol=0, atol=1e-13
     )
+
+
+def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same() -> None:
+    steps, prior = (
+        Between(x[[0, 1, 2]], x[[1, 2, 3]], [[1.0], [2.0], [4.0]], Isotropic(1.0)),
+        Prior(x[0], [0.0], Isotropic(1.0)),
+    )
+    graph = FactorGraph([steps, prior], fixed=[x[3]])
+    part = graph.only([np.array([True, False, True]), np.array([False])])
+    values = Values({x: (R(1), np.zeros((4, 1)))})
+    assert [len(factor) for factor in part.factors] == [2]
+    assert part.chi2(values) == 1 + 16
+    assert part.fixed == [x[3]]
+    assert graph.only([np.ones(3, dtype=bool), np.ones(1, dtype=bool)]).factors[0] is steps
+    assert len(graph) == 4
+    part.fix(x[0])
+    assert graph.fixed == [x[3]]
+
+
+@pytest.mark.parametrize("masks", [[], [np.ones(2, dtype=bool)], [np.ones(1, dtype=bool)] * 2])
+def test_masks_that_fit_no_factor_are_refused(masks: list[np.ndarray]) -> None:
+    with pytest.raises(GraphError, match="a mask for each of 1 factors, as long as it has measurements"):
+        FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))]).only(masks)
+
+
+def test_variables_to_hold_can_be_given_at_once() -> None:
+    for wrong in (3, x[0], "x0"):
+        with pytest.raises(GraphError, match=r"a list of variables to hold such as \[x\[0\]\], got"):
+            FactorGraph(fixed=wrong)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match="expected variables such as x"):
+        FactorGraph(fixed=["x0"])  # type: ignore[list-item]

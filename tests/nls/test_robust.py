@@ -13,12 +13,12 @@ from factors import Between, Diagonal, Factor, GemanMcClure, Information, Isotro
 from models import SE2, SE3, R
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
-from nls.filters.consistency import chi2_gate
+from nls.chi_squared import chi2_gate
 from nls.robust import grow
-from nls.robust.closures import chained, loop_closures, with_only
+from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import Odometry, neighbors
-from nls.robust.graduated import GemanMcClureSquares, TruncatedSquares
 from nls.robust.groups import FITS, WIDE, misfits
+from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
@@ -290,5 +290,5 @@ def test_loop_closures_are_told_by_place_not_by_number() -> None:
     values = Values({x: (SE2, np.zeros((3, 3)), np.array([40, 10, 20]))})
     (mask,) = loop_closures(graph, values)
     assert mask.tolist() == [False, False, True]
-    assert len(with_only(graph, [~mask])) == 2
+    assert len(graph.only([~mask])) == 2
     assert grow(graph, values).masks[0].tolist() == [True, True, False]

@@ -184,9 +184,8 @@ def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
     keys = l[found.keys.numbers[weak]]
     scale = np.sqrt(np.where(most > 0, most, 1.0))[weak]
     W = (scale * unknown[weak])[:, :, None] * V[weak].mT
-    held = FactorGraph([*graph.factors, Prior(keys, values[keys], SqrtInformation(W))] if len(keys) else graph.factors)
-    held.fixed = list(graph.fixed)
-    return held, keys
+    weak_ones = [Prior(keys, values[keys], SqrtInformation(W))] if len(keys) else []
+    return FactorGraph([*graph.factors, *weak_ones], graph.fixed), keys
 
 
 def elevations(
@@ -275,8 +274,8 @@ def _sigmas(
     FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
     with its pose are nine columns of the inverse each (1,321 landmarks of 2,143 poses: 3 s, not 47).
     """
-    wider = FactorGraph([*graph.factors, *(_followed(view, e[here], values) for here, view in firsts if len(view))])
-    wider.fixed = list(graph.fixed)
+    followed = [_followed(view, e[here], values) for here, view in firsts if len(view)]
+    wider = FactorGraph([*graph.factors, *followed], graph.fixed)
     both = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
     return np.asarray(np.sqrt(Marginals(wider, both, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))
 

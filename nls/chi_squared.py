@@ -1,0 +1,73 @@
+"""The chi-squared distribution: which sums of squared whitened errors are still explained by noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array
+from models.errors import OptionError
+from models.options import is_number, is_whole
+
+__all__ = ["chi2_gate", "chi2_interval", "chi2_tail"]
+
+
+def chi2_gate(dim: int, probability: float) -> float:
+    """The bound that chi-squared of `dim` degrees of freedom stays below with this probability.
+
+    Parameters
+    ----------
+    dim : degrees of freedom, at least 1.
+    probability : between 0 and 1.
+
+    Raises
+    ------
+    OptionError
+        Not such numbers.
+
+    Examples
+    --------
+    >>> round(chi2_gate(2, 0.95), 3), round(chi2_gate(1, 0.99), 3)
+    (5.991, 6.635)
+    """
+    if not is_whole(dim) or dim < 1:
+        raise OptionError("dim", dim, "a whole number of at least 1")
+    if not is_number(probability) or not 0 < probability < 1:
+        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
+    from scipy.special import gammaincinv
+
+    return float(2 * gammaincinv(dim / 2, probability))
+
+
+def chi2_interval(dof: float, probability: float = 0.95) -> tuple[float, float]:
+    """Within which chi-squared is with this probability, as much below as above; zeros where dof is not above 0.
+
+    Parameters
+    ----------
+    dof : degrees of freedom; the share of one kind of measurements need not be whole.
+    probability : between 0 and 1.
+
+    Examples
+    --------
+    >>> [round(bound, 2) for bound in chi2_interval(10)]
+    [3.25, 20.48]
+    """
+    from scipy.special import gammaincinv
+
+    if not dof > 0:
+        return 0.0, 0.0
+    outside = (1 - probability) / 2
+    return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
+
+
+def chi2_tail(t: Array, dof: npt.NDArray[np.intp]) -> Array:
+    """Probability of chi-squared of dof degrees of freedom above t, elementwise; 1 where there are none.
+
+    Examples
+    --------
+    >>> chi2_tail(np.array([5.991, 5.991]), np.array([2, 0])).round(3).tolist()
+    [0.05, 1.0]
+    """
+    from scipy.special import gammaincc
+
+    return np.where(dof > 0, gammaincc(np.maximum(dof, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)

@@ -1,0 +1,81 @@
+r"""Robust kernels that are bent slowly, by a number mu, from a parabola to their final shape.
+
+    truncated squares      w = 1 for s <= mu/(mu+1) c^2,   0 for s >= (mu+1)/mu c^2,   c sqrt(mu(mu+1)/s) - mu between
+    Geman and McClure's    w = (mu c^2 / (mu c^2 + s))^2
+
+mu of the first rises from near 0, of the second falls to 1.
+
+Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", RA-L
+5(2), 2020.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from factors.robust import Kernel
+from models.algebra import Array
+
+__all__ = ["LOSSES", "GemanMcClureSquares", "Graduated", "TruncatedSquares"]
+
+FASTER = 1.4  # mu from step to step, as in the paper
+DONE = 1e3  # mu of truncated squares that are as good as truncated
+
+
+class Graduated(Kernel):
+    """A kernel with a `mu` that is changed while the kernel is in use."""
+
+    mu = 1.0
+
+    @abstractmethod
+    def begin(self, worst: float) -> None:
+        """Take the mu at which the worst squared residual still pulls."""
+
+    @abstractmethod
+    def bend(self) -> bool:
+        """Take the next mu; False at the last."""
+
+
+class TruncatedSquares(Graduated):
+    """min(s, c^2), made convex by a small mu."""
+
+    def rho(self, s: Array) -> Array:
+        c, mu = self.c, self.mu
+        between = 2 * c * np.sqrt(mu * (mu + 1) * s) - mu * (c * c + s)
+        return np.where(s <= mu / (mu + 1) * c * c, s, np.where(s >= (mu + 1) / mu * c * c, c * c, between))
+
+    def weight(self, s: Array) -> Array:
+        c, mu = self.c, self.mu
+        least = mu / (mu + 1) * c * c
+        return np.clip(c * np.sqrt(mu * (mu + 1) / np.maximum(s, least)) - mu, 0.0, 1.0)
+
+    def begin(self, worst: float) -> None:
+        self.mu = self.c**2 / max(2 * worst - self.c**2, self.c**2)
+
+    def bend(self) -> bool:
+        self.mu *= FASTER
+        return self.mu < DONE
+
+
+class GemanMcClureSquares(Graduated):
+    """Geman and McClure's kernel, c^2 s / (c^2 + s), with c^2 widened by a large mu."""
+
+    def rho(self, s: Array) -> Array:
+        wide = self.mu * self.c**2
+        return wide * s / (wide + s)
+
+    def weight(self, s: Array) -> Array:
+        wide = self.mu * self.c**2
+        return np.square(wide / (wide + s))
+
+    def begin(self, worst: float) -> None:
+        self.mu = max(2 * worst / self.c**2, 1.0)
+
+    def bend(self) -> bool:
+        last, self.mu = self.mu == 1.0, max(self.mu / FASTER, 1.0)
+        return not last
+
+
+LOSSES: dict[str, type[Graduated]] = {"tls": TruncatedSquares, "gm": GemanMcClureSquares}
