@@ -51,7 +51,7 @@ def outliers(
 
     Notes
     -----
-    N. Suenderhauf, P. Protzel, "Switchable constraints for robust pose graph SLAM", IROS 2012, section V.
+    Source: N. Suenderhauf, P. Protzel, "Switchable constraints for robust pose graph SLAM", IROS 2012, section V.
 
     Examples
     --------

@@ -66,25 +66,31 @@ class Certificate:
         return float(self.eigenvalues[0])
 
     def report(self) -> str:
-        """The verdict, how far the values given are from the minimum it is about, and the eigenvalues: three lines,
-        and one more where `lower_chi2` is known."""
-        minimum = f"{self.cost:.6g} is {{}} of the SE-Sync cost"
+        """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
+        lines, and one more where `lower_chi2` is known."""
         said = {
-            "certified": minimum.format("the global optimum") + f", to {self.cost - self.lowest:.1g}",
-            "refuted": minimum.format("a local minimum") + f", there is one of {self.better_cost or 0.0:.6g}",
-            "undecided": minimum.format("a minimum") + f", no lower one was found, and none is below {self.lowest:.6g}",
+            "certified": "no other arrangement of the poses fits these measurements better (whether the measurements "
+            "are right is another question)",
+            "refuted": "another arrangement of the poses fits these measurements better",
+            "undecided": "no other arrangement of the poses was found that fits these measurements better, nor shown "
+            "that there is none",
+        }
+        known = {
+            "certified": f"none is lower by more than {self.cost - self.lowest:.1g}",
+            "refuted": f"there is one of {self.better_cost or 0.0:.6g}",
+            "undecided": f"none is below {self.lowest:.6g}",
         }
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
             f"{self.verdict}: {said[self.verdict]}",
-            f"in this cost, not chi2, the values given have {self.cost_given:.6g}; they are {distance_rms:.3g} m and "
-            f"{np.degrees(angle_rms):.3g} deg rms from its minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg "
-            "at most",
+            f"shown in the SE-Sync cost, not in chi2: its minimum here is {self.cost:.6g}, {known[self.verdict]}",
+            f"the solution has {self.cost_given:.6g} and is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg "
+            f"rms from that minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg at most",
             f"smallest eigenvalues of the certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
         ]
         if self.lower_chi2 is not None:
             lines.append(
-                f"the values given are not the global optimum of chi2: {self.lower_chi2:.6g} is lower, start there"
+                f"chi2 of the solution is not the lowest: {self.lower_chi2:.6g} is lower, start at `better` or `values`"
             )
         return "\n".join(lines)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from nls.cli.outputs import typed
+
 if TYPE_CHECKING:
     from nls.certificate import Certificate
 
@@ -29,5 +31,5 @@ def record(certificate: Certificate) -> dict[str, Any]:
 
 def rows(certificate: Certificate) -> list[str]:
     """For the table."""
-    first, *others = certificate.report().splitlines()
+    first, *others = typed(certificate.report()).splitlines()
     return [f"certificate {first}", *(f"            {line}" for line in others)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from nls.cli.outputs import refuse_unwritable, typed, write_json
 
 if TYPE_CHECKING:
+    from nls.cli.progress import Progress
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.values import Values
@@ -19,12 +20,19 @@ __all__ = ["explain"]
 def explain(options: argparse.Namespace) -> int:
     """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
     import nls
+    from nls.cli import outliers
     from nls.cli.formats import read
+    from nls.cli.prepared import prepared
+    from nls.cli.progress import Progress
 
     refuse_unwritable(json=options.json)
-    graph, values, report = read(options)
+    if outliers.wanted(options.robust):
+        raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
+    as_read, values, report = read(options)
+    graph = prepared(as_read, values, options)
     start, init, _ = nls.initialize(graph, values, options.init)
-    explanation, how = _explained(graph, start)
+    with Progress("solve") as progress:
+        explanation, how = _explained(graph, start, progress)
     head = {"input": options.file, "format": report.format, "init": init, "optimum": how}
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
@@ -35,16 +43,19 @@ def explain(options: argparse.Namespace) -> int:
     return 0
 
 
-def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
+def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[Explanation, str]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
     import nls
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
+    from nls.explanation.offers import graduates
+    from nls.optimizers import default_optimizer
 
     values, how, why = start, "at the start", ""
-    damped = nls.LevenbergMarquardt()
-    for init, method in (("file", None), ("file", damped), ("odometry", damped)):  # closures may have spoiled the start
+    damped = nls.LevenbergMarquardt
+    tries = (("file", default_optimizer(graph.factors)), ("file", damped), ("odometry", damped))
+    for init, method in tries:  # closures may have spoiled the start
         try:
-            result = graph.optimize(nls.initialize(graph, start, init)[0], method)
+            result = graph.optimize(nls.initialize(graph, start, init)[0], method(callback=progress.show))
         except UnderconstrainedError:
             why = why or "something is free, see below"
             continue
@@ -53,12 +64,14 @@ def _explained(graph: FactorGraph, start: Values) -> tuple[Explanation, str]:
             continue
         if result.converged:
             how = f"at its optimum ({result.method}, {result.iterations} iterations)"
+            progress.next("explain")
             return nls.explain(graph, result.values), how
-        values, why = result.values, f"{result.status.value}: {typed(result.reason)}"
+        values, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {result.iterations} iterations)"
+    progress.next("explain")
     explanation = nls.explain(graph, values)
     says = f"no optimum was found ({why}): what follows is about the values {how}"
-    cure = "try another --init; of a pose graph with many wrong closures: nls solve --robust gnc-tls"
+    cure = "try another --init" + "; of many wrong closures: nls.gnc(graph, values)" * graduates(graph, values)
     finding = nls.Finding("not converged", (), says, cure)
     others = tuple(other for other in explanation.findings if other.kind != "no optimum")
     return replace(explanation, findings=(finding, *others)), how

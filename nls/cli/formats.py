@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,7 +45,7 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     from nls.io.trajectory import load_trajectory
 
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
-    if form not in TRAJECTORIES or options.dialect != "auto" or Path(options.file).is_dir():
+    if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
         elevation = getattr(options, "elevation", None)
         return nls.load(options.file, options.convention, options.dialect, options.repair_information, elevation)
     if options.repair_information:

@@ -40,15 +40,15 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("--to", form, "nothing: the solution of a mission is a folder with files of their own")
     if folder is None:
         return
-    if Path(folder).suffix in SUFFIXES and not Path(folder).is_dir():
+    if Path(folder).suffix in SUFFIXES and not os.path.isdir(folder):
         raise OptionError("output folder", folder, "a folder: the solution of a mission is several files")
     path = Path(folder)
-    there = next((p for p in (path, *path.absolute().parents) if p.exists()), path)
-    if not folder or folder == "-" or not there.is_dir():
+    there = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
+    if not folder or folder == "-" or not os.path.isdir(there):
         raise OptionError("output folder", folder, "a folder, or the name of one to be made: the input is a mission")
     if not os.access(there, os.W_OK | os.X_OK):
         raise OptionError("output folder", folder, "a folder you may write to")
-    if path.exists() and os.path.samefile(path, mission):
+    if os.path.exists(path) and os.path.samefile(path, mission):
         raise OptionError("output folder", folder, "another folder than that of the mission")
 
 

@@ -6,13 +6,24 @@ import json
 import math
 import os
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["complain", "refuse_no_picture", "refuse_unwritable", "typed", "write_json"]
+__all__ = ["PAGES", "PICTURES", "complain", "refuse_name", "refuse_unwritable", "typed", "write_json"]
 
 PICTURES = (".png", ".pdf", ".svg")
+PAGES = (".html", ".htm")
 TYPED = {  # what messages of the library name, and the options of the command line in its place
+    "solve first: nls.explain(graph, graph.optimize(values).values)": "more --max-iterations, or another --init",
+    "; or sigmas, variances and informations were mixed up: Isotropic and Diagonal take sigmas": "; or sigmas, "
+    "variances and informations were mixed up in the file",
+    "(an Elevation prior, ElevationHinge)": "(--elevation prior)",
+    ", or dialect= in Python": "",
+    "start at `better` or `values`": "another --init may lead there",
+    "Levenberg-Marquardt, or linear solver nls.Schur(block_inverse=nls.degeneracy.truncated_inverse)": "--method "
+    "levenberg-marquardt",
+    "repair_information=True": "--repair-information",
     "gauge='first'": "--gauge first",
     "repair_information: True": "--repair-information",
     "graph.robust(Cauchy(1))": "--robust cauchy:1",
@@ -28,10 +39,16 @@ TYPED = {  # what messages of the library name, and the options of the command l
 }
 
 
-def typed(message: str) -> str:
-    """A message of the library with the options as they are typed on the command line."""
+def typed(message: str, form: Callable[[str], str] = str) -> str:
+    """A message of the library with the options as they are typed on the command line.
+
+    Parameters
+    ----------
+    message : one, or a page of them.
+    form : how the page writes a text, such as `html.escape`.
+    """
     for named, option in TYPED.items():
-        message = message.replace(named, option)
+        message = message.replace(form(named), form(option))
     return message
 
 
@@ -62,21 +79,20 @@ def refuse_unwritable(*names: str | None, json: str | None = None) -> None:
             raise OptionError("output file", name, "a file; only --json writes to standard output")
         if not name:
             raise OptionError("output file", name, "the name of a file")
-        path = Path(name)
-        folder = Path(os.path.realpath(name)).parent
-        if path.is_dir() or not folder.is_dir():
-            raise OptionError("output file", name, "a file in a folder that exists")
+        folder = os.path.dirname(os.path.realpath(name))
+        if os.path.isdir(name) or not os.path.isdir(folder):  # unlike those of `Path` these raise nothing
+            raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
         if os.path.realpath(name) in seen:
             raise OptionError("output file", name, "a file of its own for every output")
-        special = path.exists() and not path.is_file()  # a pipe or device is written to, a file is replaced
-        if not os.access(path if special else folder, os.W_OK):
+        special = os.path.exists(name) and not os.path.isfile(name)  # a pipe is written to, a file is replaced
+        if not os.access(name, os.W_OK) if special else not os.access(folder, os.W_OK | os.X_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")
         if not special:
             seen.add(os.path.realpath(name))
 
 
-def refuse_no_picture(option: str, name: str | None) -> None:
-    """Refuse a picture in a format nobody draws.
+def refuse_name(option: str, name: str | None, suffixes: Sequence[str]) -> None:
+    """Refuse a name that promises a format nobody writes there.
 
     Raises
     ------
@@ -84,8 +100,8 @@ def refuse_no_picture(option: str, name: str | None) -> None:
     """
     from models.errors import OptionError
 
-    if name and Path(name).suffix.lower() not in PICTURES:
-        raise OptionError(option, name, "a file name ending in " + ", ".join(PICTURES))
+    if name and Path(name).suffix.lower() not in suffixes:
+        raise OptionError(option, name, "a file name ending in " + ", ".join(suffixes))
 
 
 def write_json(report: dict[str, Any], where: str | None) -> None:
@@ -94,7 +110,7 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
 
     if where is None:
         return
-    text = json.dumps(_finite(report), indent=1, allow_nan=False)
+    text = typed(json.dumps(_finite(report), indent=1, allow_nan=False))
     if where == "-":
         print(text)
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Any, NoReturn
 
 __all__ = ["parser"]
 
@@ -22,12 +22,14 @@ EXAMPLES = """examples:
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls explain survey.g2o                               what is free, what does not fit, and what helps
+  nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
 
-exit status: 0 converged; 1 not converged or under-constrained; 2 bad input or usage, or an output that
-could not be written (the others are)
+exit status of solve: 0 converged; 1 not converged, under-constrained, or refuted by --certify; of explain and all
+others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that could not be written (the others
+are)
 
 threads: one; OPENBLAS_NUM_THREADS and OMP_THREAD_LIMIT are taken to be 1 (MKL_NUM_THREADS and BLIS_NUM_THREADS, too)
 where the environment does not set them
@@ -40,6 +42,16 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         print(f"nls: {message}; see '{self.prog} --help'", file=sys.stderr)
         raise SystemExit(2)
+
+
+class Once(argparse.Action):
+    """An option that is refused where it is given twice: the first would be lost."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *given: Any) -> None:
+        value, option = given
+        if getattr(namespace, self.dest) is not None:
+            parser.error(f"{option} is given twice; expected one")
+        setattr(namespace, self.dest, value)
 
 
 def parser() -> Parser:
@@ -56,7 +68,10 @@ def parser() -> Parser:
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(name: str, what: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
-        added = commands.add_parser(name, help=what, epilog=EXAMPLES, formatter_class=top.formatter_class)
+        own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
+        about = f"{what[0].upper()}{what[1:]}."
+        form, epilog = top.formatter_class, "\n".join(own)
+        added = commands.add_parser(name, help=what, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=run)
         _input(added)
         return added
@@ -70,13 +85,7 @@ def parser() -> Parser:
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
-    solve.add_argument(
-        "--robust",
-        metavar="[TYPE=]KERNEL:SIGMAS",
-        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
-        "gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them and list them",
-    )
-    solve.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
+    _problem(solve, "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them")
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
     solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
@@ -91,12 +100,13 @@ def parser() -> Parser:
     solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
     solve.add_argument("--report", metavar="OUT.html", help="write a page to look at: pictures, findings, covariances")
     how = solve.add_mutually_exclusive_group()
-    how.add_argument("--quiet", action="store_true", help="print nothing")
+    how.add_argument("--quiet", action="store_true", help="print nothing but errors")
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     explain.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission (default: hinge)")
+    _problem(explain)
     _json(explain)
 
     _json(command("info", "what is in a file", _info))
@@ -120,6 +130,18 @@ def _input(command: argparse.ArgumentParser) -> None:
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")
     command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
+    """What is done to the graph before it is solved; ``more``: that can be asked for besides kernels."""
+    command.add_argument(
+        "--robust",
+        action=Once,
+        metavar="[TYPE=]KERNEL:SIGMAS",
+        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1"
+        + more,
+    )
+    command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
 
 
 def _json(command: argparse.ArgumentParser) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nls.cli.outputs import refuse_no_picture, refuse_unwritable
+from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable
 
 __all__ = ["plot"]
 
@@ -17,7 +17,7 @@ def plot(options: argparse.Namespace) -> int:
     from nls.plot.picture import write_picture
 
     refuse_unwritable(options.output)
-    refuse_no_picture("output file", options.output)
+    refuse_name("output file", options.output, PICTURES)
     graph, values, _ = read(options)
     figure = trajectory(graph, values)
     figure.suptitle(Path(options.file).name)

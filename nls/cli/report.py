@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import TYPED
+from nls.cli.outputs import typed
 from nls.cli.timing import rows
 
 if TYPE_CHECKING:
@@ -67,9 +67,7 @@ def write_report(
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),
     )
-    for named, option in TYPED.items():
-        text = text.replace(escape(named), escape(option))
-    write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
+    write_bytes(path, typed(text, escape).encode(errors="backslashreplace"))  # names of files can be any bytes
 
 
 def _facts(

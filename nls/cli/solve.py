@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import complain, refuse_no_picture, refuse_unwritable, typed, write_json
+from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, typed, write_json
 
 if TYPE_CHECKING:
-    from models.errors import LeadlineError
+    from models.errors import LeadlineError, UnderconstrainedError
     from nls.cli.mission import Solved
+    from nls.cli.progress import Progress
     from nls.graph import FactorGraph
     from nls.io import LoadReport
     from nls.linear import LinearSolver
@@ -30,8 +32,10 @@ def solve(options: argparse.Namespace) -> int:
     import nls
     from models.errors import GraphFileError, LeadlineError, UnderconstrainedError
     from nls.cli import certified, outliers
-    from nls.cli.doubts import doubts
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
+    from nls.cli.hint import asking, doubts
+    from nls.cli.prepared import prepared
+    from nls.cli.progress import Progress
     from nls.cli.report import write_report
     from nls.cli.timing import Clock
     from nls.linear import SOLVERS, default_solver
@@ -40,10 +44,11 @@ def solve(options: argparse.Namespace) -> int:
 
     clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
-    mission, form = Path(options.file).is_dir(), ""
+    mission, form = os.path.isdir(options.file), ""
     output = None if mission else options.output
     refuse_unwritable(output, options.covariance, options.plot, options.report, json=options.json)
-    refuse_no_picture("--plot", options.plot)
+    refuse_name("--plot", options.plot, PICTURES)
+    refuse_name("--report", options.report, PAGES)
     if mission:
         from nls.cli.mission import refuse_unwritable_folder
 
@@ -55,7 +60,7 @@ def solve(options: argparse.Namespace) -> int:
     clock.lap("imports")
     with collected() as stages:
         as_read, values, report = read(options)
-        graph = _prepared(as_read, values, options)
+        graph = prepared(as_read, values, options)
         clock.lap("read")
         wrong = outliers.wanted(options.robust)
         found = outliers.chosen(options.robust, options.init, graph, values) if wrong else None
@@ -79,13 +84,16 @@ def solve(options: argparse.Namespace) -> int:
     written: list[str] = []
     failed: list[LeadlineError] = []
     page = partial(write_report, options, graph, before, report, (init, tried))
-    with _Progress(options) as progress:
+    with Progress("solve", options.max_iterations, options.quiet) as progress:
         try:
             result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
-        except UnderconstrainedError as error:  # the page says what is free
+        except UnderconstrainedError as error:  # the outputs say what is free
             _attempt([(partial(page, error, {}, None, None), options.report)], written, failed)
+            _attempt([(partial(_free, options, report, error, written), options.json)], written, failed)
             for failure in failed:
                 complain(failure)
+            outputs = "".join(f"; written: {name}" for name in written if name != "-")
+            error.args = (f"{error} See: {asking(options)}{outputs}",)
             raise
     clock.lap("optimize")
     solved = _solved(graph, values, result, report, solver, options.gauge)
@@ -137,7 +145,7 @@ def solve(options: argparse.Namespace) -> int:
         "underconstrained": list(result.underconstrained),
         "written": written,
         "unwritten": [str(error) for error in failed],
-        "notes": report.notes + doubts(graph, result),
+        "notes": report.notes + doubts(result, options),
         "peak_rss_mb": _peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -151,10 +159,10 @@ def solve(options: argparse.Namespace) -> int:
         shown = [] if found is None else outliers.rows(found)
         shown += [] if certificate is None else certified.rows(certificate)
         print(_table(record, result, shown, report.warnings, options.verbose))
-    if not result.converged and not options.quiet:
-        print(f"nls: {record['reason']}; {_advice(result)}", file=sys.stderr)
+    if not result.converged:
+        print(f"nls: {record['reason']}; {_advice(result)}; see: {asking(options)}", file=sys.stderr)
     refuted = certificate is not None and certificate.verdict == "refuted"
-    if refuted and not options.quiet:
+    if refuted:
         print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
     for failure in failed:
         complain(failure)
@@ -162,6 +170,23 @@ def solve(options: argparse.Namespace) -> int:
         raise failed[0]
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     return 1 if refuted or not (result.converged or allowed) else 2 if failed else 0
+
+
+def _free(
+    options: argparse.Namespace, report: LoadReport, error: UnderconstrainedError, written: list[str], where: str
+) -> None:
+    """The report for programs on a graph that leaves something free."""
+    record = {
+        "input": options.file,
+        "format": report.format,
+        "converged": False,
+        "status": "UNDERCONSTRAINED",
+        "reason": typed(str(error)),
+        "underconstrained": list(error.components),
+        "written": [*written, *([where] if where != "-" else [])],
+        "notes": report.notes,
+    }
+    write_json(record, where)
 
 
 def _refuse_no_values(output: str | None, form: str) -> None:
@@ -268,29 +293,7 @@ def _solved(
     return Solved(graph, dead, result, report, solver, gauge)
 
 
-def _prepared(graph: FactorGraph, values: Values, options: argparse.Namespace) -> FactorGraph:
-    """The graph that is solved: under the robust kernel, with the kinds held that were asked for."""
-    import nls
-    from factors.robust import kernel_from_text
-    from nls.cli import outliers
-
-    prepared = nls.FactorGraph(graph.factors)
-    prepared.fixed = list(graph.fixed)
-    if options.robust and not outliers.wanted(options.robust):
-        name, separator, kernel = options.robust.rpartition("=")
-        names = list(dict.fromkeys(factor.name for factor in graph.factors))
-        if separator and name not in names:
-            raise nls.OptionError("--robust", name, "no type, or one of those in the graph: " + ", ".join(names))
-        robust = kernel_from_text(kernel)
-        prepared.factors = [f.robust(robust) if name in ("", f.name) else f for f in graph.factors]
-    for kind in options.hold:
-        if kind not in values.stacks:
-            raise nls.OptionError("--hold", kind, "one of the kinds " + ", ".join(values.stacks))
-        prepared.fix(nls.Keys(kind, values.stack(kind).numbers))
-    return prepared
-
-
-def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: _Progress) -> Optimizer:
+def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: Progress) -> Optimizer:
     """The optimizer by name; auto leaves it to the library."""
     from nls.optimizers import OPTIMIZERS, default_optimizer
 
@@ -369,28 +372,3 @@ def _peak_rss_mb() -> float:
         return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
-
-
-class _Progress:
-    """A progress line while the solve runs, on a terminal only."""
-
-    def __init__(self, options: argparse.Namespace) -> None:
-        self.bar: Any = None
-        self.wanted = sys.stderr.isatty() and not options.quiet
-        self.total = options.max_iterations
-
-    def __enter__(self) -> _Progress:
-        if self.wanted:
-            from tqdm import tqdm
-
-            self.bar = tqdm(total=self.total, desc="solve", unit="it", leave=False)
-        return self
-
-    def show(self, iteration: Iteration) -> None:
-        if self.bar is not None:
-            self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")
-            self.bar.update()
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.close()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models import SE3
+from models import SE2, SE3
 from models.algebra import Array
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
@@ -48,6 +48,13 @@ class Lines:
             return self.at[:0]
         off: npt.NDArray[np.bool_] = np.abs(np.sqrt(np.square(self.X[:, 3:]).sum(axis=1)) - 1) > UNIT_ROUNDED
         return self.at[off]
+
+    @property
+    def angles(self) -> Array:
+        """(n, k) the angles among the numbers of the element, rad."""
+        element = self.record.element
+        columns = [3, 4, 5] if element.angles else [2] if element.space is SE2 else []
+        return self.numbers[:, columns]
 
 
 def read_lines(text: Text, record: Record, at: Index) -> Lines:

@@ -16,6 +16,7 @@ from models import LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
+from nls.io.angles import note_turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.records import KINDS, Format, Record
@@ -95,6 +96,7 @@ def read_graph(
         with stage("read chain"):
             values = started(text, bound, roles, group, report)
     _note_rounded(read, report)
+    note_turns(report, [(part.record.tag.decode(), part.at, part.angles) for part in read])
     offsets.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)
@@ -185,7 +187,10 @@ def _factor(
         spaces = {"point": R(group.point_dim)}
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
     except NoiseModelError as error:
-        raise text.error(str(error).split(": ", 1)[-1], int(at[error.index])) from error
+        said = str(error).split(": ", 1)[-1]
+        if error.matrix == "information":  # has a negative eigenvalue
+            said += "; for the nearest matrix that is one: repair_information=True"
+        raise text.error(said, int(at[error.index])) from error
     except GraphError as error:
         raise text.error(str(error), int(at[error.index])) from error
     return factor

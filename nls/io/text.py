@@ -23,6 +23,8 @@ Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")
+QUOTED = 80  # characters of a line in an error
+WORDS = re.compile(rf".{{{QUOTED // 2},{QUOTED - 4}}}(?=[\s,])")
 BLOCK = 1 << 15  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
 FEW, SHORT = 16, 64  # first words of a format: how many, how long
 
@@ -39,6 +41,14 @@ def rows(tag: str, words: Sequence[Iterable[str]], numbers: Array, digits: Calla
     """
     lines = zip(zip(*words, strict=True), numbers.tolist(), strict=True)
     return [f"{tag} {' '.join(word)} {' '.join(map(digits, row))}" for word, row in lines]
+
+
+def _quoted(line: str) -> str:
+    """A line as it is quoted in an error: where it is long up to the end of a word, not to the middle of a number."""
+    if len(line) <= QUOTED:
+        return line
+    whole = WORDS.match(line)
+    return f"{whole[0] if whole else line[: QUOTED - 4]} ..."
 
 
 class Text:
@@ -84,7 +94,7 @@ class Text:
 
     def error(self, message: str, line: int) -> GraphFileError:
         """An error at a line counted from 0."""
-        return GraphFileError(message, self.path, line + 1, printable(self.line(line).strip()))
+        return GraphFileError(message, self.path, line + 1, _quoted(printable(self.line(line).strip())))
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:

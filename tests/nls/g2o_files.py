@@ -34,6 +34,12 @@ EDGE_SE3:QUAT 0 2 1.9 0.2 0.4 0 0.099833416646828155 0 0.99500416527802582 {UPPE
 """
 
 
+def quoted(line: str) -> str:
+    """A line as errors quote it: whole words, 80 characters at most."""
+    line = line.strip()
+    return line if len(line) <= 80 else f"{line[:77].rpartition(' ')[0]} ..."
+
+
 def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:
     """A file with this content."""
     path = folder / name

@@ -1,4 +1,4 @@
-"""What ``nls solve`` says of a result that converged and is none: where chi2 comes from, what is free; each once."""
+"""What ``nls solve`` says of a result that is none, and where it names ``nls explain``; each once."""
 
 from __future__ import annotations
 
@@ -6,20 +6,19 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import nls
-from factors import Between, Cauchy, Isotropic, Prior, SqrtInformation
-from models import SE2
+from factors import Cauchy
+from nls.chi_squared import chi2_interval
 from nls.cli import main
-from nls.cli.doubts import doubts
+from nls.cli.hint import asking, doubts
+from nls.cli.parser import parser
 from tests.nls.g2o_files import INFORMATION_2, PLANE, write
 from tests.nls.mission_files import TINY, folder
 
 Captured = pytest.CaptureFixture[str]
 WRONG = PLANE + f"EDGE_SE2 1 3 5 5 0 {INFORMATION_2}\n"
-x, l = nls.kinds("x", "l")
 
 
 def report_of(arguments: list[str], capsys: Captured) -> dict[str, Any]:
@@ -39,24 +38,85 @@ def test_a_chi2_no_noise_explains_is_said_with_its_causes(tmp_path: Path, capsys
     graph, values, _ = nls.load(file)
     result = graph.optimize(nls.initialize(graph, values)[0])
     ratio = result.chi2_final / result.dof
-    notes = labelled(out, "note")
-    assert len(notes) == 3
-    assert notes[0].startswith(
-        f"chi2 is {ratio:.3g} times its expectation: wrong sigmas, outliers (try --robust cauchy:1)"
-    )
-    assert "--init" in notes[0]
+    (note,) = labelled(out, "note")
+    assert note.startswith(f"chi2 is {ratio:.3g} times its expectation: wrong sigmas, outliers (try --robust cauchy:1)")
+    assert "--init" in note
+    assert note.endswith(f"; see: nls explain {file}")
     assert "graph.robust" not in out
-    (edges,) = graph.factors
-    chi2 = edges.chi2(result.values)
-    assert notes[1] == f"chi2 per measurement: Between {chi2.mean():.3g} (3 expected)"
-    order = np.argsort(-chi2)[:3]
-    named = [f"{edges.describe(int(k))} {np.sqrt(chi2[k]):.3g} sigmas" for k in order]
-    assert notes[2] == f"farthest from what they should be: {', '.join(named)}"
     assert f"degrees of freedom (ratio {ratio:.3g}, 1 expected)" in out
-    assert report_of(["solve", file], capsys)["notes"] == notes
+    assert report_of(["solve", file], capsys)["notes"] == [note]
     assert labelled(out, "result")[0].startswith("converged")
     main(["solve", file, "--verbose"])
     assert capsys.readouterr().out.count("times its expectation") == 1
+
+
+@pytest.mark.parametrize("dof", [1, 3, 12, 300, 40_000])
+def test_the_bound_is_that_of_explain(dof: int) -> None:
+    """Below it nothing is said, above it one line; with a robust kernel chi2 has no expectation."""
+    options = parser().parse_args(["solve", "a.g2o"])
+    _, bound = chi2_interval(dof)
+
+    def said(chi2: float, robust: bool = False) -> list[str]:
+        result = nls.Result(nls.Values({}), nls.Status.CONVERGED, "", [], chi2, chi2, dof, "", "", {}, robust=robust)
+        return doubts(result, options)
+
+    assert said(0.97 * bound) == said(0.5 * dof) == said(1.03 * bound, robust=True) == []
+    assert said(1.03 * bound) == ["chi2 is more than noise explains; see: nls explain a.g2o"]
+
+
+def test_what_is_found_below_the_doubt_is_named(tmp_path: Path, capsys: Captured) -> None:
+    """Four times what noise explains, where ``result.doubt`` says nothing yet."""
+    file = str(write(tmp_path, PLANE + f"EDGE_SE2 1 3 0.5 2 3 {INFORMATION_2}\n", "a b.g2o"))
+    graph, values, _ = nls.load(file)
+    result = graph.optimize(nls.initialize(graph, values)[0])
+    assert not result.doubt
+    assert 2 < result.chi2_final / result.dof < 100
+    assert report_of(["solve", file], capsys)["notes"] == [
+        f"chi2 is more than noise explains; see: nls explain '{file}'"
+    ]
+    assert main(["explain", file]) == 0
+    assert "chi2 is as expected" not in capsys.readouterr().out
+
+
+def test_the_command_reads_the_same_graph(capsys: Captured) -> None:
+    how = ["--dialect", "toro", "--convention", "log", "--robust", "huber:2", "--repair-information", "--hold", "k"]
+    words = asking(parser().parse_args(["solve", "a.txt", *how, "--quiet"])).split()
+    assert words[:3] == ["nls", "explain", "a.txt"]
+    asked, given = (vars(parser().parse_args(each)) for each in (words[1:], ["solve", "a.txt", *how]))
+    for name in ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation"):
+        assert asked[name] == given[name]
+    wrong = ["solve", "a.g2o", "--robust", "gnc-tls"]
+    assert asking(parser().parse_args(wrong)) == "nls explain a.g2o"
+    assert asking(parser().parse_args([*wrong, "-o", "out.g2o"])) == "nls explain out.g2o"
+
+
+def test_no_optimum_names_explain(tmp_path: Path, capsys: Captured) -> None:
+    file = str(write(tmp_path, PLANE))
+    assert main(["solve", file, "--init", "file", "--max-iterations", "1", "--quiet"]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "--max-iterations" in err
+    assert err.endswith(f"; see: nls explain {file}\n")
+
+
+def test_a_failed_solve_says_why_and_what_it_wrote(tmp_path: Path, capsys: Captured) -> None:
+    file, page, where = str(write(tmp_path, PLANE)), tmp_path / "p.html", tmp_path / "r.json"
+    for quiet in ([], ["--quiet"]):
+        arguments = ["solve", file, "--gauge", "none", "--report", str(page), "--json", str(where), *quiet]
+        assert main(arguments) == 1
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.count("\n") == 1
+        assert err.endswith(f" See: nls explain {file}; written: {page}; written: {where}\n")
+        report = json.loads(where.read_text())
+        assert (report["converged"], report["status"]) == (False, "UNDERCONSTRAINED")
+        assert report["underconstrained"]
+        assert report["written"] == [str(page), str(where)]
+        assert "--gauge first" in report["reason"]
+        assert "Not solved" in page.read_text()
+        where.unlink()
+        page.unlink()
 
 
 def test_nothing_of_the_kind_of_a_good_result(tmp_path: Path, capsys: Captured) -> None:
@@ -65,34 +125,6 @@ def test_nothing_of_the_kind_of_a_good_result(tmp_path: Path, capsys: Captured) 
         out = capsys.readouterr().out
         assert labelled(out, "note") == []
         assert ("1 expected)" in out) == (not options)
-
-
-def test_types_of_factors_apart(tmp_path: Path, capsys: Captured) -> None:
-    """A range that is a meter off: the contacts are what is wrong, and that one is the worst."""
-    here = str(folder(tmp_path / "m", contacts=TINY["contacts"].replace("2,12,4.2289", "2,12,5.2289")))
-    notes = report_of(["solve", here], capsys)["notes"]
-    by_type = next(note for note in notes if note.startswith("chi2 per measurement: "))
-    said = {name: float(chi2) for name, chi2, *_ in (part.split() for part in by_type[22:].split(", "))}
-    assert said.keys() == {"XYH", "ZPR", "Position", "Heading", "RangeAzimuth", "ElevationHinge"}
-    assert "ElevationHinge" in by_type
-    assert "RangeAzimuth" in by_type
-    assert "(0 expected)" in by_type  # the hinge measures nothing
-    graph, values, _ = nls.load(here)
-    solved = graph.optimize(nls.initialize(graph, values)[0]).values
-    for factor in graph.factors:
-        assert said[factor.name] == pytest.approx(factor.chi2(solved).mean(), rel=5e-3, abs=1e-12)
-    assert "farthest" in notes[-1]
-
-
-def test_what_says_nothing_is_not_expected() -> None:
-    """A step of a log knows x and y and not the yaw, one more knows all three: 7 numbers in 3 measurements."""
-    steps = [[1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
-    some = Between(x[[0, 1]], x[[1, 2]], steps, SqrtInformation(np.diag([100.0, 100.0, 0.0])))
-    whole = Between(x[0], x[2], [2.0, 0.0, 0.0], Isotropic(0.01))
-    graph = nls.FactorGraph([some, whole, Prior(x[0:3], np.zeros((3, 3)), Isotropic(1.0))])
-    result = graph.optimize(nls.Values({x: (SE2, np.zeros((3, 3)))}))
-    chi2 = (some.chi2(result.values).sum() + whole.chi2(result.values).sum()) / 3
-    assert f"per measurement: Between {chi2:.3g} (2.33 expected), Prior" in doubts(graph, result)[1]
 
 
 def test_a_kernel_on_one_type_of_factor(tmp_path: Path, capsys: Captured) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import nls
@@ -66,6 +68,72 @@ def test_no_optimum_is_a_finding(tmp_path: Path, capsys: Captured) -> None:
     assert ", at the start\n" in out
     assert "1. no optimum was found (something is free, see below)" in out
     assert "range of l1 (from x0)" in out
+
+
+def test_kernels_and_kinds_that_are_held_as_in_solve(tmp_path: Path, capsys: Captured) -> None:
+    more = f"EDGE_SE2 0 2 2 1 1.55 {INFORMATION_2}\nEDGE_SE2 1 3 4 -3 1 {INFORMATION_2}\n"
+    path = write(tmp_path, PLANE + more)
+    plain, robust, held = (
+        json.loads(explain(path, capsys, "--json", "-", *options))
+        for options in ([], ["--robust", "Between=tukey:3"], ["--hold", "x"])
+    )
+    assert (plain["robust"], robust["robust"]) == (False, True)
+    chi2 = {kind["name"]: kind["chi2"] for kind in robust["parts"]}
+    assert chi2["Between, closures"] > 2 * plain["parts"][1]["chi2"]  # it is let go
+    assert (plain["unknowns"], held["unknowns"]) == (9, 0)
+    for options, said in (
+        (["--robust", "gnc-tls"], "expected a kernel, such as cauchy:1; nls solve has gnc-tls"),
+        (["--hold", "q"], "expected one of the kinds x"),
+        (["--robust", "huber"], "'huber' is not possible"),
+    ):
+        assert main(["explain", str(path), *options]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_a_line_moves_on_a_terminal(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = str(write(tmp_path, PLANE))
+    assert main(["explain", path]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main(["explain", path]) == 0
+    err = capsys.readouterr().err
+    assert "\rsolve: " in err
+    assert "\rexplain: " in err
+    assert "chi2 " in err
+
+
+def test_the_help_is_about_this_command(capsys: Captured) -> None:
+    assert main(["explain", "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "Say in plain words what is free, what does not fit, and what helps." in out
+    assert "of explain and all\nothers: 0 done, whatever was found; of all: 2 bad input" in out
+    assert "  nls explain survey.g2o  " in out
+    assert "nls convert survey" not in out
+
+
+@pytest.mark.parametrize("landmarks", [False, True], ids=["poses", "landmarks"])
+def test_only_what_works_is_offered(landmarks: bool, tmp_path: Path, capsys: Captured) -> None:
+    """Graduation wants loop closures and odometry, a certificate poses alone; else `nls solve` refuses."""
+    rng = np.random.default_rng(0)
+    lines = [f"VERTEX_SE2 {k} {k % 6} {k // 6} 0" for k in range(36)]
+    lines += [f"EDGE_SE2 {k} {k + 1} {-5 if k % 6 == 5 else 1} {int(k % 6 == 5)} 0 {INFORMATION_2}" for k in range(35)]
+    if landmarks:
+        lines += [f"VERTEX_XY {100 + k} {k} 7" for k in range(4)]
+        pairs = [(k, 100 + j, (j - k % 6, 7 - k // 6)) for k in range(36) for j in range(4)]
+        tag, entries = "EDGE_SE2_XY", "500 0 500"
+    else:
+        pairs = [(k, k + 12, (0, 2)) for k in range(24)] * 3
+        tag, entries = "EDGE_SE2", f"0 {INFORMATION_2}"
+    for n, (i, j, (x, y)) in enumerate(pairs):
+        dx, dy = (x, y) + 0.03 * rng.normal(size=2) if n % 3 else 5 * rng.normal(size=2)
+        lines.append(f"{tag} {i} {j} {dx} {dy} {entries}")
+    path = write(tmp_path, "\n".join(lines) + "\n")
+    out = explain(path, capsys, "--init", "file")
+    assert "most measurements are off alike" in out or "do not fit the others" in out
+    assert ("nls solve --robust gnc-tls" in out) == (not landmarks)
+    offered = main(["solve", str(path), "--robust", "gnc-tls", "--quiet"]) != 2
+    assert offered == (not landmarks)
+    assert landmarks <= ("--certify" not in out)
 
 
 def test_a_mission(tmp_path: Path, capsys: Captured) -> None:

@@ -139,7 +139,9 @@ def test_how_lines_read_is_named(command: str, tmp_path: Path, capsys: Captured)
 def test_negative_information_is_repaired_on_request_only(command: str, tmp_path: Path, capsys: Captured) -> None:
     file = str(write(tmp_path, PLANE + "EDGE_SE2 1 3 0 2 3 500 0 0 400 0 -3\n"))
     assert main([command, file]) == 2
-    assert "negative eigenvalue" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "negative eigenvalue" in err
+    assert "; for the nearest matrix that is one: --repair-information [EDGE_SE2 1 3" in err
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert main([command, file, "--repair-information"]) == 0
@@ -161,6 +163,8 @@ def test_the_cure_is_named_as_it_is_typed(tmp_path: Path, capsys: Captured) -> N
         (["--robust", "huber"], "robust: 'huber' is not possible; expected one of huber:NUMBER"),
         (["--robust", "huber:-1"], "Huber(c): -1.0 is not possible"),
         (["--robust", "magic:1"], "robust: 'magic:1' is not possible"),
+        (["--robust", "huber:1", "--robust", "cauchy:1"], "--robust is given twice; expected one"),
+        (["--report", "page.pdf"], "--report: 'page.pdf' is not possible; expected a file name ending in .html, .htm"),
         (["--hold", "q"], "--hold: 'q' is not possible; expected one of the kinds x"),
         (["--method", "magic"], "invalid choice: 'magic'"),
         (["--dialect", "latin"], "invalid choice: 'latin'"),

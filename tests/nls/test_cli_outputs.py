@@ -102,6 +102,24 @@ def test_standard_output_is_for_the_report_alone(
         assert "only --json writes to standard output" in refused(["solve", file, option, "-"], capsys, monkeypatch)
 
 
+def test_a_folder_nobody_may_look_into(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sentence, no number of the operating system."""
+    stat, closed, file = os.stat, str(tmp_path / "closed"), str(write(tmp_path, PLANE))
+
+    def refusing(path: object, *_: object, **options: bool) -> os.stat_result:
+        if str(path).startswith(f"{closed}{os.sep}"):
+            raise PermissionError(13, "Permission denied", path)
+        return stat(path, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "stat", refusing)
+    for options in (["-o", f"{closed}/in/out.g2o"], ["--report", f"{closed}/in/p.html"], ["--json", f"{closed}/in/r"]):
+        err = refused(["solve", file, *options], capsys, monkeypatch)
+        assert "expected a file in a folder that exists, and that you may look into" in err
+        assert "Errno" not in err
+    assert main(["solve", f"{closed}/in.g2o"]) == 2
+    assert "Errno" not in capsys.readouterr().err
+
+
 def test_two_outputs_of_one_name(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
     file = str(write(tmp_path, PLANE))
     (tmp_path / "link.csv").symlink_to(tmp_path / "out.g2o")

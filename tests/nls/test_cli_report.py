@@ -67,7 +67,9 @@ def test_the_exit_status_stays(tmp_path: Path, capsys: Captured, monkeypatch: py
     assert captured.out == ""
     (line,) = captured.err.splitlines()
     page = Page(out.read_text())
-    assert line.removeprefix("nls: ") in page.text  # in the words of the command line
+    said, _, more = line.removeprefix("nls: ").partition(" See: nls explain ")
+    assert said in page.text  # in the words of the command line
+    assert more == f"{file}; written: {out}"
     assert main(["solve", str(file), "--init", "file", "--max-iterations", "1", "--report", str(out), "--quiet"]) == 1
     assert "Not converged" in Page(out.read_text()).text
     out.unlink()

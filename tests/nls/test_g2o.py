@@ -25,7 +25,7 @@ from nls import (
 )
 from nls.io.read import read_graph
 from nls.plot.trajectory import _closures
-from tests.nls.g2o_files import CONVENTIONS, INFORMATION_2, PLANE, SPACE, UPPER_3, again, read, same, write
+from tests.nls.g2o_files import CONVENTIONS, INFORMATION_2, PLANE, SPACE, UPPER_3, again, quoted, read, same, write
 from tests.nls.graphs import distance
 
 x, l = kinds("x", "l")
@@ -164,7 +164,7 @@ def test_what_is_wrong_has_its_line(case: str) -> None:
     assert str(caught.value).startswith(f"f.g2o:{line}: ")
     assert message in str(caught.value)
     if text.strip():
-        assert caught.value.text == text.splitlines()[line - 1].strip()[:80]
+        assert caught.value.text == quoted(text.splitlines()[line - 1])
 
 
 def test_wrong_convention() -> None:

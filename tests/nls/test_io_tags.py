@@ -9,7 +9,7 @@ import pytest
 from models import SE2, SE3, LieGroup, R
 from nls import GraphFileError, Values, kinds
 from nls.io.g2o import G2O
-from tests.nls.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, read
+from tests.nls.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, quoted, read
 from tests.nls.io_files import SENSORS_2, SENSORS_3, SIX, THREE, A
 
 x, l, o = kinds("x", "l", "o")
@@ -213,7 +213,7 @@ def test_what_is_wrong_has_its_line(case: str) -> None:
         read(text)
     assert message in str(caught.value)
     assert caught.value.line == line
-    assert caught.value.text == text.splitlines()[line - 1].strip()[:80]
+    assert caught.value.text == quoted(text.splitlines()[line - 1])
 
 
 # ---- without vertices

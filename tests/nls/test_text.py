@@ -324,3 +324,11 @@ def test_a_long_line_is_cut_in_the_message() -> None:
         Text(b"T " + b"9" * 5000 + b"x\n").table(np.array([0]), 1, "a")
     assert len(str(caught.value)) < 250
     assert len(caught.value.text) == 80
+    numbers = " ".join(f"{k}.{k}5" for k in range(10, 60))
+    for mark in (" ", "\t", ","):
+        words = numbers.replace(" ", mark)
+        with pytest.raises(GraphFileError) as caught:
+            Text(f"T {words} x\n".encode()).table(np.array([0]), 51, "a")
+        said, dots = caught.value.text.split(" ...")
+        assert (dots, len(said) <= 76) == ("", True)
+        assert f"T {words}{mark}".startswith(said + mark)  # whole numbers

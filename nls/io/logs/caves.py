@@ -32,7 +32,9 @@ class Caves:
 
     Attributes
     ----------
-    t : (n,) times of the DVL. v_d : (n, 3) its velocity in its own axes, m/s. valid : (n,) whether it had the bottom.
+    t : (n,) times of the DVL.
+    v_d : (n, 3) its velocity in its own axes, m/s.
+    valid : (n,) whether it had the bottom.
     t_depth, depth : (m,) times, and depth, m.
     t_track, track : (k,) times, and published positions (k, 3), m, z down.
     sightings : (12, 4) cone, time, and its offset from the vehicle forward and to starboard as published, m.

@@ -34,7 +34,8 @@ class HoloOcean:
     Attributes
     ----------
     t : (n,) s, from 0.
-    w : (n, 3) rates of the gyro, rad/s, body axes. f : (n, 3) specific force, m/s^2, body axes.
+    w : (n, 3) rates of the gyro, rad/s, body axes.
+    f : (n, 3) specific force, m/s^2, body axes.
     v_d : (n, 3) velocity of the DVL in its own axes, m/s.
     z : (n,) measured height of the vehicle in the world, m.
     X : (n, 7) true poses, SE3.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.errors import UnderconstrainedError
+from nls.explanation.words import cured
 from nls.inspect import inspect
 from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
@@ -56,10 +57,13 @@ def maps(told: Told) -> Html | None:
 
 def findings(told: Told) -> Html:
     """What is wrong, and what helps."""
-    found = [
-        tag("li", tag("p", each.says), *([tag("p", f"What helps: {each.cure}", class_="quiet")] if each.cure else []))
-        for each in told.explanation.findings
-    ]
+    found = []
+    for first, alike in cured(told.explanation.findings):
+        said = [[tag("p", each.says)] for each in alike]
+        if alike[0].cure:
+            where = f" with {first} to {first + len(alike) - 1}" if len(alike) > 1 else ""
+            said[-1].append(tag("p", f"What helps{where}: {alike[0].cure}", class_="quiet"))
+        found += [tag("li", *each) for each in said]
     what = tag("ol", joined(found, "\n")) if found else tag("p", "Nothing suspicious.")
     return section("findings", "Findings", what)
 
@@ -95,7 +99,10 @@ def worst(told: Told) -> Html | None:
     """The measurements that fit worst, and those that were rejected."""
     doubted = told.explanation.worst
     doubted = doubted[: ROWS if doubted and doubted[0].chance < RARE else FEW]
-    rows = [(each.factor, f"{each.normalized:.3g}", f"{each.sigmas:.3g}", _chance(each.chance)) for each in doubted]
+    rows = [
+        (each.factor, f"{each.normalized:.3g}", f"{each.sigmas:.3g}", _chance(each.chance))
+        for each in sorted(doubted, key=lambda each: -each.normalized)
+    ]
     inside = []
     if rows:
         heads = ("measurement", "sigmas from all others", "sigmas", "by chance")

@@ -1,0 +1,47 @@
+"""Where ``nls solve`` names ``nls explain``: something is free, nothing converged, chi2 is more than noise explains."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from typing import TYPE_CHECKING
+
+from nls.cli import outliers
+from nls.cli.outputs import typed
+
+if TYPE_CHECKING:
+    from nls.optimizers import Result
+
+__all__ = ["asking", "doubts"]
+
+ABOVE = 1.96  # sigmas: 2.5 % of all right graphs, the bound of `nls.explain`
+
+
+def asking(options: argparse.Namespace) -> str:
+    """The command that explains the graph of this one."""
+    as_read = not outliers.wanted(options.robust)
+    words = ["nls", "explain", options.file if as_read else options.output or options.file]
+    given = {
+        "--dialect": options.dialect if options.dialect != "auto" else None,
+        "--convention": options.convention if options.convention != "g2o" else None,
+        "--elevation": options.elevation,
+        "--robust": options.robust if as_read else None,
+    }
+    words += [word for name, value in given.items() if value is not None for word in (name, value)]
+    words += ["--repair-information"] * options.repair_information
+    words += [word for kind in options.hold for word in ("--hold", kind)]
+    return shlex.join(words)
+
+
+def doubts(result: Result, options: argparse.Namespace) -> list[str]:
+    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known.
+
+    The bound is Wilson and Hilferty's, "The distribution of chi-square", PNAS 17, 1931: 2 % off for one degree of
+    freedom, 0.1 % for ten, and at no cost, where the import of SciPy's is three times the solution of a small graph.
+    """
+    dof, s2 = result.dof, 2 / (9 * max(result.dof, 1))
+    if result.doubt:
+        return [f"{typed(result.doubt)}; see: {asking(options)}"]
+    if result.robust or not dof > 0 or not result.chi2_final > dof * (1 - s2 + ABOVE * s2**0.5) ** 3:
+        return []
+    return [f"chi2 is more than noise explains; see: {asking(options)}"]

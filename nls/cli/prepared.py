@@ -1,0 +1,39 @@
+"""What ``solve`` and ``explain`` do to a graph before they begin: robust kernels on it, kinds of variables held."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nls.graph import FactorGraph
+    from nls.values import Values
+
+__all__ = ["prepared"]
+
+
+def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) -> FactorGraph:
+    """The graph under the robust kernel, with the kinds held that were asked for; the one read stays as it is.
+
+    Raises
+    ------
+    OptionError
+        No such kernel, type of factor or kind of variable.
+    """
+    import nls
+    from factors.robust import kernel_from_text
+    from nls.cli import outliers
+
+    graph = nls.FactorGraph(as_read.factors, as_read.fixed)
+    if options.robust and not outliers.wanted(options.robust):
+        name, separator, kernel = options.robust.rpartition("=")
+        names = list(dict.fromkeys(factor.name for factor in graph.factors))
+        if separator and name not in names:
+            raise nls.OptionError("--robust", name, "no type, or one of those in the graph: " + ", ".join(names))
+        robust = kernel_from_text(kernel)
+        graph.factors = [f.robust(robust) if name in ("", f.name) else f for f in graph.factors]
+    for kind in options.hold:
+        if kind not in values.stacks:
+            raise nls.OptionError("--hold", kind, "one of the kinds " + ", ".join(values.stacks))
+        graph.fix(nls.Keys(kind, values.stack(kind).numbers))
+    return graph

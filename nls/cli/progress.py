@@ -1,0 +1,49 @@
+"""A line on a terminal that moves while something is solved."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nls.optimizers import Iteration
+
+__all__ = ["Progress"]
+
+
+class Progress:
+    """A line on standard error where that is a terminal, gone at the end; nothing elsewhere.
+
+    Parameters
+    ----------
+    what : is done.
+    most : iterations, as far as that is known.
+    quiet : nothing on a terminal either.
+    """
+
+    def __init__(self, what: str, most: int | None = None, quiet: bool = False) -> None:
+        self.bar: Any = None
+        self.wanted = sys.stderr.isatty() and not quiet
+        self.what, self.most = what, most
+
+    def __enter__(self) -> Progress:
+        if self.wanted:
+            from tqdm import tqdm
+
+            self.bar = tqdm(total=self.most, desc=self.what, unit="it", leave=False)
+        return self
+
+    def show(self, iteration: Iteration) -> None:
+        """One more iteration."""
+        if self.bar is not None:
+            self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")
+            self.bar.update()
+
+    def next(self, what: str) -> None:
+        """Something else is done now."""
+        if self.bar is not None:
+            self.bar.set_description_str(what)
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.close()
