@@ -3,7 +3,9 @@
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
+from docutils.nodes import document
 from docutils.parsers.rst.states import Inliner
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -25,6 +27,7 @@ extensions = [
     "factor_table",  # docs/_ext, to the end of the list
     "figure_alt",
     "gallery",
+    "line_breaks",
     "made_figure",
     "overview",
 ]
@@ -69,7 +72,7 @@ mathjax3_config = {
             "argmin": r"\operatorname*{arg\,min}",
             "argmax": r"\operatorname*{arg\,max}",
             "T": r"^{\mathsf T}",
-            "norm": [r"\left\lVert #1 \right\rVert", 1],
+            "norm": [r"\lVert #1 \rVert", 1],
             "skew": [r"\left[ #1 \right]_\times", 1],
         }
     }
@@ -82,8 +85,23 @@ def spread(app: Sphinx, env: BuildEnvironment, docnames: list[str]) -> None:
     docnames[:] = [name for first in range(4) for name in docnames[first::4]]
 
 
+# --- tables of measurements want the room that the contents of a page take ---
+def widen(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: document | None) -> None:
+    """Benchmarks have no second sidebar."""
+    if pagename.startswith("benchmarks/"):
+        context["secondary_sidebar_items"] = []
+
+
+# --- the fields of a named tuple are among its attributes already ---
+def skip(app: Sphinx, what: str, name: str, found: object, skipped: bool, options: object) -> bool | None:
+    """Whether a member is left out of the reference."""
+    return True if (getattr(found, "__doc__", None) or "").startswith("Alias for field number") else None
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-skip-member", skip)
+    app.connect("html-page-context", widen, priority=900)
     app.connect("env-before-read-docs", spread)
     # It copies MathJax when the build is finished and has no part in reading, which it does not say.
     app.extensions["sphinx-mathjax-offline"].parallel_read_safe = True

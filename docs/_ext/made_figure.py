@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from docutils import nodes
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -28,6 +29,7 @@ __all__ = ["LIMIT", "MadeFigure", "animation", "frame", "setup"]
 
 LIMIT = 1_500_000  # bytes
 DPI = 80
+TEXT = 12  # points; a phone shows a figure at half its width
 MADE = Path("_build") / "figures"  # below the pages; not part of the tree
 
 
@@ -59,8 +61,9 @@ class MadeFigure(SphinxDirective):
         self.env.note_dependency(str(source))
         began = time.perf_counter()
         made = runpy.run_path(str(source))
-        figures, seconds = made["make"]()
-        frames = [frame(figure) for figure in figures]
+        with rc_context({"font.size": TEXT, "axes.titlesize": TEXT + 1}):
+            figures, seconds = made["make"]()
+            frames = [frame(figure) for figure in figures]
         pictures = [(f"{source.stem}.png", _png(frames[-1]), "still" if len(frames) > 1 else "")]
         if len(frames) > 1:
             pictures.insert(0, (f"{source.stem}.webp", animation(frames, seconds), "moving"))

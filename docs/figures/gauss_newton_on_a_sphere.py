@@ -46,7 +46,7 @@ def _drawn(world: sim.World, X: np.ndarray, chi2: list[float], title: str) -> Fi
     P = P - P.mean(axis=0)
     _, closures = world.graph.factors
     ends = np.stack([P[keys.numbers] for keys in closures.keys], axis=1)
-    ball.add_collection3d(Line3DCollection(ends, color=ACCENT, linewidth=0.4, alpha=0.5))
+    ball.add_collection3d(Line3DCollection(ends, color=ACCENT, linewidth=0.6, alpha=0.6))
     ball.plot(*P.T, color=INK, linewidth=0.9)
     for set_limits in (ball.set_xlim, ball.set_ylim, ball.set_zlim):
         set_limits(-62, 62)

@@ -30,7 +30,7 @@ def make() -> tuple[list[Figure], list[float]]:
     x, l = kinds("x", "l")
     truth, L = world.truth[x], world.truth[l]
     ekf, online = EKF(), Online(every=EVERY)
-    frames, seconds, then = [], [], []
+    frames, off, then = [], [], []
     for k, step in enumerate(steps(world.graph, world.start)):
         for estimator in (ekf, online):
             estimator.start(step, world.start) if k == 0 else estimator.step(step)
@@ -42,8 +42,15 @@ def make() -> tuple[list[Figure], list[float]]:
             sure = [np.array([P for _, P in then]), P_now]
             found = [ekf.landmarks, online.landmarks]
             frames.append(_drawn(k, truth, L, path, sure, found))
-            seconds.append(0.25)
-    return frames, [*seconds[:-1], 3.0]
+            off.append(_rms(path[1], truth))
+    closed = int(np.argmin(np.diff(off))) + 1
+    seconds = np.full(len(frames), 0.25)
+    seconds[[closed - 1, closed, -1]] = 1.2, 1.8, 3.0  # before and after the loop closes there is something to see
+    return frames, seconds.tolist()
+
+
+def _rms(X: Array, truth: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum((X - truth[: len(X)])[:, :2] ** 2, axis=1))))
 
 
 def _drawn(k: int, truth: Array, L: Array, path: list[Array], sure: list[Array], found: list) -> Figure:
@@ -63,8 +70,7 @@ def _drawn(k: int, truth: Array, L: Array, path: list[Array], sure: list[Array],
             _ellipse(axes, q, np.linalg.cholesky(P_n), POINT)
         axes.plot(*L.T, "^", color="0.6", markersize=5)
         axes.plot(*shown[-1], "o", color=ACCENT, markersize=8)
-        error = np.sqrt(np.mean(np.sum((X - truth[: len(X)])[:, :2] ** 2, axis=1)))
-        axes.set_title(f"{name}: path {error:.2f} m off")
+        axes.set_title(f"{name}: path {_rms(X, truth):.2f} m off")
         axes.set(xlim=(-50, 50), ylim=(-48, 48), xticks=[], yticks=[], aspect="equal")
     return figure
 

@@ -20,7 +20,8 @@ ROLL, PITCH = np.radians(25.0), np.radians(15.0)
 
 def make() -> tuple[list[Figure], list[float]]:
     """Frames and seconds."""
-    swing = TRUE + (APERTURE - abs(TRUE)) * np.sin(np.linspace(0, 2 * np.pi, 25)[:-1])
+    turn = np.linspace(0.5, 2.5, 25)[1:] * np.pi  # the last frame, which may stand alone, is as high as the slide goes
+    swing = TRUE + (APERTURE - abs(TRUE)) * np.sin(turn)
     first = SE3.identity(1)[0]
     up = SE3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))  # z down: 1 m higher,
     second = SE3.compose(up, euler.to_se3([ROLL, -PITCH, 0.0, 0.0, 0.0, 0.0]))  # looking down a little, and rolled
@@ -44,8 +45,8 @@ def _arc(el: np.ndarray) -> np.ndarray:
 
 def _drawn(el: float, first: np.ndarray, second: np.ndarray) -> Figure:
     figure = Figure(figsize=(9, 4.0))
-    side = figure.add_axes((0.07, 0.13, 0.44, 0.77))
-    images = [figure.add_axes((left, 0.13, 0.18, 0.77)) for left in (0.58, 0.81)]
+    side = figure.add_axes((0.07, 0.15, 0.44, 0.71))
+    images = [figure.add_axes((left, 0.15, 0.18, 0.71)) for left in (0.6, 0.81)]
     arc, p, truth = _arc(np.linspace(-APERTURE, APERTURE, 60)), _arc(np.array(el))[0], _arc(np.array(TRUE))[0]
     side.plot(arc[:, 0], arc[:, 2], color=INK, linewidth=5, alpha=0.25, solid_capstyle="round")
     side.annotate("every point of the arc\nhas this range\nand azimuth", (1.9, 0.75), color=INK, ha="center", va="top")
@@ -63,9 +64,12 @@ def _drawn(el: float, first: np.ndarray, second: np.ndarray) -> Figure:
         axes.plot(true_azimuth, true_r, "o", color="none", markeredgecolor="0.3", markersize=15)
         axes.plot(azimuth, r, "*", color=ACCENT, markersize=13)
         same = abs(azimuth - true_azimuth) < 0.5 and abs(r - true_r) < 0.03
-        axes.set_title(f"image {name}: {'fits' if same else 'does not fit'}", color="black" if same else ACCENT)
+        axes.set_title(f"image {name}\n{'fits' if same else 'does not fit'}", color="black" if same else ACCENT)
         axes.set(xlim=(-25, 25), ylim=(3.6, 4.8), xticks=[-20, 0, 20], yticks=[4.0, 4.5], xlabel="azimuth [°]")
-        axes.set_ylabel("range [m]" if name == "1" else "")
+        if name == "1":
+            axes.set_ylabel("range [m]")
+        else:
+            axes.set_yticklabels([])  # the same scale
         for spine in axes.spines.values():
             spine.set(color=color, linewidth=2)
     return figure

@@ -38,7 +38,7 @@ def make() -> tuple[list[Figure], list[float]]:
 
 def _drawn(world: sim.World, w: float, values: Values, chi2: float, i: int, j: int) -> Figure:
     figure = Figure(figsize=(8, 4.2))
-    place, bars = figure.add_axes((0.01, 0.03, 0.58, 0.88)), figure.add_axes((0.73, 0.36, 0.2, 0.55))
+    place, bars = figure.add_axes((0.01, 0.03, 0.58, 0.88)), figure.add_axes((0.7, 0.36, 0.2, 0.55))
     X, T = values.stack("x").X, world.truth.stack("x").X
     X = SE2.compose(SE2.compose(T[0], SE2.inverse(X[0])), X)
     place.plot(*T[:, :2].T, color="0.85", linewidth=4, label="truth")
@@ -51,7 +51,8 @@ def _drawn(world: sim.World, w: float, values: Values, chi2: float, i: int, j: i
     place.set_title(f"weight of the wrong closure: {w:.2g}" if w else "the wrong closure is gone")
     dof = 3 * (sum(map(len, world.graph.factors)) - len(X) + 1)
     bars.bar([0], [chi2 / dof], color=INK)
-    bars.axhline(1, color="0.4", linestyle="--", linewidth=1)
+    bars.axhline(1, color="0.65", linestyle="--", linewidth=1.5)
+    bars.text(1.05, 1, "expected", transform=bars.get_yaxis_transform(), va="center", fontsize=9, color="0.4")
     bars.set(xticks=[], ylim=(0.5, 200), yscale="log", ylabel="chi2 / dof of the others")
     bars.minorticks_off()
     bars.set_title(f"{error:.1f} m off")

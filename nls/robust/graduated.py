@@ -99,7 +99,8 @@ class Robustified:
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected at which threshold, and the first of them."""
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
-        lines = [counted] if self.sigma0 == 1.0 else [f"{counted}, by {self.sigma0:.3g} times the stated sigmas"]
+        times = f"{self.sigma0:.3g}"
+        lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + (
             [f"  and {len(self.rejected) - most} more (`rejected` has them)"] if len(self.rejected) > most else []
