@@ -108,8 +108,11 @@ def _likely_cause(A: Array, numeric: Array) -> str:
         "a factor 2 is missing (half angles?)": numeric / 2,
         "there is a factor 2 too many (half angles?)": numeric * 2,
     }
-    if A.shape[-1] == A.shape[-2]:
+    d = A.shape[-1]
+    if d == A.shape[-2]:
         causes["it is transposed"] = numeric.mT
+    if d in (3, 6):  # SE(2), SE(3)
+        causes["its columns are in another order (translation comes first)"] = np.roll(numeric, d // 2, axis=-1)
     for cause, candidate in causes.items():
         if np.allclose(A, candidate, rtol=1e-4, atol=1e-6):
             return f"; likely: {cause}"

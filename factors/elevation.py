@@ -68,7 +68,8 @@ class ElevationHinge(Elevation):
     r"""That a target was in the aperture when it was seen: no cost inside, a quadratic one outside.
 
     .. math:: h(X, l) = \mathrm{sign}(q) \max(|q| - q_{max}, 0), \quad q = \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2}),
-              \quad p = (X \circ O)^{-1} l
+
+    .. math:: p = (X \circ O)^{-1} l
 
     with z = 0 and a sigma of `softness`: the residual is 0 inside, :math:`\pm(q_{max} - |q|)/s` outside.
 

@@ -45,8 +45,9 @@ class EpipolarArc(Factor):
     r"""Range and azimuth of one target from two poses, the target eliminated: its elevation by a search on its arc.
 
     .. math:: h(X_i, X_j) = f(G, p^*), \quad p^* = \arg\min_{|el| \le q_{max}} |z - f(G, p)|^2_\Sigma,
-              \quad G = (X_i \circ O)^{-1} (X_j \circ O),
-              \quad f(G, p) = (r,\ az,\ |q|,\ \mathrm{atan2}(q_y, q_x)), \quad q = G^{-1} p
+
+    .. math:: G = (X_i \circ O)^{-1} (X_j \circ O), \quad
+              f(G, p) = (r,\ az,\ |q|,\ \mathrm{atan2}(q_y, q_x)), \quad q = G^{-1} p
 
     Parameters
     ----------

@@ -22,8 +22,9 @@ __all__ = ["Wheels"]
 class Wheels(Factor):
     r"""Travel of the right and of the left wheel from pose i to pose j, and no slip across.
 
-    .. math:: h(X_i, X_j) = (s + b\,\varphi, \; s - b\,\varphi, \; t), \quad
-              (s, t) = R(-\varphi)\,(d_x, d_y), \quad (d_x, d_y, 2 \varphi) = X_i^{-1} X_j
+    .. math:: h(X_i, X_j) = (s + b\,\varphi, \; s - b\,\varphi, \; t), \quad (s, t) = R(-\varphi)\,(d_x, d_y),
+
+    .. math:: (d_x, d_y, 2 \varphi) = X_i^{-1} X_j
 
     Parameters
     ----------

@@ -60,8 +60,8 @@ def chi2_interval(dof: float, probability: float = 0.95) -> tuple[float, float]:
     return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
 
 
-def chi2_tail(t: Array, dof: npt.NDArray[np.intp]) -> Array:
-    """Probability of chi-squared of dof degrees of freedom above t, elementwise; 1 where there are none.
+def chi2_tail(t: Array, dof: npt.NDArray[np.intp] | Array) -> Array:
+    """Probability of chi-squared of dof degrees of freedom, whole or not, above t, elementwise; 1 where there are none.
 
     Examples
     --------
@@ -70,4 +70,4 @@ def chi2_tail(t: Array, dof: npt.NDArray[np.intp]) -> Array:
     """
     from scipy.special import gammaincc
 
-    return np.where(dof > 0, gammaincc(np.maximum(dof, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)
+    return np.where(dof > 0, gammaincc(np.where(dof > 0, dof, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)

@@ -54,8 +54,8 @@ class FactorGraph:
         self.factors: list[Factor] = []
         self.fixed: list[Keys] = []
         self._pattern: Pattern | None = None
-        if not isinstance(factors, Iterable):
-            raise GraphError(f"FactorGraph: expected a list of factors, got {factors!r:.80}")
+        if not isinstance(factors, Iterable) or isinstance(factors, Factor):  # a batch is iterable, too
+            raise GraphError(f"FactorGraph: expected a list of factors such as [factor], got {factors!r:.80}")
         for factor in factors:
             self.add(factor)
         if not isinstance(fixed, Iterable) or isinstance(fixed, Keys | str):
@@ -106,7 +106,7 @@ class FactorGraph:
         """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
         return FactorGraph([factor.robust(kernel) for factor in self.factors], self.fixed)
 
-    def only(self, masks: Sequence[npt.NDArray[np.bool_]]) -> FactorGraph:
+    def only(self, masks: Sequence[npt.NDArray[np.bool_] | Sequence[bool]]) -> FactorGraph:
         """A graph of some of the measurements: of every factor those (n,) where its mask is True.
 
         Raises
@@ -114,13 +114,15 @@ class FactorGraph:
         GraphError
             Not one mask for every factor, or one of another length.
         """
-        shapes = [np.shape(mask) for mask in masks]
-        if shapes != [(len(factor),) for factor in self.factors]:
+        given = [np.asarray(mask) for mask in masks] if isinstance(masks, Iterable) else []
+        shapes, types = [mask.shape for mask in given], {str(mask.dtype) for mask in given} - {"bool"}
+        if types or shapes != [(len(factor),) for factor in self.factors]:
+            got = f"{len(shapes)} of shapes {shapes!s:.60} {', '.join(sorted(types))}".rstrip()
             raise GraphError(
-                f"FactorGraph.only: expected a mask for each of {len(self.factors)} factors, as long as it has "
-                f"measurements, got {len(shapes)} of shapes {shapes!s:.60}"
+                f"FactorGraph.only: expected a mask of True and False for each of {len(self.factors)} factors, as long "
+                f"as it has measurements, got {got}"
             )
-        kept = [f if m.all() else f[m] for f, m in zip(self.factors, masks, strict=True) if m.any()]
+        kept = [f if m.all() else f[m] for f, m in zip(self.factors, given, strict=True) if m.any()]
         return FactorGraph(kept, self.fixed)
 
     def chi2(self, values: Values) -> float:

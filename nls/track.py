@@ -30,7 +30,7 @@ def _relative(batch: Batch) -> bool:
 
 
 def _apart(batch: Batch, pattern: Pattern) -> Index:
-    """(k,) how many numbers lie between the first two variables of a measurement, 0 where they differ in kind."""
+    """(k,) how many places apart the first two variables of a measurement are, 0 where they differ in kind."""
     if batch.kinds[0] != batch.kinds[1]:
         return np.zeros(len(batch), dtype=np.intp)
     numbers = pattern.numbers[batch.kinds[0]]

@@ -64,7 +64,10 @@ def test_its_exercises_check_themselves(path: Path) -> None:
     assert len(numbers) >= 3
     tagged = dict.fromkeys(("hide-input", "hide-cell"), "")
     for cell in cells(path, "code"):
-        for tag in cell["metadata"].get("tags", []):
+        tags = cell["metadata"].get("tags", [])
+        hidden = cell["metadata"].get("jupyter", {}).get("source_hidden", False)
+        assert hidden == bool({"hide-input", "hide-cell"} & set(tags)), "folded on the site and in Jupyter"
+        for tag in tags:
             tagged[tag] += cell["source"]
     for number in numbers:
         assert f"def check_{number}(" in tagged["hide-input"]

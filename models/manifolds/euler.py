@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, components, matrix, pack, wrap
-from models.errors import SingularGeometryError
+from models.errors import OptionError, SingularGeometryError
 from models.manifolds.se3 import SE3, join
 from models.manifolds.so3 import rotation3
 
@@ -101,8 +101,16 @@ def rate_matrix_inv(rpy: npt.ArrayLike) -> Array:
 
 
 def to_se3(state: npt.ArrayLike) -> Array:
-    """SE(3) poses (..., 7) of Euler 6-vectors (roll, pitch, yaw, x, y, z) (..., 6)."""
+    """SE(3) poses (..., 7) of Euler 6-vectors (roll, pitch, yaw, x, y, z) (..., 6).
+
+    Raises
+    ------
+    OptionError
+        Not 6 numbers a vector.
+    """
     state = np.asarray(state, dtype=float)
+    if state.shape[-1:] != (6,):
+        raise OptionError("state", state.shape, "a shape of (..., 6): roll, pitch, yaw, x, y, z")
     return join(state[..., 3:], quaternion_from_angles(state[..., :3]))
 
 

@@ -69,11 +69,11 @@ class Certificate:
         """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
         lines, and one more where `lower_chi2` is known."""
         said = {
-            "certified": "no other arrangement of the poses fits these measurements better (whether the measurements "
-            "are right is another question)",
-            "refuted": "another arrangement of the poses fits these measurements better",
-            "undecided": "no other arrangement of the poses was found that fits these measurements better, nor shown "
-            "that there is none",
+            "certified": "in the SE-Sync cost no arrangement of the poses fits these measurements better than the "
+            "minimum beside this solution (whether the measurements are right is another question)",
+            "refuted": "in the SE-Sync cost another arrangement of the poses fits these measurements better",
+            "undecided": "in the SE-Sync cost no arrangement of the poses was found that fits these measurements "
+            "better than the minimum beside this solution, nor shown that there is none",
         }
         known = {
             "certified": f"none is lower by more than {self.cost - self.lowest:.1g}",
@@ -83,7 +83,7 @@ class Certificate:
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
             f"{self.verdict}: {said[self.verdict]}",
-            f"shown in the SE-Sync cost, not in chi2: its minimum here is {self.cost:.6g}, {known[self.verdict]}",
+            f"that cost is not chi2: its minimum here is {self.cost:.6g}, {known[self.verdict]}",
             f"the solution has {self.cost_given:.6g} and is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg "
             f"rms from that minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg at most",
             f"smallest eigenvalues of the certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",

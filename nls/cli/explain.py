@@ -25,7 +25,7 @@ def explain(options: argparse.Namespace) -> int:
     from nls.cli.prepared import prepared
     from nls.cli.progress import Progress
 
-    refuse_unwritable(json=options.json)
+    refuse_unwritable(json=options.json, read=options.file)
     if outliers.wanted(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)

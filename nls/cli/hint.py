@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nls.cli import outliers
@@ -17,15 +18,24 @@ __all__ = ["asking", "doubts"]
 ABOVE = 1.96  # sigmas: 2.5 % of all right graphs, the bound of `nls.explain`
 
 
-def asking(options: argparse.Namespace) -> str:
-    """The command that explains the graph of this one."""
-    as_read = not outliers.wanted(options.robust)
-    words = ["nls", "explain", options.file if as_read else options.output or options.file]
+def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
+    """The command that explains the graph of this one: as it was read, or without what was rejected if that is written.
+
+    Parameters
+    ----------
+    options : of ``nls solve``.
+    written : files that exist by now.
+    """
+    wrong = outliers.wanted(options.robust)
+    if wrong and options.output in written and options.to is None:
+        return shlex.join(["nls", "explain", _named(options.output)])
+    words = ["nls", "explain", _named(options.file)]
     given = {
         "--dialect": options.dialect if options.dialect != "auto" else None,
         "--convention": options.convention if options.convention != "g2o" else None,
         "--elevation": options.elevation,
-        "--robust": options.robust if as_read else None,
+        "--init": options.init if options.init != "auto" else None,
+        "--robust": None if wrong else options.robust,
     }
     words += [word for name, value in given.items() if value is not None for word in (name, value)]
     words += ["--repair-information"] * options.repair_information
@@ -33,7 +43,12 @@ def asking(options: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def doubts(result: Result, options: argparse.Namespace) -> list[str]:
+def _named(file: str) -> str:
+    """A file name that is not taken for an option."""
+    return f"./{file}" if file.startswith("-") else file
+
+
+def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:
     """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known.
 
     The bound is Wilson and Hilferty's, "The distribution of chi-square", PNAS 17, 1931: 2 % off for one degree of
@@ -41,7 +56,7 @@ def doubts(result: Result, options: argparse.Namespace) -> list[str]:
     """
     dof, s2 = result.dof, 2 / (9 * max(result.dof, 1))
     if result.doubt:
-        return [f"{typed(result.doubt)}; see: {asking(options)}"]
+        return [f"{typed(result.doubt)}; see: {asking(options, written)}"]
     if result.robust or not dof > 0 or not result.chi2_final > dof * (1 - s2 + ABOVE * s2**0.5) ** 3:
         return []
-    return [f"chi2 is more than noise explains; see: {asking(options)}"]
+    return [f"chi2 is more than noise explains; see: {asking(options, written)}"]

@@ -16,7 +16,7 @@ def info(options: argparse.Namespace) -> int:
     from nls.cli.formats import read
     from nls.inspect import inspect
 
-    refuse_unwritable(json=options.json)
+    refuse_unwritable(json=options.json, read=options.file)
     graph, values, report = read(options)
     found = inspect(graph, values)
     head = {"input": options.file, "format": report.format, "dimension": report.dimension}

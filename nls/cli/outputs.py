@@ -54,16 +54,18 @@ def typed(message: str, form: Callable[[str], str] = str) -> str:
 
 def complain(message: object) -> None:
     """One line on standard error, with the options as they are typed here."""
-    print(f"nls: {' '.join(typed(str(message)).split())}", file=sys.stderr)
+    print(f"nls: {' '.join(line.strip() for line in typed(str(message)).splitlines())}", file=sys.stderr)
 
 
-def refuse_unwritable(*names: str | None, json: str | None = None) -> None:
+def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | None = None, read: str = "") -> None:
     """Find out before the work, not after it, that an output cannot be written.
 
     Parameters
     ----------
     names : of files; None for one that is not asked for.
     json : the report for programs, which may also be ``-``: standard output.
+    graph : the graph that is written, which alone may replace what is read.
+    read : the input.
 
     Raises
     ------
@@ -72,7 +74,9 @@ def refuse_unwritable(*names: str | None, json: str | None = None) -> None:
     from models.errors import OptionError
 
     seen: set[str] = set()
-    for name in [*names, None if json == "-" else json]:
+    for name in [graph, *names, None if json == "-" else json]:
+        if name is not graph and read:
+            seen.add(os.path.realpath(read))
         if name is None:
             continue
         if name == "-":
@@ -80,10 +84,12 @@ def refuse_unwritable(*names: str | None, json: str | None = None) -> None:
         if not name:
             raise OptionError("output file", name, "the name of a file")
         folder = os.path.dirname(os.path.realpath(name))
-        if os.path.isdir(name) or not os.path.isdir(folder):  # unlike those of `Path` these raise nothing
+        if os.path.isdir(name):
+            raise OptionError("output file", name, "a file, and this is a folder")
+        if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
         if os.path.realpath(name) in seen:
-            raise OptionError("output file", name, "a file of its own for every output")
+            raise OptionError("output file", name, "a file of its own for every output, and none that is read")
         special = os.path.exists(name) and not os.path.isfile(name)  # a pipe is written to, a file is replaced
         if not os.access(name, os.W_OK) if special else not os.access(folder, os.W_OK | os.X_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")

@@ -46,7 +46,8 @@ def solve(options: argparse.Namespace) -> int:
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     mission, form = os.path.isdir(options.file), ""
     output = None if mission else options.output
-    refuse_unwritable(output, options.covariance, options.plot, options.report, json=options.json)
+    others = options.covariance, options.plot, options.report
+    refuse_unwritable(*others, json=options.json, graph=output, read=options.file)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
@@ -63,7 +64,11 @@ def solve(options: argparse.Namespace) -> int:
         graph = prepared(as_read, values, options)
         clock.lap("read")
         wrong = outliers.wanted(options.robust)
-        found = outliers.chosen(options.robust, options.init, graph, values) if wrong else None
+        try:
+            found = outliers.chosen(options.robust, options.init, graph, values) if wrong else None
+        except UnderconstrainedError as error:
+            _say_free(error, options, report, partial(write_report, options, graph, values, report, ("", {})))
+            raise
         if found is None:
             start, init, tried = nls.initialize(graph, values, options.init)
         else:
@@ -87,13 +92,8 @@ def solve(options: argparse.Namespace) -> int:
     with Progress("solve", options.max_iterations, options.quiet) as progress:
         try:
             result = graph.optimize(start, _optimizer(options.method, graph, stop, progress), solver, options.gauge)
-        except UnderconstrainedError as error:  # the outputs say what is free
-            _attempt([(partial(page, error, {}, None, None), options.report)], written, failed)
-            _attempt([(partial(_free, options, report, error, written), options.json)], written, failed)
-            for failure in failed:
-                complain(failure)
-            outputs = "".join(f"; written: {name}" for name in written if name != "-")
-            error.args = (f"{error} See: {asking(options)}{outputs}",)
+        except UnderconstrainedError as error:
+            _say_free(error, options, report, page)
             raise
     clock.lap("optimize")
     solved = _solved(graph, values, result, report, solver, options.gauge)
@@ -145,7 +145,7 @@ def solve(options: argparse.Namespace) -> int:
         "underconstrained": list(result.underconstrained),
         "written": written,
         "unwritten": [str(error) for error in failed],
-        "notes": report.notes + doubts(result, options),
+        "notes": report.notes + doubts(result, options, written),
         "peak_rss_mb": _peak_rss_mb(),
         "version": nls.__version__,
     }
@@ -159,8 +159,9 @@ def solve(options: argparse.Namespace) -> int:
         shown = [] if found is None else outliers.rows(found)
         shown += [] if certificate is None else certified.rows(certificate)
         print(_table(record, result, shown, report.warnings, options.verbose))
-    if not result.converged:
-        print(f"nls: {record['reason']}; {_advice(result)}; see: {asking(options)}", file=sys.stderr)
+    allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
+    if not result.converged and not (allowed and options.quiet):
+        print(f"nls: {record['reason']}; {_advice(result, allowed)}; see: {asking(options, written)}", file=sys.stderr)
     refuted = certificate is not None and certificate.verdict == "refuted"
     if refuted:
         print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
@@ -168,8 +169,23 @@ def solve(options: argparse.Namespace) -> int:
         complain(failure)
     if failed and options.debug:
         raise failed[0]
-    allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     return 1 if refuted or not (result.converged or allowed) else 2 if failed else 0
+
+
+def _say_free(
+    error: UnderconstrainedError, options: argparse.Namespace, report: LoadReport, page: Callable[..., None]
+) -> None:
+    """Write the outputs that can say what is free, and name in the error these and what explains it."""
+    from nls.cli.hint import asking
+
+    written: list[str] = []
+    failed: list[LeadlineError] = []
+    _attempt([(partial(page, error, {}, None, None), options.report)], written, failed)
+    _attempt([(partial(_free, options, report, error, written), options.json)], written, failed)
+    for failure in failed:
+        complain(failure)
+    names = ", ".join(name for name in written if name != "-")
+    error.args = (f"{error} See: {asking(options)}" + (f"; written: {names}" if names else ""),)
 
 
 def _free(
@@ -336,13 +352,15 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
     return "\n".join(lines)
 
 
-def _advice(result: Result) -> str:
-    """What to try next, by status."""
+def _advice(result: Result, allowed: bool) -> str:
+    """What to try next, by status; an estimate that has not converged may be `allowed` already."""
     name = result.status.name
     if result.rises:
         return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"
     if name in ("MAX_ITERATIONS", "MAX_TIME"):
-        return "allow more with --max-iterations, or take the estimate with --allow-unconverged"
+        return "allow more with --max-iterations" + (
+            "" if allowed else ", or take the estimate with --allow-unconverged"
+        )
     if name in ("STOPPED", "INTERRUPTED"):
         return "the best estimate so far was kept"
     return "the best estimate so far was kept; try another --init"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -126,10 +127,11 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
                 findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
             rest = _parts(pattern, found.s, found.tests, found.accepted)
             kinds = doubts.of_parts(rest, found, graph)
+            if not found.many and any(kind.kind == "systematic" for kind in kinds):
+                found = replace(found, places=[])  # where most are off, it is not these
+                kinds = doubts.of_parts(parts, found, graph)
             alike = [kind for kind in kinds if kind.kind == "systematic"]
-            if alike and not found.many:
-                found = None  # where most are off, it is not these
-            findings += alike if found is None else alike + doubts.of_suspects(found, graph, whole)
+            findings += alike + doubts.of_suspects(found, graph, whole)
             findings += [kind for kind in kinds if kind not in alike]
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)

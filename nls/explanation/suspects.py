@@ -38,6 +38,10 @@ RIVAL = 0.9  # of the squared distance: measurements as far off, that fit withou
 LARGEST = 10.0  # variance of the middle measurement; what is above that are no sigmas that are too small
 
 
+class NoOptimumError(Exception):
+    """The rest of the measurements was not solved."""
+
+
 @dataclass(frozen=True)
 class Suspects:
     """What was taken out, and how the rest is judged without it.
@@ -91,13 +95,13 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
             break
         try:
             values, checked = _without(graph, pattern, values, places)
-            tests = checks(checked, count)
-            chance = [_chances(tests, scale)[k][i] for k, i in places]
-            if (kept := [place for place, c in zip(places, chance, strict=True) if c <= SIGNIFICANT]) != places:
+            chances = _chances(checks(checked, count), scale)
+            kept = [(k, i) for k, i in places if chances[k][i] <= SIGNIFICANT]
+            if kept != places:
+                values, checked = _without(graph, pattern, values, kept)
                 places = kept
-                values, checked = _without(graph, pattern, values, places)
-        except (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError):
-            break  # the linear problem has the last word: also where a factor is made from a function and has no parts
+        except NoOptimumError:
+            break  # the linear problem has the last word
     tests, accepted = checks(checked, count), _accepted(pattern, places, count)
     s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
     chi2 = sum(float(each[a > 0].sum()) for each, a in zip(s, accepted, strict=True))
@@ -170,13 +174,18 @@ def _without(
 
     Raises
     ------
-    SingularSystemError, EvaluationError, GraphError, UnderconstrainedError
-        There is none.
+    NoOptimumError
+        There is none, or none within `ITERATIONS`; or a factor is made from a function and has no parts.
     """
     accepted = _accepted(pattern, places, len(graph.factors))
-    rest = graph.only([a > 0 for a in accepted[: len(graph.factors)]])
     damped = LevenbergMarquardt(Stop(max_iterations=ITERATIONS))
-    result = rest.optimize(values, damped)
-    if not result.converged and (start := chordal(rest, values)) is not values:  # what was wrong has bent it too far
-        result = min(result, rest.optimize(start, damped), key=lambda each: each.chi2_final)
-    return result.values, Checked(Linearization(pattern, result.values, accepted))
+    try:
+        rest = graph.only([a > 0 for a in accepted])
+        result = rest.optimize(values, damped)
+        if not result.converged and (start := chordal(rest, values)) is not values:  # what was wrong bent it too far
+            result = min(result, rest.optimize(start, damped), key=lambda each: each.chi2_final)
+        if not result.converged:
+            raise NoOptimumError(result.reason)
+        return result.values, Checked(Linearization(pattern, result.values, accepted))
+    except (SingularSystemError, EvaluationError, GraphError, UnderconstrainedError) as error:
+        raise NoOptimumError(str(error)) from error

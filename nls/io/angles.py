@@ -1,4 +1,7 @@
-"""Angles of a file that are more than a turn: they are read as they are, and said, for they may be degrees."""
+"""Angles of a file that are more than a turn: they are read as they are, and said, for they may be degrees.
+
+Those of measurements are a warning, those of vertices, whose yaw may count its turns, a note.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from nls.io.report import LoadReport
 
-__all__ = ["note_turns"]
+__all__ = ["turns"]
 
 TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
-def note_turns(report: LoadReport, found: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> None:
-    """Warn of measured angles of more than a turn, and note those of vertices, whose yaw may count its turns.
+def turns(found: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> list[str]:
+    """What is to be said of angles of more than a turn: nothing, or one sentence.
 
     Parameters
     ----------
-    report : of the file; gets at most one note.
     found : by tag the lines (n,), counted from 0, and their angles (n, k), rad.
 
     Examples
     --------
-    >>> report = LoadReport("a.g2o", "g2o", "2-D", "g2o")
-    >>> note_turns(report, [("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
-    >>> report.warnings
+    >>> turns([("EDGE_SE2", np.array([7, 8]), np.array([[1.5], [90.0]]))])
     ['1 line has an angle of more than a turn, first on line 9 (EDGE_SE2): 90; angles are radians, are these degrees?']
     """
     first: list[tuple[int, str, float]] = []
@@ -38,11 +37,11 @@ def note_turns(report: LoadReport, found: Iterable[tuple[str, npt.NDArray[np.int
         if len(beyond):
             k = beyond[np.argmin(lines[beyond])]
             first.append((int(lines[k]) + 1, tag, float(angles[k, np.argmax(np.abs(angles[k]))])))
-    if count:
-        line, tag, angle = min(first, key=lambda each: (each[1].startswith("VERTEX"), each[0]))
-        have = "1 line has" if count == 1 else f"{count} lines have"
-        say = report.notes.append if tag.startswith("VERTEX") else report.warn
-        say(
-            f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians, are "
-            "these degrees?"
-        )
+    if not count:
+        return []
+    line, tag, angle = min(first)
+    have = "1 line has" if count == 1 else f"{count} lines have"
+    return [
+        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians, are these "
+        "degrees?"
+    ]

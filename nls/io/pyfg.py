@@ -38,7 +38,7 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
-from nls.io.angles import note_turns
+from nls.io.angles import turns
 from nls.io.files import write_bytes
 from nls.io.report import LoadReport
 from nls.io.text import Text, printable, rows
@@ -150,14 +150,17 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
             report.vertex_times[kind] = batch.times
 
     graph = FactorGraph()
-    turning = [("VERTEX_SE2", part.lines, part.table[:, 2:3]) for of in found.values() for s, part in of if s is SE2]
+    given = [("VERTEX_SE2", part.lines, part.table[:, 2:3]) for of in found.values() for s, part in of if s is SE2]
+    report.notes += turns(given)
+    measured = []
     for name, tag in dialect.items():
         if tag.factor is not None and name in tags:
             for batch in _batches(text, name, tag, tags[name]):
-                turning += [(name, batch.lines, batch.table[:, 2:3])] if tag.space is SE2 else []
+                measured += [(name, batch.lines, batch.table[:, 2:3])] if tag.space is SE2 else []
                 factor = _factor(text, tag, batch, values, convention)
                 report.factor_times.append((graph.add(factor), batch.times))
-    note_turns(report, turning)
+    for message in turns(measured):
+        report.warn(message)
     return graph, values, report
 
 

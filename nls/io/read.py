@@ -16,7 +16,7 @@ from models import LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
-from nls.io.angles import note_turns
+from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.records import KINDS, Format, Record
@@ -96,7 +96,9 @@ def read_graph(
         with stage("read chain"):
             values = started(text, bound, roles, group, report)
     _note_rounded(read, report)
-    note_turns(report, [(part.record.tag.decode(), part.at, part.angles) for part in read])
+    for part_of, say in ((vertices, report.notes.append), (edges, report.warn)):
+        for message in turns((part.record.tag.decode(), part.at, part.angles) for part in part_of):
+            say(message)
     offsets.keep_unused(report)
     if format.fix and b"FIX" in tags:
         graph.fixed += _fixed(text, tags[b"FIX"], roles, records)

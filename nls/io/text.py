@@ -44,7 +44,7 @@ def rows(tag: str, words: Sequence[Iterable[str]], numbers: Array, digits: Calla
 
 
 def _quoted(line: str) -> str:
-    """A line as it is quoted in an error: where it is long up to the end of a word, not to the middle of a number."""
+    """A line as it is quoted in an error: if it is long up to the end of a word, where one ends in its second half."""
     if len(line) <= QUOTED:
         return line
     whole = WORDS.match(line)

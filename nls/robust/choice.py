@@ -32,7 +32,7 @@ BETTER = 1e-3  # part of chi2 by which another start must be lower
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice of measurements that reproduces itself.
+    """A choice of measurements that reproduces itself, or the last of `PASSES`.
 
     Attributes
     ----------

@@ -22,8 +22,8 @@ from models.algebra import Array, gram
 from models.errors import GraphError
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
-from nls.starts.edges import PoseEdges, pose_edges
-from nls.track import closures
+from nls.starts.edges import PoseEdges, pose_batches, pose_edges
+from nls.track import closures, steps
 from nls.values import Values
 
 __all__ = ["Links", "Mask", "chained", "loop_closures"]
@@ -93,7 +93,8 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
     edges = found[0]
     C = np.concatenate([_covariances(model) for model in edges.models])
     links = Links(edges.group, edges.place[edges.i], edges.place[edges.j], edges.z, C)
-    odometry = np.abs(links.i - links.j) == 1
+    pattern = graph.pattern(values)
+    odometry = np.concatenate([steps(batch, pattern) for batch in pose_batches(pattern)[edges.group]])
     joined = np.zeros(edges.n, dtype=bool)
     joined[np.maximum(links.i, links.j)[odometry]] = True
     if not joined[1:].all():

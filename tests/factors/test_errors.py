@@ -11,7 +11,7 @@ import pytest
 from factors import Between, Diagonal, Factor, Isotropic, Noise, Prior, SqrtInformation, check_jacobians
 from factors.base import Jacobians
 from factors.keys import Keys
-from models import SE2, SE3, Manifold, R
+from models import SE2, SE3, LieGroup, Manifold, R
 from models.errors import EvaluationError, GraphError, JacobianError, NoiseModelError, OptionError
 from nls import FactorGraph, Values, kinds
 
@@ -371,3 +371,19 @@ def test_a_factor_of_ones_own_that_is_right() -> None:
         model, X = values.gather(Own(R(3), lambda X, H=H: (X, H), 2))  # type: ignore[misc]
         (A,), _ = model.linearize(*X)
         np.testing.assert_allclose(A, np.broadcast_to(np.eye(3), (2, 3, 3)), atol=1e-8)
+
+
+@pytest.mark.parametrize(("group", "d"), [(SE2, 2), (SE3, 3)])
+def test_check_jacobians_names_the_order_of_columns(group: LieGroup, d: int) -> None:
+    (p,) = kinds("p")
+    values = Values({p: (group, group.exp(0.3 * np.random.default_rng(0).normal(size=(2, group.dim))))})
+
+    def jacobians(X: Array, shift: int = 0) -> list[Array]:
+        J = np.zeros((len(X), d, group.dim))
+        J[:, :, :d] = group.world_axes(X)[:, :d, :d]
+        return [np.roll(J, shift, axis=2)]
+
+    assert check_jacobians(Factor.from_function(group.position, p[0:2], d, jacobians=jacobians), values) < 1e-8
+    first = Factor.from_function(group.position, p[0:2], d, jacobians=lambda X: jacobians(X, group.dim - d))
+    with pytest.raises(JacobianError, match=r"its columns are in another order \(translation comes first\)"):
+        check_jacobians(first, values)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models import SE3, SO3, euler
-from models.errors import SingularGeometryError
+from models.errors import OptionError, SingularGeometryError
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 
 Array = npt.NDArray[np.float64]
@@ -103,6 +103,12 @@ def test_rate_matrix_entries() -> None:
     expected = [[1, 0, -np.sin(p)], [0, np.cos(r), np.sin(r) * np.cos(p)], [0, -np.sin(r), np.cos(r) * np.cos(p)]]
     np.testing.assert_allclose(euler.rate_matrix([r, p, 9.9]), expected)
     assert np.isfinite(euler.rate_matrix([0.0, np.pi / 2, 0.0])).all(), "T itself exists at gimbal lock"
+
+
+@pytest.mark.parametrize("size", [0, 4, 5, 7])
+def test_vectors_of_another_length_are_refused(size: int) -> None:
+    with pytest.raises(OptionError, match=r"roll, pitch, yaw, x, y, z"):
+        euler.to_se3(np.zeros((2, size)))
 
 
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, np.pi / 2 - 5e-7, np.pi / 2 + 5e-7])

@@ -251,7 +251,7 @@ result = graph.optimize(Values({x: (SE2, X)}))  # stays: the gradient is 0
 said = nls.certify(graph, result.values).report().splitlines()[0]
 """,
         "",
-        ("refuted: another arrangement of the poses fits these measurements better",),
+        ("refuted: in the SE-Sync cost another arrangement of the poses fits these measurements better",),
         """
 start, *_ = nls.initialize(graph, result.values)
 result = graph.optimize(start)

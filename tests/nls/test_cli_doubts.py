@@ -80,14 +80,18 @@ def test_what_is_found_below_the_doubt_is_named(tmp_path: Path, capsys: Captured
 
 def test_the_command_reads_the_same_graph(capsys: Captured) -> None:
     how = ["--dialect", "toro", "--convention", "log", "--robust", "huber:2", "--repair-information", "--hold", "k"]
+    how += ["--init", "file"]
     words = asking(parser().parse_args(["solve", "a.txt", *how, "--quiet"])).split()
     assert words[:3] == ["nls", "explain", "a.txt"]
     asked, given = (vars(parser().parse_args(each)) for each in (words[1:], ["solve", "a.txt", *how]))
-    for name in ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation"):
+    for name in ("file", "dialect", "convention", "robust", "repair_information", "hold", "elevation", "init"):
         assert asked[name] == given[name]
     wrong = ["solve", "a.g2o", "--robust", "gnc-tls"]
     assert asking(parser().parse_args(wrong)) == "nls explain a.g2o"
-    assert asking(parser().parse_args([*wrong, "-o", "out.g2o"])) == "nls explain out.g2o"
+    options = parser().parse_args([*wrong, "-o", "out.g2o", "--dialect", "toro"])
+    assert asking(options, ["out.g2o"]) == "nls explain out.g2o"  # which is no toro file
+    assert asking(options) == "nls explain a.g2o --dialect toro"  # nothing was written
+    assert asking(parser().parse_args(["solve", "--", "-a  b.g2o"])) == "nls explain './-a  b.g2o'"
 
 
 def test_no_optimum_names_explain(tmp_path: Path, capsys: Captured) -> None:
@@ -97,7 +101,31 @@ def test_no_optimum_names_explain(tmp_path: Path, capsys: Captured) -> None:
     assert out == ""
     assert err.count("\n") == 1
     assert "--max-iterations" in err
-    assert err.endswith(f"; see: nls explain {file}\n")
+    assert err.endswith(f"; see: nls explain {file} --init file\n")
+    arguments = ["solve", file, "--init", "file", "--max-iterations", "1", "--allow-unconverged"]
+    assert main(arguments) == 0
+    assert "--allow-unconverged" not in capsys.readouterr().err
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_what_is_free_is_said_of_a_graph_with_wrong_closures_too(tmp_path: Path, capsys: Captured) -> None:
+    free = "VERTEX_XY 9 1 1\nEDGE_BEARING_SE2_XY 1 9 0.3 100\n"
+    file, where = str(write(tmp_path, PLANE + free)), tmp_path / "r.json"
+    assert main(["solve", file, "--robust", "gnc-tls", "--json", str(where)]) == 1
+    assert capsys.readouterr().err.endswith(f" See: nls explain {file}; written: {where}\n")
+    assert json.loads(where.read_text())["underconstrained"]
+
+
+@pytest.mark.parametrize("option", ["--json", "--covariance"])
+def test_what_is_read_is_replaced_by_the_graph_alone(option: str, tmp_path: Path, capsys: Captured) -> None:
+    path = write(tmp_path, PLANE)
+    for command in ["solve", "explain"] if option == "--json" else ["solve"]:
+        assert main([command, str(path), option, str(path)]) == 2
+        assert "and none that is read" in capsys.readouterr().err
+        assert path.read_text() == PLANE
+    assert main(["solve", str(path), "-o", str(path), "--quiet"]) == 0
+    assert path.read_text() != PLANE
 
 
 def test_a_failed_solve_says_why_and_what_it_wrote(tmp_path: Path, capsys: Captured) -> None:
@@ -108,7 +136,7 @@ def test_a_failed_solve_says_why_and_what_it_wrote(tmp_path: Path, capsys: Captu
         out, err = capsys.readouterr()
         assert out == ""
         assert err.count("\n") == 1
-        assert err.endswith(f" See: nls explain {file}; written: {page}; written: {where}\n")
+        assert err.endswith(f" See: nls explain {file}; written: {page}, {where}\n")
         report = json.loads(where.read_text())
         assert (report["converged"], report["status"]) == (False, "UNDERCONSTRAINED")
         assert report["underconstrained"]
@@ -169,3 +197,10 @@ def test_a_warning_is_said_once(tmp_path: Path, capsys: Captured) -> None:
         assert "UNKNOWN" not in "".join(row for row in out.splitlines() if not row.startswith("  UNKNOWN"))
     assert main(["solve", file, "--json", "-"]) == 0
     assert any("UNKNOWN" in note for note in json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_what_a_file_holds_fixed_is_held_by_both_commands(tmp_path: Path, capsys: Captured) -> None:
+    file = str(write(tmp_path, PLANE + "FIX 2\n"))
+    for command in ("solve", "explain"):
+        assert main([command, file]) == 0
+        assert "gauge: fixed by the graph itself" in capsys.readouterr().out

@@ -239,3 +239,24 @@ def test_where_wrong_closures_bent_the_map_too_far_the_rest_begins_anew(data: Pa
     assert found.chi2_without is not None
     assert found.chi2_without[0] == pytest.approx(3549.04, abs=0.01)
     assert sum(part.chi2 for part in found.parts) == pytest.approx(bent.chi2_final)
+
+
+def test_where_all_closures_are_off_none_is_said_to_be_left_out() -> None:
+    rng, n = np.random.default_rng(0), 40
+    a, step = np.arange(3 * n - 1), np.array([1.0, 0.0, 2 * np.pi / n])
+    T = [np.zeros(3)]
+    for _ in a:
+        T.append(SE2.compose(T[-1], step))
+    truth, sigmas = np.array(T), np.array([0.05, 0.05, 0.01])
+    noise = Diagonal(x=0.05, y=0.05, yaw=0.01)
+    i = np.arange(2 * n)
+    off = 8 * rng.normal(size=(2 * n, 3)) * sigmas  # stated eight times too small
+    off[7] += [3.0, 2.0, 0.5]
+    z = SE2.between(truth[i], truth[i + n])
+    steps = Between(x[a], x[a + 1], step + rng.normal(size=(len(a), 3)) * sigmas, noise)
+    graph = FactorGraph([steps, Between(x[i], x[i + n], z + off, noise)])
+    found = nls.explain(graph, graph.optimize(Values({x: (SE2, truth)})).values)
+    assert found.findings[0].kind == "systematic"
+    assert found.suspects == ()
+    assert found.chi2_without is None
+    assert not any("without" in finding.says for finding in found.findings)

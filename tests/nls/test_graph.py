@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -155,10 +157,22 @@ def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same(
     assert graph.fixed == [x[3]]
 
 
-@pytest.mark.parametrize("masks", [[], [np.ones(2, dtype=bool)], [np.ones(1, dtype=bool)] * 2])
-def test_masks_that_fit_no_factor_are_refused(masks: list[np.ndarray]) -> None:
-    with pytest.raises(GraphError, match="a mask for each of 1 factors, as long as it has measurements"):
+@pytest.mark.parametrize(
+    "masks", [[], [np.ones(2, dtype=bool)], [np.ones(1, dtype=bool)] * 2, [np.array([0])], [np.array([1.0])], 5]
+)
+def test_masks_that_fit_no_factor_are_refused(masks: Any) -> None:
+    with pytest.raises(GraphError, match="a mask of True and False for each of 1 factors, as long as it has"):
         FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))]).only(masks)
+
+
+def test_a_mask_may_be_a_list() -> None:
+    graph, _ = line()
+    assert len(graph.only([[False], [True, False]])) == 1
+
+
+def test_a_factor_that_is_no_list_of_factors_is_refused() -> None:
+    with pytest.raises(GraphError, match=r"a list of factors such as \[factor\]"):
+        FactorGraph(Between(x[[0, 1]], x[[1, 2]], [[1.0], [1.0]], Isotropic(1)))  # type: ignore[arg-type]
 
 
 def test_variables_to_hold_can_be_given_at_once() -> None:

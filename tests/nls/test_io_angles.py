@@ -53,6 +53,33 @@ def test_roll_pitch_and_yaw_of_toro_and_poses_of_pyfg(tmp_path: Path) -> None:
         nls.load(write(tmp_path, PYFG.replace(text, " ".join(words)), "a.pyfg"))
 
 
+def test_measurements_and_vertices_are_counted_apart(tmp_path: Path) -> None:
+    text = PLANE.replace("1.0 2.1 3.0", "1.0 2.1 15.5664").replace("0.9 1.5", "0.9 -87")
+    with pytest.warns(
+        nls.GraphWarning, match=r"1 line has an angle of more than a turn, first on line .* \(EDGE_SE2\): -87"
+    ):
+        _, _, report = nls.load(write(tmp_path, text))
+    assert [note.split(";")[0] for note in report.notes if note not in report.warnings] == [
+        "1 line has an angle of more than a turn, first on line 4 (VERTEX_SE2): 15.5664"
+    ]
+
+
+def test_a_prior_of_pyfg_is_a_measurement_and_its_vertex_none(tmp_path: Path) -> None:
+    lines = [*PYFG.splitlines(), "VERTEX_SE2:PRIOR 0.5 A0 0 0 0 0.01 0 0 0.01 0 0.001"]
+    prior, vertex = (
+        next(k for k, line in enumerate(lines) if line.startswith(f"{tag} "))
+        for tag in ("VERTEX_SE2:PRIOR", "VERTEX_SE2")
+    )
+    for at in (prior, vertex):
+        words = lines[at].split()
+        words[5] = "90"
+        lines[at] = " ".join(words)
+    with pytest.warns(nls.GraphWarning, match=rf"1 line has .* first on line {prior + 1} \(VERTEX_SE2:PRIOR\): 90"):
+        _, _, report = nls.load(write(tmp_path, "\n".join(lines), "a.pyfg"))
+    (note,) = (note for note in report.notes if DEGREES in note and note not in report.warnings)
+    assert f"first on line {vertex + 1} (VERTEX_SE2): 90" in note
+
+
 @pytest.mark.parametrize("name", ["ring.g2o", "manhattanOlson3500.g2o", "kitti_00.g2o", "input_INTEL.g2o"])
 def test_no_public_graph_is_warned_of(data: Path, name: str) -> None:
     _, values, report = nls.load(data / "pose-graphs-2d" / name)

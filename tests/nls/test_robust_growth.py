@@ -81,6 +81,24 @@ def test_what_cannot_pass_keeps_its_prediction_and_what_may_gets_another(circle:
     assert wide[0].tolist() == [0]
 
 
+def test_predictions_are_kept_from_round_to_round(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    paths = growth.path_covariances
+
+    def counted(known: Links, T: Any, i: Any, j: Any, meters: float) -> Any:
+        asked.append(len(i))
+        return paths(known, T, i, j, meters)
+
+    monkeypatch.setattr(growth, "path_covariances", counted)
+    right = closures(circle, [0, 1, 2, 10, 11, 12], [10, 12, 14, 23, 25, 27])
+    far = SE2.between(circle[x][[3, 4]], circle[x][[30, 31]] + np.array([40.0, 0.0, 0.0]))
+    wrong = Between(x[[3, 4]], x[[30, 31]], far, SIGMAS)  # they agree with one another
+    grown = growth.grow(FactorGraph([odometry(), right, wrong]), circle)
+    assert grown.masks[1].all()
+    assert not grown.masks[2].any()
+    assert asked[:2] == [8, 4]  # two of six were accepted, and what cannot pass is not asked again
+
+
 def test_paths_are_the_same_however_many_are_searched_together(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
     _, links, _ = chained(FactorGraph([odometry()]), circle)
     rng = np.random.default_rng(0)
