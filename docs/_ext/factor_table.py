@@ -42,8 +42,8 @@ def row(factor: type[factors.Factor]) -> dict[str, Any]:
         The docstring has no equation, or does not describe z and the noise (of a bound: limit and softness).
     """
     text = inspect.getdoc(factor) or ""
-    equation = EQUATION.search(text)
-    if equation is None:
+    equation = r", \quad ".join(line.strip().rstrip(",") for line in EQUATION.findall(text))
+    if not equation:
         raise KeyError("an equation, '.. math::'")
     said = {p.name: " ".join(p.type.split() + " ".join(p.desc).split()) for p in NumpyDocString(text)["Parameters"]}
     names = list(said)
@@ -53,7 +53,7 @@ def row(factor: type[factors.Factor]) -> dict[str, Any]:
     variables = [*names[: names.index(measured[0])], *(name for name in names if name == "offset")]
     return {
         "meaning": text.split("\n\n")[0].replace("\n", " "),
-        "prediction": [e for e in re.split(r",\s*\\quad\s*", equation[1].strip()) if not JACOBIAN.match(e)],
+        "prediction": [e for e in re.split(r",\s*\\quad\s*", equation) if not JACOBIAN.match(e)],
         "variables": [(name, said[name]) for name in variables],
         "measured": [(name, said[name]) for name in measured],
     }

@@ -5,6 +5,7 @@ The tests run the same list. A case that does not say what it should, or whose c
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from tests.nls.gallery import FILE, PRELUDE, Case, problems, run
 from tests.nls.gallery_cases import CHAPTERS
 
 __all__ = ["Gallery", "setup"]
+
+SAID = re.compile(r"^said = (nls\.\w+)\(", flags=re.MULTILINE)
 
 
 class Gallery(SphinxDirective):
@@ -39,7 +42,7 @@ class Gallery(SphinxDirective):
         parts: list[nodes.Node] = []
         if case.file:
             parts += [nodes.paragraph(text=f"{FILE}:"), _code(_shown(case.file), "text")]
-        parts += [_code(case.broken), _said(outcome.error or "What the result says", outcome.sentence, "error")]
+        parts += [_code(case.broken), _said(outcome.error or _speaker(case.broken), outcome.sentence, "error")]
         if outcome.finding:
             parts.append(_said("What nls.explain says", outcome.finding, "hint"))
         if case.cured_file:
@@ -60,8 +63,14 @@ def _said(title: str, sentence: str, kind: str) -> nodes.admonition:
     return said
 
 
+def _speaker(broken: str) -> str:
+    """Who says it where nothing is raised: the function that the last assignment to `said` calls, or the result."""
+    asked = SAID.search(broken)
+    return f"What {asked[1] if asked else 'the result'} says"
+
+
 def _code(text: str, language: str = "python") -> nodes.literal_block:
-    return nodes.literal_block(text.strip(), text.strip(), language=language)
+    return nodes.literal_block(text.strip(), text.strip(), language=language, classes=["wraps"])
 
 
 def _shown(content: str | bytes) -> str:

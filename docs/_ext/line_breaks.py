@@ -17,7 +17,7 @@ __all__ = ["printed", "setup"]
 
 MARK = re.compile(r"[,.;:!?)\]]+")
 COLUMNS = re.compile(r"\S {2,}\S")
-FITS = 85  # characters that a page 1280 pixels wide shows
+FITS = 44  # characters that a phone shows; a page 1280 pixels wide shows 85, and wraps none of them
 
 
 def printed(text: str) -> list[str]:

@@ -64,5 +64,6 @@ def _drawn(orders: dict[str, Array], states: list[tuple[Array, int]], last: int)
         left = len(what) - 1 - last
         axes.add_patch(Rectangle((last + 0.5, last + 0.5), left, left, fill=False, edgecolor="0.5", linewidth=1.5))
         axes.set(xticks=[], yticks=[])
-        axes.set_title(f"{name}:\n{fill} numbers of fill-in")
+        numbers = "number" if fill == 1 else "numbers"
+        axes.set_title(f"{name}:\n{fill} {numbers} of fill-in")
     return figure
