@@ -45,8 +45,9 @@ def elevation_information(
 
     Returns
     -------
-    (...) array, rad: inf where the second view says nothing, to first order, about the elevation. Compare it with what
-    the aperture says without any second view, aperture / sqrt(12).
+    (...) array
+        rad; inf where the second view says nothing, to first order, about the elevation. Compare it with what the
+        aperture says without any second view, aperture / sqrt(12).
 
     Raises
     ------

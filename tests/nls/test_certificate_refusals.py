@@ -82,7 +82,7 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -
     (row,) = [line for line in shown.splitlines() if line.startswith("certificate ")]
     assert "certified" in row
     assert row.endswith("(whether the measurements are right is another question)")
-    assert "SE-Sync cost, not in chi2: its minimum here is" in shown
+    assert "that cost is not chi2: its minimum here is" in shown
     assert "\ncertify  " in shown
     assert main(["solve", file, "--certify", "--json", "-"]) == 0
     report = json.loads(capsys.readouterr().out)
