@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 from nls.cli.outputs import typed
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["chosen", "kept", "left_out", "record", "rows", "wanted"]
+__all__ = ["chosen", "doubtful", "kept", "left_out", "record", "rows", "wanted"]
 
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
@@ -55,6 +56,10 @@ def record(found: Robustified) -> dict[str, Any]:
         "sigma0_between_neighbors": found.local,
         "strain": found.strain,
         "rejected": [{"factor": each.factor, "sigmas": each.sigmas} for each in found.rejected],
+        "doubts": [
+            {"kind": d.kind.name, "count": d.count, "total": d.total, "number": d.number, "sentence": str(d)}
+            for d in found.doubts
+        ],
     }
 
 
@@ -62,6 +67,15 @@ def rows(found: Robustified) -> list[str]:
     """For the table."""
     first, *others = map(typed, found.report(SHOWN))
     return [f"rejected    {first}", *(f"          {line}" for line in others)]
+
+
+def doubtful(found: Robustified | None, allowed: bool) -> bool:
+    """Whether the choice is in doubt, and the user did not allow that; said on standard error."""
+    if found is None or allowed or not found.doubts:
+        return False
+    reasons = "; ".join(map(str, found.doubts))
+    print(f"nls: doubtful: {reasons}; take the estimate with --allow-doubtful", file=sys.stderr)
+    return True
 
 
 def kept(as_read: FactorGraph, found: Robustified) -> FactorGraph:

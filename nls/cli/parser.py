@@ -27,9 +27,9 @@ EXAMPLES = """examples:
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
 
-exit status of solve: 0 converged; 1 not converged, under-constrained, or refuted by --certify; of explain and all
-others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that could not be written (the others
-are)
+exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
+--robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
+could not be written (the others are)
 
 threads: one; OPENBLAS_NUM_THREADS and OMP_THREAD_LIMIT are taken to be 1 (MKL_NUM_THREADS and BLIS_NUM_THREADS, too)
 where the environment does not set them
@@ -90,6 +90,9 @@ def parser() -> Parser:
     solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
+    solve.add_argument(
+        "--allow-doubtful", action="store_true", help="exit 0 where the choice of --robust gnc-tls is in doubt, too"
+    )
     solve.add_argument(
         "--certify",
         action="store_true",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.optimizers import Result
     from nls.plot.report.told import Rejected
+    from nls.robust import Doubt
     from nls.values import Values
 
 __all__ = ["write_report"]
@@ -37,6 +38,7 @@ def write_report(
     certificate: Certificate | None,
     path: str,
     rejected: Sequence[Rejected] = (),
+    doubts: Sequence[Doubt] = (),
 ) -> None:
     """Write the page.
 
@@ -48,7 +50,7 @@ def write_report(
     timings : of `Clock`.
     solved, certificate : of a mission; of ``--certify``.
     path : of the page.
-    rejected : by graduated non-convexity.
+    rejected, doubts : by graduated non-convexity, and why its choice may be wrong.
     """
     from nls.io.files import write_bytes
     from nls.plot.report import report as page
@@ -63,6 +65,7 @@ def write_report(
         marginals=None if solved is None else solved.marginals,
         certificate=certificate,
         rejected=rejected,
+        doubts=doubts,
         facts=_facts(options, result, report, tried),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),

@@ -112,7 +112,8 @@ def solve(options: argparse.Namespace) -> int:
     if options.report:
         seconds = clock.timings(result.timings, stages)
         rejected = () if found is None else found.rejected
-        last = partial(page, result, seconds, solved, certificate, rejected=rejected)
+        reasons = () if found is None else found.doubts
+        last = partial(page, result, seconds, solved, certificate, rejected=rejected, doubts=reasons)
         _attempt([(last, options.report)], written, failed)
         clock.lap("report")
     timings = clock.timings(result.timings, stages)
@@ -165,11 +166,12 @@ def solve(options: argparse.Namespace) -> int:
     refuted = certificate is not None and certificate.verdict == "refuted"
     if refuted:
         print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
+    doubtful = outliers.doubtful(found, options.allow_doubtful)
     for failure in failed:
         complain(failure)
     if failed and options.debug:
         raise failed[0]
-    return 1 if refuted or not (result.converged or allowed) else 2 if failed else 0
+    return 1 if refuted or doubtful or not (result.converged or allowed) else 2 if failed else 0
 
 
 def _say_free(

@@ -2,5 +2,6 @@
 
 from nls.robust.graduated import Rejected, Robustified, gnc
 from nls.robust.growth import Growth, grow
+from nls.robust.verdict import Doubt, DoubtKind
 
-__all__ = ["Growth", "Rejected", "Robustified", "gnc", "grow"]
+__all__ = ["Doubt", "DoubtKind", "Growth", "Rejected", "Robustified", "gnc", "grow"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nls.optimizers.watch import Watch
     from nls.system import LinearSystem
 
-__all__ = ["Choice", "Doubts", "lowest"]
+__all__ = ["Choice", "Truncated", "lowest"]
 
 PASSES = 8  # of choosing and solving at most; three are the rule
 DEARER = 10  # a second reach that takes so many times the operations is left out: torus3D, half wrong, 9 minutes
@@ -51,8 +51,8 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Doubts:
-    """A graph, and which of its measurements may be wrong.
+class Truncated:
+    """The problem of truncated least squares: a graph, and which of its measurements may be wrong.
 
     Attributes
     ----------
@@ -64,13 +64,28 @@ class Doubts:
     masks: list[Mask]
     c2: list[float]
 
+    def scaled(self, variance: float) -> Truncated:
+        """The same problem with all thresholds c^2 times so much."""
+        return replace(self, c2=[variance * c2 for c2 in self.c2])
+
+    def rejected(self, kept: list[Mask]) -> int:
+        """How many doubted measurements are not kept."""
+        return sum(int((m & ~k).sum()) for m, k in zip(self.masks, kept, strict=True))
+
     def affordable(self, values: Values, reaches: tuple[float, ...]) -> list[float]:
         """The reaches, thresholds within which measurements pull, that are not much dearer to solve than the first."""
-        s, flops = self._s(values), []
-        for far in reaches:
-            pattern = self.graph.only(self._within(s, far)).pattern(values)
-            flops.append(fill_in(pattern, fixed_variables(self.graph.fixed, values)).flops)
-        return [far for far, each in zip(reaches, flops, strict=True) if each <= DEARER * flops[0]]
+        s = self._s(values)
+        flops = [self._flops(values, self._within(s, far)) for far in reaches]
+        return [far for far, count in zip(reaches, flops, strict=True) if count <= DEARER * flops[0]]
+
+    def affordable_whole(self, values: Values, part: list[Mask]) -> bool:
+        """Whether the whole graph is not much dearer to solve than a part of it."""
+        whole = [np.ones(len(factor), dtype=bool) for factor in self.graph.factors]
+        return self._flops(values, whole) <= DEARER * self._flops(values, part)
+
+    def _flops(self, values: Values, kept: list[Mask]) -> float:
+        """Operations to factorize A'A of some measurements."""
+        return fill_in(self.graph.only(kept).pattern(values), fixed_variables(self.graph.fixed, values)).flops
 
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""
@@ -86,10 +101,20 @@ class Doubts:
             values = result.values
         else:
             s = self._s(values)  # two choices take turns: the last one is taken
+        return self.chosen(result, part, kept, s)
+
+    def chosen(self, result: Result, graph: FactorGraph, kept: list[Mask], s: list[Array]) -> Choice:
+        """The choice with its cost."""
         cost = sum(
             float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)
         )
-        return Choice(result, part, kept, s, cost)
+        return Choice(result, graph, kept, s, cost)
+
+    def without(self, choice: Choice, kept: list[Mask]) -> Choice:
+        """The optimum of fewer measurements, from a choice of more."""
+        graph = self.graph.only(kept)
+        result = graph.optimize(choice.result.values)
+        return self.chosen(result, graph, kept, self._s(result.values))
 
     def _s(self, values: Values) -> list[Array]:
         return [factor.chi2(values) for factor in self.graph.factors]

@@ -9,8 +9,16 @@ chi2 distributed with the dimension of the group. A wrong closure seldom finds o
 place that looks like another gives a whole group of wrong closures, all of which agree. A copy of a closure agrees
 with it whatever it says, and counts for nothing.
 
-The same d tell by how much the stated sigmas are wrong: sigma0^2 = median(d) / median of chi2. Geodesy calls it the
-variance of unit weight. It changes no estimate, but every test. Numbers without any noise say nothing of it.
+The same d tell by how much the stated sigmas are too large: sigma0^2 is the 10 % quantile of d over that of chi2.
+Geodesy calls it the variance of unit weight. A median would not do, as wrong neighbors may outnumber the right ones. It
+changes no estimate, but every test. Numbers without any noise say nothing of it. Where sigma0 is above 1 either the
+sigmas are too small or most neighbors are wrong; nobody can tell, and the stated sigmas are used.
+
+Neighbors say nothing of a long way along odometry, which has errors of its own. That is tested by
+
+    rho^2 = 4 times the first quartile of d / median of chi2,    d = xi' (C + P_ij)^-1 xi,  xi = Log(z^-1 o T_ij),
+
+over all closures, T_ij and P_ij along odometry, and never more than 1 or less than sigma0^2.
 
 The covariance of the pose of j in i along odometry needs no walk from i to j: in the axes of the world the covariances
 of the steps, Ad(T_k) C_k Ad(T_k)', just add up, so that a running sum serves all pairs.
@@ -35,6 +43,8 @@ from nls.robust.closures import Index, Links
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
 
 WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures that are compared; for sigma0
+LOW = 0.1  # quantile that tells sigma0, the noise of right neighbors where nine of ten are wrong
+QUARTILE, LOOSE = 0.25, 4.0  # of the closures, and times its variance: the noise of odometry
 AGREED = 0.99  # probability with which two true closures agree
 EXACT = 1e-12  # variance of unit weight of numbers without noise: what is below is rounding
 FEW = 10  # pairs that are too few to tell the noise: one wrong closure among four spoils half of them
@@ -50,11 +60,13 @@ class Neighbors:
     support : (m,) how many others agree with each.
     cluster : (m,) the connected part of each, named by its first closure.
     sigma0 : by what the stated sigmas have to be multiplied; 1 where few closures are near, or all are exact.
+    rho : by what the sigmas of odometry have to be multiplied, at most 1.
     """
 
     support: Index
     cluster: Index
     sigma0: float
+    rho: float = 1.0
 
 
 class Odometry:
@@ -101,6 +113,8 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     a, b = pairs[np.lexsort(pairs.T[::-1])].T
     if not len(a):
         return Neighbors(np.zeros(m, dtype=np.intp), np.arange(m), 1.0)
+    T_ij, P_ij = track.between(loops.i, loops.j)
+    along = mahalanobis(group.log(group.compose(group.inverse(loops.z), T_ij)), loops.C + P_ij)
     T_ik, C_ik = track.between(loops.i[a], loops.i[b])
     T_lj, C_lj = track.between(loops.j[b], loops.j[a])
     z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
@@ -111,7 +125,9 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     a, b, d = a[new], b[new], mahalanobis(xi[new], S[new])
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
     told = near.sum() >= FEW
-    variance = unit_variance(float(np.median(d[near])) / chi2_gate(group.dim, 0.5)) if told else 1.0
-    agree = d <= variance * chi2_gate(group.dim, AGREED)
+    variance = unit_variance(float(np.quantile(d[near], LOW)) / chi2_gate(group.dim, LOW)) if told else 1.0
+    agree = d <= min(variance, 1.0) * chi2_gate(group.dim, AGREED)
     a, b = a[agree], b[agree]
-    return Neighbors(np.bincount(np.r_[a, b], minlength=m), connected(a, b, m), float(np.sqrt(variance)))
+    rho2 = np.clip(LOOSE * np.quantile(along, QUARTILE) / chi2_gate(group.dim, 0.5), min(variance, 1.0), 1.0)
+    support = np.bincount(np.r_[a, b], minlength=m)
+    return Neighbors(support, connected(a, b, m), float(np.sqrt(variance)), float(np.sqrt(rho2)))

@@ -9,16 +9,20 @@ with one weighted step for every bend, which follows one minimum from the first,
 last.
 
 From odometry that is not the right first one if half of the closures are wrong, or if they come in groups that agree
-with one another. For pose graphs the start is therefore that of `nls.robust.growth`, odometry and the closures it could
-verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower: the first
-leaves alone what was set aside, the second takes back right closures that the start did not fit yet. The second is left
-out where so many wrong ones are within it that factorizing becomes ten times dearer.
+with one another. So `nls.robust.preselection` chooses the start. All closures are taken where noise explains their
+optimum: nothing has to be chosen then. Otherwise the start is that of `nls.robust.growth`, odometry and the closures it
+could verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower: the
+first leaves alone what was set aside, the second takes back right closures that the start did not fit yet. The second
+is left out where so many wrong ones are within it that factorizing becomes ten times dearer. At last the groups that
+all others contradict are left out, where that moves the map.
 
     sigma0^2 = min(9 noise, max(1, noise)),      noise = chi2 over its 5 % quantile with what `Growth` accepted
 
 is 1, the stated sigmas, unless they are too small, or more than three times too large: where all residuals are a
 hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
 exactly, noise is 1.
+
+Whether the choice can be trusted is a question of its own: `nls.robust.verdict`.
 
 Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", RA-L
 5(2), 2020.
@@ -39,18 +43,16 @@ from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.linear.threads import single_thread
 from nls.optimizers import Result
-from nls.robust.choice import Doubts, lowest
+from nls.robust import verdict
+from nls.robust.choice import Truncated
 from nls.robust.closures import Mask, loop_closures
-from nls.robust.consistency import unit_variance
-from nls.robust.growth import grow
 from nls.robust.kernels import LOSSES
+from nls.robust.loop_graph import loop_graph
+from nls.robust.preselection import Preselection
+from nls.robust.verdict import Doubt
 from nls.values import Values
 
 __all__ = ["Rejected", "Robustified", "gnc"]
-
-FAR = (10.0, 1000.0)  # thresholds within which closures pull at first, after preselection: the lower cost is taken
-WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
-UNLIKELY = 0.05  # of chi2 to be smaller
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Robustified:
     doubted : how many measurements could have been rejected.
     sigma0 : by what the stated sigmas were multiplied for the threshold.
     local : sigma0 as neighboring closures show it, without any estimate; nan where nothing was preselected.
+    doubts : why the choice may be wrong; empty where nothing speaks against it.
     """
 
     result: Result
@@ -83,6 +86,7 @@ class Robustified:
     doubted: int
     sigma0: float
     local: float = field(default=float("nan"))
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def strain(self) -> float:
@@ -101,6 +105,7 @@ class Robustified:
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
         times = f"{self.sigma0:.3g}"
         lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]
+        lines += [f"doubtful: {doubt}" for doubt in self.doubts]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + (
             [f"  and {len(self.rejected) - most} more (`rejected` has them)"] if len(self.rejected) > most else []
@@ -167,27 +172,23 @@ def gnc(
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
         raise GraphError("nothing in this graph can be doubted: no loop closures; name factors with doubted=[...]")
-    gates = [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors]
-    scale, local, reaches = 1.0, float("nan"), [np.inf]
+    problem = Truncated(graph, masks, [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors])
     if preselect and doubted is None:
-        grown = grow(graph, values)
-        first = lowest(graph.only(grown.masks), grown.values)
-        accepted = any((m & kept).any() for m, kept in zip(masks, grown.masks, strict=True))
-        likely = chi2_gate(max(first.dof, 1), UNLIKELY)  # of few numbers chi2 may be small by chance
-        noise = unit_variance(first.chi2_final / likely) if accepted else 1.0  # odometry fits by itself
-        values, scale, local = first.values, min(WIDE**2 * noise, max(1.0, noise)), grown.sigma0
-    doubts = Doubts(graph, masks, [scale * gate for gate in gates])
-    if preselect and doubted is None:
-        reaches = doubts.affordable(values, FAR)
-    found = min((doubts.choice(values, loss, far) for far in reaches), key=lambda each: each.cost)
+        preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
+        choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.sigma0
+        doubts = preselected.doubts()
+    else:
+        choice, variance, local = problem.choice(values, loss, np.inf), 1.0, float("nan")
+        doubts = verdict.doubts(choice.result, total - problem.rejected(choice.kept), total, probability)
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5)
-        for factor, m, s in zip(graph.factors, found.kept, found.s, strict=True)
+        for factor, m, s in zip(graph.factors, choice.kept, choice.s, strict=True)
         for n in np.flatnonzero(~m).tolist()
     ]
     rejected = tuple(sorted(off, key=lambda each: -each.sigmas))
-    weights = [m.astype(float) for m in found.kept]
-    return Robustified(found.result, found.graph, weights, rejected, total, float(np.sqrt(scale)), local)
+    weights = [m.astype(float) for m in choice.kept]
+    sigma0 = float(np.sqrt(variance))
+    return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, local, tuple(doubts))
 
 
 def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:

@@ -18,10 +18,10 @@ import numpy as np
 from factors.keys import Keys
 from nls.chi_squared import chi2_gate
 from nls.covariance import Marginals
-from nls.graph import FactorGraph
-from nls.robust.closures import Index, Mask
-from nls.starts.edges import PoseEdges
-from nls.values import Values
+from nls.optimizers import Result
+from nls.robust.closures import Mask
+from nls.robust.consistency import unit_variance
+from nls.robust.loop_graph import LoopGraph
 
 __all__ = ["misfits"]
 
@@ -29,27 +29,27 @@ LARGE = 60  # closures; larger groups are what the others are judged by
 WIDE, FITS = 2.0, 0.999  # a group misfits beyond so many times this quantile: residuals have heavier tails than chi2
 
 
-def misfits(graph: FactorGraph, values: Values, edges: PoseEdges, closures: Index, group: Index, noise: float) -> Mask:
-    """Which closures (k,) belong to a group that the rest of the graph contradicts.
+def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
+    """Which closures (m,) belong to a group of neighbors that agree and that the rest of the graph contradicts.
 
     Parameters
     ----------
-    graph, values : what was accepted, and its optimum.
-    edges : all relative poses.
-    closures : (k,) the accepted closures among them; group : (k,) a number for the group of each.
-    noise : chi2 per degree of freedom at the optimum.
+    loops, accepted : the graph, and the closures (m,) it is solved with.
+    result : the optimum of these.
     """
+    edges, values, graph = loops.edges, result.values, loops.graph.only(loops.masks(accepted))
+    noise = unit_variance(result.chi2_final / max(result.dof, 1))
     rows = [model.linearize(*values.gather(model.factor)[1]) for model in edges.models]
-    b = np.concatenate([b for _, b in rows])[closures]
-    A = [np.concatenate([sides[slot] for sides, _ in rows])[closures] for slot in (0, 1)]
-    ends = [edges.i[closures], edges.j[closures]]
+    b = np.concatenate([b for _, b in rows])[~loops.odometry]
+    A = [np.concatenate([sides[slot] for sides, _ in rows])[~loops.odometry] for slot in (0, 1)]
+    ends = [edges.i[~loops.odometry], edges.j[~loops.odometry]]
     marginals, numbers = Marginals(graph, values), values.stacks[edges.kinds[0]].numbers
-    wrong, d = np.zeros(len(closures), dtype=bool), edges.group.dim
-    order = np.argsort(group, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(group[order]) > 0])
-    for members in np.split(order, starts[1:]):
+    wrong, d, kept = np.zeros(len(accepted), dtype=bool), edges.group.dim, np.flatnonzero(accepted)
+    order = kept[np.argsort(loops.neighbors.cluster[kept], kind="stable")]
+    starts = np.flatnonzero(np.diff(loops.neighbors.cluster[order])) + 1
+    for members in np.split(order, starts):
         k = len(members)
-        if k > LARGE:
+        if k > LARGE or not k:
             continue
         nodes, place = np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True)
         blocks = np.zeros((k, d, len(nodes), d))

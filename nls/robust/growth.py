@@ -2,10 +2,12 @@ r"""Which loop closures to believe: begin with odometry, and accept first what i
 
 A closure (i, j, z) is tested against the prediction of what has been accepted so far,
 
-    xi = Log(z^-1 o T_ij),   d = xi' (C + P_ij)^-1 xi,
+    xi = Log(z^-1 o T_ij),   d = xi' (sigma0^2 C + rho^2 P_ij)^-1 xi,
 
-P_ij the covariance of that prediction. After a long loop P is large and nearly everything passes; a test says much
-where the prediction is about as sharp as the measurement itself. So those that pass are accepted in the order of
+P_ij the covariance of that prediction, sigma0 and rho the noise that neighbors and odometry show
+(`nls.robust.consistency`), never above the stated one. After a long loop P is large and nearly everything passes; a
+test says much where the prediction is about as sharp as the measurement itself. So those that pass are accepted in the
+order of
 
     log det(C + P_ij) - log det C - k,
 
@@ -29,13 +31,12 @@ from models.algebra import Array
 from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
-from nls.robust.closures import Index, Links, Mask, chained
-from nls.robust.consistency import mahalanobis, neighbors, unit_variance
+from nls.robust.closures import Index, Links, Mask
+from nls.robust.consistency import mahalanobis
 from nls.robust.groups import misfits
+from nls.robust.loop_graph import LoopGraph, loop_graph
 from nls.robust.paths import path_covariances
-from nls.starts.chain import along_chain
 from nls.starts.chordal import chordal
-from nls.starts.edges import PoseEdges
 from nls.values import Values
 
 __all__ = ["Growth", "grow"]
@@ -88,84 +89,83 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
     >>> all(mask.all() for mask in grown.masks)
     True
     """
-    edges, links, odometry = chained(graph, values)
-    loops, group, kind = links[~odometry], links.group, edges.kinds[0]
-    values = edges.replaced(values, along_chain(edges, edges.stack(values)))
-    found = neighbors(loops, links[odometry], edges.stack(values)[edges.order])
-    accepted = np.zeros(len(loops), dtype=bool)
-    steps = group.position(links.z[odometry])
+    return grown(loop_graph(graph, values))
+
+
+def grown(loops: LoopGraph) -> Growth:
+    """`grow` from a graph whose closures have been compared already."""
+    values, closures, odometry = loops.values, loops.closures, loops.links[loops.odometry]
+    dim, near = closures.group.dim, loops.neighbors
+    steps = closures.group.position(odometry.z)
     meters = METERS * float(np.median(np.linalg.norm(steps, axis=1))) or 1.0
-    sigma0, few = found.sigma0, 0
-    waiting = found.support > 0
-    P = np.full_like(loops.C, np.nan)
+    sigma0, few = min(near.sigma0, 1.0), 0
+    accepted = np.zeros(len(closures), dtype=bool)
+    waiting = near.support > 0
+    P = np.full_like(closures.C, np.nan)
     for _ in range(ROUNDS):
-        T = values.stacks[kind].X[edges.order]
         left = np.flatnonzero(waiting & ~accepted)
-        known = links[odometry].joined(loops[accepted])
-        fits, order, P[left] = _tested(known, loops[left], T, sigma0, found.cluster[left], meters, P[left])
+        known = odometry.joined(closures[accepted])
+        scales = Scales(sigma0, near.rho, meters)
+        fits, order, P[left] = _tested(known, closures[left], loops.poses(values), scales, near.cluster[left], P[left])
         if not len(fits):
             break
         last = np.sort(order)[ceil(SHARE * len(fits)) - 1]
         new = left[fits[order <= last]]  # all of those that are as certain: their numbers must not decide
         accepted[new] = True
-        values, s = _solved(graph, values, edges, odometry, accepted)
-        sigma0 = max(found.sigma0, float(np.sqrt(np.median(s[accepted]) / chi2_gate(group.dim, 0.5))))
-        given_back = accepted & (s > sigma0**2 * chi2_gate(group.dim, FITS))
+        values, s = _solved(loops, values, accepted)
+        spread = float(np.sqrt(np.median(s[accepted]) / chi2_gate(dim, 0.5)))
+        sigma0 = min(max(near.sigma0, spread), 1.0)
+        given_back = accepted & (s > sigma0**2 * chi2_gate(dim, FITS))
         accepted &= ~given_back
         few = few + 1 if len(new) - given_back.sum() < LITTLE * accepted.sum() else few
         if few == 2:
             break
-    masks = _masks(graph, edges, odometry, accepted)
     if accepted.any():
-        closures = np.flatnonzero(~odometry)[accepted]
-        part = graph.only(masks)
-        result = part.optimize(values)
-        noise = unit_variance(result.chi2_final / max(result.dof, 1))
-        wrong = misfits(part, result.values, edges, closures, found.cluster[accepted], noise)
+        result = loops.graph.only(loops.masks(accepted)).optimize(values)
+        wrong = misfits(loops, result, accepted)
         if wrong.any():
-            accepted[np.flatnonzero(accepted)[wrong]] = False
-            values, _ = _solved(graph, values, edges, odometry, accepted)
-            masks = _masks(graph, edges, odometry, accepted)
-    return Growth(values, masks, found.sigma0)
+            accepted &= ~wrong
+            values, _ = _solved(loops, values, accepted)
+    return Growth(values, loops.masks(accepted), near.sigma0)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """By what stated sigmas are multiplied, of closures and of odometry; the meters that weigh as much as a radian."""
+
+    sigma0: float
+    rho: float
+    meters: float
 
 
 def _tested(
-    known: Links, loops: Links, T: Array, sigma0: float, cluster: Index, meters: float, P: Array
+    known: Links, closures: Links, T: Array, scales: Scales, cluster: Index, P: Array
 ) -> tuple[Index, Array, Array]:
     """Which closures (k,) pass, the rank (k,) of each, the most certain lowest, and the covariances of all predictions.
 
     P are those of the round before, nan where there are none. They shrink with nearly every link, so what does not pass
     with twice their sigmas keeps them: half of the time on manhattan with as many wrong closures.
     """
-    group, gate = loops.group, sigma0**2 * chi2_gate(loops.group.dim, FITS)
-    xi = group.log(group.compose(group.inverse(loops.z), group.compose(group.inverse(T[loops.i]), T[loops.j])))
-    open_ = ~(mahalanobis(xi, loops.C + SLACK * P) > gate)
+    group, gate = closures.group, chi2_gate(closures.group.dim, FITS)
+    C, rho2 = scales.sigma0**2 * closures.C, scales.rho**2
+    T_ij = group.compose(group.inverse(T[closures.i]), T[closures.j])
+    xi = group.log(group.compose(group.inverse(closures.z), T_ij))
+    open_ = ~(mahalanobis(xi, C + SLACK * rho2 * P) > gate)
     P = P.copy()
-    P[open_] = path_covariances(known, T, loops.i[open_], loops.j[open_], meters)
-    S = loops.C + P
+    P[open_] = path_covariances(known, T, closures.i[open_], closures.j[open_], scales.meters)
+    S = C + rho2 * P
     fits = np.flatnonzero(open_ & (mahalanobis(xi, S) <= gate))
-    open_volume = np.linalg.slogdet(S[fits])[1] - np.linalg.slogdet(loops.C[fits])[1]
+    open_volume = np.linalg.slogdet(S[fits])[1] - np.linalg.slogdet(C[fits])[1]
     _, group_of, members = np.unique(cluster[fits], return_inverse=True, return_counts=True)
     return fits, open_volume - members[group_of], P
 
 
-def _masks(graph: FactorGraph, edges: PoseEdges, odometry: Mask, accepted: Mask) -> list[Mask]:
-    """Per factor which measurements are odometry, accepted, or of another kind."""
-    kept = odometry.copy()
-    kept[~odometry] = accepted
-    ends = np.cumsum([len(model.z) for model in edges.models])
-    of = {id(model.factor): part for model, part in zip(edges.models, np.split(kept, ends[:-1]), strict=True)}
-    return [of.get(id(factor), np.ones(len(factor), dtype=bool)) for factor in graph.factors]
-
-
-def _solved(
-    graph: FactorGraph, values: Values, edges: PoseEdges, odometry: Mask, accepted: Mask
-) -> tuple[Values, Array]:
+def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, Array]:
     """The poses under the accepted closures, and chi2 (m,) of every closure there."""
-    part = graph.only(_masks(graph, edges, odometry, accepted))
+    part = loops.graph.only(loops.masks(accepted))
     start = chordal(part, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
     if part.chi2(start) < part.chi2(values):
         values = start
     values = part.optimize(values, GaussNewton(BRIEF)).values
-    s = np.concatenate([model.factor.chi2(values) for model in edges.models])
-    return values, s[~odometry]
+    s = np.concatenate([model.factor.chi2(values) for model in loops.edges.models])
+    return values, s[~loops.odometry]

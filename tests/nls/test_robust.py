@@ -16,8 +16,9 @@ from nls import FactorGraph, Values, kinds
 from nls.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
-from nls.robust.consistency import Odometry, neighbors
+from nls.robust.consistency import Neighbors, Odometry, neighbors
 from nls.robust.groups import FITS, WIDE, misfits
+from nls.robust.loop_graph import loop_graph
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.paths import path_covariances
 
@@ -170,14 +171,15 @@ def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
     )
     graph, values = FactorGraph([odometry, loops]), Values({x: (R(2), np.zeros((31, 2)))})
     result = graph.optimize(values)
-    edges, _, _ = chained(graph, values)
-    groups = np.array([7, 7, 2, 4, 4])
+    track, groups = loop_graph(graph, values), np.array([7, 7, 2, 4, 4])
+    track.__dict__["neighbors"] = Neighbors(np.zeros(5, dtype=np.intp), groups, 1.0)
     for group in (7, 2, 4):
         kept = FactorGraph([odometry, loops[groups != group]])
         fall = result.chi2_final - kept.optimize(values).chi2_final
         gate = WIDE * chi2_gate(2 * int((groups == group).sum()), FITS)
         for above, found in ((1.001, False), (0.999, True)):  # linear: the statistic is exactly that fall
-            wrong = misfits(graph, result.values, edges, np.arange(30, 35), groups, above * fall / gate)
+            scaled = replace(result, chi2_final=above * fall / gate * result.dof)  # what the noise is taken from
+            wrong = misfits(track, scaled, np.ones(5, dtype=bool))
             assert wrong[groups == group].all() == found
             assert wrong[groups == group].any() == found
 

@@ -14,7 +14,7 @@ from nls import FactorGraph, Values, kinds
 from nls.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
-from nls.robust.consistency import neighbors
+from nls.robust.consistency import LOW, neighbors
 from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
@@ -119,7 +119,7 @@ def test_two_closures_disagree_by_chi2_of_the_loop_they_make(
     around = np.r_[2:7, 21:26]  # the closures, and four steps at either end
     loop = FactorGraph([odometry[np.r_[2:6, 21:25]], loops])
     result = loop.optimize(Values({x: (space, T[around], around)}))
-    assert found.sigma0**2 * chi2_gate(d, 0.5) == pytest.approx(result.chi2_final, rel=1e-2)
+    assert found.sigma0**2 * chi2_gate(d, LOW) == pytest.approx(result.chi2_final, rel=1e-2)
     assert found.support.tolist() == [1, 1]
 
 

@@ -16,7 +16,7 @@ from nls.chi_squared import chi2_gate
 from nls.robust import growth
 from nls.robust import paths as paths_module
 from nls.robust.closures import Links, chained
-from nls.robust.consistency import neighbors
+from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
@@ -24,6 +24,7 @@ N = 40
 STEP = np.array([1.0, 0.0, 2 * np.pi / N])
 SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
 STEPS = np.arange(N - 1)
+STATED = growth.Scales(sigma0=1.0, rho=1.0, meters=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def first_test(graph: FactorGraph, values: Values, cluster: list[int]) -> tuple[
     _, links, along = chained(graph, values)
     known, loops = links[along], links[~along]
     P = np.full_like(loops.C, np.nan)
-    return known, loops, growth._tested(known, loops, values[x], 1.0, np.array(cluster), 10.0, P)
+    return known, loops, growth._tested(known, loops, values[x], STATED, np.array(cluster), P)
 
 
 def test_the_most_certain_comes_first_and_a_group_before_a_single_one(circle: Values) -> None:
@@ -74,9 +75,9 @@ def test_what_cannot_pass_keeps_its_prediction_and_what_may_gets_another(circle:
     graph = FactorGraph([odometry(), closures(circle, [0, 3], [39, 20], [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])])
     known, loops, (fits, _, P) = first_test(graph, circle, [0, 1])
     assert fits.tolist() == [0]
-    again = growth._tested(known, loops, circle[x], 1.0, np.array([0, 1]), 10.0, 0.5 * P)
+    again = growth._tested(known, loops, circle[x], STATED, np.array([0, 1]), 0.5 * P)
     np.testing.assert_array_equal(again[2], [P[0], 0.5 * P[1]])
-    wide = growth._tested(known, loops, circle[x], 1.0, np.array([0, 1]), 10.0, 1e6 * P)
+    wide = growth._tested(known, loops, circle[x], STATED, np.array([0, 1]), 1e6 * P)
     np.testing.assert_array_equal(wide[2], P)
     assert wide[0].tolist() == [0]
 
@@ -132,15 +133,15 @@ def test_a_quarter_is_accepted_in_a_round(circle: Values, monkeypatch: pytest.Mo
 
 
 def test_what_the_others_contradict_later_is_given_back(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "misfits", lambda *_: np.zeros(1, dtype=bool))  # only given back here
+    monkeypatch.setattr(growth, "misfits", lambda *_: np.zeros(12, dtype=bool))  # only given back here
     graph = contradicted(circle)
     monkeypatch.setattr(growth, "SHARE", 1.0)
     accepted: list[int] = []
     solved = growth._solved
 
-    def noted(graph: FactorGraph, values: Values, edges: Any, along: Any, which: Any) -> Any:
+    def noted(loops: Any, values: Values, which: Any) -> Any:
         accepted.append(int(which.sum()))
-        return solved(graph, values, edges, along, which)
+        return solved(loops, values, which)
 
     monkeypatch.setattr(growth, "_solved", noted)
     grown = growth.grow(graph, circle)
@@ -149,33 +150,41 @@ def test_what_the_others_contradict_later_is_given_back(circle: Values, monkeypa
     assert not grown.masks[2].any()
 
 
-def test_closures_worse_than_their_neighborhood_widen_the_test(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[float] = []
+def test_closures_worse_than_their_neighborhood_widen_the_test_up_to_the_stated_sigmas(
+    circle: Values, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scales: list[float] = []
     tested = growth._tested
 
-    def noted(known: Links, loops: Links, T: Any, sigma0: float, *rest: Any) -> Any:
-        said.append(sigma0)
-        return tested(known, loops, T, sigma0, *rest)
+    def noted(known: Links, loops: Links, T: Any, scale: growth.Scales, *rest: Any) -> Any:
+        scales.append(scale.sigma0)
+        return tested(known, loops, T, scale, *rest)
 
-    seen: list[float] = []
+    medians: list[float] = []
     solved = growth._solved
 
-    def residuals(graph: FactorGraph, values: Values, edges: Any, along: Any, which: Any) -> Any:
-        values, s = solved(graph, values, edges, along, which)
-        seen.append(float(np.median(s[which])))
+    def residuals(loops: Any, values: Values, which: Any) -> Any:
+        values, s = solved(loops, values, which)
+        medians.append(float(np.median(s[which])))
         return values, s
 
     monkeypatch.setattr(growth, "_tested", noted)
     monkeypatch.setattr(growth, "_solved", residuals)
     monkeypatch.setattr(growth, "SHARE", 1.0)
-    monkeypatch.setattr(growth, "neighbors", lambda *given: replace(neighbors(*given), sigma0=1.0))
     i = list(range(5, 15))
-    off = np.where(np.arange(10)[:, None] % 2, -1.0, 1.0) * [0.6, -0.6, 0.0]  # two sigmas, by turns
-    coarse = closures(circle, i, [k + 20 for k in i], off, Diagonal(x=0.3, y=0.3, yaw=0.1))
-    growth.grow(FactorGraph([odometry(Diagonal(x=0.01, y=0.01, yaw=0.05)), coarse]), circle)
-    expected = [max(said[0], (s / chi2_gate(3, 0.5)) ** 0.5) for s in seen]
-    np.testing.assert_allclose(said[1:], expected[: len(said) - 1])
-    assert said[1] > 1.2
+    for size, widened in ((0.15, True), (0.6, False)):  # half a sigma and two sigmas, by turns
+        scales.clear()
+        medians.clear()
+        off = np.where(np.arange(10)[:, None] % 2, -1.0, 1.0) * [size, -size, 0.0]
+        coarse = closures(circle, i, [k + 20 for k in i], off, Diagonal(x=0.3, y=0.3, yaw=0.1))
+        loops = loop_graph(FactorGraph([odometry(Diagonal(x=0.01, y=0.01, yaw=0.05)), coarse]), circle)
+        loops.__dict__["neighbors"] = replace(loops.neighbors, support=np.ones(10, dtype=np.intp), sigma0=0.1, rho=1.0)
+        growth.grown(loops)
+        assert scales[0] == 0.1
+        expected = [min(max(0.1, (s / chi2_gate(3, 0.5)) ** 0.5), 1.0) for s in medians]
+        np.testing.assert_allclose(scales[1:], expected[: len(scales) - 1])
+        assert len(scales) == 1 or 0.1 < scales[1] <= 1.0
+        assert (len(scales) > 1) >= widened
 
 
 def test_odometry_that_leads_nowhere_does_not_keep_the_closures_from_being_solved(circle: Values) -> None:
@@ -186,12 +195,10 @@ def test_odometry_that_leads_nowhere_does_not_keep_the_closures_from_being_solve
     loops = closures(circle, [*i, 0, 1], [*(k + 3 for k in i), 39, 38])
     graph = FactorGraph([odometry(weak, off), loops])
     start = nls.starts.chain(graph, circle)
-    edges, links, along = chained(graph, start)
     assert graph.chi2(start) > 1e4
-    values, s = growth._solved(graph, start, edges, along, np.ones(len(loops), dtype=bool))
+    values, s = growth._solved(loop_graph(graph, start), start, np.ones(len(loops), dtype=bool))
     assert graph.chi2(values) < 10
     assert (s < 1).all()
     np.testing.assert_allclose(
         SE2.between(values[x][0], values[x][39]), SE2.between(circle[x][0], circle[x][39]), atol=0.05
     )
-    assert len(links) == len(loops) + N - 1

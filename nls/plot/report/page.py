@@ -50,6 +50,7 @@ def report(
     marginals: Marginals | None = None,
     certificate: Certificate | None = None,
     rejected: Sequence[Rejected] = (),
+    doubts: Sequence[object] = (),
     facts: Mapping[str, str] | None = None,
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, Figure] | None = None,
@@ -69,6 +70,7 @@ def report(
     marginals : covariances at the optimum; computed when omitted.
     certificate : of `nls.certify`.
     rejected : measurements that robust estimation has left out, each with its `factor` and `sigmas`.
+    doubts : why the choice of these may be wrong, `nls.gnc`.
     facts : where it comes from, by name.
     seconds : where the time went, by part; only this differs between two runs.
     pictures : figures by caption, in the place of the maps before and after and of the ellipses.
@@ -109,6 +111,7 @@ def report(
             marginals,
             certificate,
             rejected,
+            doubts,
             facts or {},
             seconds or {},
             pictures or {},

@@ -46,6 +46,7 @@ class Told:
     marginals: Marginals | None = None
     certificate: Certificate | None = None
     rejected: Sequence[Rejected] = ()
+    doubts: Sequence[object] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     pictures: Mapping[str, Figure] = field(default_factory=dict)

@@ -30,6 +30,8 @@ def verdict(told: Told) -> Html:
         word, grade, says = "Not converged", "bad", f"{result.status.value}: {result.reason}."
     elif refuted:
         word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
+    elif told.doubts:
+        word, grade, says = "Doubtful", "bad", "; ".join(map(str, told.doubts)) + "."
     else:
         doubted = [each for each in told.explanation.findings if each.kind not in NOTED]
         word, grade = "Converged", "warn" if doubted else "good"

@@ -1,0 +1,106 @@
+"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+
+from nls.chi_squared import chi2_gate
+from nls.optimizers import Result
+from nls.robust import verdict
+from nls.robust.choice import Choice, Truncated, lowest
+from nls.robust.consistency import unit_variance
+from nls.robust.groups import misfits
+from nls.robust.growth import grown
+from nls.robust.loop_graph import LoopGraph
+from nls.robust.verdict import Doubt, DoubtKind
+
+__all__ = ["Preselection"]
+
+FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lower cost is taken
+WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
+STRAIN = 3.0  # times the noise between neighbors; more in the whole graph is no noise
+UNLIKELY = 0.05  # of chi2 to be smaller, or larger
+STILL = 0.005  # of the extent: a map that moves less is the same
+TURNS = 3  # of giving up contradicted groups
+
+
+class Preselection:
+    """A choice among the loop closures of a graph.
+
+    Attributes
+    ----------
+    choice : of measurements, and its optimum.
+    variance : what the squares of the stated sigmas were multiplied by for the threshold.
+    """
+
+    def __init__(self, problem: Truncated, loops: LoopGraph, loss: str, probability: float) -> None:
+        self.problem, self.loops, self.loss, self.probability = problem, loops, loss, probability
+        explained = self._explained()
+        self.choice, self.variance = explained or self._grown()
+        self.moved = 0.0
+        for _ in range(0 if explained else TURNS):
+            other, self.moved = self._without_contradicted(self.choice)
+            if self.moved <= STILL:
+                break
+            self.choice = other
+
+    def doubts(self) -> list[Doubt]:
+        """Reasons to doubt the choice."""
+        loops, result = self.loops, self.choice.result
+        kept = loops.accepted(self.choice.kept)
+        m, n = len(kept), int(kept.sum())
+        found = verdict.doubts(result, n, m, self.probability)
+        span, spans = loops.spanned(kept), loops.spanned(np.ones(m, dtype=bool))
+        if span < verdict.HALF * spans:
+            found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
+        if self.moved > STILL:
+            count = int(misfits(loops, result, kept).sum())
+            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, 100 * self.moved))
+        if found and loops.neighbors.sigma0 > 1:
+            found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.sigma0))
+        return found
+
+    def _explained(self) -> tuple[Choice, float] | None:
+        """All closures but a few, where noise explains the optimum of all; None where it does not."""
+        loops, graph = self.loops, self.loops.graph
+        if not self.problem.affordable_whole(loops.values, loops.masks(loops.neighbors.support > 0)):
+            return None
+        first = lowest(graph, loops.values)
+        noise = _noise(first)
+        if not first.converged or first.dof < 1 or first.chi2_final > chi2_gate(first.dof, 1 - UNLIKELY):
+            return None
+        if noise > STRAIN**2 * min(loops.neighbors.sigma0, 1.0) ** 2:
+            return None
+        variance = min(WIDE**2 * noise, 1.0)
+        choice = self.problem.scaled(variance).choice(first.values, self.loss, np.inf)
+        chance = ceil((1 - self.probability) * len(loops.closures))
+        if self.problem.rejected(choice.kept) > chance or self._without_contradicted(choice)[1] > STILL:
+            return None
+        return choice, variance
+
+    def _grown(self) -> tuple[Choice, float]:
+        """From the closures that could be accepted one after the other."""
+        loops, growth = self.loops, grown(self.loops)
+        first = lowest(loops.graph.only(growth.masks), growth.values)
+        noise = _noise(first) if loops.accepted(growth.masks).any() else 1.0  # odometry fits by itself
+        variance = min(WIDE**2 * noise, max(1.0, noise))
+        problem = self.problem.scaled(variance)
+        choices = (problem.choice(first.values, self.loss, far) for far in problem.affordable(first.values, FAR))
+        return min(choices, key=lambda choice: choice.cost), variance
+
+    def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:
+        """The choice without the groups that the others contradict, and how far the map moves, part of its extent."""
+        kept = self.loops.accepted(choice.kept)
+        wrong = misfits(self.loops, choice.result, kept) if kept.any() else kept
+        if not wrong.any():
+            return choice, 0.0
+        masks = [a & b for a, b in zip(choice.kept, self.loops.masks(kept & ~wrong), strict=True)]
+        other = self.problem.scaled(1.0).without(choice, masks)
+        return other, verdict.shift(self.loops, choice.result.values, other.result.values)
+
+
+def _noise(result: Result) -> float:
+    """chi2 over its 5 % quantile, as of few numbers it may be small by chance; 1 where all fit exactly."""
+    return unit_variance(result.chi2_final / chi2_gate(max(result.dof, 1), UNLIKELY))

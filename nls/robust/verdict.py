@@ -1,0 +1,80 @@
+"""When an estimate from chosen closures is doubtful: too little was kept, or what was kept does not fit together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from models.algebra import Array
+from nls.chi_squared import chi2_gate
+from nls.optimizers import Result
+from nls.robust.loop_graph import LoopGraph
+from nls.values import Values
+
+__all__ = ["Doubt", "DoubtKind", "doubts", "shift"]
+
+HALF = 0.5  # of the doubted measurements, of the steps between closures
+UNLIKELY = 0.025  # of chi2 to be larger by noise
+TWICE = 2.0  # chi2 over degrees of freedom
+
+
+class DoubtKind(Enum):
+    """Why an estimate is doubtful; the value is the sentence."""
+
+    FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
+    DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
+    CONTRADICTED = (
+        "{count} of {total} kept closures contradict the others: without them the map moves by {number:.2g} %"
+    )
+    UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
+    SIGMAS = "neighboring closures differ by {number:.3g} times their sigmas: these are too small, or most are wrong"
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One reason for doubt, and its numbers.
+
+    Attributes
+    ----------
+    kind : the reason.
+    count, total : how many measurements, or steps, of how many.
+    number : percent of the extent, or a ratio; nan where there is none.
+    """
+
+    kind: DoubtKind
+    count: int = 0
+    total: int = 0
+    number: float = float("nan")
+
+    def __str__(self) -> str:
+        return self.kind.value.format(count=self.count, total=self.total, number=self.number)
+
+
+def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[Doubt]:
+    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained.
+
+    Of a right half some are lost by chance: half is `probability` times that.
+    """
+    found = []
+    if kept < HALF * probability * doubted:
+        found.append(Doubt(DoubtKind.FEW_KEPT, kept, doubted))
+    if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - UNLIKELY)):
+        found.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
+    return found
+
+
+def shift(loops: LoopGraph, before: Values, after: Values) -> float:
+    """How far a map moves, as part of its extent: rms of the positions, after the best motion; 1 without positions."""
+    group = loops.edges.group
+    p, q = (group.position(loops.poses(values)) for values in (before, after))
+    extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
+    return _apart(p - p.mean(axis=0), q - q.mean(axis=0)) / extent if extent else 1.0
+
+
+def _apart(p: Array, q: Array) -> float:
+    """Root mean square of q - R p over the rotations R that make it smallest."""
+    U, s, Vt = np.linalg.svd(q.T @ p)
+    s[-1] *= np.linalg.det(U) * np.linalg.det(Vt)
+    return float(np.sqrt(max((np.square(p) + np.square(q)).sum() - 2 * s.sum(), 0.0) / len(p)))
