@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from nls import GaussNewton, Result, kinds
 from sim.camera_sonar import Rig
 
-__all__ = ["calibrated", "calibration_rows", "write_calibration"]
+__all__ = ["calibrated", "calibration_files", "calibration_rows"]
 
 (s,) = kinds("s")
 ALIGNED = "rigid, of cameras and points together; the sonar is not aligned"
@@ -45,10 +44,10 @@ def calibration_rows(rig: Rig, result: Result) -> list[tuple[str, str]]:
     ]
 
 
-def write_calibration(folder: Path, rig: Rig, result: Result) -> list[str]:
-    """Write rig.json and rig.png into a folder; returns their names."""
-    from nls.cli.outputs import write_json
-    from nls.plot.picture import write_picture
+def calibration_files(rig: Rig, result: Result) -> dict[str, bytes]:
+    """rig.json and rig.png by name."""
+    from nls.cli.outputs import json_text
+    from nls.plot.picture import drawn
     from nls.plot.rig import rig_before_after
 
     before, after = rig.errors(rig.start), rig.errors(result.values)
@@ -81,7 +80,5 @@ def write_calibration(folder: Path, rig: Rig, result: Result) -> list[str]:
             for name, values in (("truth", rig.truth), ("before", rig.start), ("after", result.values))
         },
     }
-    names = [str(folder / "rig.json"), str(folder / "rig.png")]
-    write_json(report, names[0])
-    write_picture(names[1], rig_before_after(rig.truth, rig.start, result.values, rig.camera, changes))
-    return names
+    figure = rig_before_after(rig.truth, rig.start, result.values, rig.camera, changes)
+    return {"rig.json": json_text(report).encode(), "rig.png": drawn("rig.png", figure)}

@@ -22,6 +22,7 @@ __all__ = [
 ]
 
 MAX_POSES = 10_000_000  # 560 MB of truth in three dimensions; more is a slip of the keyboard
+MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two stay finite
 
 
 def check_rng(rng: Any) -> None:
@@ -58,7 +59,7 @@ def check_poses(option: str, poses: int) -> None:
 
 
 def check_positive(**options: float) -> None:
-    """Finite numbers above 0, by option.
+    """Numbers above 0 whose squares and ratios are finite, by option.
 
     Raises
     ------
@@ -67,10 +68,12 @@ def check_positive(**options: float) -> None:
     for option, value in options.items():
         if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
             raise OptionError(option, value, "a number above 0")
+        if not 1 / MAX_SIZE <= value <= MAX_SIZE:
+            raise OptionError(option, value, f"a number from {1 / MAX_SIZE:g} to {MAX_SIZE:g}")
 
 
 def check_not_negative(**options: float) -> None:
-    """Finite numbers of at least 0, by option.
+    """Numbers of at least 0 whose squares are finite, by option.
 
     Raises
     ------
@@ -79,6 +82,8 @@ def check_not_negative(**options: float) -> None:
     for option, value in options.items():
         if not (isinstance(value, Real) and math.isfinite(value) and value >= 0):
             raise OptionError(option, value, "a number of at least 0")
+        if value > MAX_SIZE:
+            raise OptionError(option, value, f"at most {MAX_SIZE:g}")
 
 
 def check_fraction(**options: float) -> None:

@@ -8,18 +8,18 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
 from sim.arguments import Parser, add_parameters, command, flag, seed_number
-from sim.calibration import calibrated, calibration_rows, write_calibration
+from sim.calibration import calibrated, calibration_files, calibration_rows
 from sim.camera_sonar import Rig
-from sim.cli_estimators import SCENE_FILES, add_compare, add_estimators, estimated
+from sim.cli_estimators import SCENE_FILES, Files, add_compare, add_estimators, estimated
 from sim.estimators import SCENES
 from sim.mission import Mission
+from sim.monte_carlo import FailedRunsError, sentence
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
 from sim.worlds.hauv_floor import hauv_floor
@@ -57,7 +57,9 @@ EXAMPLES = """examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code: 0, 1 when interrupted, 2 for a mistake in the options or folder.
+    """Run the command line; returns the exit code.
+
+    0; 1 when runs failed; 2 for a mistake in the options or folder; 130 when interrupted.
 
     Examples
     --------
@@ -77,24 +79,27 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise OptionError("out", out, "a folder")
         call = command(name, seed, given)
         if name in SCENES or name == "compare":
-            table, files, said = estimated(name, seed, given, out is not None)
+            table, files, said, failed = estimated(name, seed, given, out is not None)
         else:
             world = MADE[name](np.random.default_rng(seed), **given)
-            (table, files), said = simulated(world), world.description
+            (table, files), said, failed = simulated(world, out), world.description, None
         if out is not None:
-            written = write(Path(out), files, said, aligned(table), call)
+            written = write(out, files, said, aligned(table), call)
             table.append(("written", written))
     except OptionError as error:
         return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
     except OSError as error:
-        return complain(f"{error.filename or out}: {error.strerror or error}; give another folder to --out")
+        return complain(f"{error.filename or name}: {error.strerror or error}")
     except LeadlineError as error:
-        return complain(" ".join([str(error), *getattr(error, "__notes__", [])]))
+        complain(sentence(error))
+        return 1 if isinstance(error, FailedRunsError) else 2
     except KeyboardInterrupt:
         complain("interrupted; records of --runs that are in the file of --resume stay there")
         return 1
     print(aligned(table))
-    return 0
+    if failed is not None:
+        complain(str(failed))
+    return 0 if failed is None else 1
 
 
 def aligned(table: list[tuple[str, str]]) -> str:
@@ -131,46 +136,44 @@ def mission_rows(mission: Mission) -> list[tuple[str, str]]:
     ]
 
 
-def simulated(world: World | Mission | Rig) -> tuple[list[tuple[str, str]], Callable[[Path], tuple[list[str], str]]]:
-    """The table of a world, and what writes its files into a folder: returns their names and what they hold."""
+def simulated(world: World | Mission | Rig, out: str | None) -> tuple[list[tuple[str, str]], Files]:
+    """The table of a world, and what makes its files."""
     if isinstance(world, Mission):
-        return mission_rows(world), lambda folder: mission_files(folder, world)
+        return mission_rows(world), lambda: mission_folder(world, str(out))
     if isinstance(world, Rig):
         result = calibrated(world)
         holds = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n"
-        return calibration_rows(world, result), lambda folder: (write_calibration(folder, world, result), holds)
-    return rows(world), lambda folder: graph_files(folder, world)
+        return calibration_rows(world, result), lambda: (calibration_files(world, result), holds)
+    return rows(world), lambda: graph_files(world)
 
 
-def mission_files(folder: Path, mission: Mission) -> tuple[list[str], str]:
-    """A mission folder."""
-    from nls.io.mission import write_mission  # only here: a table needs no file formats
+def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
+    """The files of a mission, for a folder without those of another one."""
+    from nls.io.mission.write import mission_files, refuse_mixed  # only here: a table needs no file formats
 
-    files = write_mission(folder, mission.graph, mission.sonar, mission.offset, mission.truth)
+    files = mission_files(mission.graph, mission.sonar, mission.offset, mission.truth)
+    refuse_mixed(out, files)
     return files, "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
 
 
-def graph_files(folder: Path, world: World) -> tuple[list[str], str]:
+def graph_files(world: World) -> tuple[dict[str, bytes], str]:
     """Two graphs, with the start and with the truth."""
-    from nls import save
+    from nls.io import rendered
 
-    files = [str(folder / "graph.g2o"), str(folder / "truth.g2o")]
-    save(files[0], world.graph, world.start)
-    save(files[1], world.graph, world.truth)
-    return files, (
+    values = {"graph.g2o": world.start, "truth.g2o": world.truth}
+    return {name: rendered(name, world.graph, estimate)[0] for name, estimate in values.items()}, (
         "graph.g2o: the measurements, and the chained odometry as the start.\n"
         "truth.g2o: the same measurements, and the true poses.\n"
     )
 
 
-def write(folder: Path, files: Callable[[Path], tuple[list[str], str]], said: str, table: str, call: str) -> str:
-    """Write files and README.txt into the folder, which is made; returns what was written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names, holds = files(folder)
-    (folder / "README.txt").write_text(
-        f"{textwrap.fill(said, 100)}\n\n{table}\n\n{holds}Made by: {call}\n", encoding="utf-8"
-    )
-    return ", ".join([*names, str(folder / "README.txt")])
+def write(folder: str, files: Files, said: str, table: str, call: str) -> str:
+    """Write files and README.txt into the folder, which is made, all or none; returns what was written."""
+    from nls.io.files import write_folder
+
+    contents, holds = files()
+    readme = f"{textwrap.fill(said, 100)}\n\n{table}\n\n{holds}Made by: {call}\n"
+    return ", ".join(write_folder(folder, {**contents, "README.txt": readme.encode()}))
 
 
 def parser() -> Parser:

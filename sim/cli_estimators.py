@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from sim.arguments import add_parameters, flag, number, parameters, seed_number,
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
 from sim.landmark_world import LandmarkWorld
-from sim.monte_carlo import runs
+from sim.monte_carlo import FailedRunsError, runs, sentence
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
-__all__ = ["SCENE_FILES", "add_compare", "add_estimators", "estimated"]
+__all__ = ["SCENE_FILES", "Files", "add_compare", "add_estimators", "estimated"]
 
 SCENE_FILES = "estimate.png (four pictures), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
@@ -30,11 +29,13 @@ SETTINGS = {  # of the estimators: which has it, and what it is
     "iterations": (("ekf",), "how often at most ekf linearizes an update (default 1)"),
 }
 LIMIT = 20.0  # s
+LISTED = 20  # failed seeds in the table
 EXAMPLE = """examples:
   nls-sim compare --world lines --laps 1 --estimators ekf batch --out compared
   nls-sim compare --scaling --out cost
 """
-Files = Callable[[Path], tuple[list[str], str]]
+Files = Callable[[], tuple[dict[str, bytes], str]]  # contents by name, and what they hold
+Estimated = tuple[list[tuple[str, str]], Files, str, FailedRunsError | None]
 
 
 def add_estimators(sub: argparse.ArgumentParser) -> None:
@@ -84,8 +85,8 @@ def add_compare(worlds: Any) -> None:
     _add_settings(sub)
 
 
-def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> tuple[list[tuple[str, str]], Files, str]:
-    """The table of a scene or of ``compare``, what writes its files, and what the scene is.
+def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> Estimated:
+    """The table of a scene or of ``compare``, what writes its files, what the scene is, and which runs failed.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> tu
     """
     options = dict(given)
     if (limit := options.pop("scaling", None)) is not None:
-        return _scaled(seed, limit, options)
+        return *_scaled(seed, limit, options), None
     memory, count, kept = options.pop("memory", False), options.pop("runs"), options.pop("resume")
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
     scene = options.pop("world", "subsea" if name == "compare" else name)
@@ -119,8 +120,8 @@ def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> tu
     if count is not None:
         return _many(world, head, said, names, count, kept)
     if name == "compare":
-        return _compared(world, head, said, names, memory)
-    return _single(world, head, said, names[0], pictured)
+        return *_compared(world, head, said, names, memory), None
+    return *_single(world, head, said, names[0], pictured), None
 
 
 def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
@@ -152,15 +153,12 @@ def _single(
         ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
     ]
 
-    def files(folder: Path) -> tuple[list[str], str]:
-        from nls.cli.outputs import write_json
+    def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import estimator_figure
-        from nls.plot.picture import write_picture
 
-        names = [str(folder / "estimate.png"), str(folder / "estimate.json")]
-        write_picture(names[0], estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}"))
-        write_json({**said, "estimator": name, "method": track.method, **found}, names[1])
-        return names, (
+        figure = estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}")
+        report = {**said, "estimator": name, "method": track.method, **found}
+        return _pictured("estimate", figure, report), (
             "estimate.png: the map, sigmas of vehicle and landmarks, errors within 3 sigma.\n"
             "estimate.json: options and errors, m.\n"
         )
@@ -173,14 +171,10 @@ def _compared(
 ) -> tuple[list[tuple[str, str]], Files, str]:
     found = compare(world, names, said["settings"], memory)
 
-    def files(folder: Path) -> tuple[list[str], str]:
-        from nls.cli.outputs import write_json
+    def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import several
-        from nls.plot.picture import write_picture
 
-        paths = [str(folder / "compare.png"), str(folder / "compare.json")]
-        tracks = [each.track for each in found]
-        write_picture(paths[0], several(tracks, world.truth, f"{world.name}, seed {world.seed}"))
+        figure = several([each.track for each in found], world.truth, f"{world.name}, seed {world.seed}")
         report = {
             each.name: {
                 "method": each.track.method,
@@ -190,8 +184,8 @@ def _compared(
             }
             for each in found
         }
-        write_json({**said, "estimators": report}, paths[1])
-        return paths, "compare.png: tracks, errors, 3 sigma, NEES.\ncompare.json: the table, m and s.\n"
+        contents = _pictured("compare", figure, {**said, "estimators": report})
+        return contents, "compare.png: tracks, errors, 3 sigma, NEES.\ncompare.json: the table, m and s.\n"
 
     return [*head, *compared_rows(world, found)], files, world.description
 
@@ -212,15 +206,12 @@ def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[
     rows = [("world", f"circuit, seed {seed}"), *scaling_rows(found)]
     rows += [("note", str(note.message)) for note in noted]
 
-    def files(folder: Path) -> tuple[list[str], str]:
-        from nls.cli.outputs import write_json
+    def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import power_laws
-        from nls.plot.picture import write_picture
 
-        paths = [str(folder / "scaling.png"), str(folder / "scaling.json")]
-        write_picture(paths[0], power_laws(panels(found), FITTED, "landmarks"))
-        write_json({"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in found]}, paths[1])
-        return paths, "scaling.png: seconds against landmarks.\nscaling.json: the same, s.\n"
+        report = {"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in found]}
+        contents = _pictured("scaling", power_laws(panels(found), FITTED, "landmarks"), report)
+        return contents, "scaling.png: seconds against landmarks.\nscaling.json: the same, s.\n"
 
     return rows, files, "Circuits: rings with 100 to 12,800 landmarks, each gone round once and 20 steps more."
 
@@ -232,27 +223,47 @@ def _many(
     names: list[str],
     count: int,
     kept: str | None,
-) -> tuple[list[tuple[str, str]], Files, str]:
+) -> Estimated:
     seeds = range(said["seed"], said["seed"] + count)
     function = partial(
         of_seed, scene=said["world"], estimators=names, options=said["options"], settings=said["settings"]
     )
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        records = runs(function, seeds, resume=kept, progress=True)
-    rows = monte_carlo_rows(seeds, records, world.truth.stack("x").manifold.dim)
+        try:
+            records, failed = dict(zip(seeds, runs(function, seeds, resume=kept, progress=True), strict=True)), None
+        except FailedRunsError as error:
+            if not error.records:
+                raise
+            records, failed = error.records, error
+    rows = monte_carlo_rows(seeds, list(records.values()), world.truth.stack("x").manifold.dim)
+    rows += [] if failed is None else [("failed", f"{_listed(failed.failures)}, left out of the means")]
     rows += [("note", str(note.message)) for note in noted]
 
-    def files(folder: Path) -> tuple[list[str], str]:
-        from nls.cli.outputs import write_json
+    def files() -> tuple[dict[str, bytes], str]:
+        from nls.cli.outputs import json_text
 
-        path = str(folder / "runs.json")
-        write_json(
-            {**said, "runs": [{"seed": seed, **record} for seed, record in zip(seeds, records, strict=True)]}, path
-        )
-        return [path], "runs.json: options, and the errors of every seed, m.\n"
+        report = {**said, "runs": [{"seed": seed, **record} for seed, record in records.items()]}
+        if failed is not None:
+            report["failed"] = [{"seed": seed, "error": sentence(error)} for seed, error in failed.failures.items()]
+        return {"runs.json": json_text(report).encode()}, "runs.json: options, and the errors of every seed, m.\n"
 
-    return [*head, *rows], files, world.description
+    return [*head, *rows], files, world.description, failed
+
+
+def _listed(seeds: Collection[int]) -> str:
+    """Seeds in words."""
+    shown = ", ".join(map(str, list(seeds)[:LISTED]))
+    more = f" and {len(seeds) - LISTED} more" if len(seeds) > LISTED else ""
+    return f"seed{'' if len(seeds) == 1 else 's'} {shown}{more}"
+
+
+def _pictured(name: str, figure: Any, report: dict[str, Any]) -> dict[str, bytes]:
+    """A picture and its numbers: ``name.png`` and ``name.json``."""
+    from nls.cli.outputs import json_text
+    from nls.plot.picture import drawn
+
+    return {f"{name}.png": drawn(f"{name}.png", figure), f"{name}.json": json_text(report).encode()}
 
 
 def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dict[str, int]) -> None:

@@ -102,9 +102,8 @@ def compared_rows(world: LandmarkWorld, found: Sequence[Compared]) -> list[tuple
 def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) -> list[tuple[str, str]]:
     """The table of many runs of `sim.estimators.of_seed`: means, and the NEES of poses of `dim` with its bounds."""
     low, high = nees_bounds(dim, len(records))
-    rows = [
-        ("runs", f"{len(records)}, seeds {seeds[0]} to {seeds[-1]}; means over them, ATE also smallest and largest")
-    ]
+    count = f"{len(records)}" if len(records) == len(seeds) else f"{len(records)} of {len(seeds)}"
+    rows = [("runs", f"{count}, seeds {seeds[0]} to {seeds[-1]}; means over them, ATE also smallest and largest")]
     rows.append(("estimator", "".join(f"{title:>10s}" for title in (*TITLES, "NEES", "ATE from", "to"))))
     for name in records[0]:
         each = [record[name] for record in records]

@@ -6,7 +6,8 @@ A batch solution is recorded as a filter is: every pose and its covariance, but 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from time import perf_counter
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from factors.keys import Keys
 from models.algebra import Array
-from models.errors import GraphWarning, OptionError
+from models.errors import GraphWarning, LeadlineError, OptionError
 from nls import Marginals
 from nls.filters.base import POSE, Filter, Step, Track, landmark_kind
 from nls.filters.consistency import nees, regular
@@ -77,17 +78,29 @@ def tracked(
     True
     """
     chosen = estimator(world, name, particles, lag, every, iterations)
-    return batch(world) if chosen is None else chosen.run(world.graph, world.start)
+    with _named(name):
+        return batch(world) if chosen is None else chosen.run(world.graph, world.start)
 
 
 def followed(world: LandmarkWorld, name: str, **settings: int) -> tuple[Track, History]:
     """`tracked`, and what was known of the landmarks at each step; of a batch, always what is known in the end."""
     chosen = estimator(world, name, **settings)
-    if chosen is None:
-        track = batch(world)
-        return track, [(track.landmarks, track.P_landmarks)] * len(track.x)
-    watched = Followed(chosen)
-    return watched.run(world.graph, world.start), watched.history
+    with _named(name):
+        if chosen is None:
+            track = batch(world)
+            return track, [(track.landmarks, track.P_landmarks)] * len(track.x)
+        watched = Followed(chosen)
+        return watched.run(world.graph, world.start), watched.history
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """An error of this estimator has its name as a note."""
+    try:
+        yield
+    except LeadlineError as error:
+        error.add_note(f"(estimator {name})")
+        raise
 
 
 def batch(world: LandmarkWorld) -> Track:

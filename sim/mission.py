@@ -5,8 +5,9 @@ r"""What a simulated sonar mission is, and how one is made from where the vehicl
     contacts     z = h(x_i, l_k) + v       range and azimuth, wherever the sonar sees a landmark
     anchor       x, y and yaw of x_0, exact
 
-v ~ N(0, Sigma). The start is what a vehicle knows that has used none of its contacts: the first pose, the odometry
-chained from there, and each landmark at elevation 0 of its first contact.
+v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start is what a vehicle knows that has
+used none of its contacts: the first pose, the odometry chained from there, and each landmark at elevation 0 of its
+first contact.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimu
 from factors.sonar import refuse_search
 from models import SE3, R, euler
 from models.algebra import Array, wrap
-from models.errors import GraphError, OptionError
+from models.errors import GraphError
 from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
 from nls.metrics import ate
 from nls.starts import dead_reckoning, first_sighting
 from sim.checks import check_not_negative, check_rng
 from sim.hauv import SIGMA_SONAR, SIGMA_XYH, SIGMA_ZPR
-from sim.world import Index, seed_of
+from sim.world import Index, reflected, seed_of
 
 __all__ = ["Mission", "rebuilt", "survey", "visible"]
 
@@ -149,7 +150,7 @@ def survey(
     Raises
     ------
     OptionError
-        No such treatment of the elevation; a scale below 0, or so large that a range is.
+        No such treatment of the elevation; a scale below 0.
     GraphError
         No point is seen often enough.
     """
@@ -176,8 +177,7 @@ def survey(
     tilt = noisy(zpr(X)[0], SIGMA_ZPR, 1, 2)
     p = SE3.act(SE3.inverse(SE3.compose(X, offset[None]))[i], points[k])
     z = noisy(range_azimuth(p)[0], SIGMA_SONAR, 1)
-    if (z[:, 0] < 0).any():
-        raise OptionError("noise_scale", noise_scale, f"less: a range comes out at {z[:, 0].min():.3g} m")
+    z[:, 0] = reflected(z[:, 0])
     first = euler.from_se3(X[:1])
     graph = FactorGraph(
         [

@@ -23,19 +23,40 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack, contextmanager
+from errno import ENOSPC
 from functools import partial
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-from models.errors import GraphFileError, GraphWarning, OptionError
+import numpy as np
+
+from models.errors import GraphFileError, GraphWarning, LeadlineError, OptionError
 from models.options import is_whole
 from nls.io.files import read_bytes, write_bytes
 from nls.linear.threads import single_thread
 
-__all__ = ["Record", "runs"]
+__all__ = ["FailedRunsError", "Record", "runs", "sentence"]
 
 Record = dict[str, Any]  # what json can hold
+FAILURES = (LeadlineError, ArithmeticError, np.linalg.LinAlgError)  # of one seed; all else is a fault of the function
+SHOWN = 5  # failed seeds in a message
+
+
+class FailedRunsError(LeadlineError):
+    """Some runs of a Monte-Carlo failed; all others were made.
+
+    Attributes
+    ----------
+    records : of the runs that did not fail, by seed.
+    failures : the error of each other run, by seed.
+    """
+
+    def __init__(self, records: dict[int, Record], failures: dict[int, Exception]) -> None:
+        self.records, self.failures = records, failures
+        shown = [f"seed {seed}: {sentence(error)}" for seed, error in list(failures.items())[:SHOWN]]
+        more = f"; and {len(failures) - SHOWN} more seeds" if len(failures) > SHOWN else ""
+        super().__init__(f"{len(failures)} of {len(records) + len(failures)} runs failed. {'; '.join(shown)}{more}")
 
 
 def runs(
@@ -68,9 +89,12 @@ def runs(
         Seeds that are none, a record JSON cannot hold, or with `resume` a function that cannot be told from others.
     GraphFileError
         A file that cannot be read or written, of another function or other options, or damaged.
+    FailedRunsError
+        Seeds for which the function raised an error of this library or of arithmetic, after all runs. It has the
+        records of the other seeds; with `resume` only the failed seeds run again.
     Exception
-        Whatever the function raises, with the seed as a note; runs that have not begun are cancelled, records that are
-        in the file stay there.
+        Any other error of the function, at once, with the seed as a note. Runs that have not begun are cancelled,
+        records that are in the file stay there.
 
     Warns
     -----
@@ -95,6 +119,7 @@ def runs(
         raise OptionError("seeds", seeds, "every seed once")
     done = {} if resume is None else _kept(Path(resume), _signature(function))
     todo = [int(seed) for seed in seeds if seed not in done]
+    failures: dict[int, Exception] = {}
     with ExitStack() as stack:
         file = None if resume is None else stack.enter_context(_Appending(Path(resume)))
         bar = stack.enter_context(_bar(len(seeds), len(seeds) - len(todo), progress))
@@ -110,20 +135,35 @@ def runs(
                     error.add_note(f"in the run of seed {seed}")
                     raise error
                 text = future.result()
+                bar.update()
+                if isinstance(text, Exception):
+                    failures[seed] = text
+                    continue
                 done[seed] = json.loads(text)
                 if file is not None:
                     file.append(f'{{"seed": {seed}, "record": {text}}}\n')
-                bar.update()
         finally:  # after an error or Ctrl-C: what has not begun never does
             for future in pending:
                 future.cancel()
+    if failures:
+        kept = {seed: done[seed] for seed in seeds if seed in done}
+        raise FailedRunsError(kept, {seed: failures[seed] for seed in seeds if seed in failures})
     return [done[seed] for seed in seeds]
 
 
+def sentence(error: Exception) -> str:
+    """The kind of an error, for one that is not of this library, its message and its notes in one line."""
+    kind = [] if isinstance(error, LeadlineError) else [f"{type(error).__name__}:"]
+    return " ".join(" ".join([*kind, str(error), *getattr(error, "__notes__", [])]).split())
+
+
 @single_thread()
-def _run(function: Callable[[int], Record], seed: int) -> str:
-    """The record of one seed as JSON, which gives every float back bit by bit."""
-    record = function(seed)
+def _run(function: Callable[[int], Record], seed: int) -> str | Exception:
+    """The record of one seed as JSON, which gives every float back bit by bit; the error of a seed that failed."""
+    try:
+        record = function(seed)
+    except FAILURES as error:
+        return error
     if not isinstance(record, dict):
         raise OptionError("function", function, f"one that returns a dict; for seed {seed} it returned {record!r:.60}")
     try:
@@ -242,11 +282,16 @@ class _Appending:
         return self
 
     def append(self, line: str) -> None:
-        """Add a line, and see it on the disk."""
+        """Add a line, and see it on the disk; of a line that does not fit nothing stays in the file."""
         data = line.encode()
-        if os.write(self._file, data) != len(data):
-            raise GraphFileError("cannot be written: the disk is full", str(self.path))
-        os.fsync(self._file)
+        before = os.fstat(self._file).st_size
+        try:
+            if os.write(self._file, data) != len(data):
+                raise OSError(ENOSPC, os.strerror(ENOSPC))
+            os.fsync(self._file)
+        except OSError as error:
+            os.ftruncate(self._file, before)
+            raise GraphFileError(f"cannot be written: {error.strerror or error}", str(self.path)) from error
 
     def __exit__(self, *_: object) -> None:
         os.close(self._file)

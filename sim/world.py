@@ -21,7 +21,17 @@ from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from sim.checks import check_not_negative, check_positive, check_rng
 
-__all__ = ["Index", "World", "build", "chain", "measure", "position_error", "seed_of", "start_from_odometry"]
+__all__ = [
+    "Index",
+    "World",
+    "build",
+    "chain",
+    "measure",
+    "position_error",
+    "reflected",
+    "seed_of",
+    "start_from_odometry",
+]
 
 Index = npt.NDArray[np.intp]
 
@@ -191,6 +201,23 @@ def position_error(estimate: Values, truth: Values) -> float:
     G = group.between(group.inverse(true.X[:1]), group.inverse(ours.X[:1]))
     away = group.position(group.compose(G, ours.X)) - group.position(true.X)
     return float(np.sqrt(np.mean(np.sum(away * away, axis=-1))))
+
+
+def reflected(ranges: npt.ArrayLike) -> Array:
+    r"""Ranges with noise as a sensor gives them: those below 0 are reflected at 0.
+
+    .. math:: z = |h + v|, \quad v \sim N(0, \sigma^2)
+
+    The mean square of z is that of h + v. The mean of z exceeds h by 0.8 sigma at h = 0, by 0.17 at h = sigma, by 0.02
+    at 2 sigma and by 0.001 at 3 sigma. Drawing again until h + v is not negative has more bias, 0.29 sigma at h =
+    sigma, and would change the random numbers that follow.
+
+    Examples
+    --------
+    >>> reflected([1.5, -0.25])
+    array([1.5 , 0.25])
+    """
+    return np.asarray(np.abs(ranges), dtype=float)
 
 
 def seed_of(rng: np.random.Generator) -> int | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["PAGES", "PICTURES", "complain", "refuse_name", "refuse_unwritable", "typed", "write_json"]
+__all__ = ["PAGES", "PICTURES", "complain", "json_text", "refuse_name", "refuse_unwritable", "typed", "write_json"]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
@@ -116,11 +116,16 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
 
     if where is None:
         return
-    text = typed(json.dumps(_finite(report), indent=1, allow_nan=False))
+    text = json_text(report)
     if where == "-":
-        print(text)
+        print(text, end="")
     else:
-        write_bytes(where, (text + "\n").encode())
+        write_bytes(where, text.encode())
+
+
+def json_text(report: dict[str, Any]) -> str:
+    """The report for programs, with options as they are typed."""
+    return typed(json.dumps(_finite(report), indent=1, allow_nan=False)) + "\n"
 
 
 def _finite(item: Any) -> Any:

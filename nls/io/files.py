@@ -8,12 +8,14 @@ import os
 import secrets
 import stat
 import zlib
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 
-__all__ = ["read_bytes", "write_bytes"]
+__all__ = ["read_bytes", "write_bytes", "write_folder"]
 
 MAX_BYTES = 4 << 30  # of a file, and of what it unpacks to
 CHUNK = 1 << 24
@@ -90,32 +92,69 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     GraphFileError
         It cannot be written.
     """
-    name = _name(path)
-    if name.lower().endswith(".gz"):
-        data = gzip.compress(data, mtime=0)
+    _write_all({_name(path): data})
+
+
+def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
+    """Write files into a folder, which is made where there is none: all of them or none, see `write_bytes`.
+
+    Parameters
+    ----------
+    folder : where.
+    files : content by name.
+
+    Returns
+    -------
+    list of str
+        The files that were written.
+
+    Raises
+    ------
+    GraphFileError
+        The folder cannot be made, or a file cannot be written. The folder is as it was.
+    """
+    path = Path(folder)
+    made = [each for each in (path, *path.parents) if not os.path.lexists(each)]
     try:
-        _replace(name, data)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GraphFileError(
+                f"cannot be made: {error.strerror or error}; give another folder", str(folder)
+            ) from error
+        _write_all({str(path / name): data for name, data in files.items()})
+    except BaseException:
+        for each in made:
+            with suppress(OSError):  # not made, or not empty: somebody else writes there
+                each.rmdir()
+        raise
+    return [str(path / name) for name in files]
+
+
+def _write_all(files: Mapping[str, bytes]) -> None:
+    """Write all files beside their places, then move them there: a disk that fills up leaves them as they were."""
+    moves: list[tuple[str, Path, Path]] = []
+    name = ""
+    try:
+        for name, data in files.items():
+            content = gzip.compress(data, mtime=0) if name.lower().endswith(".gz") else data
+            mode = os.stat(name).st_mode if os.path.exists(name) else None
+            if mode is not None and not stat.S_ISREG(mode):
+                with open(name, "wb") as file:
+                    file.write(content)
+                continue
+            target = Path(os.path.realpath(name))
+            temporary = target.with_name(f"{secrets.token_hex(8)}.part")
+            with open(temporary, "xb") as file:
+                moves.append((name, temporary, target))
+                file.write(content)
+            if mode is not None:
+                os.chmod(temporary, stat.S_IMODE(mode))
+        for place, temporary, target in moves:
+            name = place
+            os.replace(temporary, target)
     except OSError as error:
         raise GraphFileError(f"cannot be written: {error.strerror or error}", name) from error
-
-
-def _replace(name: str, data: bytes) -> None:
-    try:
-        mode = os.stat(name).st_mode
-    except FileNotFoundError:
-        mode = None
-    if mode is not None and not stat.S_ISREG(mode):
-        with open(name, "wb") as file:
-            file.write(data)
-        return
-    target = Path(os.path.realpath(name))
-    temporary = target.with_name(f"{secrets.token_hex(8)}.part")
-    try:
-        with open(temporary, "xb") as file:
-            file.write(data)
-        if mode is not None:
-            os.chmod(temporary, stat.S_IMODE(mode))
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    finally:
+        for _, temporary, _ in moves:
+            temporary.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from nls.io.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["write_picture"]
+__all__ = ["drawn", "write_picture"]
 
 
 def write_picture(path: str | Path, figure: Figure) -> None:
@@ -22,6 +22,11 @@ def write_picture(path: str | Path, figure: Figure) -> None:
     GraphFileError
         It cannot be written.
     """
-    drawn = BytesIO()
-    figure.savefig(drawn, format=Path(path).suffix[1:].lower(), dpi=150)
-    write_bytes(path, drawn.getvalue())
+    write_bytes(path, drawn(path, figure))
+
+
+def drawn(path: str | Path, figure: Figure) -> bytes:
+    """The bytes `write_picture` writes."""
+    picture = BytesIO()
+    figure.savefig(picture, format=Path(path).suffix[1:].lower(), dpi=150)
+    return picture.getvalue()

@@ -13,7 +13,7 @@ import numpy as np
 
 from factors import Diagonal, Projection, RangeAzimuth
 from models import SE3, SO3, R
-from models.algebra import Array
+from models.algebra import Array, wrap
 from models.errors import GraphError, OptionError
 from models.manifolds.so3 import quaternion_from_matrix
 from models.sensors import Camera, range_azimuth
@@ -21,7 +21,7 @@ from nls import FactorGraph, Values, kinds
 from nls.starts.rig import rig as start_of
 from sim.camera_sonar import Rig
 from sim.checks import check_not_negative, check_rng, check_whole
-from sim.world import Index, seed_of
+from sim.world import Index, reflected, seed_of
 
 __all__ = ["rig"]
 
@@ -45,9 +45,9 @@ def rig(
 
     Points lie evenly in a box of 8 m x 6 m x 6 m, 5 m ahead of the first camera, as far as every image has them. The
     camera swings around them by 4 m, looking at their middle and rolling by 15 deg. Noise is uniform: +-5 pixels of 600
-    of focal length, +-5 cm, +-5 deg; the factors have its standard deviations, half-widths / sqrt 3. The guess of the
-    sonar's pose is wrong by 3 deg about a random axis and 5 cm in a random direction, the rest of the start is from the
-    measurements.
+    of focal length, +-5 cm, +-5 deg; the factors have its standard deviations, half-widths / sqrt 3. A range below 0 is
+    reflected at 0. The guess of the sonar's pose is wrong by 3 deg about a random axis and 5 cm in a random direction,
+    the rest of the start is from the measurements.
 
     Parameters
     ----------
@@ -104,8 +104,7 @@ def rig(
     half = np.array(list(HALF.values()))
     noise = noise_scale * rng.uniform(-half, half, size=(len(i), 4))
     images, contacts = images + noise[:, :2], contacts + noise[:, 2:]
-    if contacts[:, 0].min() < 0:
-        raise OptionError("noise_scale", noise_scale, "less: a range would be below 0")
+    contacts = np.column_stack([reflected(contacts[:, 0]), wrap(contacts[:, 1])])
     u, v, r, a = half / sqrt(3)
     graph = FactorGraph(
         [

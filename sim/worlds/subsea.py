@@ -23,7 +23,7 @@ from nls.assemble import measured_rows
 from nls.starts import locate_points
 from sim.checks import check_not_negative, check_poses, check_rng, check_whole
 from sim.landmark_world import KNOWN_START, LandmarkWorld
-from sim.world import chain, seed_of
+from sim.world import chain, reflected, seed_of
 
 __all__ = ["subsea"]
 
@@ -158,16 +158,11 @@ def subsea(
 def sightings(rng: np.random.Generator, X: Array, L: Array, sight: float, noise_scale: float = 1.0) -> BearingRange:
     """Bearing and range of landmarks L (m, 2) from poses X (n, 3), wherever they are at most `sight` away, m.
 
-    Raises
-    ------
-    OptionError
-        So much noise that a range is below 0.
+    A range that the noise takes below 0 is reflected at 0, see `sim.world.reflected`.
     """
     x, l = kinds("x", "l")
     i, k = np.nonzero(np.linalg.norm(X[:, None, :2] - L, axis=2) <= sight)
     p = point_in_frame(SE2, X[i], L[k])[0]
     noise = noise_scale * rng.standard_normal((len(i), 2)) * (BEARING, RANGE)
-    z = np.concatenate([wrap(direction(p)[0] + noise[:, :1]), distance(p)[0] + noise[:, 1:]], axis=1)
-    if (z[:, 1] < 0).any():
-        raise OptionError("noise_scale", noise_scale, f"less: a range comes out at {z[:, 1].min():.3g} m")
+    z = np.concatenate([wrap(direction(p)[0] + noise[:, :1]), reflected(distance(p)[0] + noise[:, 1:])], axis=1)
     return BearingRange(x[i], l[k], z, Diagonal(bearing=BEARING, range=RANGE))

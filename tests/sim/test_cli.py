@@ -13,6 +13,7 @@ import pytest
 import sim
 from nls import kinds, load
 from sim.cli import WORLDS, main
+from tests.nls.disk import small_disk
 
 (x,) = kinds("x")
 SMALL = {
@@ -109,8 +110,34 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixt
         assert main(["ring", *SMALL["ring"], "--out", str(folder)]) == 2
         out, err = capsys.readouterr()
         assert out == ""
-        assert re.fullmatch(r"nls-sim: .*file.*; give another folder to --out\n", err)
+        assert re.fullmatch(r"nls-sim: .*file.*: cannot be made: .*; give another folder\n", err)
     assert (tmp_path / "file").read_text() == "taken"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["hauv-floor", "--legs", "2", "--per-leg", "8"],
+        ["ring", "--per-lap", "40"],
+        ["rig", "--poses", "4", "--points", "20"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_full_disk_leaves_the_folder_as_it_was(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Files may have 8 kB: the first ones fit, a later one does not."""
+    old = tmp_path / "old"
+    old.mkdir()
+    (old / "README.txt").write_text("older")
+    for folder in (tmp_path / "new" / "folder", old):
+        with small_disk(8000):
+            status = main([*arguments, "--out", str(folder)])
+        out, err = capsys.readouterr()
+        assert (status, out) == (2, "")
+        assert re.fullmatch(rf"nls-sim: {re.escape(str(folder))}/\S+: cannot be written: .*\n", err)
+    assert not (tmp_path / "new").exists()
+    assert [(file.name, file.read_text()) for file in old.iterdir()] == [("README.txt", "older")]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name in sorted(WORLDS))])

@@ -122,6 +122,22 @@ def test_comparison_over_seeds(capsys: pytest.CaptureFixture[str]) -> None:
     assert float(said["batch"].split()[0]) < float(said["ekf"].split()[0]) < float(said["dead reckoning"].split()[0])
 
 
+def test_seeds_that_fail_are_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With noise 30 times as large seeds 1 and 2 never see some landmarks, which a batch solution cannot place."""
+    call = ["subsea", "--laps", "1", "--noise-scale", "30", "--estimator", "batch"]
+    assert main([*call, "--runs", "3", "--out", str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    said = table(out)
+    assert said["runs"].startswith("1 of 3, seeds 0 to 2")
+    assert said["failed"] == "seeds 1, 2, left out of the means"
+    *_, line = err.splitlines()
+    assert re.fullmatch(r"nls-sim: 2 of 3 runs failed\. seed 1: .*l0: x, y.*\(estimator batch\); seed 2: .*l4.*", line)
+    report = json.loads((tmp_path / "runs.json").read_text())
+    assert [run["seed"] for run in report["runs"]] == [0]
+    assert [run["seed"] for run in report["failed"]] == [1, 2]
+    assert report["runs"][0]["batch"]["ate"] == pytest.approx(float(said["batch"].split()[0]), abs=1e-3)
+
+
 def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

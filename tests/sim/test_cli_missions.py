@@ -89,7 +89,7 @@ def test_folders_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
         ),
         (
             ["hauv-hull", *SMALL["hauv-hull"], "--noise-scale", "1e300"],
-            "--noise-scale: 1e+300 is not possible; give less",
+            "--noise-scale: 1e+300 is not possible; give at most 1e+30",
         ),
         (["hauv-floor", "--passes", "0"], "--passes: 0 is not possible; give a whole number from 1"),
         (["hauv-floor", "--outliers", "2"], "--outliers: 2.0 is not possible; give a number from 0 to 1"),

@@ -81,7 +81,7 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--views", "30"], "--views: 30 is not possible; give at most the number of poses, 20"),
         (["--poses", "1"], "--poses: 1 is not possible; give a whole number from 2"),
-        (["--noise-scale", "1e4"], "--noise-scale: 10000.0 is not possible; give less: a range would be below 0"),
+        (["--noise-scale", "1e31"], "--noise-scale: 1e+31 is not possible; give at most 1e+30"),
         (["--aperture", "28deg"], "--aperture is no option of rig"),
         ([*SMALL, "--views", "1"], "x"),
     ],

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.errors import GraphFileError, GraphWarning, OptionError
-from sim.monte_carlo import Record, runs
+from models.errors import GraphFileError, GraphWarning, OptionError, UnderconstrainedError
+from sim.monte_carlo import FailedRunsError, Record, runs
+from tests.nls.disk import small_disk
 
 
 def drawn(seed: int, size: int = 40) -> Record:
@@ -27,6 +28,15 @@ def broken(seed: int) -> Record:
     """Fails for seed 2."""
     if seed == 2:
         raise ValueError("a bad seed")
+    return {"seed": seed}
+
+
+def singular(seed: int) -> Record:
+    """Cannot be solved for seeds 1 and 3."""
+    if seed == 1:
+        raise UnderconstrainedError("x0 is free", keys=["x0"], values=np.zeros(3))
+    if seed == 3:
+        raise np.linalg.LinAlgError("Singular matrix")
     return {"seed": seed}
 
 
@@ -116,6 +126,35 @@ def test_an_error_names_its_seed_and_keeps_the_rest(tmp_path: Path) -> None:
     kept = [json.loads(line)["seed"] for line in file.read_bytes().splitlines()[1:]]
     assert set(kept) >= {0} - {2}
     assert 2 not in kept
+
+
+def test_seeds_that_fail_do_not_end_the_others(tmp_path: Path) -> None:
+    file = tmp_path / "runs.jsonl"
+    with ThreadPoolExecutor(2) as executor, pytest.raises(FailedRunsError) as caught:
+        runs(singular, [4, 3, 2, 1, 0], executor, resume=file)
+    assert caught.value.records == {seed: {"seed": seed} for seed in (4, 2, 0)}
+    assert {seed: type(error) for seed, error in caught.value.failures.items()} == {
+        3: np.linalg.LinAlgError,
+        1: UnderconstrainedError,
+    }
+    assert str(caught.value) == "2 of 5 runs failed. seed 3: LinAlgError: Singular matrix; seed 1: x0 is free"
+    kept = {json.loads(line)["seed"] for line in file.read_bytes().splitlines()[1:]}
+    assert kept == {0, 2, 4}
+    with pytest.raises(FailedRunsError, match=r"^1 of 2 runs failed\. seed 1: x0 is free$") as other:
+        runs(singular, [1, 2])  # in other processes
+    assert other.value.failures[1].keys == ("x0",)  # type: ignore[attr-defined]
+
+
+def test_a_full_disk_leaves_whole_records(tmp_path: Path) -> None:
+    """The limit cuts the second record: the error names the file, which keeps the first."""
+    file = tmp_path / "runs.jsonl"
+    with ThreadPoolExecutor(1) as executor:
+        runs(drawn, [0], executor, resume=file)
+        whole = file.read_bytes()
+        with small_disk(len(whole) + 9), pytest.raises(GraphFileError, match=r"runs\.jsonl: cannot be written: \w+"):
+            runs(drawn, [0, 1], executor, resume=file)
+        assert file.read_bytes() == whole
+        assert runs(drawn, [0, 1], executor, resume=file) == expected([0, 1])
 
 
 def test_interrupted(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from models import SE3, euler
 from models.algebra import Array
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
-from nls.io.files import write_bytes
+from nls.io.files import write_folder
 from nls.io.mission.columns import COLUMNS, TRACK
 from nls.io.mission.table import csv_text
 from nls.values import Values
@@ -23,7 +24,7 @@ from nls.values import Values
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
 
-__all__ = ["mission_files", "write_mission"]
+__all__ = ["mission_files", "refuse_mixed", "write_mission"]
 
 Numbers = npt.NDArray[np.int64]
 Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
@@ -80,11 +81,18 @@ def write_mission(
     ['odometry.csv', 'zpr.csv']
     """
     files = mission_files(graph, sonar, offset, truth, times)
+    refuse_mixed(folder, files)
+    return write_folder(folder, files)
+
+
+def refuse_mixed(folder: str | Path, files: Collection[str]) -> None:
+    """Refuse a folder with a file of another mission, which would be mixed with these files.
+
+    Raises
+    ------
+    GraphFileError
+    """
     path = Path(folder)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise GraphFileError(f"cannot be made: {error.strerror or error}", str(folder)) from error
     for name in COLUMNS:
         for file in (path / f"{name}.csv", path / f"{name}.csv.gz"):
             if file.exists() and file.name not in files:
@@ -92,9 +100,6 @@ def write_mission(
                     "is of another mission, which would be mixed with this one; remove it, or give another folder",
                     str(file),
                 )
-    for file_name, data in files.items():
-        write_bytes(path / file_name, data)
-    return [str(path / name) for name in files]
 
 
 def mission_files(
