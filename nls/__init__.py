@@ -3,9 +3,9 @@
 Everything is imported when it is first used, so that ``import nls`` costs nothing and a program pays for what it needs.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from nls.lazy import importer
 
+TYPE_CHECKING = False  # to a type checker always true; the import of typing takes as long as all others of a start
 if TYPE_CHECKING:
     from factors.keys import Keys, Kind, kinds
     from models.errors import (
@@ -68,22 +68,7 @@ _WHERE = {
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> Any:
-        """A public name, or a module of this package, imported now."""
-        if name in _MODULE:
-            found = getattr(import_module(_MODULE[name]), name)
-        elif name.startswith("_"):
-            raise AttributeError(f"module 'nls' has no attribute {name!r}")
-        else:
-            try:
-                found = import_module(f"nls.{name}")
-            except ModuleNotFoundError as error:
-                if error.name != f"nls.{name}":
-                    raise
-                raise AttributeError(f"module 'nls' has no attribute {name!r}") from None
-        globals()[name] = found
-        return found
+    __getattr__ = importer("nls", _MODULE)
 
 
 def __dir__() -> list[str]:

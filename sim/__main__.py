@@ -1,6 +1,8 @@
 """``python -m sim``, the same as ``nls-sim``."""
 
-from sim.cli import main
+import sys
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+from sim.process import command
+
+if __name__ == "__main__":  # processes of a Monte-Carlo import this file under another name
+    sys.exit(command())

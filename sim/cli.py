@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import LeadlineError, OptionError
+from nls.cli.phase import INTERRUPTED, Phase
 from sim.arguments import Parser, add_parameters, command, flag, seed_number
 from sim.calibration import calibrated, calibration_files, calibration_rows
 from sim.camera_sonar import Rig
@@ -56,10 +57,10 @@ EXAMPLES = """examples:
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code.
+def main(argv: Sequence[str] | None = None, phase: Phase | None = None) -> int:
+    """Run the command line; returns the exit status.
 
-    0; 1 when runs failed; 2 for a mistake in the options or folder; 130 when interrupted.
+    0; 1 when runs failed; 2 for a mistake in the options, or an output that cannot be written; 130 when interrupted.
 
     Examples
     --------
@@ -69,6 +70,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     ...
     0
     """
+    phase = Phase("nls-sim") if phase is None else phase
+    try:
+        return phase.flushed(_main(argv, phase))
+    except KeyboardInterrupt:
+        print(phase, file=sys.stderr)
+        return INTERRUPTED
+
+
+def _main(argv: Sequence[str] | None, phase: Phase) -> int:
     known, unknown = parser().parse_known_args(argv)
     given = vars(known)
     if unknown:
@@ -78,25 +88,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         if out == "":
             raise OptionError("out", out, "a folder")
         call = command(name, seed, given)
+        kept = given.get("resume")
+        phase.now(f"while running {name}" + (f", finished runs are in {kept}" if kept else ""))
         if name in SCENES or name == "compare":
             table, files, said, failed = estimated(name, seed, given, out is not None)
         else:
             world = MADE[name](np.random.default_rng(seed), **given)
             (table, files), said, failed = simulated(world, out), world.description, None
         if out is not None:
-            written = write(out, files, said, aligned(table), call)
-            table.append(("written", written))
+            phase.now(f"while writing {out}")
+            phase.written += write(out, files, said, aligned(table), call)
+            table.append(("written", ", ".join(phase.written)))
+        print(aligned(table))
     except OptionError as error:
         return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
     except OSError as error:
-        return complain(f"{error.filename or name}: {error.strerror or error}")
+        return phase.unprinted(error)  # every file has an error of its own
     except LeadlineError as error:
         complain(sentence(error))
         return 1 if isinstance(error, FailedRunsError) else 2
-    except KeyboardInterrupt:
-        complain("interrupted; records of --runs that are in the file of --resume stay there")
-        return 1
-    print(aligned(table))
     if failed is not None:
         complain(str(failed))
     return 0 if failed is None else 1
@@ -167,13 +177,13 @@ def graph_files(world: World) -> tuple[dict[str, bytes], str]:
     )
 
 
-def write(folder: str, files: Files, said: str, table: str, call: str) -> str:
-    """Write files and README.txt into the folder, which is made, all or none; returns what was written."""
+def write(folder: str, files: Files, said: str, table: str, call: str) -> list[str]:
+    """Write files and README.txt into the folder, which is made, all or none; returns their names."""
     from nls.io.files import write_folder
 
     contents, holds = files()
     readme = f"{textwrap.fill(said, 100)}\n\n{table}\n\n{holds}Made by: {call}\n"
-    return ", ".join(write_folder(folder, {**contents, "README.txt": readme.encode()}))
+    return write_folder(folder, {**contents, "README.txt": readme.encode()})
 
 
 def parser() -> Parser:

@@ -14,31 +14,49 @@ import warnings
 from collections.abc import Sequence
 from time import perf_counter, process_time
 
+from nls.cli.phase import INTERRUPTED, Phase
+
 __all__ = ["command", "main"]
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_THREAD_LIMIT", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 
 
 def command() -> int:
-    """``nls`` as a process: one thread, then `main`."""
+    """``nls`` as a process: one thread, Ctrl-C at any moment, then `main`."""
+    phase = Phase("nls")
+    phase.at_once()
     startup = process_time()
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    return main(startup=startup)
+    try:
+        return main(startup=startup, phase=phase)
+    finally:
+        phase.over()
 
 
-def main(argv: Sequence[str] | None = None, startup: float = 0.0) -> int:
-    """Run the command line; returns the exit status. ``startup``: seconds before it, for the report."""
-    began = perf_counter()
+def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase | None = None) -> int:
+    """Run the command line; returns the exit status.
+
+    Parameters
+    ----------
+    argv : the arguments; those of the process when omitted.
+    startup : seconds before this, for the report.
+    phase : of the process.
+    """
+    began, phase = perf_counter(), Phase("nls") if phase is None else phase
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what the terminal cannot show is escaped
             stream.reconfigure(errors="backslashreplace")
     with warnings.catch_warnings():
         warnings.showwarning = _one_line_warning
-        return _main(argv, began, startup)
+        try:
+            return phase.flushed(_main(argv, began, startup, phase))
+        except KeyboardInterrupt:
+            print(phase, file=sys.stderr)
+            return INTERRUPTED
 
 
-def _main(argv: Sequence[str] | None, began: float, startup: float) -> int:
+def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase) -> int:
     from models.errors import LeadlineError, UnderconstrainedError
     from nls.cli.outputs import complain
     from nls.cli.parser import parser
@@ -46,7 +64,7 @@ def _main(argv: Sequence[str] | None, began: float, startup: float) -> int:
     debug = False
     try:
         options = parser().parse_args(argv)
-        options.began, options.startup = began, startup
+        options.began, options.startup, options.phase = began, startup, phase
         options.argv = sys.argv[1:] if argv is None else list(argv)
         debug = getattr(options, "debug", False)
         if options.version:
@@ -61,17 +79,15 @@ def _main(argv: Sequence[str] | None, began: float, startup: float) -> int:
         status, message = 1, error
     except (LeadlineError, OSError, MemoryError) as error:
         status, message = 2, error  # type: ignore[assignment]
-    except KeyboardInterrupt:
-        print("nls: interrupted before there was an estimate", file=sys.stderr)
-        return 1
     except Exception as error:  # a fault of ours: a user still gets one line, and the way to the traceback
         status, message = 2, f"internal error, please report it (--debug shows where): {error!r}"  # type: ignore[assignment]
         if debug:
             raise
     if debug:
         raise message
-    if not isinstance(message, BrokenPipeError):
-        complain(message)
+    if isinstance(message, OSError) and message.filename is None and message.strerror:
+        return phase.unprinted(message)  # every file has an error of its own
+    complain(message)
     return status
 
 

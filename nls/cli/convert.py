@@ -17,8 +17,10 @@ def convert(options: argparse.Namespace) -> int:
     refuse_unwritable(options.output)
     form = output_format(options.output, options.to)
     graph, values, report = read(options)
+    options.phase.now(f"while writing {options.output}")
     data, notes = rendered(options.output, form, graph, values, report)
     write_bytes(options.output, data)
+    options.phase.written.append(options.output)
     print(f"input       {options.file}: {report.format}, {len(values)} variables, {len(graph)} measurements")
     print(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:

@@ -29,11 +29,13 @@ def explain(options: argparse.Namespace) -> int:
     if outliers.wanted(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)
+    options.phase.doing = f"while explaining {options.file}"
     graph = prepared(as_read, values, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)
     head = {"input": options.file, "format": report.format, "init": init, "optimum": how}
+    options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
         print(f"{options.file}, {how}\n\n{typed(explanation.report())}")

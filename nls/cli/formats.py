@@ -44,6 +44,7 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     from nls.io.dialects import no_information
     from nls.io.trajectory import load_trajectory
 
+    options.phase.doing = f"while reading {options.file}"
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
     if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
         elevation = getattr(options, "elevation", None)

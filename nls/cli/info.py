@@ -18,8 +18,10 @@ def info(options: argparse.Namespace) -> int:
 
     refuse_unwritable(json=options.json, read=options.file)
     graph, values, report = read(options)
+    options.phase.doing = f"while inspecting {options.file}"
     found = inspect(graph, values)
     head = {"input": options.file, "format": report.format, "dimension": report.dimension}
+    options.phase.now("while writing the report")
     write_json(head | {"tags": report.tags, "notes": report.notes} | found, options.json)
     if options.json != "-":
         print(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said

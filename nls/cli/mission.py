@@ -12,7 +12,7 @@ import numpy as np
 
 from factors import Position, RangeAzimuth
 from factors.keys import Keys, kinds
-from models.errors import GraphFileError, OptionError, UnderconstrainedError
+from models.errors import OptionError, UnderconstrainedError
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
 
@@ -134,17 +134,7 @@ class Solved:
         return elevations(graph, self.values, marginals is not None, self.solver, self.gauge, free)
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where, in a folder that is made: functions that take the name of the file, and the names.
-
-        Raises
-        ------
-        GraphFileError
-            The folder cannot be made.
-        """
-        try:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise GraphFileError(f"cannot be made: {error.strerror or error}", folder) from error
+        """What to write where: functions that take the name of the file, and the names."""
         writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
         seen = self.contacts and self.report.sonar is not None
         return [

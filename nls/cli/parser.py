@@ -29,7 +29,8 @@ EXAMPLES = """examples:
 
 exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
 --robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
-could not be written (the others are)
+could not be written (the others are); 130 ended by Ctrl-C (a solve that Ctrl-C stops while it iterates writes its best
+values and exits with 1)
 
 threads: one; OPENBLAS_NUM_THREADS and OMP_THREAD_LIMIT are taken to be 1 (MKL_NUM_THREADS and BLIS_NUM_THREADS, too)
 where the environment does not set them

@@ -19,8 +19,10 @@ def plot(options: argparse.Namespace) -> int:
     refuse_unwritable(options.output)
     refuse_name("output file", options.output, PICTURES)
     graph, values, _ = read(options)
+    options.phase.now(f"while writing {options.output}")
     figure = trajectory(graph, values)
     figure.suptitle(Path(options.file).name)
     write_picture(options.output, figure)
+    options.phase.written.append(options.output)
     print(f"written     {options.output}")
     return 0

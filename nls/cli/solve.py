@@ -15,6 +15,7 @@ from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwri
 if TYPE_CHECKING:
     from models.errors import LeadlineError, UnderconstrainedError
     from nls.cli.mission import Solved
+    from nls.cli.phase import Phase
     from nls.cli.progress import Progress
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -61,6 +62,7 @@ def solve(options: argparse.Namespace) -> int:
     clock.lap("imports")
     with collected() as stages:
         as_read, values, report = read(options)
+        options.phase.doing = f"while searching for a start for {options.file}"
         graph = prepared(as_read, values, options)
         clock.lap("read")
         wrong = outliers.wanted(options.robust)
@@ -86,8 +88,9 @@ def solve(options: argparse.Namespace) -> int:
 
         certifiable(graph, start)
     clock.lap("check")
-    written: list[str] = []
+    written: list[str] = options.phase.written
     failed: list[LeadlineError] = []
+    options.phase.now(f"while solving {options.file}")
     page = partial(write_report, options, graph, before, report, (init, tried))
     with Progress("solve", options.max_iterations, options.quiet) as progress:
         try:
@@ -97,12 +100,13 @@ def solve(options: argparse.Namespace) -> int:
             raise
     clock.lap("optimize")
     solved = _solved(graph, values, result, report, solver, options.gauge)
-    _write(options, form, as_read, before, graph, result, solver, report, solved, written, failed)
+    _write(options, form, as_read, before, graph, result, solver, report, solved, failed)
     said = {} if solved is None else {"mission": solved.record()}
     said |= {} if found is None else outliers.record(found)
     clock.lap("write")
     certificate = None
     if options.certify:  # last: it can take longer than the solution, which is written by now
+        options.phase.now("while certifying the optimum")
         try:
             certificate = nls.certify(graph, result.values)
             said["certificate"] = certified.record(certificate)
@@ -114,7 +118,7 @@ def solve(options: argparse.Namespace) -> int:
         rejected = () if found is None else found.rejected
         reasons = () if found is None else found.doubts
         last = partial(page, result, seconds, solved, certificate, rejected=rejected, doubts=reasons)
-        _attempt([(last, options.report)], written, failed)
+        _attempt(options.phase, [(last, options.report)], failed)
         clock.lap("report")
     timings = clock.timings(result.timings, stages)
 
@@ -150,11 +154,14 @@ def solve(options: argparse.Namespace) -> int:
         "peak_rss_mb": _peak_rss_mb(),
         "version": nls.__version__,
     }
+    named = [options.json] if options.json not in (None, "-") else []
+    record["written"] = written + named  # it names itself
     try:
-        written += [options.json] if options.json not in (None, "-") else []  # it names itself
+        options.phase.now("while writing the report")
         write_json(record, options.json)
+        written += named
     except GraphFileError as error:
-        written.remove(options.json)
+        record["written"] = written
         failed.append(error)
     if not options.quiet and options.json != "-":
         shown = [] if found is None else outliers.rows(found)
@@ -180,19 +187,16 @@ def _say_free(
     """Write the outputs that can say what is free, and name in the error these and what explains it."""
     from nls.cli.hint import asking
 
-    written: list[str] = []
     failed: list[LeadlineError] = []
-    _attempt([(partial(page, error, {}, None, None), options.report)], written, failed)
-    _attempt([(partial(_free, options, report, error, written), options.json)], written, failed)
+    _attempt(options.phase, [(partial(page, error, {}, None, None), options.report)], failed)
+    _attempt(options.phase, [(partial(_free, options, report, error), options.json)], failed)
     for failure in failed:
         complain(failure)
-    names = ", ".join(name for name in written if name != "-")
+    names = ", ".join(name for name in options.phase.written if name != "-")
     error.args = (f"{error} See: {asking(options)}" + (f"; written: {names}" if names else ""),)
 
 
-def _free(
-    options: argparse.Namespace, report: LoadReport, error: UnderconstrainedError, written: list[str], where: str
-) -> None:
+def _free(options: argparse.Namespace, report: LoadReport, error: UnderconstrainedError, where: str) -> None:
     """The report for programs on a graph that leaves something free."""
     record = {
         "input": options.file,
@@ -201,7 +205,7 @@ def _free(
         "status": "UNDERCONSTRAINED",
         "reason": typed(str(error)),
         "underconstrained": list(error.components),
-        "written": [*written, *([where] if where != "-" else [])],
+        "written": [*options.phase.written, *([where] if where != "-" else [])],
         "notes": report.notes,
     }
     write_json(record, where)
@@ -237,11 +241,11 @@ def _write(
     solver: LinearSolver,
     report: LoadReport,
     solved: Solved | None,
-    written: list[str],
     failed: list[LeadlineError],
 ) -> None:
     """Write every output but the reports."""
     from models.errors import GraphFileError
+    from nls.io.files import made
 
     def optimum(path: str) -> None:
         from nls.cli.formats import rendered
@@ -271,18 +275,19 @@ def _write(
         report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
         outputs = []
     outputs.append((plot, options.plot))
-    if solved is None:
-        outputs = [(optimum, options.output), *outputs]
-    elif options.output:
-        try:
-            outputs = [*solved.outputs(options.output), *outputs]
-        except GraphFileError as error:  # no folder, no files in it
-            failed.append(error)
-    _attempt(outputs, written, failed)
+    if solved is None or not options.output:
+        _attempt(options.phase, [(optimum, None if solved else options.output), *outputs], failed)
+        return
+    try:
+        with made(options.output):
+            _attempt(options.phase, solved.outputs(options.output), failed)
+    except GraphFileError as error:  # no folder, no files in it
+        failed.append(error)
+    _attempt(options.phase, outputs, failed)
 
 
 def _attempt(
-    outputs: Sequence[tuple[Callable[[str], None], str | None]], written: list[str], failed: list[LeadlineError]
+    phase: Phase, outputs: Sequence[tuple[Callable[[str], None], str | None]], failed: list[LeadlineError]
 ) -> None:
     """Write what is asked for, whether or not another can be; names of those written and errors are added."""
     from models.errors import GraphFileError, LeadlineError
@@ -290,8 +295,9 @@ def _attempt(
     for write, path in outputs:
         try:
             if path:
+                phase.now(f"while writing {path}")
                 write(path)
-                written.append(path)
+                phase.written.append(path)
         except GraphFileError as error:  # names the file itself
             failed.append(error)
         except (LeadlineError, OSError, MemoryError) as error:

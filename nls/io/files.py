@@ -8,14 +8,14 @@ import os
 import secrets
 import stat
 import zlib
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 
-__all__ = ["read_bytes", "write_bytes", "write_folder"]
+__all__ = ["made", "read_bytes", "write_bytes", "write_folder"]
 
 MAX_BYTES = 4 << 30  # of a file, and of what it unpacks to
 CHUNK = 1 << 24
@@ -113,8 +113,22 @@ def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
     GraphFileError
         The folder cannot be made, or a file cannot be written. The folder is as it was.
     """
+    with made(folder):
+        _write_all({str(Path(folder, name)): data for name, data in files.items()})
+    return [str(Path(folder, name)) for name in files]
+
+
+@contextmanager
+def made(folder: str | Path) -> Iterator[None]:
+    """A folder that is there, made where it is not; one that was made goes again if nothing was written into it.
+
+    Raises
+    ------
+    GraphFileError
+        The folder cannot be made.
+    """
     path = Path(folder)
-    made = [each for each in (path, *path.parents) if not os.path.lexists(each)]
+    missing = [place for place in (path, *path.parents) if not os.path.lexists(place)]
     try:
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -122,13 +136,11 @@ def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
             raise GraphFileError(
                 f"cannot be made: {error.strerror or error}; give another folder", str(folder)
             ) from error
-        _write_all({str(path / name): data for name, data in files.items()})
-    except BaseException:
-        for each in made:
-            with suppress(OSError):  # not made, or not empty: somebody else writes there
-                each.rmdir()
-        raise
-    return [str(path / name) for name in files]
+        yield
+    finally:
+        for place in missing:
+            with suppress(OSError):  # it has files, or was not made
+                place.rmdir()
 
 
 def _write_all(files: Mapping[str, bytes]) -> None:

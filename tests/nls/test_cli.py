@@ -316,17 +316,6 @@ def test_a_fault_of_ours_is_one_line_too(
     assert "oops" in err
 
 
-def test_interrupted_before_there_was_an_estimate(
-    file: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(nls, "load", interrupted)
-    assert main(["solve", file]) == 1
-    assert "interrupted" in one_line(capsys)
-
-
 def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert "exit status of solve: 0 converged; 1 not converged" in capsys.readouterr().out

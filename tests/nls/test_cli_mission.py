@@ -281,7 +281,7 @@ def test_a_folder_that_cannot_be_made_loses_no_outcome(
     monkeypatch.setattr(Path, "mkdir", mkdir)
     assert main(["solve", str(here), "-o", str(tmp_path / "out")]) == 2
     out, err = capsys.readouterr()
-    assert err == f"nls: {tmp_path / 'out'}: cannot be made: Permission denied\n"
+    assert err == f"nls: {tmp_path / 'out'}: cannot be made: Permission denied; give another folder\n"
     assert "converged" in out
 
 

@@ -8,11 +8,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 import nls
+import sim
 from nls.cli import THREADS, main
 from nls.io import write
 from nls.stages import collected, stage
@@ -36,22 +38,24 @@ def fresh(program: str, **environment: str | None) -> str:
     return done.stdout
 
 
-def test_names_come_from_where_the_type_checker_thinks() -> None:
-    tree = ast.parse((ROOT / "nls" / "__init__.py").read_text(encoding="utf-8"))
+@pytest.mark.parametrize("package", [nls, sim], ids=lambda package: package.__name__)
+def test_names_come_from_where_the_type_checker_thinks(package: ModuleType) -> None:
+    tree = ast.parse((ROOT / package.__name__ / "__init__.py").read_text(encoding="utf-8"))
     (checked,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
     said = {
         alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names
     }
-    assert said.pop("plot") == "nls"
-    assert said == nls._MODULE
-    assert set(nls.__all__) == {*said, "plot"}
+    modules = {"plot"} if said.pop("plot", "") else set()
+    assert said == package._MODULE
+    assert set(package.__all__) == {*said, *modules}
     for name, module in said.items():
-        assert getattr(nls, name) is getattr(sys.modules[str(module)], name)
-    assert set(nls.__all__) < set(dir(nls))
+        assert getattr(package, name) is getattr(sys.modules[str(module)], name)
+    assert set(package.__all__) < set(dir(package))
 
 
 def test_only_what_is_used_is_imported() -> None:
     assert fresh("import nls, sys; print([m for m in ('numpy', 'nls.graph') if m in sys.modules])") == "[]\n"
+    assert fresh("import sim.process, sys; print([m for m in ('numpy', 'typing') if m in sys.modules])") == "[]\n"
     used = "nls.Values, nls.FactorGraph, nls.load"
     rest = ("nls.covariance", "nls.plot", "nls.io.bal", "nls.io.pyfg", "nls.inspect", "matplotlib", "threadpoolctl")
     assert fresh(f"import nls, sys; {used}; print([m for m in {rest} if m in sys.modules])") == "[]\n"

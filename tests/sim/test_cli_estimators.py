@@ -143,10 +143,8 @@ def test_interrupted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
         raise KeyboardInterrupt
 
     monkeypatch.setattr("sim.cli_estimators.runs", interrupt)
-    assert main(["subsea", *SMALL, "--runs", "2"]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert re.fullmatch(r"nls-sim: interrupted; .*\n", err)
+    assert main(["subsea", *SMALL, "--runs", "2"]) == 130
+    assert capsys.readouterr() == ("", "nls-sim: interrupted while running subsea; nothing was written\n")
 
 
 @pytest.mark.parametrize(
@@ -202,8 +200,9 @@ def test_stopped_halfway(how: str, tmp_path: Path) -> None:
         else:
             run.kill()
         err = run.communicate(timeout=60)[1].decode()
-        assert run.returncode == (1 if how == "Ctrl-C" else -signal.SIGKILL)
-        assert re.fullmatch(r"nls-sim: interrupted; .*\n", err) if how == "Ctrl-C" else True
+        assert run.returncode == (130 if how == "Ctrl-C" else -signal.SIGKILL)
+        kept = f"nls-sim: interrupted while running subsea, finished runs are in {file}; nothing was written\n"
+        assert err == kept if how == "Ctrl-C" else True
         _until(lambda: not _alive(run.pid))  # its workers are gone too
     finally:
         if _alive(run.pid):

@@ -1,0 +1,19 @@
+"""``nls-sim`` as a process: Ctrl-C ends it with one line at any moment, while NumPy is imported too."""
+
+from __future__ import annotations
+
+from nls.cli.phase import Phase
+
+__all__ = ["command"]
+
+
+def command() -> int:
+    """Run the command line of this process; returns the exit status."""
+    phase = Phase("nls-sim")
+    phase.at_once()
+    try:
+        from sim.cli import main
+
+        return main(phase=phase)
+    finally:
+        phase.over()
