@@ -22,8 +22,8 @@ import numpy.typing as npt
 from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
-from factors.noise import Noise, whiten
-from factors.returned import checked_jacobians, checked_prediction, checked_space
+from factors.noise import SQUARABLE, Noise, weights, whiten
+from factors.returned import checked_jacobians, checked_prediction, checked_space, refuse_unsquarable
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
@@ -239,15 +239,13 @@ class Factor(Abstract):
                 if len(z) not in (1, len(self)):
                     raise GraphError(f"{len(z)} measurements for {len(self)} sets of variables")
                 rows, names = self.rows(space), self.names(space)
-                W = self.noise.sqrt_information(len(self), names)
-                if not np.isfinite(W).all():
-                    k = int(np.argmax(~np.isfinite(W).reshape(len(W), -1).all(axis=1)))
-                    raise NoiseModelError(f"the noise of measurement {k} is beyond the largest number", "noise", k)
+                W = weights(self.noise, len(self), names)
             except NoiseModelError as error:
                 message = f"{self.describe(error.index)}: {error}"
                 raise NoiseModelError(message, error.matrix, error.index, error.value, self.keys) from error
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
+            refuse_unsquarable(self, z, W)
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
             # components first for small matrices, one by one for larger ones, as `product` wants them
             W = np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)
@@ -381,6 +379,3 @@ class Model:
             [k[[index]] for k in self.factor.keys],
             where=what,
         )
-
-
-SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2

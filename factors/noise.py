@@ -22,11 +22,23 @@ from models.abstract import Abstract
 from models.algebra import Array, apply, product
 from models.errors import GraphError, NoiseModelError
 
-__all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
+__all__ = [
+    "SQUARABLE",
+    "Covariance",
+    "Diagonal",
+    "Information",
+    "Isotropic",
+    "Noise",
+    "SqrtInformation",
+    "square",
+    "weights",
+    "whiten",
+]
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
 BLOCK = 1 << 11  # matrices factorized together: they stay in the cache
+SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2, a weight below its inverse no information
 NOTHING = 1e-14  # an eigenvalue or squared pivot below 1e-14 is rounding of 0: no information in that direction
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
 
@@ -233,6 +245,32 @@ class SqrtInformation(_Matrix):
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         return self._checked(n, names)
+
+
+def weights(noise: Noise, n: int, names: tuple[str, ...]) -> Array:
+    """The whitener of n measurements, as `Noise.sqrt_information` returns it.
+
+    Raises
+    ------
+    NoiseModelError
+        No noise for these measurements; a weight that is infinite, or so small that its square is 0.
+    """
+    W = noise.sqrt_information(n, names)
+    rows = np.abs(W) if W.ndim == 2 else np.abs(W).max(axis=2, initial=0.0)
+    if not np.isfinite(rows).all():
+        k = int(np.argmax(~np.isfinite(rows).all(axis=1)))
+        raise NoiseModelError(f"the noise of measurement {k} is beyond the largest number", "noise", k)
+    if (faint := (rows > 0) & (rows < 1 / SQUARABLE)).any():
+        k, j = (int(i) for i in np.argwhere(faint)[0])
+        sigma = float(1 / rows[k, j])
+        raise NoiseModelError(
+            f"sigma {sigma:.3g} of {names[j]}, measurement {k}, has an information too small for a number; expected "
+            f"less than {SQUARABLE:g}, or leave that component out",
+            "noise",
+            k,
+            sigma,
+        )
+    return W
 
 
 def whiten(W: Array, x: Array) -> Array:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.noise import SQUARABLE
 from models import Manifold
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError
@@ -13,7 +14,7 @@ from models.errors import EvaluationError, GraphError
 if TYPE_CHECKING:
     from factors.base import Factor, Jacobians
 
-__all__ = ["checked_jacobians", "checked_prediction", "checked_space"]
+__all__ = ["checked_jacobians", "checked_prediction", "checked_space", "refuse_unsquarable"]
 
 
 def checked_space(factor: Factor, space: object) -> Manifold:
@@ -77,6 +78,27 @@ def checked_jacobians(
         if H_k is not None and np.shape(H_k) not in ((n, *shape), (1, *shape), shape):
             raise _wrong(factor, f"Jacobian of slot {slot} has shape {np.shape(H_k)}, expected {(n, *shape)}")
     return tuple(H)
+
+
+def refuse_unsquarable(factor: Factor, z: Array, W: Array) -> None:
+    """Refuse a measurement z (n, size) of so many sigmas that no chi2 of it is finite; W is the whitener.
+
+    Raises
+    ------
+    GraphError
+    """
+    if not z.size or not W.size:
+        return
+    sigmas = np.abs(z).max(axis=1) * np.abs(W).reshape(len(W), -1).max(axis=1)
+    if not sigmas.max() <= SQUARABLE:
+        k = int(np.argmax(~(sigmas <= SQUARABLE)))
+        raise GraphError(
+            f"{factor.describe(k)}: its measurement {z[k % len(z)].tolist()} has {sigmas[k]:.3g} sigmas, too many for "
+            "a chi2; check its numbers, units and sigmas",
+            [keys[[k]] for keys in factor.keys],
+            factor.name,
+            k,
+        )
 
 
 def _wrong(factor: Factor, message: str) -> EvaluationError:

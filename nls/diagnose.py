@@ -9,7 +9,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from models.algebra import Array
-from models.errors import EvaluationError, UnderconstrainedError
+from models.errors import UnderconstrainedError
 from nls.directions import carriers_of_singles, separated, single_directions
 from nls.gauge import component_labels, touched_variables
 from nls.hessian import Blocks
@@ -27,7 +27,9 @@ __all__ = ["null_space", "underconstrained"]
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration
 MAX_DIRECTIONS = 12  # null directions looked for in one block; more are counted as "at least"
-EXACT = 1e-12  # above this the direction may be a weak prior, or the rounding of a numerical Jacobian
+FAR = 1e9  # numbers in Jacobians beyond this hide a 1 beside them
+ALIKE = 1e3  # rows within this factor of the extreme one belong to it: no single measurement is the cause
+RESOLVED = 1e12  # largest over median row of A that linear solver 'qr' still resolves
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one
 INVOLVED = 0.02  # a component is named when it moves by at least this part of the farthest moving one, in sigmas
 
@@ -50,42 +52,25 @@ def underconstrained(
     """
     if isinstance(cause, UnsolvedSystemError):
         return UnderconstrainedError(str(cause), values=values)
+    weighted, system = system, system.balanced
     pattern = system.pattern
     owner, component = pattern.column_owner()
-    with np.errstate(over="ignore"):
-        norms = system.column_norms
-    if not np.isfinite(norms).all():
-        named = _by_variable(pattern, owner[~np.isfinite(norms)], component[~np.isfinite(norms)])
-        raise EvaluationError(
-            f"the squares of weights or Jacobians overflow: {_listed(named)}. Check sigmas and units.",
-            keys=[key for key, _ in named],
-        )
+    norms = system.column_norms
     if (norms == 0.0).any():
         return _unmeasured(pattern, norms == 0.0, values)
     s, N = _weakest(system)
     null = s <= NULL
+    if not null.any() or _longest(weighted) > FAR:
+        return _unlike(weighted, values)
     singles = single_directions(system)
-    others = separated(N[:, null], singles, norms) if null.any() else N[:, [np.argmin(s)]]
+    others = separated(N[:, null], singles, norms)
     carried = _carriers(others, norms, _component_ids(pattern, owner, component))
     moved = [*carriers_of_singles(singles, INVOLVED), *(np.flatnonzero(each) for each in carried.T)]
     any_of_them = np.unique(np.concatenate(moved))
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
     keys = [key for key, _ in named]
     where, cure = _where(pattern, np.unique(owner[any_of_them]), named)
-    if not null.any():
-        return UnderconstrainedError(
-            "the measurements determine every unknown, but their weights or scales differ too much for A'A, which "
-            f"keeps 13 digits. The weakest direction: {where}. Use linear solver 'qr' (it keeps twice the digits), "
-            "tighten the prior there, or fix a variable instead; check sigmas and units.",
-            keys,
-            values=values,
-        )
     count = directions(len(moved), len(s[null]))
-    if s[null].max() > EXACT:
-        cure += (
-            " If a prior is meant to hold that, it is a billion times weaker than the rest: tighten it, check sigmas, "
-            "or use linear solver 'qr'."
-        )
     return UnderconstrainedError(
         f"the measurements leave {count} free: {where}. {cure}",
         keys,
@@ -93,6 +78,78 @@ def underconstrained(
         [_listed(_by_variable(pattern, owner[each], component[each])) for each in moved],
         values,
     )
+
+
+def _longest(system: LinearSystem) -> float:
+    """The largest number in a Jacobian, before it is whitened."""
+    ratios = [np.divide(size, weight, out=np.zeros_like(size), where=weight > 0) for weight, size in system.row_sizes]
+    return max((float(ratio.max(initial=0.0)) for ratio in ratios), default=0.0)
+
+
+def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedError:
+    """The error where nothing is free but rounding hides some measurements beside one that is unlike them.
+
+    Raises
+    ------
+    EvaluationError
+        Squares overflow.
+    """
+    pattern = system.pattern
+    with np.errstate(over="ignore"):
+        norms = system.column_norms
+    if not np.isfinite(norms).all():
+        raise system.overflow()
+    batch, index, row, spread, said, cure = _extreme(system)
+    keys, where = [key[[index]] for key in pattern.batches[batch].model.factor.keys], ""
+    if spread < RESOLVED and (norms > 0).all():
+        owner, component = pattern.column_owner()
+        s, N = _weakest(system)
+        moved = np.flatnonzero(_carriers(N[:, [np.argmin(s)]], norms, _component_ids(pattern, owner, component))[:, 0])
+        named = _by_variable(pattern, owner[moved], component[moved])
+        keys = [key for key, _ in named]
+        where = f" The weakest direction: {_where(pattern, np.unique(owner[moved]), named)[0]}."
+        cure += (
+            ". Use linear solver 'qr' (it keeps twice the digits), tighten the prior there, or fix a variable instead"
+        )
+    return UnderconstrainedError(
+        "the measurements determine every unknown, but their weights or scales differ too much for A'A, which keeps "
+        f"13 digits. Most unlike the others: {system.scale(batch, index, row)}; {said}.{where} {cure}; check sigmas "
+        "and units.",
+        keys,
+        values=values,
+    )
+
+
+def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, str]:
+    """The row of A most unlike the others: batch, measurement and row, how far from the median, why, and a cure.
+
+    Where a Jacobian is beyond `FAR` it is the row of that kind with the largest measurement: distances enter the
+    Jacobians of other measurements, too.
+    """
+    sizes = [size for _, size in system.row_sizes]
+    measured = np.concatenate([size[size > 0] for size in sizes])
+    middle = float(np.median(measured))
+    if _longest(system) > FAR:
+        largest = [np.abs(batch.model.z).max(axis=1, initial=0.0) for batch in system.pattern.batches]
+        far = [(size > FAR * weight).any(axis=1) for weight, size in system.row_sizes]
+        values = [np.where(there, z, -1.0) for there, z in zip(far, largest, strict=True)]
+        batch = int(np.argmax([z.max(initial=-1.0) for z in values]))
+        index = int(np.argmax(values[batch]))
+        row = int(np.argmax(sizes[batch][index]))
+        said = f"its measurement is {system.pattern.batches[batch].model.z[index].tolist()}"
+        return batch, index, row, np.inf, said, "Check that measurement and the start values"
+    heavy = measured.max() / middle >= middle / measured.min()
+    extreme = measured.max() if heavy else measured.min()
+    batch = next(k for k, size in enumerate(sizes) if (size == extreme).any())
+    index, row = (int(k) for k in np.argwhere(sizes[batch] == extreme)[0])
+    times = float(extreme) / middle
+    cure = "Give it a larger sigma, or leave it out" if heavy else "Give it a smaller sigma, or leave it out"
+    said = f"its row of A is {times:.3g} times the median"
+    alike = int(((measured > extreme / ALIKE) & (measured < extreme * ALIKE)).sum())
+    if alike > system.pattern.batches[batch].model.dim:
+        said += f", and there are {alike:,} rows of about that size"
+        cure = "Compare their sigmas with those of the other rows"
+    return batch, index, row, max(times, 1 / times), said, cure
 
 
 def directions(count: int, found: int | None = None) -> str:
@@ -154,8 +211,8 @@ def _carriers(N: Array, scale: Array, ids: Index) -> npt.NDArray[np.bool_]:
 
 
 def null_space(system: LinearSystem) -> Array:
-    """Free directions (n, k) of a linear system, of length 1, k at most 12."""
-    s, N = _weakest(system)
+    """Free directions (n, k) of a linear system, whatever its weights, of length 1, k at most 12."""
+    s, N = _weakest(system.balanced)
     return N[:, s <= NULL]
 
 

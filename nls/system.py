@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, apply
-from models.errors import OptionError
+from models.errors import EvaluationError, OptionError
 from nls.hessian import Blocks
 
 if TYPE_CHECKING:
@@ -64,6 +64,32 @@ class LinearSystem:
         return sp.csr_array((data if kept is None else data[kept], indices, indptr), shape=(pattern.m, pattern.n))
 
     @cached_property
+    def balanced(self) -> LinearSystem:
+        """The same free directions with the weights taken out: every row of A and b over its weight.
+
+        A row with a number larger than its weight, see `row_sizes`, is divided by that number. A row of smaller ones
+        stays small: a Jacobian of rounding errors, or a measurement a robust kernel has rejected, measures nothing.
+        """
+        blocks, b = [], self.b.copy()
+        for batch, A, (weights, sizes) in zip(self.pattern.batches, self.blocks, self.row_sizes, strict=True):
+            rows = np.maximum(weights, sizes)
+            rows = np.where(rows > 0, rows, 1.0)
+            blocks.append(tuple(A_k / rows[:, :, None] for A_k in A))
+            b[batch.rows] /= rows.reshape(-1)
+        return LinearSystem(self.pattern, blocks, b)
+
+    @cached_property
+    def row_sizes(self) -> list[tuple[Array, Array]]:
+        """Per batch the largest number in every row of the whitener and of A, both (k, m)."""
+        out = []
+        for batch, A in zip(self.pattern.batches, self.blocks, strict=True):
+            W = np.abs(batch.model.W)
+            weights = W if W.ndim == 2 else W.max(axis=2)
+            sizes = np.max([np.abs(A_k).max(axis=2) for A_k in A], axis=0)
+            out.append((np.broadcast_to(weights, sizes.shape), sizes))
+        return out
+
+    @cached_property
     def gradient(self) -> Array:
         """A'b, (n,): half the steepest descent direction of chi2."""
         b = (self.b[batch.rows].reshape(len(batch), batch.model.dim) for batch in self.pattern.batches)
@@ -92,6 +118,31 @@ class LinearSystem:
             parts = [apply(A_k, X[kind].take(index, axis=0)) for kind, index, A_k in slots]
             out[batch.rows] = sum(parts[1:], parts[0]).reshape(-1)
         return out
+
+    def overflow(self) -> EvaluationError:
+        """The error for squares that are infinite: the measurement with the largest number in A."""
+        sizes = [size.max(axis=1) for _, size in self.row_sizes]
+        k = int(np.argmax([size.max(initial=0.0) for size in sizes]))
+        index = int(np.argmax(sizes[k]))
+        return EvaluationError(
+            f"the squares of weights or Jacobians overflow: {self.scale(k, index)}; check its measurement, its sigmas "
+            "or information, and units",
+            self.pattern.batches[k].model.factor.name,
+            [keys[[index]] for keys in self.pattern.batches[k].model.factor.keys],
+            where="A'A",
+        )
+
+    def scale(self, batch: int, index: int, row: int | None = None) -> str:
+        """One measurement, its sigma and its Jacobian in words; of the longest row when that is omitted."""
+        model = self.pattern.batches[batch].model
+        weights, sizes = self.row_sizes[batch]
+        row = int(np.argmax(sizes[index])) if row is None else row
+        weight, size = float(weights[index, row]), float(sizes[index, row])
+        jacobian = f", Jacobian up to {size / weight:.3g}" if size > 10 * weight else ""
+        return (
+            f"{model.names[row]} of {model.factor.describe(index)}, sigma {1 / weight:.3g} (information "
+            f"{weight * weight:.3g}{jacobian})"
+        )
 
     def promised(self, dx: Array) -> float:
         """Fall of the linear model: |b|^2 - |A dx - b|^2 = 2 dx'A'b - |A dx|^2."""

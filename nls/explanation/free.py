@@ -123,9 +123,11 @@ def anchored(factors: Sequence[Factor], pattern: Pattern, values: Values, column
 
 def _null(system: LinearSystem, first: bool) -> tuple[Array, sp.csc_array]:
     """Free directions of several variables (n, r), and of single ones (n, q), columns of A scaled to length 1."""
-    N, norms = null_space(system), system.column_norms
-    one = single_directions(system) if first else sp.csc_array((len(norms), 0))
-    return (separated(N, one, norms) if N.shape[1] else N), one
+    N, norms = null_space(system), system.balanced.column_norms
+    one = single_directions(system.balanced) if first else sp.csc_array((len(norms), 0))
+    found = separated(N, one, norms) if N.shape[1] else N
+    one = sp.csc_array(sp.diags_array(system.column_norms / norms) @ one)
+    return found, sp.csc_array(one @ sp.diags_array(1 / np.sqrt(one.power(2).sum(axis=0))))
 
 
 def _pivots(found: Array, one: sp.csc_array, norms: Array) -> Index:

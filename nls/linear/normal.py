@@ -156,7 +156,10 @@ class Assembled(LinearSolver):
         if damping is not None:
             state.hessian.damp(S, damping)
         t1 = perf_counter()
-        diagonal = state.factorize(S)
+        try:
+            diagonal = state.factorize(S)
+        except EvaluationError as error:
+            raise system.overflow() from error
         if damping is None:
             squared_norms = np.empty_like(gradient)
             squared_norms[state.hessian.permutation] = diagonal

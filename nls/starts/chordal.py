@@ -212,8 +212,11 @@ class _Laplacian:
         try:
             self._states[d].factorize(S.reshape(-1))
         except SingularSystemError as error:
-            raise UnderconstrainedError(
-                "chordal relaxation: some poses have no rotation or no translation measurement; start from 'odometry'"
-            ) from error
+            cause = (
+                "weights of edges differ too much"
+                if (w > 0).all()
+                else "some poses have no rotation or no translation measurement"
+            )
+            raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
         y[self.free] = self._states[d].solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
         return y

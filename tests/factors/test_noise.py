@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from factors import Between, Covariance, Diagonal, Information, Isotropic, Noise, Prior, SqrtInformation
 from factors.noise import whiten
 from models import SE2, SE3, R
-from models.errors import NoiseModelError
+from models.errors import GraphError, NoiseModelError
 from nls import Values, kinds
 
 Array = npt.NDArray[np.float64]
@@ -266,6 +266,35 @@ def test_a_sigma_too_small_for_its_inverse_names_the_measurement() -> None:
     with pytest.raises(NoiseModelError, match=r"Prior\(x1\): .* measurement 1 is beyond the largest number") as caught:
         values.gather(Prior(x[0:2], np.zeros(2), Isotropic([1.0, 1e-320])))
     assert caught.value.index == 1
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        Isotropic([1.0, 1e160]),
+        Diagonal(np.array([[1.0, 1.0], [1.0, 1e160]])),
+        Information([np.eye(2), 1e-320 * np.eye(2)]),
+    ],
+)
+def test_an_information_too_small_for_a_number_names_the_measurement(noise: Noise) -> None:
+    (x,) = kinds("x")
+    values = Values({x: (R(2), np.zeros((2, 2)))})
+    said = r"Prior\(x1\): sigma 1e\+160 of .*, measurement 1, has an information too small for a number"
+    with pytest.raises(NoiseModelError, match=said) as caught:
+        values.gather(Prior(x[0:2], np.zeros(2), noise))
+    assert caught.value.index == 1
+
+
+@pytest.mark.parametrize(("measured", "sigma"), [(1e160, 1.0), (1.0, 1e-153), (1e200, 1e40)])
+def test_a_measurement_of_too_many_sigmas_is_named(measured: float, sigma: float) -> None:
+    (x,) = kinds("x")
+    values = Values({x: (R(2), np.zeros((3, 2)))})
+    z = [[1.0, 1.0], [1.0, measured], [1.0, 1.0]]
+    with pytest.raises(
+        GraphError, match=r"Prior\(x1\): its measurement \[1\.0, .*\] has .* sigmas, too many"
+    ) as caught:
+        values.gather(Prior(x[0:3], z, Isotropic([1.0, sigma, 1.0])))
+    assert (caught.value.index, [repr(key) for key in caught.value.keys]) == (1, ["x1"])
 
 
 @pytest.mark.parametrize("kind", [Covariance, Information, SqrtInformation])

@@ -137,7 +137,7 @@ graph = FactorGraph([chain, Prior(x[0], [0.0, 0.0, 0.0], Isotropic(1e9))])
 graph.optimize(values)
 """,
         "UnderconstrainedError",
-        ("x0", "tighten", "'qr'"),
+        ("x0", "Prior(x0)", "sigma 1e+09", "Give it a smaller sigma", "tighten", "'qr'"),
         """
 graph = FactorGraph([chain, Prior(x[0], [0.0, 0.0, 0.0], Isotropic(1e-3))])
 result = graph.optimize(values)

@@ -8,6 +8,12 @@ __all__ = ["FILES"]
 
 VERTICES = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
 EDGE = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\n"
+LOOP = f"""{VERTICES}VERTEX_SE2 2 2 0 0
+VERTEX_SE2 3 3 0 0
+{EDGE}EDGE_SE2 1 2 1 0.1 0.02 {{}}
+EDGE_SE2 2 3 1 0 0 100 0 0 100 0 400
+EDGE_SE2 3 0 -3 0 0 100 0 0 100 0 400
+"""
 POSES = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n"
 EYE = "100 0 0 0 0 0 100 0 0 0 0 100 0 0 0 400 0 0 400 0 400"
 LOAD = 'graph, values, report = nls.load("survey.g2o")\n'
@@ -21,6 +27,24 @@ FILES = (
         ("survey.g2o:3:", "negative eigenvalue", "order of its entries"),
         SOLVE,
         VERTICES + "EDGE_SE2 0 1 1 0 0 100 0 100 400 0 0\n",
+        VERTICES + EDGE,
+    ),
+    Case(
+        "An information of 1e300 on one edge",
+        SOLVE,
+        "UnderconstrainedError",
+        ("Between(x1, x2)", "sigma 1e-150 (information 1e+300)", "Give it a larger sigma"),
+        SOLVE,
+        LOOP.format("1e300 0 0 1e300 0 1e300"),
+        LOOP.format("100 0 0 100 0 400"),
+    ),
+    Case(
+        "A measurement of 1e200 m",
+        SOLVE,
+        "GraphFileError",
+        ("survey.g2o:3:", "Between(x0, x1)", "1e+200", "check its numbers"),
+        SOLVE,
+        VERTICES + EDGE.replace(" 1 1 ", " 1 1e200 "),
         VERTICES + EDGE,
     ),
     Case(
