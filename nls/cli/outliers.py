@@ -57,7 +57,14 @@ def record(found: Robustified) -> dict[str, Any]:
         "strain": found.strain,
         "rejected": [{"factor": each.factor, "sigmas": each.sigmas} for each in found.rejected],
         "doubts": [
-            {"kind": d.kind.name, "count": d.count, "total": d.total, "number": d.number, "sentence": str(d)}
+            {
+                "kind": d.kind.name,
+                "count": d.count,
+                "total": d.total,
+                "number": d.number,
+                "moved": d.moved,
+                "sentence": str(d),
+            }
             for d in found.doubts
         ],
     }

@@ -75,15 +75,10 @@ class Truncated:
     def affordable(self, values: Values, reaches: tuple[float, ...]) -> list[float]:
         """The reaches, thresholds within which measurements pull, that are not much dearer to solve than the first."""
         s = self._s(values)
-        flops = [self._flops(values, self._within(s, far)) for far in reaches]
+        flops = [self.flops(values, self._within(s, far)) for far in reaches]
         return [far for far, count in zip(reaches, flops, strict=True) if count <= DEARER * flops[0]]
 
-    def affordable_whole(self, values: Values, part: list[Mask]) -> bool:
-        """Whether the whole graph is not much dearer to solve than a part of it."""
-        whole = [np.ones(len(factor), dtype=bool) for factor in self.graph.factors]
-        return self._flops(values, whole) <= DEARER * self._flops(values, part)
-
-    def _flops(self, values: Values, kept: list[Mask]) -> float:
+    def flops(self, values: Values, kept: list[Mask]) -> float:
         """Operations to factorize A'A of some measurements."""
         return fill_in(self.graph.only(kept).pattern(values), fixed_variables(self.graph.fixed, values)).flops
 

@@ -61,12 +61,14 @@ class Neighbors:
     cluster : (m,) the connected part of each, named by its first closure.
     sigma0 : by what the stated sigmas have to be multiplied; 1 where few closures are near, or all are exact.
     rho : by what the sigmas of odometry have to be multiplied, at most 1.
+    typical : sigma0 by the median: with as many wrong neighbors as right ones it is theirs.
     """
 
     support: Index
     cluster: Index
     sigma0: float
     rho: float = 1.0
+    typical: float = 1.0
 
 
 class Odometry:
@@ -125,9 +127,11 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     a, b, d = a[new], b[new], mahalanobis(xi[new], S[new])
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
     told = near.sum() >= FEW
-    variance = unit_variance(float(np.quantile(d[near], LOW)) / chi2_gate(group.dim, LOW)) if told else 1.0
+    variance, typical = (
+        unit_variance(float(np.quantile(d[near], q)) / chi2_gate(group.dim, q)) if told else 1.0 for q in (LOW, 0.5)
+    )
     agree = d <= min(variance, 1.0) * chi2_gate(group.dim, AGREED)
     a, b = a[agree], b[agree]
     rho2 = np.clip(LOOSE * np.quantile(along, QUARTILE) / chi2_gate(group.dim, 0.5), min(variance, 1.0), 1.0)
     support = np.bincount(np.r_[a, b], minlength=m)
-    return Neighbors(support, connected(a, b, m), float(np.sqrt(variance)), float(np.sqrt(rho2)))
+    return Neighbors(support, connected(a, b, m), *(float(np.sqrt(v)) for v in (variance, rho2, typical)))

@@ -175,7 +175,7 @@ def gnc(
     problem = Truncated(graph, masks, [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors])
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
-        choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.sigma0
+        choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.typical
         doubts = preselected.doubts()
     else:
         choice, variance, local = problem.choice(values, loss, np.inf), 1.0, float("nan")

@@ -9,7 +9,7 @@ import numpy as np
 from nls.chi_squared import chi2_gate
 from nls.optimizers import Result
 from nls.robust import verdict
-from nls.robust.choice import Choice, Truncated, lowest
+from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.consistency import unit_variance
 from nls.robust.groups import misfits
 from nls.robust.growth import grown
@@ -23,6 +23,9 @@ WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails th
 STRAIN = 3.0  # times the noise between neighbors; more in the whole graph is no noise
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 STILL = 0.005  # of the extent: a map that moves less is the same
+STRAINED = 3.5  # times the typical noise between neighbors, which is 1 to 2.4 times less than that of public graphs
+RIVAL, AWAY = 3.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
+CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 TURNS = 3  # of giving up contradicted groups
 
 
@@ -38,6 +41,7 @@ class Preselection:
     def __init__(self, problem: Truncated, loops: LoopGraph, loss: str, probability: float) -> None:
         self.problem, self.loops, self.loss, self.probability = problem, loops, loss, probability
         explained = self._explained()
+        self.rivals: list[Choice] = []
         self.choice, self.variance = explained or self._grown()
         self.moved = 0.0
         for _ in range(0 if explained else TURNS):
@@ -57,15 +61,29 @@ class Preselection:
             found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
         if self.moved > STILL:
             count = int(misfits(loops, result, kept).sum())
-            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, 100 * self.moved))
-        if found and loops.neighbors.sigma0 > 1:
-            found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.sigma0))
+            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, moved=self.moved))
+        found += self._rivals()
+        strain = float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(loops.neighbors.typical, 1.0)
+        if strain > STRAINED:
+            found.append(Doubt(DoubtKind.STRAINED, number=strain))
+        if found and loops.neighbors.typical > 1:
+            found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
         return found
+
+    def _rivals(self) -> list[Doubt]:
+        """The first choice that fits nearly as well, but for a different map."""
+        c2 = self.variance * max(self.problem.c2)
+        for rival in self.rivals[1:]:
+            worse = (rival.cost - self.rivals[0].cost) / c2
+            away = verdict.shift(self.loops, self.choice.result.values, rival.result.values)
+            if worse <= RIVAL and away > AWAY:
+                return [Doubt(DoubtKind.RIVAL, number=worse, moved=away)]
+        return []
 
     def _explained(self) -> tuple[Choice, float] | None:
         """All closures but a few, where noise explains the optimum of all; None where it does not."""
         loops, graph = self.loops, self.loops.graph
-        if not self.problem.affordable_whole(loops.values, loops.masks(loops.neighbors.support > 0)):
+        if self._dearer() > DEARER:
             return None
         first = lowest(graph, loops.values)
         noise = _noise(first)
@@ -87,8 +105,20 @@ class Preselection:
         noise = _noise(first) if loops.accepted(growth.masks).any() else 1.0  # odometry fits by itself
         variance = min(WIDE**2 * noise, max(1.0, noise))
         problem = self.problem.scaled(variance)
-        choices = (problem.choice(first.values, self.loss, far) for far in problem.affordable(first.values, FAR))
-        return min(choices, key=lambda choice: choice.cost), variance
+        choices = [problem.choice(first.values, self.loss, far) for far in problem.affordable(first.values, FAR)]
+        self.rivals = sorted(choices, key=lambda choice: choice.cost)
+        if self._dearer() <= CHEAP:
+            other = problem.choice(loops.values, self.loss, np.inf)
+            better = other.cost < self.rivals[0].cost - RIVAL * max(problem.c2)
+            self.rivals.insert(0 if better else 1, other)
+        return self.rivals[0], variance
+
+    def _dearer(self) -> float:
+        """How many times the operations all closures take, of those that agree with a neighbor."""
+        loops = self.loops
+        every = np.ones(len(loops.closures), dtype=bool)
+        whole, part = (self.problem.flops(loops.values, loops.masks(m)) for m in (every, loops.neighbors.support > 0))
+        return whole / part
 
     def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:
         """The choice without the groups that the others contradict, and how far the map moves, part of its extent."""

@@ -26,10 +26,14 @@ class DoubtKind(Enum):
     FEW_KEPT = "{count} of {total} doubted measurements were kept, less than half"
     DEAD_RECKONING = "the kept closures span {count} of the {total} odometry steps that all closures span"
     CONTRADICTED = (
-        "{count} of {total} kept closures contradict the others: without them the map moves by {number:.2g} %"
+        "{count} of {total} kept closures contradict the others: without them the map moves by {percent:.2g} %"
     )
+    RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {percent:.2g} % away"
+    STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
     UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
-    SIGMAS = "neighboring closures differ by {number:.3g} times their sigmas: these are too small, or most are wrong"
+    SIGMAS = (
+        "most neighboring closures differ by {number:.3g} times their sigmas: these are too small, or most are wrong"
+    )
 
 
 @dataclass(frozen=True)
@@ -40,16 +44,19 @@ class Doubt:
     ----------
     kind : the reason.
     count, total : how many measurements, or steps, of how many.
-    number : percent of the extent, or a ratio; nan where there is none.
+    number : a ratio, or how many measurements.
+    moved : part of its extent by which the map moves.
     """
 
     kind: DoubtKind
     count: int = 0
     total: int = 0
     number: float = float("nan")
+    moved: float = float("nan")
 
     def __str__(self) -> str:
-        return self.kind.value.format(count=self.count, total=self.total, number=self.number)
+        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.moved}
+        return self.kind.value.format(**numbers)
 
 
 def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[Doubt]:

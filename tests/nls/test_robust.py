@@ -18,8 +18,8 @@ from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import Neighbors, Odometry, neighbors
 from nls.robust.groups import FITS, WIDE, misfits
-from nls.robust.loop_graph import loop_graph
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
+from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
