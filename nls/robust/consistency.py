@@ -46,6 +46,7 @@ WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures tha
 LOW = 0.1  # quantile that tells sigma0, the noise of right neighbors where nine of ten are wrong
 QUARTILE, LOOSE = 0.25, 4.0  # of the closures, and times its variance: the noise of odometry
 AGREED = 0.99  # probability with which two true closures agree
+PASSES = 0.999  # probability with which odometry allows a true closure
 EXACT = 1e-12  # variance of unit weight of numbers without noise: what is below is rounding
 FEW = 10  # pairs that are too few to tell the noise: one wrong closure among four spoils half of them
 COPY = 1e-9  # m and rad; the same measurement once more, but for the rounding of an inverse
@@ -62,13 +63,15 @@ class Neighbors:
     sigma0 : by what the stated sigmas have to be multiplied; 1 where few closures are near, or all are exact.
     rho : by what the sigmas of odometry have to be multiplied, at most 1.
     typical : sigma0 by the median: with as many wrong neighbors as right ones it is theirs.
+    passing : share of the closures that odometry allows, by the stated sigmas.
     """
 
     support: Index
     cluster: Index
-    sigma0: float
+    sigma0: float = 1.0
     rho: float = 1.0
     typical: float = 1.0
+    passing: float = 1.0
 
 
 class Odometry:
@@ -111,12 +114,13 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
 
     track, loops, group, m = Odometry(odometry, T), closures.forward(), closures.group, len(closures)
     ends = np.stack([loops.i, loops.j], axis=1)
+    T_ij, P_ij = track.between(loops.i, loops.j)
+    along = mahalanobis(group.log(group.compose(group.inverse(loops.z), T_ij)), loops.C + P_ij)
+    passing = float((along <= chi2_gate(group.dim, PASSES)).mean())
     pairs = cKDTree(ends.astype(float)).query_pairs(WINDOW, p=np.inf, output_type="ndarray")
     a, b = pairs[np.lexsort(pairs.T[::-1])].T
     if not len(a):
-        return Neighbors(np.zeros(m, dtype=np.intp), np.arange(m), 1.0)
-    T_ij, P_ij = track.between(loops.i, loops.j)
-    along = mahalanobis(group.log(group.compose(group.inverse(loops.z), T_ij)), loops.C + P_ij)
+        return Neighbors(np.zeros(m, dtype=np.intp), np.arange(m), passing=passing)
     T_ik, C_ik = track.between(loops.i[a], loops.i[b])
     T_lj, C_lj = track.between(loops.j[b], loops.j[a])
     z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
@@ -134,4 +138,5 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     a, b = a[agree], b[agree]
     rho2 = np.clip(LOOSE * np.quantile(along, QUARTILE) / chi2_gate(group.dim, 0.5), min(variance, 1.0), 1.0)
     support = np.bincount(np.r_[a, b], minlength=m)
-    return Neighbors(support, connected(a, b, m), *(float(np.sqrt(v)) for v in (variance, rho2, typical)))
+    roots = (float(np.sqrt(v)) for v in (variance, rho2, typical))
+    return Neighbors(support, connected(a, b, m), *roots, passing=passing)

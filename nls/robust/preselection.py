@@ -22,6 +22,7 @@ FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lowe
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
 STRAIN = 3.0  # times the noise between neighbors; more in the whole graph is no noise
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
+MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAINED = 3.5  # times the typical noise between neighbors, which is 1 to 2.4 times less than that of public graphs
 RIVAL, AWAY = 3.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
@@ -83,7 +84,7 @@ class Preselection:
     def _explained(self) -> tuple[Choice, float] | None:
         """All closures but a few, where noise explains the optimum of all; None where it does not."""
         loops, graph = self.loops, self.loops.graph
-        if self._dearer() > DEARER:
+        if loops.neighbors.passing < MOST or self._dearer() > DEARER:
             return None
         first = lowest(graph, loops.values)
         noise = _noise(first)
