@@ -71,7 +71,7 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
-    with _renamed(graph, values) as (graph, values, said):
+    with _renamed(graph, values, form) as (graph, values, said):
         data, notes = io.rendered(path, graph, values, report, form)
     return data, said + notes
 
@@ -90,17 +90,18 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
-    with _renamed(graph, values) as (graph, values, _):
+    with _renamed(graph, values, form) as (graph, values, _):
         refuse_unwritable_graph(path, graph, values, appended(report, form), FORMATS[form])
 
 
 @contextmanager
-def _renamed(graph: FactorGraph, values: Values) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+def _renamed(graph: FactorGraph, values: Values, form: str) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
+    from nls.io.dialects import FORMATS
     from nls.io.renamed import renamed
 
-    graph, values, said = renamed(graph, values)
+    graph, values, said = renamed(graph, values, FORMATS[form].apart)
     try:
         yield graph, values, said
     except GraphError as error:

@@ -8,7 +8,8 @@
     isam-covariance    ODOMETRY, EDGE2, LANDMARK as iSAM, the entries a *covariance*, upper triangle row by row
 
 R is the upper square root of the information, I = R'R, row by row. In space rotation is roll, pitch, yaw (see
-`models.manifolds.euler`), and the entries are about those angles: nls.io.weights turns them. An EDGE2 line therefore
+`models.manifolds.euler`), and the entries are about those angles: nls.io.weights turns them. iSAM numbers its points
+apart from its poses: pose 0 and point 0 are two variables, in both of its dialects. An EDGE2 line therefore
 has four readings, and nothing in its numbers says which. Other tags may; where they do not, the file is refused with
 the choices.
 
@@ -69,9 +70,15 @@ ISAM = Format(
     "upper square root of the information, row by row",
     aliases=((b"ODOMETRY", b"EDGE2"), (b"Constraint2", b"EDGE2")),
     others=(b"SOLVE", b"VERTEX", b"POSE3D_TRUE", b"EDGE3_TRUE", b"EDGE2_TRUE", b"POSE3D_INIT", b"EDGE3_INIT"),
+    apart=True,
 )
 ISAM_COVARIANCE = Format(
-    "isam-covariance", ISAM_PLANE, "covariance", "covariance, row by row", aliases=((b"ODOMETRY", b"EDGE2"),)
+    "isam-covariance",
+    ISAM_PLANE,
+    "covariance",
+    "covariance, row by row",
+    aliases=((b"ODOMETRY", b"EDGE2"),),
+    apart=True,
 )
 FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
 SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal")}

@@ -78,7 +78,7 @@ def read_graph(
     edges = [part for part in read if part.record.factor is not None]
     vertices = [part for part in read if part.record.factor is None and part.record.slots]
     offsets = _Offsets(text, [part for part in read if not part.record.slots], group)
-    roles = Roles(text, vertices, edges)
+    roles = Roles(text, vertices, edges, format.apart)
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for part in edges:

@@ -150,6 +150,7 @@ class Format:
     fix : whether lines ``FIX id [id ...]`` hold vertices.
     others : tags that belong to it and are not used.
     aliases : other names of tags, which are read and not written.
+    apart : whether points have a numbering of their own: there may be a pose 0 and a point 0.
     """
 
     name: str
@@ -159,6 +160,7 @@ class Format:
     fix: bool = False
     others: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
+    apart: bool = False
 
     @property
     def holds_values(self) -> bool:

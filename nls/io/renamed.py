@@ -18,11 +18,11 @@ __all__ = ["renamed"]
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 
 
-def renamed(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Values, list[str]]:
+def renamed(graph: FactorGraph, values: Values, apart: bool = False) -> tuple[FactorGraph, Values, list[str]]:
     """The graph with its only kind of poses called x and its only kind of points l, and what was changed, in words.
 
-    Points whose numbers poses have, too, get the numbers after the largest. A graph with more kinds, or with others, is
-    given back as it is, as is one in which nothing has to change.
+    Points whose numbers poses have, too, get the numbers after the largest, unless points are numbered ``apart``. A
+    graph with more kinds, or with others, is given back as it is, as is one in which nothing has to change.
 
     Examples
     --------
@@ -47,7 +47,7 @@ the points had the number of a pose: they are numbered from 3'])
         for what, (old, name) in zip(("poses", "points"), names.items(), strict=False)
         if old != name
     )
-    both = np.isin(points[0].numbers, poses[0].numbers) if points else np.zeros(0, dtype=bool)
+    both = np.isin(points[0].numbers, poses[0].numbers) if points and not apart else np.zeros(0, dtype=bool)
     if both.any():
         first = int(max(stack.numbers.max() for stack in poses + points)) + 1
         new[points[0].kind][both] = first + np.arange(both.sum())

@@ -20,6 +20,11 @@ SAID = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 class Roles:
     """The vertices of a file by what they are, checked against every edge.
 
+    Parameters
+    ----------
+    text, vertices, edges : the file, and its lines by record.
+    apart : whether a pose and a point may have one number; of formats without vertex lines.
+
     Attributes
     ----------
     given : ids of all vertex lines; empty when the file has none.
@@ -31,7 +36,7 @@ class Roles:
         A vertex given twice, used as two things, or missing while others are there.
     """
 
-    def __init__(self, text: Text, vertices: list[Lines], edges: list[Lines]) -> None:
+    def __init__(self, text: Text, vertices: list[Lines], edges: list[Lines], apart: bool = False) -> None:
         self.text, self.edges = text, edges
         self.given, _ = by_number(text, vertices, "vertex")
         self.mounts = different(self._used("mount"))
@@ -47,9 +52,8 @@ class Roles:
             either = self._used("either")
             self.poses = different(joined([self._used("pose"), either[~among(either, self.mounts)]]))
             self._refuse_clash("pose", self.mounts, "mount")
-            self._refuse_clash("pose", self.points, "point")
-            self._refuse_clash("mount", self.points, "point")
-            self._refuse_clash("either", self.points, "point")
+            for slot in () if apart else ("pose", "mount", "either"):
+                self._refuse_clash(slot, self.points, "point")
 
     def all_ids(self) -> dict[str, Numbers]:
         """Ids by kind of variable."""

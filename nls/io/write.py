@@ -111,7 +111,7 @@ class _Content:
 
 
 def _dimension(path: str, values: Values, format: Format) -> LieGroup:
-    """SE2 or SE3, and every kind in the space the format has for it; each number for one vertex only."""
+    """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
     wanted = {KINDS["pose"]: group, KINDS["point"]: R(group.point_dim), KINDS["mount"]: group}
@@ -125,12 +125,13 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
             )
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
     unique, count = np.unique(numbers, return_counts=True)
-    if (count > 1).any():
+    if (count > 1).any() and not format.apart:
         number = int(unique[np.argmax(count > 1)])
         both = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
         raise GraphError(
             f"{path}: {both[0]!r} and {both[1]!r} have one number, the vertices of a {format.name} file share one "
-            "numbering; give points numbers of their own, such as those of the poses and above",
+            "numbering; give points numbers of their own, such as those of the poses and above: "
+            "`nls convert` does",
             both,
         )
     return group

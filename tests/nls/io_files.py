@@ -88,6 +88,13 @@ EDGE3 0 2 1.9 0.2 0.4 0.3 0.1 0.4 {UPPER_3}
 POINT3 1 10 1.9 0.2 0.4 {SIX}
 POINT3 2 10 0.9 0.2 0.4 {SIX}
 """
+ISAM_APART_2 = """ODOMETRY 0 1 1 0 0.05 20 1 2 30 3 40
+LANDMARK 0 0 3.1 0.9 4 0.5 3
+LANDMARK 1 0 2.0 0.8 4 0.5 3
+Constraint2 1 2 1.01 0.98 1.5 20 1 2 30 3 40
+LANDMARK 2 1 -2.8 0.7 4 0.5 3
+"""
+ISAM_APART_3 = ISAM_3.replace("POINT3 1 10", "POINT3 1 1").replace("POINT3 2 10", "POINT3 2 1")
 COVARIANCE_2 = """ODOMETRY 0 1 1 0 0.05 0.02 0.001 0.002 0.03 0.003 0.01
 LANDMARK 0 10 3.1 0.9 0.4 0.05 0.3
 EDGE2 1 2 1.01 0.98 1.5 0.02 0.001 0.002 0.03 0.003 0.01
@@ -119,4 +126,7 @@ FILES = {
     "isam, plane": ("isam", ISAM_2),
     "isam, space": ("isam", ISAM_3),
     "isam with covariances": ("isam-covariance", COVARIANCE_2),
+    "isam, plane, points numbered apart": ("isam", ISAM_APART_2),
+    "isam, space, points numbered apart": ("isam", ISAM_APART_3),
+    "isam with covariances, points numbered apart": ("isam-covariance", COVARIANCE_2.replace(" 10 ", " 0 ")),
 }

@@ -15,7 +15,7 @@ from nls.cli import main
 from nls.io.renamed import renamed
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
 from tests.nls.g2o_files import PLANE, SPACE, write
-from tests.nls.io_files import TORO_2
+from tests.nls.io_files import ISAM_APART_2, TORO_2
 
 Captured = pytest.CaptureFixture[str]
 PYFG = """VERTEX_SE2 5.5 A0 1 2 0.1
@@ -234,6 +234,28 @@ def test_kinds_of_other_names_become_x_and_l(tmp_path: Path, capsys: Captured) -
     assert other.values[nls.Kind("l")] == pytest.approx(optimum.values[nls.Kind("L")], abs=1e-9)
     assert main(["convert", str(write(tmp_path, NAMED.replace("L1", "L9"), "c.pyfg")), str(tmp_path / "c.toro")]) == 2
     assert "poses A are written as x, points L as l\n" in capsys.readouterr().err
+
+
+def test_points_numbered_apart_go_to_g2o_and_back(tmp_path: Path, capsys: Captured) -> None:
+    """A g2o file gets new numbers for points of iSAM, an iSAM file keeps those of any graph."""
+    file = write(tmp_path, ISAM_APART_2, "a.isam")
+    assert main(["convert", str(file), str(tmp_path / "b.g2o")]) == 0
+    assert "note        2 of the points had the number of a pose: they are numbered from 3" in capsys.readouterr().out
+    (graph, values, _), (other, moved, _) = nls.load(file), nls.load(tmp_path / "b.g2o")
+    assert moved.stacks["l"].numbers.tolist() == [3, 4]
+    assert other.chi2(moved) == graph.chi2(values) > 0
+    text = "".join(line + "\n" for line in NAMED.splitlines() if ":PRIOR" not in line)
+    named = str(write(tmp_path, text, "c.pyfg"))
+    with pytest.warns(nls.GraphWarning, match="the values of 5 variables are not in it"):
+        nls.save(tmp_path / "d.isam", *renamed(*nls.load(named)[:2], apart=True)[:2])
+    assert main(["convert", named, str(tmp_path / "e.isam")]) == 0
+    assert (tmp_path / "d.isam").read_text() == (tmp_path / "e.isam").read_text()
+    assert [line.split()[:3] for line in (tmp_path / "e.isam").read_text().splitlines()] == [
+        ["EDGE2", "0", "1"],
+        ["EDGE2", "1", "2"],
+        ["LANDMARK", "1", "1"],
+        ["LANDMARK", "2", "7"],
+    ]
 
 
 def test_more_kinds_of_poses_are_refused_with_a_cure(tmp_path: Path, capsys: Captured) -> None:

@@ -16,7 +16,20 @@ from nls import GraphFileError, OptionError, Values, kinds, load
 from nls.io import DIALECTS
 from nls.io.weights import AsRead
 from tests.nls.g2o_files import read, write
-from tests.nls.io_files import BAL, COVARIANCE_2, EDGES_2, FILES, ISAM_2, ISAM_3, PYFG, SENSORS_2, TORO_2, TORO_3
+from tests.nls.io_files import (
+    BAL,
+    COVARIANCE_2,
+    EDGES_2,
+    FILES,
+    ISAM_2,
+    ISAM_3,
+    ISAM_APART_2,
+    ISAM_APART_3,
+    PYFG,
+    SENSORS_2,
+    TORO_2,
+    TORO_3,
+)
 
 x, l = kinds("x", "l")
 EDGE2 = "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3\n"
@@ -81,6 +94,27 @@ def test_what_only_steers_isam_is_kept_with_a_count() -> None:
     _, _, report = read("EDGE3_TRUE 0 1 1 0 0 0 0 0\n" + ISAM_3 + "SOLVE\nSOLVE\n")
     assert report.warnings == ["lines were not used: EDGE3_TRUE (1, first on line 1), SOLVE (2, first on line 7)"]
     assert report.tags["SOLVE"] == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [(ISAM_APART_2, 0), (ISAM_APART_3, 1)], ids=["LANDMARK in the plane", "POINT3 in space"]
+)
+def test_points_of_isam_are_numbered_apart(text: str, number: int) -> None:
+    """A pose and a point of one number are two variables; with another number the same graph."""
+    graph, values, _ = read(text)
+    assert values.stacks["x"].numbers.tolist() == [0, 1, 2]
+    assert number in values.stacks["l"].numbers
+    other = text.replace(f" {number} 3.1", " 9 3.1").replace(f" {number} 2.0", " 9 2.0").replace("1 1 1.9", "1 9 1.9")
+    moved_graph, moved, _ = read(other.replace("2 1 0.9", "2 9 0.9"))
+    assert graph.chi2(values) == moved_graph.chi2(moved) > 0
+    assert values[l[number]] == pytest.approx(moved[l[9]], abs=0)
+    seen = next(factor for factor in graph.factors if factor.name == "Landmark")
+    assert [(k.kind, k.numbers[0]) for k in seen.keys] == [("x", 0 if number == 0 else 1), ("l", number)]
+
+
+def test_one_numbering_stays_one_in_g2o_files() -> None:
+    with pytest.raises(GraphFileError, match=r"f\.g2o:2: vertex 1 is used as point here, and as pose on line 1"):
+        read("EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 1 1 1 9 0 9\n")
 
 
 # ---- what the numbers mean
