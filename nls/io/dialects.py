@@ -180,9 +180,9 @@ def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: l
         if b"," in text.line(line):
             what = "is no graph but a table, its numbers separated by commas"
         elif word.lstrip(b"+-.")[:1].isdigit():
-            what = f"is no graph but a table of numbers: a line begins with {printable(word)[:30]!r} instead of a tag"
+            what = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
         else:
-            what = f"is no graph: {printable(word)[:30]!r} is no tag of a graph"
+            what = f"is no graph: {printable(word, 30)!r} is no tag of a graph"
     elif tags:
         line, what = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
     elif len(comments):

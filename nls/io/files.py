@@ -3,57 +3,79 @@
 from __future__ import annotations
 
 import gzip
-import io
 import os
+import re
 import secrets
 import stat
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from models.errors import GraphFileError, OptionError, ResourceLimitError
+from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["made", "read_bytes", "write_bytes", "write_folder"]
+__all__ = ["made", "read_bytes", "read_stream", "write_bytes", "write_folder"]
 
-MAX_BYTES = 4 << 30  # of a file, and of what it unpacks to
-CHUNK = 1 << 24
+CHUNK = 1 << 20
+PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
+SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
+GZIP = b"\x1f\x8b"
+CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
+COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
+BLANK = 0x20  # the largest byte that is one
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Content of a text file, unpacked when it is gzip-compressed, without a byte-order mark.
+def read_bytes(path: str | Path, limit: float | None = None) -> bytes:
+    """Content of a text file, unpacked where it is gzip-compressed, without a byte-order mark.
+
+    Lines end in a newline or a carriage return, or both; where one ends in a carriage return alone, all end in newlines
+    here.
+
+    Parameters
+    ----------
+    path : a file, a pipe or a device.
+    limit : of the memory that reading takes, bytes; half of the machine's when omitted.
 
     Raises
     ------
     GraphFileError
         It cannot be read, or is not text.
     ResourceLimitError
-        It has more than `MAX_BYTES`, or unpacks to more.
+        More memory is needed: `PER_BYTE` for every byte and `PER_WORD` for every word and line. Or there are more
+        blanks and comments than `SLACK` bytes and `SHARE` times all others. No more than that is read.
     """
     name = _name(path)
     try:
         with open(path, "rb") as file:
-            data = _bounded(file, f"{name}: has", os.fstat(file.fileno()).st_size)
+            _Pieces(f"{name}: has", limit).refuse_above(os.fstat(file.fileno()).st_size)
+            return read_stream(file, name, limit)
     except IsADirectoryError as error:
         raise GraphFileError("is a folder; expected a file", name) from error
     except OSError as error:
         raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
-    if data[:2] == b"\x1f\x8b":
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as unpacked:
-                data = _bounded(unpacked, f"{name}: unpacks to")
-        except (OSError, EOFError, zlib.error) as error:
-            raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
-    if data.startswith(b"MATLAB 5.0 MAT-file"):
-        raise GraphFileError("is a MATLAB file; expected text (scipy.io.loadmat reads it)", name)
-    if b"\x00" in data:
-        line = data[: data.index(b"\x00")].count(b"\n") + 1
-        raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
-    return data
+
+
+def read_stream(file: BinaryIO, name: str, limit: float | None = None) -> bytes:
+    """The content of an open file or pipe; the name is for messages, the rest as for `read_bytes`.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    """
+    first = file.read(CHUNK)
+    if first[:2] != GZIP:
+        return _content(chain([first], iter(partial(file.read, CHUNK), b"")), _Pieces(f"{name}: has", limit), name)
+    try:
+        return _content(_unpacked(first, file), _Pieces(f"{name}: unpacks to", limit), name)
+    except (EOFError, zlib.error) as error:
+        raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
 
 
 def _name(path: object) -> str:
@@ -63,23 +85,111 @@ def _name(path: object) -> str:
     return os.fsdecode(path)
 
 
-def _bounded(file: BinaryIO | gzip.GzipFile, what: str, size: int = 0) -> bytes:
-    """All of a file of at least this size, read in chunks: refused as soon as it is known to be too large."""
-    chunks: list[bytes] = []
-    total = 0
-    while max(size, total) <= MAX_BYTES:
-        chunk = file.read(CHUNK)
-        if not chunk:
-            return b"".join(chunks)
-        chunks.append(chunk)
-        total += len(chunk)
-    needed = max(size, total)
-    raise ResourceLimitError(
-        f"{what} {needed:,} bytes or more, the limit is {MAX_BYTES:,}; split the file or leave lines out",
-        needed,
-        MAX_BYTES,
-        what,
-    )
+def _unpacked(packed: bytes, file: BinaryIO) -> Iterator[bytes]:
+    """The chunks of a gzip file, of one stream after the other, whose first bytes were read before.
+
+    Raises
+    ------
+    EOFError, zlib.error
+        It is cut off; it is damaged.
+    """
+    while packed:
+        stream = zlib.decompressobj(wbits=31)
+        while not stream.eof:
+            yield (chunk := stream.decompress(packed, CHUNK))
+            packed = stream.unconsumed_tail
+            if not (packed or stream.eof or len(chunk) == CHUNK or (packed := file.read(CHUNK))):
+                raise EOFError("it ends within its data")
+        packed = (stream.unused_data or file.read(CHUNK)).lstrip(b"\x00")  # zeros fill up what is written in blocks
+
+
+def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str) -> bytes:
+    """The text of a file."""
+    first = next(chunks, b"")
+    if first[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
+    if first.startswith(b"MATLAB 5.0 MAT-file"):
+        raise GraphFileError("is a MATLAB file; expected text (scipy.io.loadmat reads it)", name)
+    for chunk in chain([first.removeprefix(b"\xef\xbb\xbf")], chunks):
+        if (zero := chunk.find(b"\x00")) >= 0:
+            line = sum(piece.count(b"\n") for piece in [*pieces.chunks, chunk[:zero]]) + 1
+            raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
+        pieces.add(chunk)
+    data = b"".join(pieces.chunks)
+    pieces.chunks.clear()
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if CARRIAGE_RETURN.search(data) else data
+
+
+class _Pieces:
+    """The chunks of a text as they come, refused as soon as they are known to be too much.
+
+    Parameters
+    ----------
+    what : the file and a verb, for the message.
+    limit : of memory, bytes; the default when None.
+    """
+
+    def __init__(self, what: str, limit: float | None) -> None:
+        self.what, self.limit = what, default_limit() if limit is None else limit
+        self.chunks: list[bytes] = []
+        self.size = self.words = self.content = self.counted = 0
+        self.line = b"\n"  # the last line so far: blanks, a comment ("\n#") or something else ("x")
+
+    def add(self, chunk: bytes) -> None:
+        """One more chunk.
+
+        Raises
+        ------
+        ResourceLimitError
+        """
+        self.chunks.append(chunk)
+        self.size += len(chunk)
+        if self.size <= min(SLACK, self.limit / (PER_BYTE + PER_WORD)):
+            return  # nothing has to be counted
+        for piece in self.chunks[self.counted :]:
+            self._count(piece)
+        self.counted = len(self.chunks)
+        idle, allowed = self.size - self.content, SLACK + SHARE * self.content
+        if idle > allowed:
+            raise ResourceLimitError(
+                f"{self.what} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others, "
+                f"the limit is {allowed:,}; take them out",
+                idle,
+                allowed,
+                "blanks and comments",
+            )
+        self.refuse_above(self.size, self.words)
+
+    def refuse_above(self, size: int, words: int = 0) -> None:
+        """Refuse a text of so many bytes, and so many words and lines, when reading it takes more than the limit.
+
+        Raises
+        ------
+        ResourceLimitError
+        """
+        needed = float(PER_BYTE * size + PER_WORD * words)
+        if needed > self.limit:
+            raise ResourceLimitError(
+                f"{self.what} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more, the "
+                f"limit is {gigabytes(self.limit)}; split the file or leave lines out",
+                needed,
+                self.limit,
+                "reading",
+            )
+
+    def _count(self, chunk: bytes) -> None:
+        """Count the words and lines of a chunk, and its bytes that are neither blanks, nor commas, nor in comments."""
+        dark = np.frombuffer(chunk, dtype=np.uint8) > BLANK
+        self.words += int(np.count_nonzero(dark[:-1] > dark[1:])) + 1
+        self.words += max(chunk.count(b"\n"), chunk.count(b"\r"))
+        self.words += chunk.count(b",") + chunk.count(b'"')  # cells of a table may be empty
+        text = self.line + chunk
+        last = text[max(text.rfind(b"\n"), text.rfind(b"\r")) + 1 :].lstrip()[:1]
+        if b"#" in text:
+            text = COMMENT.sub(b"", text)
+        dark = np.frombuffer(text, dtype=np.uint8) > BLANK
+        self.content += int(np.count_nonzero(dark)) - text.count(b",") - (self.line == b"x")
+        self.line = {b"": b"\n", b"#": b"\n#"}.get(last, b"x")
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

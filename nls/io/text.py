@@ -9,29 +9,54 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from unicodedata import name
 
 import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.errors import GraphFileError
+from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
+from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["Text", "printable", "rows"]
+__all__ = ["NUMBER", "Text", "printable", "rows", "strange"]
 
 Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")
+STRANGE = re.compile("[\x85\xa0\u1680\u180e\u2000-\u200f\u2028-\u202f\u205f-\u2064\u3000\ufeff\udca0]")
+NAMES = {
+    "\x85": "next-line character (U+0085)",
+    "\ufeff": "byte-order mark (U+FEFF)",
+    "\udca0": "no-break space of Latin-1 (byte A0)",
+}
+READ = 1000  # bytes of a line that are looked at for an error
 QUOTED = 80  # characters of a line in an error
 WORDS = re.compile(rf".{{{QUOTED // 2},{QUOTED - 4}}}(?=[\s,])")
 BLOCK = 1 << 15  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
 FEW, SHORT = 16, 64  # first words of a format: how many, how long
+PER_TAG = 700  # bytes of memory for every line of a first word of its own
 
 
-def printable(word: bytes) -> str:
-    """Bytes of a file as text for a message, whatever their encoding."""
-    return word.decode("utf-8", "backslashreplace")
+def printable(word: bytes, most: int | None = None) -> str:
+    """Bytes of a file as text for a message, whatever their encoding; at most so many characters of them."""
+    return (word if most is None else word[: 4 * most]).decode("utf-8", "backslashreplace")[:most]
+
+
+def strange(line: bytes) -> str:
+    """The name of the first character that looks like a blank, or like nothing, and is none; empty where there is none.
+
+    Examples
+    --------
+    >>> strange("EDGE_SE2\\u00a00 1".encode()), strange(b"EDGE_SE2 0 1")
+    ('no-break space (U+00A0)', '')
+    """
+    found = None if line.isascii() else STRANGE.search(line.decode("utf-8", "surrogateescape"))
+    if found is None:
+        return ""
+    character = found[0]
+    return NAMES.get(character) or f"{name(character).lower()} (U+{ord(character):04X})"
 
 
 def rows(tag: str, words: Sequence[Iterable[str]], numbers: Array, digits: Callable[[float], str] = repr) -> list[str]:
@@ -93,8 +118,11 @@ class Text:
         return self._bytes[self._newlines[line] + 1 : self._newlines[line + 1]]
 
     def error(self, message: str, line: int) -> GraphFileError:
-        """An error at a line counted from 0."""
-        return GraphFileError(message, self.path, line + 1, _quoted(printable(self.line(line).strip())))
+        """An error at a line counted from 0; it names a character of the line that only looks like a blank."""
+        start = self.line(line)[:READ]
+        if character := strange(start):
+            message += f"; the line has a {character}, expected a blank or nothing in its place"
+        return GraphFileError(message, self.path, line + 1, _quoted(printable(start.strip())))
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:
@@ -113,6 +141,14 @@ class Text:
             found[self.token(int(heads[0]))] = lines[same]
             others = (~same).nonzero()[0]
             lines, heads, starts, length = (each.take(others) for each in (lines, heads, starts, length))
+        if (needed := float(PER_TAG * len(lines))) > default_limit():
+            raise ResourceLimitError(
+                f"{self.path}: {len(lines):,} lines with first words of many kinds, to tell them apart takes "
+                f"{gigabytes(needed)} of memory, the limit is {gigabytes(default_limit())}; expected tags of a graph",
+                needed,
+                default_limit(),
+                "first words",
+            )
         rest: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
         for line, head in zip(lines.tolist(), heads.tolist(), strict=True):
             rest.setdefault(self.token(head), []).append(line)
@@ -173,7 +209,7 @@ class Text:
             word = self.token(int(tokens[place]))
             exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
-                raise self.error(f"id {printable(word)[:40]!r} is not a whole number below 2^63", int(lines[place[-1]]))
+                raise self.error(f"id {printable(word, 40)!r} is not a whole number below 2^63", int(lines[place[-1]]))
             value[place] = exact
         return value
 
@@ -192,9 +228,9 @@ class Text:
         good = [NUMBER.fullmatch(word) is not None for word in words]
         if not all(good):
             k = good.index(False)
-            raise self.error(f"{printable(words[k])[:40]!r} is not a number", int(lines[k]))
+            raise self.error(f"{printable(words[k], 40)!r} is not a number", int(lines[k]))
         number = np.array(list(map(float, words)))
         if not np.isfinite(number).all():
             k = int(np.argmin(np.isfinite(number)))
-            raise self.error(f"{printable(words[k])[:40]!r} is beyond the largest number", int(lines[k]))
+            raise self.error(f"{printable(words[k], 40)!r} is beyond the largest number", int(lines[k]))
         self._decimals[0][tokens] = number

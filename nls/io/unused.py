@@ -27,7 +27,7 @@ def keep_unknown(text: Text, unknown: dict[bytes, Index], report: LoadReport, kn
     if not unknown:
         return
     aside = "" if all(tag in known for tag in unknown) else "with unknown tags "
-    named = [f"{printable(tag)[:30]} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
+    named = [f"{printable(tag, 30)} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
     report.warn(f"lines {aside}were not used: {_listed(named)}")
     keep(text, np.sort(np.concatenate(list(unknown.values()))), report)
 
@@ -48,7 +48,7 @@ def left_out(report: LoadReport | None, format: str) -> list[str]:
     if report is None or report.format == format or not report.ignored:
         return []
     tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)
-    named = _listed([f"{printable(tag)[:30]} ({count})" for tag, count in tags.items()])
+    named = _listed([f"{printable(tag, 30)} ({count})" for tag, count in tags.items()])
     said = f"{len(report.ignored)} lines that were not used are left out"
     return [f"{said}, only a {report.format} file gets them back: {named}"]
 

@@ -30,7 +30,7 @@ from nls.linear.fill import counted
 if TYPE_CHECKING:
     from nls.hessian import Blocks, Hessian
 
-__all__ = ["FRACTION", "always_fits", "checked_limit", "default_limit", "refuse_above"]
+__all__ = ["FRACTION", "always_fits", "checked_limit", "default_limit", "gigabytes", "refuse_above"]
 
 FRACTION = 0.5  # of the machine's memory: values, A, the operating system and other programs need some too
 UNKNOWN = 4e9  # bytes, where the system does not say how much memory there is
@@ -93,7 +93,7 @@ def refuse_above(limit: float, per_number: float, blocks: Blocks, hessian: Hessi
         other = "" if solver == "cholesky" else "take linear solver 'cholesky', which needs least, "
         raise ResourceLimitError(
             f"linear solver {solver!r}: R of {hessian.n:,} unknowns has {fill.nnz:,} numbers, its factorization needs "
-            f"{_gigabytes(needed)}, the limit is {_gigabytes(limit)}; {other}leave out variables or "
+            f"{gigabytes(needed)}, the limit is {gigabytes(limit)}; {other}leave out variables or "
             "the measurements that join far parts, fix variables, or allow more with memory_limit",
             needed,
             limit,
@@ -101,7 +101,7 @@ def refuse_above(limit: float, per_number: float, blocks: Blocks, hessian: Hessi
         )
 
 
-def _gigabytes(size: float) -> str:
+def gigabytes(size: float) -> str:
     """Three digits of a size in GB: 12.3 GB, 0.00123 GB."""
     digits = max(0, 2 - math.floor(math.log10(size / 1e9)))
     return f"{size / 1e9:.{digits}f} GB"

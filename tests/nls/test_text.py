@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nls import GraphFileError, ResourceLimitError
+from nls import GraphFileError
 from nls.io.files import read_bytes
 from nls.io.text import Text
 
@@ -290,33 +289,6 @@ def test_a_folder_and_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(GraphFileError, match=r"none\.g2o: cannot be read: No such file") as caught:
         read_bytes(tmp_path / "none.g2o")
     assert isinstance(caught.value, ValueError)
-
-
-def test_size_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nls.io.files.MAX_BYTES", 1000)
-    monkeypatch.setattr("nls.io.files.CHUNK", 64)
-    assert read_bytes(write(tmp_path, b"#" * 1000)) == b"#" * 1000
-    assert read_bytes(write(tmp_path, gzip.compress(b"#" * 1000))) == b"#" * 1000
-    with pytest.raises(
-        ResourceLimitError, match=r"f\.g2o: has 1,001 bytes or more, the limit is 1,000; split"
-    ) as caught:
-        read_bytes(write(tmp_path, b"#" * 1001))
-    assert (caught.value.needed, caught.value.limit) == (1001, 1000)
-
-
-def test_a_bomb_is_unpacked_no_further_than_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nls.io.files.MAX_BYTES", 1 << 20)
-    monkeypatch.setattr("nls.io.files.CHUNK", 1 << 16)
-    bomb = write(tmp_path, gzip.compress(bytes(1 << 26)))
-    tracemalloc.start()
-    try:
-        with pytest.raises(
-            ResourceLimitError, match=r"f\.g2o: unpacks to 1,114,112 bytes or more, the limit is 1,048,576"
-        ):
-            read_bytes(bomb)
-        assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    finally:
-        tracemalloc.stop()
 
 
 def test_a_long_line_is_cut_in_the_message() -> None:

@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from models.algebra import Array
-from models.errors import GraphFileError
 from models.manifolds.so3 import quaternion_from_matrix
-from nls.io.files import read_bytes
+from nls.io.plain import plain_lines
 
 __all__ = ["HoloOcean", "read_holoocean"]
 
@@ -63,20 +62,22 @@ def read_holoocean(path: str | Path) -> HoloOcean:
     GraphFileError
         With the line: another name than its turn has, or another count of numbers.
     """
-    words = [line.split() for line in read_bytes(path).splitlines()]
-    turns = list(LINES.items())
-    table: dict[bytes, list[list[bytes]]] = {name: [] for name in LINES}
-    for k, line in enumerate(words):
-        name, size = turns[k % 6]
-        if not line or line[0] != name or len(line) != size + 2:
-            raise GraphFileError(f"expected {name.decode()}, dt and {size} numbers", str(path), k + 1)
-        table[name].append(line[1:])
-    if not words or len(words) % 6:
-        raise GraphFileError(f"ends within a step: {len(words)} lines, expected six a step", str(path))
-    try:
-        R, _, p, imu, dvl, depth = (np.array(rows, dtype=float) for rows in table.values())
-    except ValueError as error:
-        raise GraphFileError(f"has a word that is no number: {error}", str(path)) from error
+    text, lines, count, _ = plain_lines(path, "no line; expected six lines a step")
+    turn = np.arange(len(lines)) % len(LINES)
+    expected = np.array([size + 2 for size in LINES.values()])[turn]
+    wrong = count != expected
+    for k, name in enumerate(LINES):
+        mine = turn == k
+        wrong[mine] |= (text.characters(text.first[lines[mine]], len(name) + 1) != [*name, 0]).any(axis=1)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        name = list(LINES)[turn[k]].decode()
+        raise text.error(f"expected {name}, dt and {expected[k] - 2} numbers", int(lines[k]))
+    if len(lines) % len(LINES):
+        raise text.error(f"ends within a step: {len(lines)} lines, expected six a step", int(lines[-1]))
+    R, _, p, imu, dvl, depth = (
+        text.table(lines[k :: len(LINES)], size + 1, f"dt and {size} numbers") for k, size in enumerate(LINES.values())
+    )
     t = np.cumsum(np.r_[0.0, R[:-1, 0]])
     X = np.concatenate([p[:, 1:], quaternion_from_matrix(R[:, 1:].reshape(-1, 3, 3))], axis=1)
     U, _, Vt = np.linalg.svd(np.array(DVL_TO_BODY))

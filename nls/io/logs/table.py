@@ -14,6 +14,8 @@ from nls.io.files import read_bytes
 
 __all__ = ["columns"]
 
+QUOTED = 200  # characters of the error of NumPy, which quotes the whole word
+
 
 def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
     """The named columns (n, k) of a comma-separated file with a header, or all of a file (skip = 0: without a header).
@@ -29,7 +31,7 @@ def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
         header = data.split(b"\n", 1)[0].decode(errors="replace").strip().split(",")
         missing = [name for name in names if name not in header]
         if missing:
-            raise GraphFileError(f"has no column {missing[0]!r}; its header is {header}", str(path), 1)
+            raise GraphFileError(f"has no column {missing[0]!r}; its header is {str(header)[:QUOTED]}", str(path), 1)
         use = [header.index(name) for name in names]
     rows = data.split(b"\n")[skip:]
     if not any(row.strip() for row in rows):
@@ -37,4 +39,4 @@ def columns(path: Path, names: Sequence[str] | None, skip: int = 1) -> Array:
     try:
         return np.loadtxt(io.BytesIO(b"\n".join(rows)), delimiter=",", usecols=use, ndmin=2)
     except ValueError as error:
-        raise GraphFileError(f"is no table of numbers after line {skip}: {error}", str(path)) from error
+        raise GraphFileError(f"is no table of numbers after line {skip}: {str(error)[:QUOTED]}", str(path)) from error

@@ -7,6 +7,7 @@ order; none may be missing, unknown or there twice. Their names say the unit, an
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -79,7 +80,7 @@ class Table(Text):
         self._refuse_no_names(head, wanted)
         for said, some in (
             ("unknown", [name for name in names if name not in columns]),
-            ("repeated", [name for k, name in enumerate(names) if name in names[:k]]),
+            ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in names]),
         ):
             if some:
