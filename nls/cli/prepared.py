@@ -17,6 +17,8 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
 
     Raises
     ------
+    GraphFileError
+        A file without a measurement.
     OptionError
         No such kernel, type of factor or kind of variable.
     """
@@ -24,6 +26,10 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
     from factors.robust import kernel_from_text
     from nls.cli import outliers
 
+    if not as_read.factors:
+        raise nls.GraphFileError(
+            "has no measurement: nothing to optimize; add edges, or see the variables with nls plot", options.file
+        )
     graph = nls.FactorGraph(as_read.factors, as_read.fixed)
     if options.robust and not outliers.wanted(options.robust):
         name, separator, kernel = options.robust.rpartition("=")

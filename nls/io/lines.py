@@ -65,8 +65,8 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
     GraphFileError
         A count of numbers, a word or an element that cannot be right; an edge from a vertex to itself.
     """
-    lead, width, m = record.lead, record.element.width, len(record.places[0])
-    numbers = text.table(at, lead + width + m, record.columns, m)[:, lead:]
+    lead, width = record.lead, record.element.width
+    numbers = text.table(at, record.words, record.columns, len(record.places[0]))[:, lead:]
     whole = text.whole(at, np.arange(1, 1 + lead)[:, None])
     ids, parameters = list(whole[: lead - record.parameters]), whole[lead - record.parameters :].T
     if record.element.angles and (locked := np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK).any():

@@ -19,6 +19,7 @@ Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_gr
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,8 +41,9 @@ from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.files import write_bytes
+from nls.io.misspelt import refuse_misspelt
 from nls.io.report import LoadReport
-from nls.io.text import Text, printable, rows
+from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
@@ -50,6 +52,7 @@ __all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
 
 Index = npt.NDArray[np.intp]
 LONGEST = 40  # characters of a name
+FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,11 @@ class Tag:
     def noise(self) -> int:
         """Numbers of covariance."""
         return 0 if self.factor is None else self.space.dim * (self.space.dim + 1) // 2
+
+    @property
+    def words(self) -> int:
+        """Words of a line after its tag."""
+        return self.timed + self.names + self.space.size + self.noise
 
     @property
     def columns(self) -> str:
@@ -124,12 +132,16 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
     """
     check_convention(convention)
     text = Text(data, path)
-    tags = {printable(tag): lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
+    words = {tag: lines for tag, lines in text.tags.items() if not tag.startswith(b"#")}
+    tags = {printable(tag): lines for tag, lines in words.items()}
     dialect = _dialect(text, tags)
     comments = sum(len(lines) for tag, lines in text.tags.items() if tag.startswith(b"#"))
     report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
     report.tags = {tag: len(lines) for tag, lines in tags.items()}
-    keep_unknown(text, {tag.encode(): lines for tag, lines in tags.items() if tag not in dialect}, report)
+    known = {name.encode(): tag.words for name, tag in dialect.items()}
+    unknown = {tag: lines for tag, lines in words.items() if tag not in known}
+    refuse_misspelt(text, unknown, known, FIRST)
+    keep_unknown(text, unknown, report)
     note_comments(report, comments)
 
     found: dict[str, list[tuple[LieGroup, Batch]]] = {}
@@ -180,10 +192,10 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     """Lines of a tag, one batch per combination of kinds."""
     lead = 1 + tag.timed + tag.names
     wide = tag.space.size + tag.noise
-    count = text.first[lines + 1] - text.first[lines]
-    if (wrong := count != lead + wide).any():
+    count = text.first[lines + 1] - text.first[lines] - 1
+    if (wrong := count != tag.words).any():
         k = int(np.argmax(wrong))
-        raise text.error(f"{count[k] - 1} words after {name}, expected {lead + wide - 1}: {tag.columns}", int(lines[k]))
+        raise text.error(f"{count[k]} words after {name}, expected {tag.words}: {tag.columns}", int(lines[k]))
     first = text.first[lines]
     times = text.numbers(first + 1, lines, 1) if tag.timed else np.zeros(len(lines))
     names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
@@ -213,7 +225,7 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     bad |= (tail & ~digit).any(axis=1)
     if bad.any():
         k = int(np.argmax(bad))
-        word = printable(text.token(int(tokens[k])))[:LONGEST]
+        word = printable(text.token(int(tokens[k])), LONGEST)
         raise text.error(
             f"name {word!r}: expected letters and a number of at most 18 digits, such as A17", int(lines[k])
         )

@@ -19,6 +19,7 @@ from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
+from nls.io.misspelt import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
@@ -67,6 +68,8 @@ def read_graph(
     report = LoadReport(path, format.name, f"{group.point_dim}-D", convention, reason=reason)
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
+    known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
+    refuse_misspelt(text, {t: n for t, n in unknown.items() if t not in format.others}, known)
     keep_unknown(text, unknown, report, format.others)
     note_comments(report, len(comments))
 
@@ -78,7 +81,7 @@ def read_graph(
     edges = [part for part in read if part.record.factor is not None]
     vertices = [part for part in read if part.record.factor is None and part.record.slots]
     offsets = _Offsets(text, [part for part in read if not part.record.slots], group)
-    roles = Roles(text, vertices, edges, format.apart)
+    roles = Roles(text, vertices, edges, unknown, format.apart)
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
         for part in edges:

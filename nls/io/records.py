@@ -99,6 +99,11 @@ class Record:
         return (len(self.slots) or 1) + self.parameters
 
     @cached_property
+    def words(self) -> int:
+        """Words of a line after its tag."""
+        return self.lead + self.element.width + len(self.places[0])
+
+    @cached_property
     def columns(self) -> str:
         """What stands after the tag, in words."""
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from nls.io.lines import Lines, Numbers, among, by_number, different, joined
 from nls.io.records import KINDS
-from nls.io.text import Text
+from nls.io.text import Text, printable
 
 __all__ = ["Roles"]
 
@@ -23,6 +23,7 @@ class Roles:
     Parameters
     ----------
     text, vertices, edges : the file, and its lines by record.
+    unknown : its lines (from 0) by tags that are not known.
     apart : whether a pose and a point may have one number; of formats without vertex lines.
 
     Attributes
@@ -36,8 +37,10 @@ class Roles:
         A vertex given twice, used as two things, or missing while others are there.
     """
 
-    def __init__(self, text: Text, vertices: list[Lines], edges: list[Lines], apart: bool = False) -> None:
-        self.text, self.edges = text, edges
+    def __init__(
+        self, text: Text, vertices: list[Lines], edges: list[Lines], unknown: Mapping[bytes, Index], apart: bool = False
+    ) -> None:
+        self.text, self.edges, self.unknown = text, edges, unknown
         self.given, _ = by_number(text, vertices, "vertex")
         self.mounts = different(self._used("mount"))
         if len(self.given):
@@ -118,8 +121,22 @@ class Roles:
                     message = f"the edge needs a {role}, vertex {ids[k]} is a {other} (line {line + 1})"
                     raise self.text.error(message, int(part.at[k]))
                 tag = lines[role].record.tag.decode() if role in lines else f"{role} vertex"
+                self._refuse_unknown(int(ids[k]), int(part.at[k]), tag)
                 raise self.text.error(
                     f"the edge needs vertex {ids[k]}, which no {tag} line has (others are there); add it, or take out "
                     "all vertices to have poses chained along the edges",
                     int(part.at[k]),
+                )
+
+    def _refuse_unknown(self, number: int, edge: int, tag: str) -> None:
+        """Refuse the first line with an unknown tag that may give the vertex an edge needs."""
+        text = self.text
+        for line in np.sort(np.concatenate([[], *self.unknown.values()])).astype(np.intp).tolist():
+            head, behind = text.first[line : line + 2].tolist()
+            if behind > head + 1 and text.token(head + 1) == b"%d" % number:
+                word = printable(text.token(head), 40)
+                raise text.error(
+                    f"the edge on line {edge + 1} needs vertex {number}, which no {tag} line has; this line may mean "
+                    f"it, but {word!r} is no tag",
+                    line,
                 )

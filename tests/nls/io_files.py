@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from tests.nls.g2o_files import INFORMATION_2, PLANE, SPACE, UPPER_3
+from nls.io.bal import read_bal
+from nls.io.pyfg import read_pyfg
+from tests.nls.g2o_files import INFORMATION_2, PLANE, SPACE, UPPER_3, Loaded, read
 
 SIX = "4 0.5 0.25 3 0.125 2"  # upper triangle of a 3x3 matrix, positive definite
 THREE = "4 0.5 3"
@@ -130,3 +132,10 @@ FILES = {
     "isam, space, points numbered apart": ("isam", ISAM_APART_3),
     "isam with covariances, points numbered apart": ("isam-covariance", COVARIANCE_2.replace(" 10 ", " 0 ")),
 }
+ALL = {**FILES, "bal": ("bal", BAL), "pyfg": ("pyfg", PYFG)}
+
+
+def read_any(data: bytes, dialect: str) -> Loaded:
+    if dialect == "bal":
+        return read_bal(data, "f.g2o")
+    return read_pyfg(data, "f.g2o") if dialect == "pyfg" else read(data, dialect=dialect)

@@ -285,7 +285,7 @@ def test_a_wrong_file_has_its_line(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_nothing_to_solve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solve", str(write(tmp_path, "VERTEX_SE2 0 0 0 0\n"))]) == 2
-    assert "no factors: nothing to optimize" in one_line(capsys)
+    assert "graph.g2o: has no measurement: nothing to optimize; add edges" in one_line(capsys)
 
 
 def test_a_missing_solver(file: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

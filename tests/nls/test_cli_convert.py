@@ -89,7 +89,7 @@ def test_a_trajectory_is_a_graph_without_measurements(tmp_path: Path, capsys: Ca
     assert np.array_equal(found, lifted(X))
     capsys.readouterr()
     assert main(["solve", str(tmp_path / "a.tum")]) == 2
-    assert "no factors: nothing to optimize" in capsys.readouterr().err
+    assert "a.tum: has no measurement: nothing to optimize" in capsys.readouterr().err
 
 
 def test_bundle_adjustment(tmp_path: Path) -> None:

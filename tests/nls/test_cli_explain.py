@@ -160,5 +160,6 @@ def test_bad_input_is_one_line(
 
 
 def test_a_trajectory_has_no_measurements(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["explain", str(write(tmp_path, "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "t.tum"))]) == 2
-    assert capsys.readouterr().err.startswith("nls: ")
+    path = write(tmp_path, "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n", "t.tum")
+    assert main(["explain", str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"nls: {path}: has no measurement: nothing to optimize; add edges")

@@ -14,21 +14,12 @@ from hypothesis import strategies as st
 from models.errors import LeadlineError, SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, OptionError, ResourceLimitError, load
 from nls.io import DIALECTS
-from nls.io.bal import read_bal
-from nls.io.pyfg import read_pyfg
-from tests.nls.g2o_files import Loaded, again, read, same, write
-from tests.nls.io_files import BAL, FILES, PYFG
+from tests.nls.g2o_files import again, read, same, write
+from tests.nls.io_files import ALL, FILES, read_any
 
-ALL = {**FILES, "bal": ("bal", BAL), "pyfg": ("pyfg", PYFG)}
 EDGES = [name for name, (_, text) in FILES.items() if "VERTEX" not in text]
 NUMBERS = ["0", "-1", "9", "1e308", "-1e308", "1e-308", "3.5", "007", "9223372036854775807", "1e160"]
 WORDS = ["nan", "inf", "1_0", "\uff11", "0x1", "", "#", "FIX", "EDGE2", "VERTEX_XY", "9223372036854775808", "1e999"]
-
-
-def read_any(data: bytes, dialect: str) -> Loaded:
-    if dialect == "bal":
-        return read_bal(data, "f.g2o")
-    return read_pyfg(data, "f.g2o") if dialect == "pyfg" else read(data, dialect=dialect)
 
 
 def read_or_refused(data: bytes, dialect: str) -> bool:
