@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from nls.cli.outputs import refuse_unwritable
+from nls.cli.outputs import refuse_loss, refuse_unwritable
 
 __all__ = ["convert"]
 
@@ -17,11 +17,13 @@ def convert(options: argparse.Namespace) -> int:
     refuse_unwritable(options.output)
     form = output_format(options.output, options.to)
     graph, values, report = read(options)
+    if form != report.format:
+        refuse_loss(options, f"{form} files do not hold all that {report.format} files do")
     options.phase.now(f"while writing {options.output}")
     data, notes = rendered(options.output, form, graph, values, report)
     write_bytes(options.output, data)
     options.phase.written.append(options.output)
-    print(f"input       {options.file}: {report.format}, {len(values)} variables, {len(graph)} measurements")
+    print(f"input       {report.path}: {report.format}, {len(values)} variables, {len(graph)} measurements")
     print(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:
         if note not in report.warnings:

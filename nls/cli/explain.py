@@ -34,11 +34,11 @@ def explain(options: argparse.Namespace) -> int:
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)
-    head = {"input": options.file, "format": report.format, "init": init, "optimum": how}
+    head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
-        print(f"{options.file}, {how}\n\n{typed(explanation.report())}")
+        print(f"{report.path}, {how}\n\n{typed(explanation.report())}")
         for note in report.notes:
             if note not in report.warnings:
                 print(f"note        {note}")

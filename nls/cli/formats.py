@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from nls.cli.outputs import shown
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -39,16 +42,21 @@ def output_format(path: str, named: str | None) -> str:
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
-    """The graph, start and report of the file or folder of a command; a trajectory is a graph without measurements."""
+    """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements."""
     import nls
+    from nls.io import load_stream
     from nls.io.dialects import no_information
     from nls.io.trajectory import load_trajectory
 
     options.phase.doing = f"while reading {options.file}"
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
+    how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
+    if options.file == "-":
+        if sys.stdin is None:
+            raise nls.GraphFileError("cannot be read: standard input is closed", shown(options.file))
+        return load_stream(sys.stdin.buffer, shown(options.file), *how)
     if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
-        elevation = getattr(options, "elevation", None)
-        return nls.load(options.file, options.convention, options.dialect, options.repair_information, elevation)
+        return nls.load(options.file, *how)
     if options.repair_information:
         raise no_information(options.file, form)
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)

@@ -44,8 +44,8 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
 
 
 def _named(file: str) -> str:
-    """A file name that is not taken for an option."""
-    return f"./{file}" if file.startswith("-") else file
+    """A file name that is not taken for an option; standard input is none."""
+    return f"./{file}" if file.startswith("-") and file != "-" else file
 
 
 def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:

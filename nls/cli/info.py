@@ -20,7 +20,7 @@ def info(options: argparse.Namespace) -> int:
     graph, values, report = read(options)
     options.phase.doing = f"while inspecting {options.file}"
     found = inspect(graph, values)
-    head = {"input": options.file, "format": report.format, "dimension": report.dimension}
+    head = {"input": report.path, "format": report.format, "dimension": report.dimension}
     options.phase.now("while writing the report")
     write_json(head | {"tags": report.tags, "notes": report.notes} | found, options.json)
     if options.json != "-":

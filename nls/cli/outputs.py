@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -10,7 +11,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["PAGES", "PICTURES", "complain", "json_text", "refuse_name", "refuse_unwritable", "typed", "write_json"]
+__all__ = [
+    "PAGES",
+    "PICTURES",
+    "complain",
+    "json_text",
+    "refuse_loss",
+    "refuse_name",
+    "refuse_unwritable",
+    "shown",
+    "typed",
+    "write_json",
+]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
@@ -52,6 +64,11 @@ def typed(message: str, form: Callable[[str], str] = str) -> str:
     return message
 
 
+def shown(file: str) -> str:
+    """The name of an input in messages, tables and pages."""
+    return "<stdin>" if file == "-" else file
+
+
 def complain(message: object) -> None:
     """One line on standard error, with the options as they are typed here."""
     print(f"nls: {' '.join(line.strip() for line in typed(str(message)).splitlines())}", file=sys.stderr)
@@ -65,7 +82,7 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
     names : of files; None for one that is not asked for.
     json : the report for programs, which may also be ``-``: standard output.
     graph : the graph that is written, which alone may replace what is read.
-    read : the input.
+    read : the input, a file, the folder of a mission or ``-``.
 
     Raises
     ------
@@ -73,10 +90,10 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
     """
     from models.errors import OptionError
 
-    seen: set[str] = set()
+    seen: set[object] = set()
     for name in [graph, *names, None if json == "-" else json]:
         if name is not graph and read:
-            seen.add(os.path.realpath(read))
+            seen |= _inputs(read)
         if name is None:
             continue
         if name == "-":
@@ -88,13 +105,51 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
             raise OptionError("output file", name, "a file, and this is a folder")
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
-        if os.path.realpath(name) in seen:
+        if _identity(name) in seen:
             raise OptionError("output file", name, "a file of its own for every output, and none that is read")
         special = os.path.exists(name) and not os.path.isfile(name)  # a pipe is written to, a file is replaced
         if not os.access(name, os.W_OK) if special else not os.access(folder, os.W_OK | os.X_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")
         if not special:
-            seen.add(os.path.realpath(name))
+            seen.add(_identity(name))
+
+
+def refuse_loss(options: argparse.Namespace, why: str) -> None:
+    """Refuse to replace the input by a graph with less in it, unless ``--overwrite`` allows that.
+
+    Parameters
+    ----------
+    options : of a command that reads a graph and writes one.
+    why : the cause of the loss.
+
+    Raises
+    ------
+    OptionError
+    """
+    from models.errors import OptionError
+
+    if options.output and not options.overwrite and _identity(options.output) in _inputs(options.file):
+        allowed = f"another file than the input, or --overwrite, which replaces the input: {why}"
+        raise OptionError("output file", options.output, allowed)
+
+
+def _identity(name: str) -> object:
+    """What a file has in common under all of its names, links too; of one that does not exist its path."""
+    try:
+        status = os.fstat(sys.stdin.fileno()) if name == "-" else os.stat(name)
+    except (OSError, ValueError, AttributeError):  # standard input may be closed, or no file at all
+        return os.path.realpath(name)
+    return status.st_dev, status.st_ino
+
+
+def _inputs(read: str) -> set[object]:
+    """All that is read: a file, or the tables in the folder of a mission."""
+    if not os.path.isdir(read):
+        return {_identity(read)}
+    from nls.io.mission.columns import COLUMNS
+
+    tables = (os.path.join(read, name + end) for name in COLUMNS for end in (".csv", ".csv.gz"))
+    return {_identity(read), *(_identity(table) for table in tables if os.path.exists(table))}
 
 
 def refuse_name(option: str, name: str | None, suffixes: Sequence[str]) -> None:

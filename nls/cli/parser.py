@@ -10,6 +10,8 @@ from typing import Any, NoReturn
 __all__ = ["parser"]
 
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
+FILE = "graph file, folder of a mission, or '-' for standard input; all but folders may be gzip-compressed"
+OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
@@ -26,6 +28,11 @@ EXAMPLES = """examples:
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
+  nls solve - < survey.g2o                             from a pipe or standard input, also compressed
+  nls explain - < survey.g2o
+  nls info - < survey.g2o
+  nls convert - survey.toro < survey.g2o
+  nls plot - survey.png < survey.g2o
 
 exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
 --robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
@@ -81,6 +88,7 @@ def parser() -> Parser:
     solve.add_argument(
         "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
     )
+    solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
@@ -118,6 +126,7 @@ def parser() -> Parser:
     convert = command("convert", "write a graph in another format", _convert)
     convert.add_argument("output", metavar="OUT", help="the file to write")
     convert.add_argument("--to", choices=formats(), help="format of OUT (default: by its suffix)")
+    convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
 
     plot = command("plot", "draw the graph as it was read", _plot)
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
@@ -129,7 +138,7 @@ def _input(command: argparse.ArgumentParser) -> None:
     from factors.conventions import CONVENTIONS
     from nls.io import DIALECTS
 
-    command.add_argument("file", metavar="FILE", help="graph file, also gzip-compressed (*.gz), or folder of a mission")
+    command.add_argument("file", metavar="FILE", help=FILE)
     command.add_argument("--dialect", default="auto", choices=DIALECTS, help="how its lines read (default: auto)")
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")

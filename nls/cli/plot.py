@@ -16,12 +16,12 @@ def plot(options: argparse.Namespace) -> int:
     from nls.plot import trajectory
     from nls.plot.picture import write_picture
 
-    refuse_unwritable(options.output)
+    refuse_unwritable(options.output, read=options.file)
     refuse_name("output file", options.output, PICTURES)
-    graph, values, _ = read(options)
+    graph, values, report = read(options)
     options.phase.now(f"while writing {options.output}")
     figure = trajectory(graph, values)
-    figure.suptitle(Path(options.file).name)
+    figure.suptitle(Path(report.path).name)
     write_picture(options.output, figure)
     options.phase.written.append(options.output)
     print(f"written     {options.output}")

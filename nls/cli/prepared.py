@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from nls.cli.outputs import shown
+
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.values import Values
@@ -28,7 +30,8 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
 
     if not as_read.factors:
         raise nls.GraphFileError(
-            "has no measurement: nothing to optimize; add edges, or see the variables with nls plot", options.file
+            "has no measurement: nothing to optimize; add edges, or see the variables with nls plot",
+            shown(options.file),
         )
     graph = nls.FactorGraph(as_read.factors, as_read.fixed)
     if options.robust and not outliers.wanted(options.robust):

@@ -60,7 +60,7 @@ def write_report(
         graph,
         before,
         result,
-        title=Path(options.file).name,
+        title=Path(report.path).name,
         init=init,
         marginals=None if solved is None else solved.marginals,
         certificate=certificate,
@@ -80,7 +80,7 @@ def _facts(
     import nls
 
     facts = {
-        "file": options.file,
+        "file": report.path,
         "format": f"{report.format}, {report.dimension}",
         "lines": ", ".join(f"{count:,} {tag}" for tag, count in report.tags.items()),
         "command": shlex.join(["nls", *map(str, options.argv)]),

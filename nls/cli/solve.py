@@ -35,6 +35,7 @@ def solve(options: argparse.Namespace) -> int:
     from nls.cli import certified, outliers
     from nls.cli.formats import output_format, read, refuse_unwritable_graph
     from nls.cli.hint import asking, doubts
+    from nls.cli.outputs import refuse_loss
     from nls.cli.prepared import prepared
     from nls.cli.progress import Progress
     from nls.cli.report import write_report
@@ -58,10 +59,14 @@ def solve(options: argparse.Namespace) -> int:
     elif options.output:
         form = output_format(options.output, options.to)
         _refuse_no_values(options.output, form)
+        if outliers.wanted(options.robust):
+            refuse_loss(options, f"{options.robust} leaves out the measurements it rejects")
     stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
     clock.lap("imports")
     with collected() as stages:
         as_read, values, report = read(options)
+        if form and form != report.format:
+            refuse_loss(options, f"{form} files do not hold all that {report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
         graph = prepared(as_read, values, options)
         clock.lap("read")
@@ -123,7 +128,7 @@ def solve(options: argparse.Namespace) -> int:
     timings = clock.timings(result.timings, stages)
 
     record: dict[str, Any] = {
-        "input": options.file,
+        "input": report.path,
         "format": report.format,
         "dimension": report.dimension,
         "variables": len(values),
@@ -199,7 +204,7 @@ def _say_free(
 def _free(options: argparse.Namespace, report: LoadReport, error: UnderconstrainedError, where: str) -> None:
     """The report for programs on a graph that leaves something free."""
     record = {
-        "input": options.file,
+        "input": report.path,
         "format": report.format,
         "converged": False,
         "status": "UNDERCONSTRAINED",
@@ -268,7 +273,7 @@ def _write(
         from nls.plot import before_after
         from nls.plot.picture import write_picture
 
-        write_picture(path, before_after(graph, before, result, title=Path(options.file).name))
+        write_picture(path, before_after(graph, before, result, title=Path(report.path).name))
 
     outputs: list[tuple[Callable[[str], None], str | None]] = [(covariance, options.covariance)]
     if options.covariance and not result.converged:

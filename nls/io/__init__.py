@@ -6,12 +6,13 @@ import os
 import re
 import warnings
 from pathlib import Path
+from typing import BinaryIO
 
 from factors.conventions import check_convention
-from models.errors import GraphWarning, OptionError
+from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
-from nls.io.files import read_bytes, write_bytes
+from nls.io.files import read_bytes, read_stream, write_bytes
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
 from nls.io.text import printable
@@ -20,7 +21,18 @@ from nls.io.unused import appended, left_out
 from nls.stages import stage
 from nls.values import Values
 
-__all__ = ["DIALECTS", "LoadReport", "load", "read_kitti", "read_tum", "rendered", "save", "write_kitti", "write_tum"]
+__all__ = [
+    "DIALECTS",
+    "LoadReport",
+    "load",
+    "load_stream",
+    "read_kitti",
+    "read_tum",
+    "rendered",
+    "save",
+    "write_kitti",
+    "write_tum",
+]
 
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -76,6 +88,42 @@ def load(
     return graph, values, report
 
 
+def load_stream(
+    file: BinaryIO,
+    name: str,
+    convention: str = "g2o",
+    dialect: str = "auto",
+    repair_information: bool = False,
+    elevation: str | None = None,
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """Read a graph, also gzip-compressed, from an open stream of bytes such as ``sys.stdin.buffer``.
+
+    Parameters
+    ----------
+    file : the stream, read to its end.
+    name : of the stream, for messages and the report.
+    convention, dialect, repair_information, elevation : as for `load`, which has the errors, too.
+
+    Examples
+    --------
+    >>> import io
+    >>> stream = io.BytesIO(b"EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1")
+    >>> load_stream(stream, "<stdin>")[0].factors
+    [Between(x0, x1)]
+    """
+    check_dialect(dialect, DIALECTS)
+    _refuse_elevation(elevation, name)
+    with stage("read file"):
+        try:
+            data = read_stream(file, name)
+        except OSError as error:
+            raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
+    graph, values, report = _parsed(data, name, convention, dialect, repair_information)
+    for note in report.warnings:
+        warnings.warn(f"{name}: {note}", GraphWarning, stacklevel=2)
+    return graph, values, report
+
+
 def _read(
     path: str | Path, convention: str, dialect: str, repair_information: bool, elevation: str | None
 ) -> tuple[FactorGraph, Values, LoadReport]:
@@ -89,26 +137,39 @@ def _read(
             raise no_information(str(path), "mission")
         check_convention(convention)
         return read_mission(path, "hinge" if elevation is None else elevation)
-    if elevation is not None:
-        raise OptionError("elevation", elevation, f"None: {path} is no folder of a mission, whose contacts have one")
+    _refuse_elevation(elevation, path)
     with stage("read file"):
-        data, reason = read_bytes(path), "as asked for"
+        data = read_bytes(path)
+    return _parsed(data, str(path), convention, dialect, repair_information)
+
+
+def _refuse_elevation(elevation: str | None, name: str | Path) -> None:
+    """Refuse what is said about the elevation where there is no mission."""
+    if elevation is not None:
+        raise OptionError("elevation", elevation, f"None: {name} is no folder of a mission, whose contacts have one")
+
+
+def _parsed(
+    data: bytes, path: str, convention: str, dialect: str, repair_information: bool
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """The graph of the bytes of a file, without its warnings; parameters and errors as for `load`."""
+    reason = "as asked for"
     if dialect == "auto":
-        dialect, reason = _foreign(data, str(path))
+        dialect, reason = _foreign(data, path)
     if dialect in ("bal", "pyfg") and repair_information:
-        raise no_information(str(path), dialect)
+        raise no_information(path, dialect)
     if dialect == "bal":
         from nls.io.bal import read_bal
 
-        graph, values, report = read_bal(data, str(path))
+        graph, values, report = read_bal(data, path)
         report.reason = reason
     elif dialect == "pyfg":
         from nls.io.pyfg import read_pyfg
 
-        graph, values, report = read_pyfg(data, str(path), convention)
+        graph, values, report = read_pyfg(data, path, convention)
         report.reason = reason
     else:
-        graph, values, report = read_graph(data, str(path), convention, dialect, repair_information)
+        graph, values, report = read_graph(data, path, convention, dialect, repair_information)
     return graph, values, report
 
 
