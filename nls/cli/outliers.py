@@ -9,6 +9,7 @@ from nls.cli.outputs import typed
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
     from nls.robust import Robustified
     from nls.values import Values
 
@@ -85,9 +86,15 @@ def doubtful(found: Robustified | None, allowed: bool) -> bool:
     return True
 
 
-def kept(as_read: FactorGraph, found: Robustified) -> FactorGraph:
-    """What is written: the graph as it was read, without what was rejected."""
-    return as_read.only([weight > 0 for weight in found.weights])
+def kept(as_read: FactorGraph, found: Robustified, report: LoadReport) -> FactorGraph:
+    """What is written: the graph as it was read, without what was rejected; the report gets the times of the rest."""
+    masks = [weight > 0 for weight in found.weights]
+    graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
+    left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
+    report.factor_times = [
+        (new, times[id(old)][mask]) for (old, mask), new in zip(left, graph.factors, strict=True) if id(old) in times
+    ]
+    return graph
 
 
 def left_out(found: Robustified, output: str | None) -> list[str]:

@@ -39,7 +39,7 @@ def solve(options: argparse.Namespace) -> int:
     from nls.cli.prepared import prepared
     from nls.cli.progress import Progress
     from nls.cli.report import write_report
-    from nls.cli.timing import Clock
+    from nls.cli.timing import Clock, peak_rss_mb
     from nls.linear import SOLVERS, default_solver
     from nls.stages import collected
     from nls.starts import initialize  # noqa: F401
@@ -80,7 +80,7 @@ def solve(options: argparse.Namespace) -> int:
             start, init, tried = nls.initialize(graph, values, options.init)
         else:
             graph, start, init = found.graph, found.result.values, options.robust
-            as_read = outliers.kept(as_read, found)
+            as_read = outliers.kept(as_read, found, report)
             report.notes += outliers.left_out(found, options.output)
             tried = {init: found.result.chi2_final}
         chi2_read = _chi2_read(graph, values, tried)
@@ -156,7 +156,7 @@ def solve(options: argparse.Namespace) -> int:
         "written": written,
         "unwritten": [str(error) for error in failed],
         "notes": report.notes + doubts(result, options, written),
-        "peak_rss_mb": _peak_rss_mb(),
+        "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
     named = [options.json] if options.json not in (None, "-") else []
@@ -389,17 +389,3 @@ def _record(iteration: Iteration) -> dict[str, Any]:
         "lambda": iteration.damping,
         "seconds": iteration.seconds,
     }
-
-
-def _peak_rss_mb() -> float:
-    try:  # Linux hands the peak of the parent process down to ru_maxrss, but not to VmHWM
-        status = Path("/proc/self/status").read_text()
-        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
-    except (OSError, IndexError):
-        pass
-    try:
-        import resource
-    except ImportError:  # no such count on Windows
-        return 0.0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from nls.optimizers import Iteration
 
-__all__ = ["Clock", "iterations", "rows", "table"]
+__all__ = ["Clock", "iterations", "peak_rss_mb", "rows", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
@@ -95,3 +97,18 @@ def iterations(history: Sequence[Iteration]) -> list[str]:
 
 def _shares(seconds: float, whole: float) -> str:
     return f"{1e3 * seconds:9.1f} {100 * seconds / whole:7.1f}"
+
+
+def peak_rss_mb() -> float:
+    """The most memory this process has held, MB; 0 where the system does not count it."""
+    try:  # Linux hands the peak of the parent process down to ru_maxrss, but not to VmHWM
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError):
+        pass
+    try:
+        import resource
+    except ImportError:  # no such count on Windows
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6

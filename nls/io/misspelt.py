@@ -29,7 +29,7 @@ def refuse_misspelt(
     ----------
     text : the file.
     unknown : lines (from 0) by tags that are not known.
-    known : words after each known tag; 0 where there may be any number.
+    known : words after each known tag; 0 where there may be any number above.
     first : the form of a word behind a tag.
 
     Raises
@@ -58,8 +58,9 @@ def refuse_misspelt(
             wrong.append((int(lines[0]), f"expected {name} and a blank before {number}"))
         elif ends & {tag[:2].upper(), tag[-2:].upper()}:
             count = text.first[lines + 1] - text.first[lines] - 1
-            for near in (name for name, words in known.items() if words and _near(tag, name)):
-                wrong += [(int(line), f"expected {printable(near)}") for line in lines[count == known[near]][:1]]
+            for near in (name for name in known if _near(tag, name)):
+                fitting = lines[count == known[near] if known[near] else count > 0]
+                wrong += [(int(line), f"expected {printable(near)}") for line in fitting[:1]]
     if wrong:
         line, expected = min(wrong)
         raise text.error(f"{printable(text.token(int(text.first[line])), 40)!r} is no tag; {expected}", line)

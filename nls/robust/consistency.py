@@ -138,5 +138,5 @@ def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
     a, b = a[agree], b[agree]
     rho2 = np.clip(LOOSE * np.quantile(along, QUARTILE) / chi2_gate(group.dim, 0.5), min(variance, 1.0), 1.0)
     support = np.bincount(np.r_[a, b], minlength=m)
-    roots = (float(np.sqrt(v)) for v in (variance, rho2, typical))
-    return Neighbors(support, connected(a, b, m), *roots, passing=passing)
+    sigma0, rho, sigma = (float(np.sqrt(v)) for v in (variance, rho2, typical))
+    return Neighbors(support, connected(a, b, m), sigma0, rho, sigma, passing)

@@ -104,3 +104,16 @@ def test_the_output_is_the_graph_without_them(
     assert len(before) - len(graph) >= len(wrong)
     assert graph.chi2(values) < 2 * 3 * len(graph)
     assert main(["solve", str(out)]) == 0
+
+
+def test_what_is_left_keeps_its_times(tmp_path: Path) -> None:
+    lines = [f"VERTEX_SE2 {k}.5 A{k} {k} 0 0" for k in range(8)]
+    pairs = [(i, i + step) for step in (1, 2) for i in range(8 - step)]
+    good = [f"EDGE_SE2 {i}.{j} A{i} A{j} {j - i} 0 0 0.01 0 0 0.01 0 0.01" for i, j in pairs]
+    wrong = "EDGE_SE2 9.25 A1 A6 9 9 0 0.01 0 0 0.01 0 0.01"
+    (tmp_path / "a.pyfg").write_text("\n".join([*lines, *good[:9], wrong, *good[9:]]))
+    assert (
+        main(["solve", str(tmp_path / "a.pyfg"), "--robust", "gnc-tls", "-o", str(tmp_path / "b.pyfg"), "--quiet"]) == 0
+    )
+    ((_, times),) = nls.load(tmp_path / "b.pyfg")[2].factor_times
+    assert times.tolist() == [float(line.split()[1]) for line in good]

@@ -44,6 +44,7 @@ SPACES = {
             f"EDGE_SE20 3 1.05 2.05 3.1 {INFORMATION_2}",
             "'EDGE_SE20' is no tag; expected EDGE_SE2 and a blank before 0",
         ),
+        (9, "fix 0 1", "'fix' is no tag; expected FIX "),
         (9, "FIX0", "'FIX0' is no tag; expected FIX and a blank before 0"),
     ],
 )
