@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nls.cli.outputs import shown
+from nls.cli.outputs import input_name
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -53,8 +53,8 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
     if options.file == "-":
         if sys.stdin is None:
-            raise nls.GraphFileError("cannot be read: standard input is closed", shown(options.file))
-        return load_stream(sys.stdin.buffer, shown(options.file), *how)
+            raise nls.GraphFileError("cannot be read: standard input is closed", input_name(options.file))
+        return load_stream(sys.stdin.buffer, input_name(options.file), *how)
     if form not in TRAJECTORIES or options.dialect != "auto" or os.path.isdir(options.file):
         return nls.load(options.file, *how)
     if options.repair_information:

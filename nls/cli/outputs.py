@@ -15,11 +15,11 @@ __all__ = [
     "PAGES",
     "PICTURES",
     "complain",
+    "input_name",
     "json_text",
     "refuse_loss",
     "refuse_name",
     "refuse_unwritable",
-    "shown",
     "typed",
     "write_json",
 ]
@@ -64,7 +64,7 @@ def typed(message: str, form: Callable[[str], str] = str) -> str:
     return message
 
 
-def shown(file: str) -> str:
+def input_name(file: str) -> str:
     """The name of an input in messages, tables and pages."""
     return "<stdin>" if file == "-" else file
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from nls.cli.outputs import shown
+from nls.cli.outputs import input_name
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -31,7 +31,7 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
     if not as_read.factors:
         raise nls.GraphFileError(
             "has no measurement: nothing to optimize; add edges, or see the variables with nls plot",
-            shown(options.file),
+            input_name(options.file),
         )
     graph = nls.FactorGraph(as_read.factors, as_read.fixed)
     if options.robust and not outliers.wanted(options.robust):

@@ -52,10 +52,10 @@ def strange(line: bytes) -> str:
     >>> strange("EDGE_SE2\\u00a00 1".encode()), strange(b"EDGE_SE2 0 1")
     ('no-break space (U+00A0)', '')
     """
-    found = None if line.isascii() else STRANGE.search(line.decode("utf-8", "surrogateescape"))
-    if found is None:
+    match = None if line.isascii() else STRANGE.search(line.decode("utf-8", "surrogateescape"))
+    if match is None:
         return ""
-    character = found[0]
+    character = match[0]
     return NAMES.get(character) or f"{name(character).lower()} (U+{ord(character):04X})"
 
 
