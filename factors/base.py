@@ -137,8 +137,17 @@ class Factor(Abstract):
         other._noise = self.noise.take(index, n)
         for name in self.each:
             setattr(other, name, rows(getattr(self, name), index, n))
-        other._model = None
         return other
+
+    def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
+        """The attributes without the model, which is bound anew, and the names of the read-only arrays."""
+        state = {**vars(self), "_model": None}
+        return state, [name for name, a in state.items() if isinstance(a, np.ndarray) and not a.flags.writeable]
+
+    def __setstate__(self, state: tuple[dict[str, Any], list[str]]) -> None:
+        vars(self).update(state[0])
+        for name in state[1]:
+            getattr(self, name).setflags(write=False)
 
     def __iter__(self) -> Iterator[Factor]:
         """The measurements one by one; without this Python would count up until an IndexError."""
@@ -189,7 +198,6 @@ class Factor(Abstract):
         """The same measurements under a robust kernel, instead of the one they may have."""
         other = copy(self)
         other._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
-        other._model = None
         return other
 
     @abstractmethod

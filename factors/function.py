@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import pickle
+import sys
 from collections.abc import Callable, Sequence
+from copy import deepcopy
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +19,16 @@ from models.algebra import Array
 from models.errors import EvaluationError, GraphError, LeadlineError, OptionError
 
 __all__ = ["FunctionFactor"]
+
+
+BY_VALUE = {"cloudpickle", "dill"}  # where one is loaded, it may be the one that pickles, and takes any function
+
+
+class _Alone(pickle.Pickler):
+    """Pickles a function without the factors it refers to: the one it is the function of may be among them."""
+
+    def persistent_id(self, thing: object) -> str | None:
+        return "factor" if isinstance(thing, Factor) else None
 
 
 class FunctionFactor(Factor):
@@ -43,6 +58,35 @@ class FunctionFactor(Factor):
             self.keys,
             self.name,
         )
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """As any object is pickled, once its functions are known to be.
+
+        Raises
+        ------
+        GraphError
+            A function that another process cannot find: a lambda, a function inside a function.
+        """
+        if BY_VALUE.isdisjoint(module.rpartition(".")[2] for module in list(sys.modules)):
+            for function in (self.residual, self.jacobians):
+                try:
+                    _Alone(io.BytesIO(), protocol).dump(function)
+                except (pickle.PicklingError, AttributeError, TypeError) as error:
+                    raise GraphError(
+                        f"{self!r}: its function cannot be pickled: {error}. Define it with `def` at the "
+                        "top of a module, its data as arguments of functools.partial; cloudpickle takes any function",
+                        self.keys,
+                        self.name,
+                    ) from error
+        return super().__reduce_ex__(protocol)
+
+    def __copy__(self) -> FunctionFactor:
+        return self.__deepcopy__(None)
+
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> FunctionFactor:
+        other, state = object.__new__(type(self)), self.__getstate__()
+        other.__setstate__(state if memo is None else deepcopy(state, memo))
+        return other
 
     @property
     def name(self) -> str:

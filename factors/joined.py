@@ -86,7 +86,6 @@ def _one(group: list[Model]) -> Factor:
     whole._z.setflags(write=False)
     noise = SqrtInformation(np.concatenate([_square(model) for model in group]))
     whole._noise = noise if kernel is None else Robust(noise, kernel)
-    whole._model = None
     for name in whole.each:
         setattr(whole, name, _rows([getattr(model.factor, name) for model in group], group))
     return whole

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +60,9 @@ class Keys:
     def __hash__(self) -> int:
         return hash((self.kind, self.numbers.tobytes()))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Keys, (self.kind, int(self.numbers[0]) if self.single else self.numbers)
+
     def __repr__(self) -> str:
         if len(self) == 1:
             return f"{self.kind}{self.numbers[0]}"
@@ -111,6 +114,9 @@ class Kind:
 
     def __hash__(self) -> int:
         return hash(self.name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Kind, (self.name,)
 
     def __repr__(self) -> str:
         return self.name

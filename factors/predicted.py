@@ -56,7 +56,7 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
             factor.name,
         )
     other = copy(factor)
-    other.keys, other._model = tuple(keys), None
+    other.keys = tuple(keys)
     for name in factor.each:
         if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
             setattr(other, name, other.keys[factor.keys.index(held)])

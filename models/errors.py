@@ -35,7 +35,9 @@ class LeadlineError(Exception):
 
 
 def _as_it_was(kind: type[LeadlineError], args: tuple[Any, ...]) -> LeadlineError:
-    return kind.__new__(kind, *args)
+    error = BaseException.__new__(kind, *args)  # kind.__new__ may be MemoryError's, which refuses a subclass
+    super(LeadlineError, error).__init__(*args)  # its standard base, which keeps them, too
+    return error
 
 
 class GraphFileError(LeadlineError, ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,9 @@ class FactorGraph:
             raise GraphError(f"FactorGraph: expected a list of variables to hold such as [x[0]], got {fixed!r:.80}")
         for keys in fixed:
             self.fix(keys)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_pattern": None}  # of these factors and no copies of them, and soon made again
 
     def __len__(self) -> int:
         """Measurements, over all factors."""

@@ -38,6 +38,9 @@ class Stack:
     def __len__(self) -> int:
         return len(self.numbers)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Stack, (self.kind, self.manifold, self.X, self.numbers)
+
     def moved(self, X: Array) -> Stack:
         """The same variables at other places."""
         other = object.__new__(Stack)

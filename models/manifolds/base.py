@@ -7,7 +7,7 @@ Functions take and return whole stacks: the leading axes are the batch, the last
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,12 @@ class Manifold(Abstract):
     size : numbers per stored element.
     components : names of the tangent components, in order.
     body_axes : whether the tangent space has the axes of the body, so that a covariance has to say its frame.
+
+    Notes
+    -----
+    A space is one object, and compared as such: its copy is itself, also in another process. So a space of your own is
+    pickled by its name, under which its module must hold it: ``SPHERE = Sphere()`` with the name "SPHERE". One with
+    parameters returns in `__reduce__` the function that makes it and the arguments, as R(n) does.
     """
 
     name: str
@@ -105,6 +111,9 @@ class Manifold(Abstract):
         return Y
 
     def __repr__(self) -> str:
+        return self.name
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
         return self.name
 
 

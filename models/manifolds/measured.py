@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -42,6 +44,9 @@ class MeasuredNumbers(Vectors):
 
     def position(self, X: Array) -> Array:
         return X[..., :0]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Measured, self.components
 
 
 def Measured(*names: str) -> LieGroup:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -47,6 +49,9 @@ class Vectors(LieGroup):
 
     def position(self, X: Array) -> Array:
         return X if self.dim in (2, 3) else X[..., :0]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return R, (self.dim,)
 
 
 def R(n: int) -> LieGroup:

@@ -19,7 +19,7 @@ tables 13.1 and 13.3.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -87,6 +87,9 @@ class FastSLAM(Filter):
         if not isinstance(rng, np.random.Generator):
             raise OptionError("FastSLAM: rng", rng, "a numpy.random.Generator such as numpy.random.default_rng(1)")
         self.particles, self.version, self.rng = int(particles), version, rng
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_copied": {}}  # its keys are addresses of factors, which a copy does not share
 
     @property
     def method(self) -> str:

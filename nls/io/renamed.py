@@ -69,5 +69,4 @@ def _with_keys(factor: Factor, keys: tuple[Keys, ...]) -> Factor:
     """The same measurements of other variables."""
     other = copy(factor)
     other.keys = keys
-    other._model = None  # it was bound under the old names
     return other

@@ -81,21 +81,38 @@ class CholmodFactorization(Factorization):
     def __init__(self, hessian: Hessian, dtype: type = float) -> None:
         module = cholmod()
         assert module is not None
-        self._module, self._hessian = module, hessian
+        self._module, self._hessian, self._factorized = module, hessian, False
         self._H = sp.csc_matrix(
             (np.ones(len(hessian.indices), dtype=dtype), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
         )
         self._H.has_sorted_indices = True
         self._chol = module.analyze(self._H, mode="auto", ordering_method="natural")
 
+    def __getstate__(self) -> tuple[Hessian, Array, bool]:
+        return self._hessian, self._H.data, self._factorized
+
+    def __setstate__(self, state: tuple[Hessian, Array, bool]) -> None:
+        """Factorize the same numbers again: CHOLMOD's factor itself does not leave the process."""
+        Cholesky().require()
+        hessian, data, factorized = state
+        self.__init__(hessian, data.dtype.type)  # type: ignore[misc]
+        self._H.data[:] = data
+        if factorized:
+            self._factorize()
+
     def factorize(self, S: Array) -> Array:
         self._hessian.data(S, out=self._H.data)
+        self._factorize()
+        return np.asarray(self._chol.D().real)
+
+    def _factorize(self) -> None:
         try:
             with single_thread():
                 self._chol.cholesky_inplace(self._H)
         except self._module.CholmodNotPositiveDefiniteError as error:
+            self._factorized = False
             raise SingularSystemError(str(error)) from error
-        return np.asarray(self._chol.D().real)
+        self._factorized = True
 
     def solve(self, g: Array) -> Array:
         with single_thread():

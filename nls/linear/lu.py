@@ -36,17 +36,33 @@ class SuperLUFactorization(Factorization):
 
         return np.argsort(splu(dominant(u, v, V), permc_spec="MMD_AT_PLUS_A", **SYMMETRIC).perm_c)
 
+    _H: sp.csc_array | None = None  # the matrix of the latest factors
+
     def __init__(self, hessian: Hessian, dtype: type = float) -> None:
         self._hessian = hessian
 
+    def __getstate__(self) -> tuple[Hessian, sp.csc_array | None]:
+        return self._hessian, self._H
+
+    def __setstate__(self, state: tuple[Hessian, sp.csc_array | None]) -> None:
+        """Factorize the same numbers again: SuperLU's factors do not leave the process."""
+        self._hessian, H = state
+        if H is not None:
+            self._factorize(H)
+
     def factorize(self, S: Array) -> Array:
+        self._factorize(self._hessian.symmetric(S))
+        return np.asarray(self._lu.U.diagonal()[self._lu.perm_c].real)
+
+    def _factorize(self, H: sp.csc_array) -> None:
         from scipy.sparse.linalg import splu
 
+        self._H = None
         try:
-            self._lu = splu(self._hessian.symmetric(S), permc_spec="NATURAL", **SYMMETRIC)
+            self._lu = splu(H, permc_spec="NATURAL", **SYMMETRIC)
         except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
             raise SingularSystemError(str(error)) from error
-        return np.asarray(self._lu.U.diagonal()[self._lu.perm_c].real)
+        self._H = H
 
     def solve(self, g: Array) -> Array:
         return np.asarray(self._lu.solve(g))
