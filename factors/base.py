@@ -370,8 +370,7 @@ class Model:
         if not jacobians:
             return h, ()
         if H is None:
-            predict = self.factor.predict
-            H = central_differences(self.space, self.manifolds, lambda *Y: predict(self.manifolds, *Y)[0], X, h)
+            H = central_differences(self, X, h)
         return h, checked_jacobians(self.factor, H, len(h), self.space.dim, self.manifolds)
 
     def _check(self, array: Array, slot: int | None) -> None:

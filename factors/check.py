@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Protocol
 
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.differences import STEP, difference_steps
+from factors.differences import EPS, FIRST, derivative, sizes
+from factors.noise import whiten
 from models.algebra import Array
-from models.errors import JacobianError
+from models.errors import GraphWarning, JacobianError
 
 __all__ = ["check_jacobians"]
 
-EPS = float(np.finfo(float).eps)
+SAFE = 4.0  # times the error estimate of a difference is its uncertainty
+VAGUE = 1e-3  # uncertainty of a column, relative to its largest entry, that is worth a warning
+DUST = 1e-6  # a column below this, relative to the largest entry of A of its measurement, need not have digits
+ROUNDING = 16 * EPS  # of A, relative to the same
+OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first happens to hide, it shows
 
 
 class Gatherer(Protocol):
@@ -23,24 +29,29 @@ class Gatherer(Protocol):
 
 
 def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> float:
-    """Compare every A of a factor with minus the central difference of b.
+    """Compare every A of a factor with minus the derivative of b by differences, `factors.differences`.
 
     Parameters
     ----------
     factor : the factor, any batch.
     values : the point to check at; choose one with non-zero residuals.
-    rtol : largest difference allowed beyond rounding, relative to the largest entry of that Jacobian.
+    rtol : largest disagreement allowed, relative to the largest entry of its column and measurement.
 
     Returns
     -------
     float
-        The largest relative difference found, less what the rounding of b leaves of a central difference: exactly 0.0
-        where they agree in every digit a difference has, as analytic Jacobians usually do.
+        The largest relative disagreement, beyond the uncertainty of the differences: exactly 0.0 where they agree in
+        every digit a difference has, as analytic Jacobians usually do.
 
     Raises
     ------
     JacobianError
         With the worst entry, both values, and the likely cause (sign, transpose, degrees, factor of 2).
+
+    Warns
+    -----
+    GraphWarning
+        A column with too few digits in its differences: they agree, but would not show a mistake of a thousandth.
 
     Examples
     --------
@@ -54,49 +65,47 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     """
     model, X = values.gather(factor)
     A, b = model.linearize(*X)
-    worst, largest = 0.0, max((float(np.abs(A_k).max(initial=0.0)) for A_k in A), default=0.0)
-    for slot, A_k in enumerate(A):
-        steps = difference_steps(model.manifolds[slot], X[slot])
-        numeric = numerical(model, X, slot, steps)
-        difference = np.abs(A_k - numeric)
-        scale = float(np.abs(numeric).max(initial=0.0))
-        # what rounding of b and of the coordinates leaves of a central difference says nothing about the Jacobian
-        coordinate = (steps / STEP) ** 3
-        rounding = 10 * EPS / steps[:, None, :] * (np.abs(b)[:, :, None] + scale * coordinate[:, None, :])
-        excess = np.maximum(difference - rounding, 0.0)
-        size = max(scale, 1e-3 * largest)  # a Jacobian of zeros has no scale of its own
-        found = float(excess.max(initial=0.0)) / size if size else 0.0
+    h = factor.predict(model.manifolds, *X)[0]
+    rounding = EPS * (whiten(np.abs(model.W), sizes(model.space, h)[:, model.rows]) + np.abs(b))
+    largest, worst = np.max([np.abs(A_k).max(axis=(1, 2), keepdims=True) for A_k in A], axis=0), 0.0  # (n, 1, 1)
+    for slot, (A_k, manifold) in enumerate(zip(A, model.manifolds, strict=True)):
+
+        def change(Y: Array, slot: int = slot) -> Array:
+            return b - model.error(*X[:slot], Y, *X[slot + 1 :])
+
+        numeric, error = derivative(change, manifold, X[slot], rounding)
+        again, _ = derivative(change, manifold, X[slot], rounding, OTHER)
+        error = SAFE * (error + np.abs(numeric - again)) + ROUNDING * largest
+        excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)
+        column = np.abs(A_k).max(axis=1, keepdims=True)
+        size = np.fmax(column, np.abs(numeric).max(axis=1, keepdims=True))
+        relative = excess / np.where(size > 0, size, 1.0)
+        found = float(relative.max(initial=0.0))
+        n, row, d = (int(i) for i in np.unravel_index(np.argmax(relative), relative.shape))
         if found > rtol:
-            n, row, column = (int(i) for i in np.unravel_index(np.argmax(excess), excess.shape))
-            analytic, other = float(A_k[n, row, column]), float(numeric[n, row, column])
-            manifold = model.manifolds[slot]
+            analytic, other = float(A_k[n, row, d]), float(numeric[n, row, d])
             raise JacobianError(
                 f"{factor.describe(n)}: whitened Jacobian, residual row {row}, component "
-                f"{manifold.components[column]} of {factor.keys[slot][[n]]}: analytic {analytic:.9g}, central "
-                f"difference {other:.9g}{_likely_cause(A_k, numeric)}",
+                f"{manifold.components[d]} of {factor.keys[slot][[n]]}: analytic {analytic:.9g}, central "
+                f"difference {other:.9g} +- {error[n, row, d]:.1g}{_likely_cause(A_k, numeric)}",
                 factor.name,
-                (slot, n, row, column),
+                (slot, n, row, d),
                 analytic,
                 other,
             )
         worst = max(worst, found)
+        error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
+        vague = np.where(column > DUST * largest, error / np.where(column > 0, column, 1.0), 0.0)
+        if (vague > VAGUE).any():
+            n, _, d = (int(i) for i in np.unravel_index(np.argmax(vague), vague.shape))
+            warnings.warn(
+                f"{factor.describe(n)}: component {manifold.components[d]} of {factor.keys[slot][[n]]}: the central "
+                f"difference is uncertain by {vague[n, 0, d]:.1g} of the largest entry of its column, so smaller "
+                "mistakes do not show; check at other values, or with the variable in another unit",
+                GraphWarning,
+                stacklevel=2,
+            )
     return worst
-
-
-def numerical(model: Model, X: tuple[Array, ...], slot: int, steps: Array) -> Array:
-    """Minus the central difference of b with respect to a tangent step of one slot, (n, m, dim)."""
-    manifold = model.manifolds[slot]
-    A = np.empty((len(model.z), model.dim, manifold.dim))
-    for d in range(manifold.dim):
-        delta = np.zeros((len(model.z), manifold.dim))
-        delta[:, d] = steps[:, d]
-        moved = []
-        for sign in (1.0, -1.0):
-            Y = list(X)
-            Y[slot] = manifold.retract(X[slot], sign * delta)
-            moved.append(model.error(*Y))
-        A[:, :, d] = -(moved[0] - moved[1]) / (2 * steps[:, d : d + 1])
-    return A
 
 
 def _likely_cause(A: Array, numeric: Array) -> str:

@@ -1,60 +1,187 @@
-"""Jacobians by central differences through retract, the whole batch at once: for a prediction that has none."""
+r"""Jacobians by central differences through retract, the whole batch at once: for a prediction that has none.
+
+A column is differenced with two steps, h and 2h, and extrapolated (Richardson):
+
+    D(h) = (f(h) - f(-h)) / 2h,      D = D(h) + T,      T = (D(h) - D(2h)) / 3
+
+The same four values and f(0) tell how wrong D may be, measurement by measurement:
+
+    error = 2 (rounding of f and x) / h  +  |delta4| / h  +  |T| max|T| / max|D|
+
+delta4 = f(2h) - 4 f(h) + 6 f(0) - 4 f(-h) + f(-2h) is 0 for a smooth f and h -> 0, and otherwise the noise of f or its
+curvature; |T| is the truncation that was removed, and of what is left the same part is assumed. The first step comes
+from the size of the variable. Where the error is too large the step follows it, down where f is not smooth within 2h
+or not finite, up where rounding dominates, until the error is small or grows again. Most columns take one trial, 4
+evaluations. Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical
+Analysis, 1971 (the noise of a function from its table of differences).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from models import Manifold
 from models.algebra import Array
+from models.errors import EvaluationError, SingularGeometryError
+from models.manifolds.measured import ANGLES
 
-__all__ = ["central_differences", "difference_steps"]
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
-STEP = 6e-6  # cube root of the rounding unit: where truncation and rounding of a central difference balance
+    from factors.base import Model
+
+__all__ = ["EPS", "central_differences", "derivative", "sizes"]
+
+EPS = float(np.finfo(float).eps)
+FIRST = 5e-4  # first step of a variable of size 1: eps^(1/5), where rounding balances what extrapolation leaves
+LEAST = 1e-7  # first step at least, relative to the size: rounding of the variable leaves 9 digits
+ENOUGH = 1e-9  # error relative to the largest entry of the column of a measurement that needs no other step
+SMOOTH = 1e-3  # relative error above which f may not be smooth within 2h, so that the error tells little
+MOST = 0.5  # step at most, relative to the size of the variable or, where that is less, to 1
+ROUGH = 0.1  # relative error above which it is no error at all, unless it is rounding
+FAINT = 1e6  # a change of f by so many roundings may still be noise of its inner numbers
+FAR, NEAR = 1e3, 16.0  # by how much the next step differs: where this one tells nothing, and where it nearly does
+TRIALS = 9  # at most, from 5e-4 to 5e-28
+TINY = float(np.finfo(float).tiny)
 
 
-def central_differences(
-    space: Manifold,
-    manifolds: tuple[Manifold, ...],
-    predict: Callable[..., Array],
-    X: tuple[Array, ...],
-    h: Array,
-) -> tuple[Array, ...]:
-    """H_k (n, dim, dim_k) of h(X [+] d) = h [+] H d, one per variable: (h(X [+] d) - h(X [+] -d)) / 2 |d|.
+def central_differences(model: Model, X: tuple[Array, ...], h: Array) -> tuple[Array, ...]:
+    """H_k (n, dim, dim_k) of h(X [+] d) = h [+] H d, one per variable.
 
     Parameters
     ----------
-    space, manifolds : of the prediction, and of each variable.
-    predict : h of one stack (n, size_k) per variable.
-    X, h : the stacks, and h there.
+    model : the factor bound to its spaces.
+    X, h : the stacks (n, size_k), and the prediction there.
+
+    Raises
+    ------
+    EvaluationError
+        The prediction is finite at X, and at no step from there.
     """
-
-    def moved(slot: int, delta: Array) -> Array:
-        Y = list(X)
-        Y[slot] = manifolds[slot].retract(X[slot], delta)
-        return space.local(h, predict(*Y))
-
+    space, factor = model.space, model.factor
+    rounding = EPS * sizes(space, h)
     H = []
-    for slot, manifold in enumerate(manifolds):
-        H_k = np.empty((len(h), space.dim, manifold.dim))
-        for d in range(manifold.dim):
-            delta = np.zeros((len(h), manifold.dim))
-            delta[:, d] = difference_steps(manifold, X[slot])[:, d]
-            H_k[:, :, d] = (moved(slot, delta) - moved(slot, -delta)) / (2 * delta[:, d : d + 1])
+    for slot, manifold in enumerate(model.manifolds):
+
+        def change(Y: Array, slot: int = slot) -> Array:
+            return space.local(h, factor.predict(model.manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
+
+        H_k, _ = derivative(change, manifold, X[slot], rounding)
+        lost = ~np.isfinite(H_k)
+        lost[~np.isfinite(h).all(axis=1)] = False  # refused as such, by name
+        if lost.any():
+            n, _, d = (int(i) for i in np.argwhere(lost)[0])
+            key = factor.keys[slot][[n]]
+            raise EvaluationError(
+                f"{factor.describe(n)}: no central difference in component {manifold.components[d]} of {key}: its "
+                "prediction is finite here but not beside it, however small the step; move its values into the domain "
+                "of the function, or give Jacobians",
+                factor.name,
+                [k[[n]] for k in factor.keys],
+                where=f"Jacobian with respect to {key}",
+            )
         H.append(H_k)
     return tuple(H)
 
 
-def difference_steps(manifold: Manifold, X: Array) -> Array:
-    """Steps (n, dim) of central differences: larger for coordinates far from 0, which carry coarser rounding.
+def derivative(
+    change: Callable[[Array], Array], manifold: Manifold, X: Array, rounding: Array, first: float = FIRST
+) -> tuple[Array, Array]:
+    """Derivative (n, m, dim) with respect to a tangent step of one variable, and its uncertainty (n, m, dim).
 
-    Rounding of x moves f by eps |x| and the step h divides it, truncation is of order h^2: h = (eps |x|)^(1/3).
+    Parameters
+    ----------
+    change : f(Y) - f(X), (n, m), of a stack Y (n, size).
+    manifold, X : of the variable.
+    rounding : (n, m) of f.
+    first : step to begin with, of a variable of size 1.
     """
-    size = np.ones((len(X), manifold.dim))
-    if manifold.dim == manifold.size and manifold.name.startswith("R"):
-        size = np.maximum(size, np.abs(X))
-    else:
-        t = manifold.position(X)
-        size[:, : t.shape[1]] = np.maximum(1.0, np.abs(t).max(axis=1, keepdims=True, initial=0.0))
-    return STEP * np.cbrt(size)
+    size = sizes(manifold, X)
+    columns = []
+    for d, unit in enumerate(np.eye(manifold.dim)):
+
+        def along(t: Array, unit: Array = unit) -> Array:
+            return change(manifold.retract(X, t[:, None] * unit))
+
+        columns.append(_column(along, size[:, d], rounding, first))
+    D, U = (np.stack(parts, axis=2) for parts in zip(*columns, strict=True))
+    return D, U
+
+
+def sizes(manifold: Manifold, X: Array) -> Array:
+    """Size (n, dim) of elements by tangent component: of their numbers, of a position in any axes, 1 of an angle."""
+    if manifold.dim == manifold.size and not manifold.body_axes:
+        return np.where(np.isin(manifold.components, list(ANGLES)), 1.0, np.abs(X))
+    size, t = np.ones((len(X), manifold.dim)), manifold.position(X)
+    size[:, : t.shape[1]] = np.abs(t).max(axis=1, keepdims=True, initial=0.0)
+    return size
+
+
+class _Trial(NamedTuple):
+    """What one step gives.
+
+    Attributes
+    ----------
+    D, error : (n, m) derivative and its error.
+    relative : (n,) the largest error, relative to the largest D.
+    rounded : (n,) whether most of it is rounding, so that a larger step has less.
+    silent : (n,) whether f does not change, but for rounding.
+    """
+
+    D: Array
+    error: Array
+    relative: Array
+    rounded: npt.NDArray[np.bool_]
+    silent: npt.NDArray[np.bool_]
+
+
+def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array]:
+    """Derivative (n, m) of f(t) - f(0) at t = 0 (n,), and its error."""
+    step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
+    most = MOST * np.maximum(size, 1.0)
+    D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
+    lowest, going = np.full(len(D), np.inf), np.ones(len(D), dtype=bool)
+    stride, way = np.full(len(D), FAR), np.full(len(D), -1.0)
+    for k in range(TRIALS):
+        step = np.maximum((size + step) - size, 4 * EPS * size)  # what the variable can move by
+        try:
+            trial = _trial(along, step, size, rounding)
+        except (EvaluationError, SingularGeometryError):
+            if k == TRIALS - 1 and np.isnan(D).any():
+                raise  # no step stays where f can be evaluated
+            step, way = np.where(going, step / FAR, step), np.where(going, -1.0, way)
+            continue
+        relative, rounded = trial.relative, trial.rounded
+        smaller = ~(trial.error.max(axis=1) >= error.max(axis=1)) & (relative <= ROUGH)
+        vain = (way > 0) & ~smaller  # a larger step, and no more digits
+        better = going & ~vain & (relative <= lowest)
+        D[better], error[better], lowest[better] = trial.D[better], trial.error[better], relative[better]
+        wide = step >= np.where(trial.silent, first * np.maximum(size, 1.0), most)
+        enough = (relative <= ENOUGH) | (rounded & wide) | vain
+        going &= ~enough & (better | (lowest > SMOOTH))
+        if not going.any():
+            break
+        turned, way = way == np.where(rounded, -1.0, 1.0), np.where(rounded, 1.0, -1.0)
+        stride = np.where((turned & (k > 0)) | (relative <= SMOOTH), NEAR, stride)
+        step = np.where(going, np.minimum(step * stride**way, most), step)
+    return D, error
+
+
+@np.errstate(all="ignore")  # a step may leave the domain of f
+def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: Array) -> _Trial:
+    a, b, c, d = (along(k * step) for k in (1.0, -1.0, 2.0, -2.0))
+    h, change = step[:, None], np.abs([a, b, c, d]).max(axis=0)
+    T = ((a - b) / (2 * h) - (c - d) / (4 * h)) / 3
+    D = np.where(change <= 2 * rounding, 0.0, (a - b) / (2 * h) + T)
+    largest = np.maximum(np.abs(D).max(axis=1), TINY)
+    noise = 2 * (rounding + EPS * size[:, None] * np.abs(D)) / h
+    bent = np.abs(c - 4 * a - 4 * b + d) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
+    worst = (noise + bent).max(axis=1)
+    relative = np.where(np.isfinite(worst), worst / largest, np.inf)
+    faint = change.max(axis=1) <= FAINT * rounding.max(axis=1)
+    rounded = (bent.max(axis=1) <= 8 * noise.max(axis=1)) | faint
+    error = np.where((rounded | (relative <= ROUGH))[:, None], noise + bent, np.inf)
+    return _Trial(D, error, relative, rounded, (change <= 2 * rounding).all(axis=1))

@@ -163,11 +163,8 @@ def test_a_callback_that_returns_nothing_does_not_stop() -> None:
 
 
 def test_interrupted_in_a_residual() -> None:
-    calls = []
-
     def residual(X: Array) -> Array:
-        calls.append(1)
-        if len(calls) > 8:
+        if X[0, 0] < 5:  # two steps from the start
             raise KeyboardInterrupt
         return np.array(X**2 - 2.0)
 

@@ -1,0 +1,232 @@
+"""Central differences against exact derivatives: sizes from 1e-12 to 1e12, offsets, borders of domains."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from factors import Factor, Isotropic, Range, check_jacobians
+from factors.differences import EPS, FIRST, derivative
+from models import LINE, SE2, SE3, Manifold, Measured, R
+from models.algebra import Array
+from models.errors import EvaluationError, GraphWarning, JacobianError
+from nls import FactorGraph, LevenbergMarquardt, Stop, Values, kinds
+
+(p,) = kinds("p")
+Function = Callable[[Array], Array]
+
+# f, f' and f'' of u = x / s, where s has the size of x: every one changes by about itself over s
+FUNCTIONS: dict[str, tuple[Function, Function, Function]] = {
+    "cube": (lambda u: u**3, lambda u: 3 * u**2, lambda u: 6 * u),
+    "power": (lambda u: np.abs(u) ** -1.5, lambda u: -1.5 * np.abs(u) ** -2.5 * np.sign(u), lambda u: u**-3.5),
+    "exponential": (np.exp, np.exp, np.exp),
+    "rational": (lambda u: u / (5 + u), lambda u: 5 / (5 + u) ** 2, lambda u: -10 / (5 + u) ** 3),
+    "sine": (lambda u: np.sin(3 * u), lambda u: 3 * np.cos(3 * u), lambda u: -9 * np.sin(3 * u)),
+    "logarithm": (lambda u: np.log(np.abs(u)), lambda u: 1 / u, lambda u: -1 / u**2),
+    "line": (lambda u: 2 * u - 1, lambda u: np.full_like(u, 2.0), np.zeros_like),
+}
+problems = given(
+    name=st.sampled_from(sorted(FUNCTIONS)),
+    decade=st.integers(-12, 12),
+    u=st.floats(0.3, 3.0).flatmap(lambda u: st.sampled_from([u, -u])),
+    offset=st.sampled_from([0.0, 1.0, 1e6]),
+)
+
+
+@problems
+def test_columns_are_as_exact_as_rounding_lets_them(name: str, decade: int, u: float, offset: float) -> None:
+    f, df, _ = FUNCTIONS[name]
+    s = 10.0**decade
+    exact = float(df(np.array(u))) / s
+    size = abs(offset) + abs(float(f(np.array(u)))) + 1
+    noise = EPS * size / abs(exact * s)  # of a difference over s
+    assume(noise < 1e-6)
+    X = np.array([[u * s]])
+    calls = []
+
+    def change(Y: Array) -> Array:
+        calls.append(Y)
+        return (offset + f(Y / s)) - (offset + f(X / s))
+
+    D, error = derivative(change, R(1), X, np.full((1, 1), EPS * size))
+    assert abs(D[0, 0, 0] / exact - 1) < 1e-9 + 1e3 * noise
+    assert abs(D[0, 0, 0] - exact) <= error[0, 0, 0] <= (1e-8 + 1e5 * noise) * abs(exact)
+    assert len(calls) <= 36
+
+
+@problems
+def test_check_refuses_the_wrong_and_never_the_exact(name: str, decade: int, u: float, offset: float) -> None:
+    f, df, _ = FUNCTIONS[name]
+    s = 10.0**decade
+    values = Values({p: (R(2), [u * s, 0.7])})
+
+    def residual(X: Array) -> Array:
+        return np.stack([offset + f(X[:, 0] / s), np.cos(X[:, 1]) * f(X[:, 0] / s)], axis=1)
+
+    def jacobians(X: Array, wrong: float = 1.0) -> list[Array]:
+        v, c = X[:, 0] / s, np.cos(X[:, 1])
+        zero = np.zeros_like(v)
+        J = [[df(v) / s, zero], [wrong * c * df(v) / s, -np.sin(X[:, 1]) * f(v)]]
+        return [np.array(J).transpose(2, 0, 1)]
+
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        check_jacobians(Factor.from_function(residual, p[0], 2, jacobians=jacobians), values)
+        for wrong in (1.01, 0.99, -1.0, 2.0, 0.0):
+            mistaken = Factor.from_function(residual, p[0], 2, jacobians=lambda X, w=wrong: jacobians(X, w))
+            if not doubts:
+                with pytest.raises(JacobianError, match=r"row 1, component x of p0: analytic .* difference .* \+- "):
+                    check_jacobians(mistaken, values)
+    assert all(issubclass(doubt.category, GraphWarning) for doubt in doubts)
+    if offset < 1e6:
+        assert not doubts
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-17, 1e-9, 1.0])
+@pytest.mark.parametrize("s", [1e-9, 1e-4, 1.0, 100.0])
+def test_a_variable_at_0_says_nothing_about_its_scale(x: float, s: float) -> None:
+    factor = Factor.from_function(lambda X: np.exp(np.sin(X / s)) * [1.0, 3.0], p[0], 2)
+    (A,), _ = linearized(factor, R(1), [x])
+    exact = np.exp(np.sin(x / s)) * np.cos(x / s) / s
+    assert A[0, :, 0] == pytest.approx(exact * np.array([1.0, 3.0]), rel=1e-9 + 100 * EPS * x / s)
+
+
+def linearized(factor: Factor, manifold: Manifold, X: object) -> tuple[tuple[Array, ...], Array]:
+    model, stacks = Values({p: (manifold, X)}).gather(factor)
+    return model.linearize(*stacks)
+
+
+def test_every_measurement_and_column_has_its_own_step() -> None:
+    """A batch of sizes 1e-12 to 1e12: two parameters of opposite size, one residual each."""
+    s = 10.0 ** np.arange(-12, 13, 3)
+
+    def residual(X: Array) -> Array:
+        return np.stack([np.log(X[:, 0]), np.sqrt(X[:, 1]) * np.sqrt(s), X[:, 0] * X[:, 1]], axis=1)
+
+    X = np.stack([2 * s, 3 / s], axis=1)
+    (A,), _ = linearized(Factor.from_function(residual, p[0 : len(s)], 3), R(2), X)
+    zero = np.zeros_like(s)
+    exact = np.array([[1 / X[:, 0], zero], [zero, np.sqrt(s / X[:, 1]) / 2], [X[:, 1], X[:, 0]]]).transpose(2, 0, 1)
+    largest = np.abs(exact).max(axis=1, keepdims=True)
+    assert (np.abs(A - exact) / largest).max() < 1e-9
+
+
+@pytest.mark.parametrize("distance", [1e-3, 1e-6, 1e-9])
+def test_a_step_stays_in_the_domain(distance: float) -> None:
+    def residual(X: Array) -> Array:
+        return np.sqrt(X - 1) + np.log(X - 1)  # NaN, with a warning of NumPy, below 1
+
+    (A,), _ = linearized(Factor.from_function(residual, p[0], 1), R(1), [1 + distance])
+    d = (1 + distance) - 1
+    assert A[0, 0, 0] == pytest.approx(0.5 / np.sqrt(d) + 1 / d, rel=10 * EPS / distance + 1e-9)
+
+
+def test_a_step_avoids_values_at_which_the_function_raises() -> None:
+    def residual(X: Array) -> Array:
+        if (X < 0).any():
+            raise ValueError("below 0")
+        return np.sqrt(X)
+
+    (A,), _ = linearized(Factor.from_function(residual, p[0], 1), R(1), [1e-8])
+    assert A[0, 0, 0] == pytest.approx(0.5e4, rel=1e-9)
+    with pytest.raises(EvaluationError, match="your function raised ValueError: below 0"):
+        linearized(Factor.from_function(residual, p[0], 1), R(1), [0.0])
+
+
+def test_no_step_is_in_the_domain() -> None:
+    def residual(X: Array) -> Array:
+        return np.sqrt(-np.abs(X))
+
+    for start in ([[1.0, 0.0]], [[0.0, 0.0]]):
+        factor = Factor.from_function(lambda X: np.stack([X[:, 0], *residual(X).T[1:]], axis=1), p[0], 2)
+        with pytest.raises(
+            EvaluationError, match=r"\(p0\): no central difference in component y of p0: .* not beside it.* domain"
+        ):
+            linearized(factor, R(2), start)
+
+
+@pytest.mark.parametrize(
+    ("manifold", "X"),
+    [
+        (SE2, [5e5, 4e6, 3.1]),
+        (SE2, [0.0, 0.0, 0.0]),
+        (SE3, [0.0, 0.0, 1e-9, 0.0, 0.0, 0.0, 1.0]),
+        (SE3, [4e5, 0.0, 20.0, 0.5, 0.5, 0.5, 0.5]),
+        (LINE, [-3.14, 2e-3]),
+        (Measured("yaw", "range"), [3.14, 1e4]),
+    ],
+    ids=str,
+)
+def test_elements_near_and_far_from_the_origin(manifold: Manifold, X: list[float]) -> None:
+    """The residual is the tangent step from there, so that its derivative is the identity."""
+    here = np.array([X])
+    factor = Factor.from_function(lambda Y: manifold.local(here, Y), p[0], manifold.dim)
+    (A,), _ = linearized(factor, manifold, here)
+    far = np.abs(manifold.position(here)).max(initial=1.0)
+    assert np.abs(A[0] - np.eye(manifold.dim)).max() < 1e-10 + 100 * EPS * far
+
+
+def test_columns_of_poses_take_four_evaluations_or_little_more() -> None:
+    rng = np.random.default_rng(0)
+    points, calls = rng.uniform(-50, 50, size=(200, 2)), []
+
+    def residual(X: Array) -> Array:
+        calls.append(len(X))
+        return Range(p[0], p[1], [1.0], Isotropic()).predict((SE2, R(2)), X, points)[0]
+
+    linearized(Factor.from_function(residual, p[0:200], 1), SE2, rng.uniform(-50, 50, size=(200, 3)))
+    assert len(calls) <= 1 + 3 * 8
+
+
+MISRA = np.array(
+    [
+        *[[77.6, 10.07], [114.9, 14.73], [141.1, 17.94], [190.8, 23.93], [239.9, 29.61], [289.0, 35.18]],
+        *[[332.8, 40.02], [378.4, 44.82], [434.8, 50.76], [477.3, 55.05], [536.8, 61.01], [593.1, 66.40]],
+        *[[689.1, 75.47], [760.0, 81.78]],
+    ]
+)
+
+
+@pytest.mark.parametrize("start", [[500, 1e-4], [250, 5e-4]])
+def test_a_fit_with_a_parameter_of_1e_4_has_nine_digits(start: list[float]) -> None:
+    """Misra1a of NIST's reference data, with its certified values."""
+    t, y = MISRA.T
+    factor = Factor.from_function(lambda X: y - X[:, :1] * (1 - np.exp(-X[:, 1:] * t)), p[0], len(t))
+    strict = LevenbergMarquardt(Stop(update_tol=0, chi2_rtol=1e-15, gradient_tol=1e-12))
+    result = FactorGraph([factor]).optimize(Values({p: (R(2), start)}), strict)
+    assert result.converged
+    assert result.values[p[0]] == pytest.approx([2.3894212918e02, 5.5015643181e-04], rel=1e-9)
+    assert result.chi2_final == pytest.approx(1.2455138894e-01, rel=1e-10)
+
+
+def test_check_says_where_it_cannot_tell() -> None:
+    """1e13 + x: a change of x by 1 is lost but for three digits; a mistake of a tenth of a percent does not show."""
+
+    def factor(slope: float) -> Factor:
+        return Factor.from_function(
+            lambda X: 1e13 + np.sin(X), p[0], 1, jacobians=lambda X: [slope * np.cos(X)[:, None]]
+        )
+
+    values = Values({p: (R(1), [0.3])})
+    with pytest.warns(GraphWarning, match=r"p0\): component x of p0: the central difference is uncertain by"):
+        check_jacobians(factor(1.0), values)
+    with pytest.raises(JacobianError, match=r"analytic -0\.95.* difference 0\.95"):
+        check_jacobians(factor(-1.0), values)
+
+
+def test_the_first_step_is_where_both_errors_balance() -> None:
+    """Of sin at 1, with a step ten times larger or smaller, the difference is worse."""
+    X, off = np.array([[1.0]]), []
+    for first in (10 * FIRST, FIRST, FIRST / 100):
+        t = np.array([first])
+        a, b, c, d = (np.sin(1 + k * t) for k in (1, -1, 2, -2))
+        off.append(abs(float(((8 * (a - b) - (c - d)) / (12 * t))[0]) - np.cos(1)))
+    assert off[1] < min(off[0], off[2])
+    assert (
+        abs(derivative(lambda Y: np.sin(Y) - np.sin(1), R(1), X, np.full((1, 1), EPS))[0][0, 0, 0] - np.cos(1)) < 1e-12
+    )
