@@ -81,8 +81,8 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
         size = np.fmax(column, np.abs(numeric).max(axis=1, keepdims=True))
         relative = excess / np.where(size > 0, size, 1.0)
         found = float(relative.max(initial=0.0))
-        n, row, d = (int(i) for i in np.unravel_index(np.argmax(relative), relative.shape))
         if found > rtol:
+            n, row, d = (int(i) for i in np.unravel_index(np.argmax(relative), relative.shape))
             analytic, other = float(A_k[n, row, d]), float(numeric[n, row, d])
             raise JacobianError(
                 f"{factor.describe(n)}: whitened Jacobian, residual row {row}, component "

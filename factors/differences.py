@@ -4,16 +4,18 @@ A column is differenced with two steps, h and 2h, and extrapolated (Richardson):
 
     D(h) = (f(h) - f(-h)) / 2h,      D = D(h) + T,      T = (D(h) - D(2h)) / 3
 
-The same four values and f(0) tell how wrong D may be, measurement by measurement:
+From these four values and f(0) comes the error of D, measurement by measurement:
 
     error = 2 (rounding of f and x) / h  +  |delta4| / h  +  |T| max|T| / max|D|
 
 delta4 = f(2h) - 4 f(h) + 6 f(0) - 4 f(-h) + f(-2h) is 0 for a smooth f and h -> 0, and otherwise the noise of f or its
-curvature; |T| is the truncation that was removed, and of what is left the same part is assumed. The first step comes
-from the size of the variable. Where the error is too large the step follows it, down where f is not smooth within 2h
-or not finite, up where rounding dominates, until the error is small or grows again. Most columns take one trial, 4
-evaluations. Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical
-Analysis, 1971 (the noise of a function from its table of differences).
+curvature. |T| is the truncation that was removed; the rest is assumed to be the same part of |T|. The first step comes
+from the size of the variable. Where the error is too large, another step is tried: a smaller one where f is not smooth
+within 2h or not finite, a larger one where rounding dominates, until the error is small or grows again. Most columns
+take one trial, 4 evaluations; factors of poses take 5.3 on average, of parameters of unknown scale about 10.
+
+Source: J. Lyness, C. Moler, SIAM J. Numer. Anal. 4 (1967); R. Hamming, Introduction to Applied Numerical Analysis,
+1971 (the noise of a function from its table of differences).
 """
 
 from __future__ import annotations

@@ -204,6 +204,11 @@ def test_a_fit_with_a_parameter_of_1e_4_has_nine_digits(start: list[float]) -> N
     assert result.chi2_final == pytest.approx(1.2455138894e-01, rel=1e-10)
 
 
+def test_no_measurement_needs_no_step() -> None:
+    none = Factor.from_function(lambda X: X, p[0:0], 2)
+    assert check_jacobians(none, Values({p: (R(2), [1.0, 2.0])})) == 0.0
+
+
 def test_check_says_where_it_cannot_tell() -> None:
     """1e13 + x: a change of x by 1 is lost but for three digits; a mistake of a tenth of a percent does not show."""
 
