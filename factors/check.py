@@ -17,7 +17,7 @@ __all__ = ["check_jacobians"]
 
 SAFE = 4.0  # times the error estimate of a difference is its uncertainty
 VAGUE = 1e-3  # uncertainty of a column, relative to its largest entry, that is worth a warning
-DUST = 1e-6  # a column below this, relative to the largest entry of A of its measurement, need not have digits
+DUST = 1e-6  # a column below this part of the largest of its measurement, each times the size of its variable, is 0
 ROUNDING = 16 * EPS  # of A, relative to the same
 OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first happens to hide, it shows
 
@@ -67,7 +67,11 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     A, b = model.linearize(*X)
     h = factor.predict(model.manifolds, *X)[0]
     rounding = EPS * (whiten(np.abs(model.W), sizes(model.space, h)[:, model.rows]) + np.abs(b))
-    largest, worst = np.max([np.abs(A_k).max(axis=(1, 2), keepdims=True) for A_k in A], axis=0), 0.0  # (n, 1, 1)
+    extent = [np.where((s := sizes(m, Y)) > EPS, s, 1.0)[:, None, :] for m, Y in zip(model.manifolds, X, strict=True)]
+    largest = np.max(
+        [np.abs(A_k * s).max(axis=(1, 2), keepdims=True) for A_k, s in zip(A, extent, strict=True)], axis=0
+    )
+    worst = 0.0
     for slot, (A_k, manifold) in enumerate(zip(A, model.manifolds, strict=True)):
 
         def change(Y: Array, slot: int = slot) -> Array:
@@ -75,7 +79,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
 
         numeric, error = derivative(change, manifold, X[slot], rounding)
         again, _ = derivative(change, manifold, X[slot], rounding, OTHER)
-        error = SAFE * (error + np.abs(numeric - again)) + ROUNDING * largest
+        error = SAFE * (error + np.abs(numeric - again)) + ROUNDING * largest / extent[slot]
         excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)
         column = np.abs(A_k).max(axis=1, keepdims=True)
         size = np.fmax(column, np.abs(numeric).max(axis=1, keepdims=True))
@@ -95,7 +99,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
             )
         worst = max(worst, found)
         error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
-        vague = np.where(column > DUST * largest, error / np.where(column > 0, column, 1.0), 0.0)
+        vague = np.where(column * extent[slot] > DUST * largest, error / np.where(column > 0, column, 1.0), 0.0)
         if (vague > VAGUE).any():
             n, _, d = (int(i) for i in np.unravel_index(np.argmax(vague), vague.shape))
             warnings.warn(

@@ -159,7 +159,9 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
         relative, rounded = trial.relative, trial.rounded
         smaller = ~(trial.error.max(axis=1) >= error.max(axis=1)) & (relative <= ROUGH)
         vain = (way > 0) & ~smaller  # a larger step, and no more digits
-        better = going & ~vain & (relative <= lowest)
+        apart = np.abs(trial.D - D).max(axis=1) > ROUGH * np.abs(D).max(axis=1)
+        refuted = (way < 0) & ~rounded & apart  # f only looked smooth: the larger step met a period of it
+        better = going & ~vain & ((relative <= lowest) | refuted)
         D[better], error[better], lowest[better] = trial.D[better], trial.error[better], relative[better]
         wide = step >= np.where(trial.silent, first * np.maximum(size, 1.0), most)
         enough = (relative <= ENOUGH) | (rounded & wide) | vain
@@ -179,7 +181,7 @@ def _trial(along: Callable[[Array], Array], step: Array, size: Array, rounding: 
     T = ((a - b) / (2 * h) - (c - d) / (4 * h)) / 3
     D = np.where(change <= 2 * rounding, 0.0, (a - b) / (2 * h) + T)
     largest = np.maximum(np.abs(D).max(axis=1), TINY)
-    noise = 2 * (rounding + EPS * size[:, None] * np.abs(D)) / h
+    noise = 2 * (rounding + EPS * (size[:, None] + 2 * h) * np.abs(D)) / h
     bent = np.abs(c - 4 * a - 4 * b + d) / h + np.abs(T) * (np.abs(T).max(axis=1) / largest)[:, None]
     worst = (noise + bent).max(axis=1)
     relative = np.where(np.isfinite(worst), worst / largest, np.inf)
