@@ -23,7 +23,7 @@ from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import SQUARABLE, Noise, weights, whiten
-from factors.returned import checked_jacobians, checked_prediction, checked_space, refuse_unsquarable
+from factors.returned import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
@@ -253,7 +253,6 @@ class Factor(Abstract):
                 raise NoiseModelError(message, error.matrix, error.index, error.value, self.keys) from error
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
-            refuse_unsquarable(self, z, W)
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
             # components first for small matrices, one by one for larger ones, as `product` wants them
             W = np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)
@@ -324,6 +323,10 @@ class Model:
     def dim(self) -> int:
         """Numbers per measurement."""
         return len(self.names)
+
+    def refuse_extreme(self) -> None:
+        """Refuse a measurement or weight whose square is no number, see `factors.returned.refuse_extreme`."""
+        refuse_extreme(self.factor, self.z, self.W, self.names)
 
     @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
     def error(self, *X: Array) -> Array:

@@ -9,12 +9,12 @@ import numpy as np
 from factors.noise import SQUARABLE
 from models import Manifold
 from models.algebra import Array
-from models.errors import EvaluationError, GraphError
+from models.errors import EvaluationError, GraphError, NoiseModelError
 
 if TYPE_CHECKING:
     from factors.base import Factor, Jacobians
 
-__all__ = ["checked_jacobians", "checked_prediction", "checked_space", "refuse_unsquarable"]
+__all__ = ["checked_jacobians", "checked_prediction", "checked_space", "refuse_extreme"]
 
 
 def checked_space(factor: Factor, space: object) -> Manifold:
@@ -80,16 +80,31 @@ def checked_jacobians(
     return tuple(H)
 
 
-def refuse_unsquarable(factor: Factor, z: Array, W: Array) -> None:
-    """Refuse a measurement z (n, size) of so many sigmas that no chi2 of it is finite; W is the whitener.
+def refuse_extreme(factor: Factor, z: Array, W: Array, names: tuple[str, ...]) -> None:
+    """Refuse measurements z (n, size) that cannot be weighted by the whitener W, as no square of a number can hold it.
 
     Raises
     ------
+    NoiseModelError
+        A weight so small that its square is 0.
     GraphError
+        A measurement of so many sigmas that no chi2 of it is finite.
     """
     if not z.size or not W.size:
         return
-    sigmas = np.abs(z).max(axis=1) * np.abs(W).reshape(len(W), -1).max(axis=1)
+    rows = np.abs(W) if W.ndim == 2 else np.abs(W).max(axis=2, initial=0.0)
+    if (faint := (rows > 0) & (rows < 1 / SQUARABLE)).any():
+        k, j = (int(i) for i in np.argwhere(faint)[0])
+        sigma = float(1 / rows[k, j])
+        raise NoiseModelError(
+            f"{factor.describe(k)}: sigma {sigma:.3g} of {names[j]} has an information too small for a number; "
+            f"expected less than {SQUARABLE:g}, or leave that component out",
+            "noise",
+            k,
+            sigma,
+            factor.keys,
+        )
+    sigmas = np.abs(z).max(axis=1) * rows.max(axis=1)
     if not sigmas.max() <= SQUARABLE:
         k = int(np.argmax(~(sigmas <= SQUARABLE)))
         raise GraphError(

@@ -108,6 +108,16 @@ class Pattern:
             )
         )
 
+    def refuse_extreme(self) -> None:
+        """Refuse measurements and weights whose squares are no numbers.
+
+        Raises
+        ------
+        GraphError, NoiseModelError
+        """
+        for batch in self.batches:
+            batch.model.refuse_extreme()
+
     def linearize(self, values: Values) -> LinearSystem:
         """Every whitened A_i and b_i at the values; one call per batch."""
         b = np.empty(self.m)

@@ -186,6 +186,7 @@ class FactorGraph:
         if not isinstance(solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
+        self.pattern(values).refuse_extreme()
         decided = choose_gauge(gauge, self.pattern(values), values, fixed)
         pattern = decided.pattern.holding(decided.held)
         if decided.free:

@@ -266,6 +266,14 @@ def made(folder: str | Path) -> Iterator[None]:
                 place.rmdir()
 
 
+def _mode(name: str) -> int | None:
+    """Type and permissions of a file; None where there is none, or where a link leads to none."""
+    try:
+        return os.stat(name).st_mode
+    except FileNotFoundError:
+        return None
+
+
 def _write_all(files: Mapping[str, bytes]) -> None:
     """Write all files beside their places, then move them there: a disk that fills up leaves them as they were."""
     moves: list[tuple[str, Path, Path]] = []
@@ -273,7 +281,7 @@ def _write_all(files: Mapping[str, bytes]) -> None:
     try:
         for name, data in files.items():
             content = gzip.compress(data, mtime=0) if name.lower().endswith(".gz") else data
-            mode = os.stat(name).st_mode if os.path.exists(name) else None
+            mode = _mode(name)
             if mode is not None and not stat.S_ISREG(mode):
                 with open(name, "wb") as file:
                     file.write(content)

@@ -85,6 +85,11 @@ class Truncated:
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""
         values = self._bent(values, loss, far)
+        part = self.graph.only(self._within(self._s(values), 1.0))
+        return self.settled(lowest(part, values).values)
+
+    def settled(self, values: Values) -> Choice:
+        """The choice that reproduces itself, from what is within the thresholds at some values."""
         kept: list[Mask] = []
         for _ in range(PASSES):
             s = self._s(values)
@@ -92,7 +97,7 @@ class Truncated:
             if before and all((a == b).all() for a, b in zip(before, kept, strict=True)):
                 break
             part = self.graph.only(kept)
-            result = part.optimize(values) if before else lowest(part, values)
+            result = part.optimize(values)
             values = result.values
         else:
             s = self._s(values)  # two choices take turns: the last one is taken

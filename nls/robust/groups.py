@@ -26,6 +26,7 @@ from nls.robust.loop_graph import LoopGraph
 __all__ = ["misfits"]
 
 LARGE = 60  # closures; larger groups are what the others are judged by
+MANY = 300  # groups that are judged, those of the largest residuals
 WIDE, FITS = 2.0, 0.999  # a group misfits beyond so many times this quantile: residuals have heavier tails than chi2
 
 
@@ -47,10 +48,10 @@ def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
     wrong, d, kept = np.zeros(len(accepted), dtype=bool), edges.group.dim, np.flatnonzero(accepted)
     order = kept[np.argsort(loops.neighbors.cluster[kept], kind="stable")]
     starts = np.flatnonzero(np.diff(loops.neighbors.cluster[order])) + 1
-    for members in np.split(order, starts):
+    groups = [members for members in np.split(order, starts) if 0 < len(members) <= LARGE]
+    groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
+    for members in groups[:MANY]:
         k = len(members)
-        if k > LARGE or not k:
-            continue
         nodes, place = np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True)
         blocks = np.zeros((k, d, len(nodes), d))
         for block, at in zip(A, np.split(place, 2), strict=True):

@@ -11,6 +11,7 @@ from nls.optimizers import Result
 from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.consistency import unit_variance
+from nls.robust.exchange import exchanged
 from nls.robust.groups import misfits
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
@@ -24,7 +25,7 @@ STRAIN = 3.0  # times the noise between neighbors; more in the whole graph is no
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
-STRAINED = 3.5  # times the typical noise between neighbors, which is 1 to 2.4 times less than that of public graphs
+STRAINED = 2.9  # times the typical noise between neighbors; of public graphs 0.9 to 2.4
 RIVAL, AWAY = 3.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 TURNS = 3  # of giving up contradicted groups
@@ -90,10 +91,10 @@ class Preselection:
         noise = _noise(first)
         if not first.converged or first.dof < 1 or first.chi2_final > chi2_gate(first.dof, 1 - UNLIKELY):
             return None
-        if noise > STRAIN**2 * min(loops.neighbors.sigma0, 1.0) ** 2:
+        if noise > STRAIN**2 * min(loops.neighbors.typical, 1.0) ** 2:
             return None
         variance = min(WIDE**2 * noise, 1.0)
-        choice = self.problem.scaled(variance).choice(first.values, self.loss, np.inf)
+        choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
         if self.problem.rejected(choice.kept) > chance or self._without_contradicted(choice)[1] > STILL:
             return None
@@ -112,7 +113,9 @@ class Preselection:
             other = problem.choice(loops.values, self.loss, np.inf)
             better = other.cost < self.rivals[0].cost - RIVAL * max(problem.c2)
             self.rivals.insert(0 if better else 1, other)
-        return self.rivals[0], variance
+        choice, others = exchanged(problem, loops, self.rivals[0])
+        self.rivals = [choice, *self.rivals, *others]
+        return choice, variance
 
     def _dearer(self) -> float:
         """How many times the operations all closures take, of those that agree with a neighbor."""

@@ -82,6 +82,6 @@ def shift(loops: LoopGraph, before: Values, after: Values) -> float:
 
 def _apart(p: Array, q: Array) -> float:
     """Root mean square of q - R p over the rotations R that make it smallest."""
-    U, s, Vt = np.linalg.svd(q.T @ p)
-    s[-1] *= np.linalg.det(U) * np.linalg.det(Vt)
-    return float(np.sqrt(max((np.square(p) + np.square(q)).sum() - 2 * s.sum(), 0.0) / len(p)))
+    U, _, Vt = np.linalg.svd(q.T @ p)
+    U[:, -1] *= np.linalg.det(U) * np.linalg.det(Vt)  # a rotation, no reflection
+    return float(np.sqrt(np.square(q - p @ (U @ Vt).T).sum(axis=1).mean()))

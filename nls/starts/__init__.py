@@ -90,6 +90,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ------
     OptionError
         No such method.
+    GraphError
+        A measurement or a weight whose square is no number.
     EvaluationError, SingularGeometryError, UnderconstrainedError
         The chosen start, or every start that ``auto`` tries, cannot be evaluated or does not exist.
 
@@ -104,16 +106,17 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     >>> name, chi2["file"]
     ('chordal', 1.0)
     """
+    if method not in ("auto", *STARTS):
+        raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
+    pattern = graph.pattern(values)
+    pattern.refuse_extreme()
     if method != "auto":
-        if method not in STARTS:
-            raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
     chi2: dict[str, float] = {}
     best, name = values, ""
     refused: dict[str, LeadlineError] = {}
-    pattern = graph.pattern(values)
     groups, rows = pose_batches(pattern), measured_rows(pattern)
     candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
     candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}

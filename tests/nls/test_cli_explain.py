@@ -106,7 +106,7 @@ def test_the_help_is_about_this_command(capsys: Captured) -> None:
     assert main(["explain", "--help"]) == 0
     out = capsys.readouterr().out
     assert "Say in plain words what is free, what does not fit, and what helps." in out
-    assert "of explain and all\nothers: 0 done, whatever was found; of all: 2 bad input" in out
+    assert "of explain and all others: 0 done, whatever was found; of all: 2 bad input" in out
     assert "  nls explain survey.g2o  " in out
     assert "nls convert survey" not in out
 

@@ -1,0 +1,48 @@
+r"""A choice among few groups of closures, improved by giving up one group or taking one back.
+
+Closures that agree with neighbors are one witness, however many they are, and stay together. Each move is solved for;
+the one that lowers the cost
+
+    sum of min(s, c^2)
+
+the most is taken, until none does. Graduation follows one minimum only and cannot leave it by itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nls.robust.choice import Choice, Truncated
+from nls.robust.closures import Mask
+from nls.robust.loop_graph import LoopGraph
+
+__all__ = ["exchanged"]
+
+FEW = 60  # groups; with more there are others that check each of them
+TURNS = 10  # moves at most
+BETTER = 1e-3  # of the cost by which a move must lower it
+
+
+def exchanged(problem: Truncated, loops: LoopGraph, choice: Choice) -> tuple[Choice, list[Choice]]:
+    """The choice no move improves, and where the last moves led."""
+    cluster = loops.neighbors.cluster
+    groups = np.unique(cluster)
+    others: list[Choice] = []
+    if len(groups) > FEW:
+        return choice, others
+    for _ in range(TURNS):
+        kept = loops.accepted(choice.kept)
+        others = [_moved(problem, loops, choice, kept, cluster == group) for group in groups]
+        best = min(others, key=lambda other: other.cost)
+        if best.cost >= choice.cost * (1 - BETTER):
+            break
+        choice = best
+    return choice, others
+
+
+def _moved(problem: Truncated, loops: LoopGraph, choice: Choice, kept: Mask, group: Mask) -> Choice:
+    """The choice without a group, or with all of it where most of it is rejected."""
+    takes = 2 * (kept & group).sum() < group.sum()
+    masks = loops.masks(kept | group if takes else kept & ~group)
+    start = problem.graph.only(masks).optimize(choice.result.values).values
+    return problem.settled(start)

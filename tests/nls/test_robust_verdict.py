@@ -1,0 +1,166 @@
+"""When a choice of closures is doubtful, when all are kept, and what one group more or less does to a choice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from factors import Between, Diagonal
+from models import SE2, SE3, LieGroup, R
+from nls import FactorGraph, Values, kinds
+from nls.robust import Doubt, DoubtKind
+from nls.robust import preselection as preselection_module
+from nls.robust.choice import Truncated
+from nls.robust.exchange import exchanged
+from nls.robust.loop_graph import loop_graph
+from nls.robust.verdict import doubts, shift
+
+(x,) = kinds("x")
+PLANE = "pose-graphs-2d/"
+SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
+
+
+def wrong(n: int, count: int, seed: int) -> Between:
+    """Closures between poses drawn at random, each somewhere else."""
+    rng = np.random.default_rng(seed)
+    i, j = rng.integers(0, n // 2, count), rng.integers(n // 2 + 5, n, count)
+    return Between(x[i], x[j], rng.normal(size=(count, 3)) * [3.0, 3.0, 1.0], SIGMAS)
+
+
+@pytest.fixture(scope="module")
+def laps() -> sim.World:
+    """Two laps of 60 poses, the second of which is tied to the first."""
+    return sim.ring(np.random.default_rng(0), laps=2, per_lap=60)
+
+
+# --- what is said of a choice ---
+
+
+def test_more_than_half_wrong_is_doubtful_and_less_is_not(laps: sim.World) -> None:
+    loops = len(laps.graph.factors[1])
+    for count, doubtful in ((loops // 2, False), (3 * loops, True)):
+        found = nls.gnc(FactorGraph([*laps.graph.factors, wrong(120, count, 1)]), laps.truth)
+        assert found.weights[1].all()
+        assert not found.weights[2].any()
+        kinds_of = [doubt.kind for doubt in found.doubts]
+        assert kinds_of == ([DoubtKind.FEW_KEPT, DoubtKind.SIGMAS] if doubtful else [])
+        if doubtful:
+            assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
+            assert "doubtful: " in str(found)
+
+
+def test_half_is_meant_less_what_chance_rejects(laps: sim.World) -> None:
+    result = laps.graph.optimize(laps.start)
+    assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
+    assert [doubt.kind for doubt in doubts(result, 98, 200, 0.99)] == [DoubtKind.FEW_KEPT]
+    assert [doubt.kind for doubt in doubts(result, 99, 200, 0.999)] == [DoubtKind.FEW_KEPT]
+
+
+def test_a_chi2_that_noise_does_not_explain_is_doubtful(laps: sim.World) -> None:
+    result = laps.graph.optimize(laps.start)
+    for ratio, doubtful in ((1.9, False), (2.1, True)):
+        found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1, 0.99)
+        assert [doubt.kind for doubt in found] == [DoubtKind.UNEXPLAINED] * doubtful
+
+
+def test_closures_that_span_little_of_the_track_are_near_dead_reckoning() -> None:
+    steps, k = np.arange(99), np.arange(0, 60, 2)
+    values = Values({x: (SE2, np.c_[np.arange(100.0), np.zeros((100, 2))])})
+    odometry = Between(x[steps], x[steps + 1], [1.0, 0.0, 0.0], Diagonal(x=0.01, y=0.01, yaw=0.001))
+    short = Between(x[k[:10]], x[k[:10] + 2], [2.0, 0.0, 0.0], SIGMAS)
+    far = Between(x[[1, 2, 3]], x[[96, 97, 98]], [[0.0, 9.0, 0.0], [0.0, -9.0, 0.0], [5.0, 20.0, 0.0]], SIGMAS)
+    found = nls.gnc(FactorGraph([odometry, short, far]), values)
+    assert found.weights[1].all()
+    assert not found.weights[2].any()
+    assert Doubt(DoubtKind.DEAD_RECKONING, 20, 97).kind in [doubt.kind for doubt in found.doubts]
+    (doubt,) = (doubt for doubt in found.doubts if doubt.kind is DoubtKind.DEAD_RECKONING)
+    assert (doubt.count, doubt.total) == (20, 98)
+
+
+@pytest.mark.parametrize("space", [SE2, SE3])
+def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
+    rng = np.random.default_rng(2)
+    X = space.exp(rng.normal(size=(30, space.dim)))
+    k = np.arange(29)
+    graph = FactorGraph([Between(x[k], x[k + 1], space.between(X[:-1], X[1:]), Diagonal(np.ones(space.dim)))])
+    loops = FactorGraph(
+        [*graph.factors, Between(x[0], x[29], space.between(X[0], X[29]), Diagonal(np.ones(space.dim)))]
+    )
+    track = loop_graph(loops, Values({x: (space, X)}))
+    moved = Values({x: (space, space.compose(space.exp(rng.normal(size=(1, space.dim))), X))})
+    values = Values({x: (space, X)})
+    assert shift(track, values, moved) < 1e-12
+    p = space.position(X)
+    other = X.copy()
+    other[:, : p.shape[1]] += 0.3 * rng.normal(size=p.shape)
+    expected = nls.metrics.ate(other, X, "rigid").rmse / np.ptp(p, axis=0).max()
+    assert shift(track, values, Values({x: (space, other)})) == pytest.approx(expected, rel=1e-6)
+
+
+# --- when all closures are kept ---
+
+
+@pytest.mark.parametrize(
+    "name", ["kitti_00.g2o", "CSAIL.g2o", "FR079_P_toro.graph", "input_INTEL.g2o", "manhattan.g2o"]
+)
+def test_no_more_right_closures_of_public_graphs_are_lost_than_chance_takes(data: Path, name: str) -> None:
+    graph, values, _ = nls.load(data / (PLANE + name))
+    found = nls.gnc(graph, values)
+    assert len(found.rejected) <= 0.01 * found.doubted
+    assert found.doubts == ()
+    best = graph.optimize(nls.initialize(graph, values)[0])
+    assert found.result.chi2_final == pytest.approx(best.chi2_final, rel=0.01)
+
+
+def test_neighbors_less_noisy_than_stated_do_not_condemn_a_long_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Odometry as noisy as stated over 600 steps, closures a third as noisy: what kitti_00 is like."""
+    rng, n = np.random.default_rng(5), 600
+    step = np.array([1.0, 0.0, 2 * np.pi / 300])
+    T = [np.zeros(3)]
+    for _ in range(n - 1):
+        T.append(SE2.compose(T[-1], step))
+    truth, k = np.array(T), np.arange(n - 1)
+    noise = np.array([0.05, 0.05, 0.005])
+    odometry = Between(
+        x[k], x[k + 1], SE2.compose(step[None], SE2.exp(noise * rng.normal(size=(n - 1, 3)))), Diagonal(noise)
+    )
+    i = np.arange(280, 300)
+    z = SE2.compose(SE2.between(truth[i], truth[i + 300]), SE2.exp(noise / 3 * rng.normal(size=(20, 3))))
+    graph, values = FactorGraph([odometry, Between(x[i], x[i + 300], z, Diagonal(noise))]), Values({x: (SE2, truth)})
+    assert not nls.gnc(graph, values).rejected
+    monkeypatch.setattr(
+        preselection_module.Preselection, "_explained", lambda self: None
+    )  # growth alone keeps them too
+    assert not nls.gnc(graph, values).rejected
+    spoiled = nls.gnc(FactorGraph([*graph.factors, wrong(n, 10, 3)]), values)
+    assert spoiled.weights[1].all()
+    assert not spoiled.weights[2].any()
+
+
+# --- one group more or less ---
+
+
+def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> None:
+    steps = np.arange(19)
+    odometry = Between(x[steps], x[steps + 1], np.ones((19, 1)), Diagonal([1.0]))
+    right = Between(x[[0, 4, 9]], x[[15, 16, 18]], [[15.0], [12.0], [9.0]], Diagonal([0.1]))
+    lone = Between(x[1], x[17], [4.0], Diagonal([0.1]))  # 16 is right
+    graph, values = FactorGraph([odometry, right, lone]), Values({x: (R(1), np.arange(20.0)[:, None])})
+    loops = loop_graph(graph, values)
+    problem = Truncated(graph, loops_masks(graph), [6.6, 6.6, 6.6])
+    start = problem.without(problem.settled(values), [np.ones(19, bool), np.zeros(3, bool), np.ones(1, bool)])
+    assert start.cost > 3 * 6.6 - 1e-9
+    choice, others = exchanged(problem, loops, start)
+    assert [mask.all() for mask in choice.kept] == [True, True, False]
+    assert choice.cost == pytest.approx(6.6, rel=1e-6)
+    assert all(other.cost >= choice.cost * (1 - 1e-3) for other in others)
+
+
+def loops_masks(graph: FactorGraph) -> list[np.ndarray]:
+    """All but the first factor are doubted."""
+    return [np.full(len(factor), k > 0) for k, factor in enumerate(graph.factors)]
