@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,133 +11,115 @@ from time import monotonic, process_time
 from typing import Any
 
 import numpy as np
-from wrong_closures import SETS, Solved, solved, spoiled
+from wrong_closures import KINDS, SETS, Solved, few, solved, spoiled
 
 import nls
-from factors import Cauchy
 from models.errors import UnderconstrainedError
-from nls import FactorGraph, Values
+from nls import FactorGraph
 
-OURS, OTHERS = "nls.gnc", ("plain", "Cauchy(1)", "GNC, all in")
-SHARES, SIZES = (0.1, 0.3, 0.5), (1, 10)
-HARD = ((0.5, 30), (0.5, 100), (0.7, 1), (0.7, 10))  # share, size
-HARD_SETS = ("intel", "manhattan", "sphere2500")
-PATIENCE = 20.0  # s of processor time after which another method is given up
+SHARES = (0.1, 0.3, 0.5, 0.8)  # of all closures, right and wrong
+LARGE = ("M3500", "manhattan", "Olson", "sphere2500", "parking-garage", "torus3D", "city10000")  # fewer seeds
+VERTIGO = ("random", "grouped", "local", "local in groups")  # the kinds of its generator
+PROTOCOL = ("CSAIL", "FR079", "INTEL", "intel", "M3500", "sphere2500", "parking-garage")
+RATIOS = tuple(k / 10 for k in range(1, 11))  # of the right closures
+RUNS = 10
+TWENTY = 20  # closures of a graph with few
+COUNTS = (10, 20, 80)  # wrong ones beside them
+FEW_SETS = ("CSAIL", "FR079", "INTEL", "intel", "kitti_00", "M3500", "manhattan", "sphere2500")
 FINE = 0.01  # of the extent: what is nearer to the right optimum is solved
 
 
 @dataclass(frozen=True)
 class Task:
-    """A graph with wrong closures, and what is tried on it."""
+    """A graph with wrong closures.
 
+    Attributes
+    ----------
+    table : ``clean``, ``kinds``, ``protocol`` or ``few``.
+    amount : wrong closures; of all closures in ``kinds``, of the right ones in ``protocol``, their number in ``few``.
+    """
+
+    table: str
     name: str
-    size: int
-    share: float
+    kind: str
+    amount: float
     seed: int
-    method: str = OURS
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a task; nan where a method does not say, or was given up.
+    """What came of a task.
 
     Attributes
     ----------
-    off : ATE over the extent.
-    recall, precision : share of the wrong ones that were rejected, of the rejected ones that are wrong.
-    kept : share of the right closures that were kept.
-    strain, noise, rejected : `Robustified.strain`, chi2 over degrees of freedom, share of all closures rejected.
+    off : ATE over the extent; inf where there is no estimate.
+    doubts : kinds of doubt the result states, or the error.
+    right, lost, wrong, accepted : right closures and those rejected, wrong closures and those accepted.
     seconds : processor time.
     """
 
     task: Task
     off: float
-    recall: float
-    precision: float
-    kept: float
-    strain: float
-    noise: float
-    rejected: float
+    doubts: list[str]
+    right: int
+    lost: int
+    wrong: int
+    accepted: int
     seconds: float
 
     @property
-    def fine(self) -> bool:
-        return self.off < FINE
+    def outcome(self) -> str:
+        """``solved``, ``doubtful`` or ``silent``, which is wrong without a word."""
+        return "doubtful" if self.doubts else "solved" if self.off < FINE else "silent"
 
 
-class GivenUpError(Exception):
-    """A method took too long."""
-
-
-@contextmanager
-def patience(seconds: float) -> Iterator[None]:
-    """At most so much processor time for what is inside."""
-
-    def give_up(*_: object) -> None:
-        raise GivenUpError
-
-    before = signal.signal(signal.SIGPROF, give_up)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
-
-
-def tasks(seeds: int) -> list[Task]:
+def tasks(seeds: int, large: int) -> list[Task]:
     """The first seed of everything, and the others after it: a run that is ended early has a bit of all."""
-    suite, hard, others = [], [], []
-    for seed in range(seeds):
-        suite.append([Task(name, size, share, seed) for name in SETS for size in SIZES for share in SHARES])
-        hard.append([Task(name, size, share, seed) for name in HARD_SETS for share, size in HARD])
-    for method in OTHERS:
-        others += [Task(t.name, t.size, t.share, t.seed, method) for t in suite[0]]
-    later = [t for again in (suite[1:], hard[1:]) for one in again for t in one]
-    return [*suite[0], *hard[0], *others, *later]
+    out = [Task("clean", name, "none", 0.0, 0) for name in SETS]
+    for seed in range(max(seeds, large, RUNS)):
+        for name in SETS:
+            if seed < (large if name in LARGE else seeds):
+                out += [Task("kinds", name, kind, share, seed) for share in SHARES for kind in KINDS]
+        if seed < seeds:
+            out += [Task("few", name, kind, count, seed) for name in FEW_SETS for count in COUNTS for kind in KINDS]
+        if seed < RUNS:  # the kinds of the generator take turns
+            out += [Task("protocol", name, VERTIGO[seed % 4], ratio, seed) for name in PROTOCOL for ratio in RATIOS]
+    return out
 
 
 def planted(data: Path, task: Task) -> tuple[Solved, FactorGraph]:
     """The right graph, and the one with wrong closures as its second factor."""
     right = solved(data / SETS[task.name])
-    rng = np.random.default_rng([task.seed, task.size, round(100 * task.share)])
-    return right, FactorGraph([right.edges, spoiled(right, task.share, task.size, rng)])
-
-
-def estimate(method: str, graph: FactorGraph, start: Values) -> Values:
-    """Methods that reject nothing by name, or begin with everything."""
-    if method == "plain":
-        return graph.optimize(nls.initialize(graph, start)[0]).values
-    odometry = nls.initialize(graph, start, "odometry")[0]
-    if method == "Cauchy(1)":
-        return graph.robust(Cauchy(1.0)).optimize(odometry).values
-    return nls.gnc(graph, odometry, preselect=False).result.values
+    rng = np.random.default_rng(
+        [task.seed, list(KINDS).index(task.kind) if task.amount else 0, round(100 * task.amount)]
+    )
+    if task.table == "few":
+        right = few(right, TWENTY, rng)
+    ratio = {"kinds": task.amount / (1 - task.amount), "protocol": task.amount}.get(task.table, 0.0)
+    wrong = int(task.amount) if task.table == "few" else round(ratio * int(right.loops.sum()))
+    return right, FactorGraph([right.edges, spoiled(right, wrong, task.kind, rng)] if wrong else [right.edges])
 
 
 def tried(data: Path, task: Task) -> Trial:
     """A trial."""
     right, graph = planted(data, task)
-    nan, began = float("nan"), process_time()
-    if task.method != OURS:
-        try:
-            with patience(PATIENCE):
-                off = right.off(estimate(task.method, graph, right.start))
-        except (GivenUpError, UnderconstrainedError):
-            off = nan
-        return Trial(task, off, nan, nan, nan, nan, nan, nan, process_time() - began)
-    found = nls.gnc(graph, right.start)
-    seconds, (of_right, of_wrong) = process_time() - began, (w == 0 for w in found.weights)
-    rejected = int(of_right.sum() + of_wrong.sum())
+    began, loops = process_time(), int(right.loops.sum())
+    try:
+        found = nls.gnc(graph, right.start)
+    except UnderconstrainedError as error:
+        return Trial(
+            task, np.inf, [type(error).__name__], loops, 0, len(graph) - len(right.edges), 0, process_time() - began
+        )
+    kept = [int(w.sum()) for w in found.weights]
     return Trial(
         task,
         off=right.off(found.result.values),
-        recall=float(of_wrong.mean()),
-        precision=float(of_wrong.sum()) / max(rejected, 1),
-        kept=1 - float(of_right[right.loops].mean()),
-        strain=found.strain,
-        noise=found.result.chi2_final / found.result.dof,
-        rejected=rejected / found.doubted,
-        seconds=seconds,
+        doubts=[doubt.kind.name for doubt in found.doubts] + ([] if found.result.converged else ["NOT_CONVERGED"]),
+        right=loops,
+        lost=len(right.edges) - kept[0],
+        wrong=len(graph) - len(right.edges),
+        accepted=sum(kept[1:]),
+        seconds=process_time() - began,
     )
 
 
@@ -149,7 +128,7 @@ def kept_in(path: Path | None) -> list[Trial]:
     if path is None or not path.exists():
         return []
     lines: list[dict[str, Any]] = [json.loads(line) for line in path.read_text().splitlines()]
-    return [Trial(**(each | {"task": Task(**each["task"])})) for each in lines]
+    return [Trial(**(line | {"task": Task(**line["task"])})) for line in lines]
 
 
 def run(data: Path, wanted: list[Task], path: Path | None, workers: int, minutes: float) -> list[Trial]:

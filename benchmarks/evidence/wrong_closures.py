@@ -13,19 +13,41 @@ import nls
 from factors import Between
 from factors.keys import Keys
 from models import LieGroup
-from nls import Values
+from nls import FactorGraph, Values
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 SETS = {
+    "CSAIL": "pose-graphs-2d/CSAIL.g2o",
+    "FR079": "pose-graphs-2d/FR079_P_toro.graph",
+    "INTEL": "pose-graphs-2d/input_INTEL.g2o",
     "intel": "pose-graphs-2d/intel.g2o",
+    "kitti_00": "pose-graphs-2d/kitti_00.g2o",
+    "ring": "pose-graphs-2d/ring.g2o",
+    "M3500": "pose-graphs-2d/input_M3500_g2o.g2o",
     "manhattan": "pose-graphs-2d/manhattan.g2o",
+    "Olson": "pose-graphs-2d/manhattanOlson3500.g2o",
+    "city10000": "pose-graphs-2d/city10000.g2o.gz",
+    "smallGrid3D": "pose-graphs-3d/smallGrid3D.g2o",
     "sphere2500": "pose-graphs-3d/sphere2500.g2o.gz",
     "torus3D": "pose-graphs-3d/torus3D.g2o.gz",
     "parking-garage": "pose-graphs-3d/parking-garage.g2o.gz",
 }
-LOOP = 10  # steps at least between the two ends of a wrong closure, and three times its group
+GROUP = 10  # wrong closures in a group
+KINDS = {  # how the ends are drawn, and how many in a row say the same
+    "random": ("random", 1),
+    "grouped": ("random", GROUP),
+    "local": ("local", 1),
+    "local in groups": ("local", GROUP),
+    "alias": ("alias", 1),
+    "alias in groups": ("alias", GROUP),
+}
+NEAR = 20  # steps at most between the ends of a local one
+LOOP = 10  # steps at least between the two ends of an alias, and three times its group
+SIGMA_METERS, SIGMA_RADIANS = 0.3, np.radians(10)  # of what a random or local one says
+HALF = 0.5  # of the trials with few closures have them spread over the track
 X = "x"  # the kind of every pose here
 
 
@@ -67,20 +89,65 @@ def solved(path: Path) -> Solved:
     return Solved(edges, loops, values, result.values, float(np.ptp(stack.manifold.position(stack.X), axis=0).max()))
 
 
-def spoiled(right: Solved, share: float, size: int, rng: np.random.Generator) -> Between:
-    """Wrong closures in groups: `size` in a row from poses a, a+1, ... to b, b+1, ... that agree with one another.
+def few(right: Solved, count: int, rng: np.random.Generator) -> Solved:
+    """The same graph with so many of its closures, drawn at random, or in two runs, and its own optimum."""
+    loops, n = np.flatnonzero(right.loops), count // 2
+    if rng.random() < HALF:
+        chosen = rng.choice(loops, count, replace=False)
+    else:
+        first = np.sort([right.edges.keys[slot].numbers[loops] for slot in (0, 1)], axis=0)
+        order, runs = loops[np.lexsort(first[::-1])], rng.choice(len(loops) - n, 2, replace=False)
+        chosen = np.unique([order[begin : begin + n] for begin in runs])
+    mask = ~right.loops
+    mask[chosen] = True
+    edges = right.edges[mask]
+    assert isinstance(edges, Between)
+    result = FactorGraph([edges]).optimize(right.best)
+    assert result.converged, result.reason
+    return Solved(edges, right.loops[mask], right.start, result.values, right.extent)
 
-    The first of a group says of two poses drawn at random what a right one, drawn at random, says of its own. The
-    others say it too, carried along the true track at both ends, each with weight and residual of a right one.
 
-    Parameters
-    ----------
-    share : of all closures, right and wrong, that are wrong in the end.
+def spoiled(right: Solved, wrong: int, kind: str, rng: np.random.Generator) -> Between:
+    """So many wrong closures, one of `KINDS`.
+
+    Random ones join two poses drawn at random, local ones two within 20 steps. Both say that the poses are one place,
+    but for 0.3 m and 10 degrees, all of a group the same, with the weight of the graph's first closure: the generator
+    of N. Suenderhauf and P. Protzel, "Switchable constraints for robust pose graph SLAM", IROS 2012.
+
+    An alias says of two poses drawn at random what a right closure says of its own. The others of its group say it,
+    too, carried along the true track at both ends, each with weight and residual of a right one: one place looks like
+    another.
     """
+    ends, size = KINDS[kind]
+    if ends == "alias":
+        return _aliases(right, wrong, size, rng)
+    edges, n = right.edges, len(right.best.stack(X))
+    groups = -(-wrong // size)
+    a, b = _ends(ends, groups, n - size, rng)
+    group = right.best.stack(X).manifold
+    assert isinstance(group, LieGroup)
+    meters = rng.normal(0, SIGMA_METERS, (groups, group.point_dim))
+    radians = rng.normal(0, SIGMA_RADIANS, (groups, group.dim - group.point_dim))
+    z = group.exp(np.column_stack([meters, radians]))
+    of, step = np.divmod(np.arange(wrong), size)
+    weights = edges.noise.take(np.full(wrong, np.flatnonzero(right.loops)[0]), len(edges))
+    return Between(Keys(X, a[of] + step), Keys(X, b[of] + step), z[of], weights, convention=edges.convention)
+
+
+def _ends(kind: str, groups: int, last: int, rng: np.random.Generator) -> tuple[Index, Index]:
+    """First and second pose of the first of every group, neither the same nor neighbors."""
+    a = rng.integers(0, last, groups)
+    b = rng.integers(0, last, groups) if kind == "random" else rng.integers(a, np.minimum(last, a + NEAR) + 1)
+    again = np.abs(a - b) < 2
+    if again.any():
+        a[again], b[again] = _ends(kind, int(again.sum()), last, rng)
+    return np.minimum(a, b), np.maximum(a, b)
+
+
+def _aliases(right: Solved, wrong: int, size: int, rng: np.random.Generator) -> Between:
     edges, stack = right.edges, right.best.stack(X)
     group, P, n = stack.manifold, stack.X, len(stack)
     assert isinstance(group, LieGroup)
-    wrong = round(share / (1 - share) * int(right.loops.sum()))
     ends = np.empty((0, 2), dtype=np.intp)
     while len(ends) * size < wrong:
         drawn = rng.integers(0, n - size + 1, (wrong, 2))

@@ -63,7 +63,7 @@ def record(found: Robustified) -> dict[str, Any]:
                 "count": d.count,
                 "total": d.total,
                 "number": d.number,
-                "moved": d.moved,
+                "part": d.part,
                 "sentence": str(d),
             }
             for d in found.doubts

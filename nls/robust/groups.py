@@ -8,26 +8,58 @@ A_g its rows at the optimum and P the covariance there, it has the statistic
 which is chi2 distributed with as many degrees of freedom as it has rows, if its closures are right: for a linear
 problem it is what chi2 falls by when the group is taken out. No other solution is needed for it.
 
+The same matrix tells how much that statistic can say. A closure c of the group is predicted by the rest with the
+covariance S_c, in the units of its own noise the block of c in (I - A_g P A_g')^-1. A wrong closure that says anything
+passes by chance with the probability
+
+    volume of xi' S_c^-1 xi <= q  /  volume of all relative poses on the map.
+
+Near 1 the closure is checked by nothing.
+
 Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, for single measurements.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import gamma, pi
+
 import numpy as np
 
 from factors.keys import Keys
+from models.algebra import Array
 from nls.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.optimizers import Result
-from nls.robust.closures import Mask
+from nls.robust.closures import Index, Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.loop_graph import LoopGraph
+from nls.values import Values
 
-__all__ = ["misfits"]
+__all__ = ["Witness", "misfits", "witnesses"]
 
 LARGE = 60  # closures; larger groups are what the others are judged by
 MANY = 300  # groups that are judged, those of the largest residuals
 WIDE, FITS = 2.0, 0.999  # a group misfits beyond so many times this quantile: residuals have heavier tails than chi2
+FLAT = 1e-3  # of the longest side of the map: what is thinner is counted as so thick
+TURNS = {0: 1.0, 1: 2 * pi, 3: 8 * pi**2}  # volume of all rotations, by their dimension
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A group of closures, judged by the rest.
+
+    Attributes
+    ----------
+    members : (k,) its closures.
+    t : the statistic, of k d numbers.
+    chance : probability with which the best checked of them would pass if it were wrong.
+    """
+
+    members: Index
+    t: float
+    chance: float
 
 
 def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
@@ -38,14 +70,24 @@ def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
     loops, accepted : the graph, and the closures (m,) it is solved with.
     result : the optimum of these.
     """
-    edges, values, graph = loops.edges, result.values, loops.graph.only(loops.masks(accepted))
     noise = unit_variance(result.chi2_final / max(result.dof, 1))
+    wrong = np.zeros(len(accepted), dtype=bool)
+    for witness in witnesses(loops, result.values, accepted):
+        gate = chi2_gate(len(witness.members) * loops.edges.group.dim, FITS)
+        wrong[witness.members] = witness.t > WIDE * noise * gate
+    return wrong
+
+
+def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witness]:
+    """The groups of accepted closures (m,) at their optimum, those of the largest residuals first."""
+    edges, graph, d = loops.edges, loops.graph.only(loops.masks(accepted)), loops.edges.group.dim
     rows = [model.linearize(*values.gather(model.factor)[1]) for model in edges.models]
     b = np.concatenate([b for _, b in rows])[~loops.odometry]
     A = [np.concatenate([sides[slot] for sides, _ in rows])[~loops.odometry] for slot in (0, 1)]
     ends = [edges.i[~loops.odometry], edges.j[~loops.odometry]]
     marginals, numbers = Marginals(graph, values), values.stacks[edges.kinds[0]].numbers
-    wrong, d, kept = np.zeros(len(accepted), dtype=bool), edges.group.dim, np.flatnonzero(accepted)
+    volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
+    kept = np.flatnonzero(accepted)
     order = kept[np.argsort(loops.neighbors.cluster[kept], kind="stable")]
     starts = np.flatnonzero(np.diff(loops.neighbors.cluster[order])) + 1
     groups = [members for members in np.split(order, starts) if 0 < len(members) <= LARGE]
@@ -58,6 +100,19 @@ def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
             blocks[np.arange(k), :, at] = block[members]
         P = marginals.joint(Keys(edges.kinds[0], numbers[nodes]), frame="body").matrix
         A_g, b_g = blocks.reshape(k * d, -1), b[members].reshape(-1)
-        t = float(b_g @ np.linalg.solve(np.eye(k * d) - A_g @ P @ A_g.T, b_g))
-        wrong[members] = t > WIDE * noise * chi2_gate(k * d, FITS)
-    return wrong
+        S = np.linalg.inv(np.eye(k * d) - A_g @ P @ A_g.T)
+        own = S.reshape(k, d, k, d)[np.arange(k), :, np.arange(k)]
+        chance = np.exp(np.min(np.linalg.slogdet(own)[1] / 2 + volume[members]))
+        yield Witness(members, float(b_g @ S @ b_g), min(float(chance), 1.0))
+
+
+def _passing(loops: LoopGraph, values: Values) -> float:
+    """Logarithm of the share of all relative poses on the map that lie in a unit ellipsoid, at the quantile."""
+    d, places = loops.edges.group.dim, loops.places(values)
+    span: Array = np.ptp(places, axis=0)
+    sides = 2 * np.maximum(span, FLAT * span.max(initial=0.0))
+    if not sides.all():
+        return np.inf  # all in one place
+    r = len(sides)
+    ball = pi ** (d / 2) / gamma(d / 2 + 1) * chi2_gate(d, FITS) ** (d / 2)
+    return float(np.log(ball / TURNS[d - r]) - np.log(sides).sum())

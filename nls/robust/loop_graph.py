@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from models.algebra import Array
+from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
 from nls.robust.closures import Links, Mask, chained
 from nls.robust.consistency import Neighbors, neighbors
@@ -50,6 +51,11 @@ class LoopGraph:
     def poses(self, values: Values) -> Array:
         """(n, size) poses in the order of their numbers."""
         return values.stacks[self.edges.kinds[0]].X[self.edges.order]
+
+    def places(self, values: Values) -> Array:
+        """(n, r) coordinates of the poses; none of rotations."""
+        group, X = self.edges.group, self.poses(values)
+        return X if isinstance(group, Vectors) else group.position(X)
 
     def masks(self, accepted: Mask) -> list[Mask]:
         """Per factor which measurements are odometry, accepted closures (m,), or of another kind."""

@@ -12,7 +12,7 @@ from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged
-from nls.robust.groups import misfits
+from nls.robust.groups import misfits, witnesses
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.verdict import Doubt, DoubtKind
@@ -26,6 +26,8 @@ UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAINED = 2.9  # times the typical noise between neighbors; of public graphs 0.9 to 2.4
+CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
+SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 3.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 TURNS = 3  # of giving up contradicted groups
@@ -63,8 +65,11 @@ class Preselection:
             found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
         if self.moved > STILL:
             count = int(misfits(loops, result, kept).sum())
-            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, moved=self.moved))
+            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, part=self.moved))
         found += self._rivals()
+        chances = [witness.chance for witness in witnesses(loops, result.values, kept)] if n else []
+        if np.mean(chances or [0.0]) > CHANCE and (n < m or len(chances) > SOLE):
+            found.append(Doubt(DoubtKind.UNCHECKED, part=float(np.mean(chances))))
         strain = float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(loops.neighbors.typical, 1.0)
         if strain > STRAINED:
             found.append(Doubt(DoubtKind.STRAINED, number=strain))
@@ -79,7 +84,7 @@ class Preselection:
             worse = (rival.cost - self.rivals[0].cost) / c2
             away = verdict.shift(self.loops, self.choice.result.values, rival.result.values)
             if worse <= RIVAL and away > AWAY:
-                return [Doubt(DoubtKind.RIVAL, number=worse, moved=away)]
+                return [Doubt(DoubtKind.RIVAL, number=worse, part=away)]
         return []
 
     def _explained(self) -> tuple[Choice, float] | None:

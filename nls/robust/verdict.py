@@ -28,6 +28,7 @@ class DoubtKind(Enum):
     CONTRADICTED = (
         "{count} of {total} kept closures contradict the others: without them the map moves by {percent:.2g} %"
     )
+    UNCHECKED = "a wrong closure would pass with a probability of {percent:.2g} %: too little checks the closures"
     RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {percent:.2g} % away"
     STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
     UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"
@@ -45,17 +46,17 @@ class Doubt:
     kind : the reason.
     count, total : how many measurements, or steps, of how many.
     number : a ratio, or how many measurements.
-    moved : part of its extent by which the map moves.
+    part : part of its extent by which the map moves; a probability.
     """
 
     kind: DoubtKind
     count: int = 0
     total: int = 0
     number: float = float("nan")
-    moved: float = float("nan")
+    part: float = float("nan")
 
     def __str__(self) -> str:
-        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.moved}
+        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.part}
         return self.kind.value.format(**numbers)
 
 
@@ -74,8 +75,7 @@ def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[
 
 def shift(loops: LoopGraph, before: Values, after: Values) -> float:
     """How far a map moves, as part of its extent: rms of the positions, after the best motion; 1 without positions."""
-    group = loops.edges.group
-    p, q = (group.position(loops.poses(values)) for values in (before, after))
+    p, q = (loops.places(values) for values in (before, after))
     extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
     return _apart(p - p.mean(axis=0), q - q.mean(axis=0)) / extent if extent else 1.0
 
