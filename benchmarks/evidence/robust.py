@@ -176,7 +176,8 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
         "Solved / doubtful / silent, by the share of wrong closures among all. A choice that keeps less than half of "
         "the closures is doubtful by definition, as at 80 %. *random*, *local* and their groups come from the "
         "generator of Sünderhauf and Protzel (IROS 2012). An *alias* says of two other poses what a right closure says "
-        f"of its own. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds, {LARGEST} none: a minute each.",
+        f"of its own. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds. {LARGEST} has none, as it "
+        "takes a minute each.",
         "",
         *by_kind(trials),
         "",
