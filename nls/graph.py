@@ -20,6 +20,7 @@ from nls.linear import LinearSolver, default_solver
 from nls.linear.threads import single_thread
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
+from nls.optimizers.trust_region import TrustRegion
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ class FactorGraph:
         problem.timings["build"] = perf_counter() - started - problem.timings["analyze"]
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
         limited = any(factor.limit_only for factor in self.factors)  # what is free may be meant to be, within them
-        if dof < 0 and not limited and isinstance(method, LevenbergMarquardt):  # it would not notice
+        if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice
             raise underconstrained(pattern.linearize(values), values)
         watch = method.run(problem, values.copy())
         assert watch.status is not None

@@ -208,6 +208,13 @@ class Values:
         """Degrees of freedom of all variables together."""
         return sum(len(stack) * stack.manifold.dim for stack in self.stacks.values())
 
+    @property
+    def coordinates(self) -> Array:
+        """(dim,) tangent step from the neutral element to every variable: how far from zero the numbers are."""
+        stacks = self.stacks.values()
+        steps = [s.manifold.local(s.manifold.identity(len(s)), s.X).reshape(-1) for s in stacks]
+        return np.concatenate(steps) if steps else np.zeros(0)
+
     def copy(self) -> Values:
         """An independent copy."""
         return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})

@@ -6,12 +6,12 @@ r"""Powell's dogleg: the Gauss-Newton step, shortened along a bent path where th
     dx   = gn                                    if |D gn| <= radius
            radius c / |D c|                      if |D c| >= radius
            c + beta (gn - c), |D dx| = radius    otherwise
-    if chi2(X retract dx) < chi2(X):  X = X retract dx;  radius follows how well the model foretold the fall
+    if chi2(X retract dx) < chi2(X):  X = X retract dx;  radius as in Levenberg-Marquardt
 
 D^2 is the diagonal of A'A, each entry the largest met so far (J. More, "The Levenberg-Marquardt algorithm", 1978). One
-factorization per linearization, however many steps are tried from it; a singular system has no Gauss-Newton step and is
-refused, as in Gauss-Newton. Sources: M. J. D. Powell, "A hybrid method for nonlinear equations", 1970; J. Nocedal,
-S. Wright, Numerical Optimization, 2006, section 4.1.
+factorization per linearization, however many steps are tried from it. gn is damped too faintly to matter, except where
+the system is singular: there it holds the free directions still, and the result names them. Sources: M. J. D. Powell,
+"A hybrid method for nonlinear equations", 1970; J. Nocedal, S. Wright, Numerical Optimization, 2006, section 4.1.
 """
 
 from __future__ import annotations
@@ -22,25 +22,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nls.optimizers.base import Optimizer
-from nls.optimizers.levenberg_marquardt import GOOD, POOR, SUFFICIENT
-from nls.optimizers.undamped import Undamped, diagonal
+from nls.optimizers.trust_region import TrustRegion
 
 if TYPE_CHECKING:
     from models.algebra import Array
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
+    from nls.optimizers.undamped import Undamped
     from nls.system import LinearSystem
-    from nls.values import Values
 
 __all__ = ["Dogleg"]
 
-SMALLEST = 1e-16  # radius, as a part of |D gn|, at which no step is left to try
-
 
 @dataclass(frozen=True)
-class Dogleg(Optimizer):
-    """A trust region whose trials cost no further factorization: for starts far away from full-rank problems.
+class Dogleg(TrustRegion):
+    """A trust region whose trials cost no further factorization: for starts far away.
 
     Parameters
     ----------
@@ -63,27 +57,10 @@ class Dogleg(Optimizer):
 
     name = "dogleg"
 
-    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
-        radius, undamped, D = math.inf, Undamped(problem), np.zeros(problem.pattern.n)
-        while watch.status is None:
-            D, gn = np.maximum(D, np.sqrt(diagonal(system))), undamped.step(system)
-            if watch.flat(system):
-                break
-            dx = _dogleg(system, D, gn, radius)
-            length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
-            Y, trial, led = problem.attempt(X, dx)
-            fall = -math.inf if trial is None else system.chi2 - trial.chi2
-            if fall < POOR * promised:
-                radius = length / 4
-            elif fall > GOOD * promised and length > 0.99 * radius:
-                radius *= 2
-            if trial is not None and fall > SUFFICIENT * promised:
-                X, system = Y, trial
-                watch.step(X, system, dx, promised, problem.lap(), 0.0, undamped)
-            else:
-                watch.refuse(system, promised, led, undamped)
-                if radius < SMALLEST * np.linalg.norm(D * gn) and watch.status is None:
-                    watch.stall(system, led)
+    def within(
+        self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
+    ) -> tuple[Array, float]:
+        return _dogleg(system, D, undamped.step(system, D), radius), 0.0
 
 
 def _dogleg(system: LinearSystem, D: Array, gn: Array, radius: float) -> Array:

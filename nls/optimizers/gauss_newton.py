@@ -62,7 +62,7 @@ class GaussNewton(Optimizer):
                 X, system = there
                 continue
             dx = problem.solve(system)
-            if watch.flat(system):
+            if watch.flat(X, system, dx):
                 break
             X, promised = problem.retract(X, dx), float(dx @ system.gradient)
             system = problem.linearize(X)
@@ -84,7 +84,7 @@ class GaussNewton(Optimizer):
             return None
         if last:
             Y, chi2 = problem.glance(X, dx)
-            return (Y, system) if watch.last(Y, chi2, dx, promised, problem.lap()) else None
+            return (Y, system) if watch.last(Y, system, chi2, dx, promised, problem.lap()) else None
         Y, there, _ = problem.attempt(X, dx)
         if there is None:
             return None

@@ -1,20 +1,24 @@
-r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they lower chi2.
+r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they stay within a radius and lower chi2.
 
     A, b = linearization at X
-    dx   = argmin |A dx - b|^2 + lambda |D dx|^2
-    gain = (chi2(X) - chi2(X retract dx)) / what the linear model promised
+    dx   = argmin |A dx - b|^2 + lambda |D dx|^2,  lambda the least one with |D dx| <= radius
+    gain = (chi2(X) - chi2(X retract dx)) / fall of chi2 in the linear model
     if gain > 0:     X = X retract dx
-    if gain > 3/4:   lambda = lambda / 10
-    if gain < 1/4:   lambda = 3 lambda
+    if gain > 3/4:   radius = max(radius, 2 |D dx|)
+    if gain < 1/4:   radius = 0.4 |D dx|
+    if gain <= 0:    radius = min(radius, |D x|)
 
 D^2 is the diagonal of A'A, each entry the largest met so far, so that the damping does not depend on units and holds on
-to an unknown that loses its influence; 1 for one that nothing reacts to, so that it is damped all the same. Sources:
+to an unknown that loses its influence. A refused step bounds the next one by the size |D x| of the estimate itself.
+
+The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line: mostly by one or two
+factorizations. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals. Sources:
 D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", 1963; J. More, "The
 Levenberg-Marquardt algorithm: implementation and theory", 1978.
 
-A small damped step proves nothing: damping makes every step small. Before the method says converged it solves once
-more without damping, and the linear model must agree that chi2 cannot fall. Where that system is singular, something is
-free: the result then says so in `Result.underconstrained`.
+A small damped step proves nothing: damping makes every step small. Before the method says converged the undamped step
+must agree that chi2 cannot fall. Where that system is singular, something is free: the result then says so in
+`Result.underconstrained`.
 """
 
 from __future__ import annotations
@@ -28,32 +32,32 @@ import numpy as np
 from models.errors import OptionError
 from models.options import is_number
 from nls.linear.base import SingularSystemError
-from nls.optimizers.base import Optimizer
-from nls.optimizers.stop import Status
-from nls.optimizers.undamped import Undamped, diagonal
+from nls.optimizers.trust_region import TrustRegion
+from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
 
 if TYPE_CHECKING:
+    from models.algebra import Array
     from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
     from nls.system import LinearSystem
-    from nls.values import Values
 
 __all__ = ["LevenbergMarquardt"]
 
-SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
-GOOD, POOR = 0.75, 0.25  # parts of it between which the damping stays
-FAINT, HOPELESS = 1e-16, 1e16  # the least damping, and the one at which no step is left to try
+BAND = 0.8, 1.2  # parts of the radius between which |D dx| meets it
+CAREFUL = 1e-3  # lambda of the first step where undamped ones are known to fail
+TRIALS = 10  # of lambda, after which the step is tried whatever its length
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt(Optimizer):
+class LevenbergMarquardt(TrustRegion):
     """The damped method: for starts far away, projections, residuals with kinks, and systems with free directions.
 
     Parameters
     ----------
     stop : thresholds; ``max_iterations`` counts the steps that were taken.
     callback : called with every `Iteration`; returning True stops.
-    damping : lambda of the first step, relative to the diagonal of A'A.
+    damping : least lambda of the first step, relative to the diagonal of A'A; a tenth of it for each step that
+        follows. When omitted 1e-3 where a factor says that undamped steps fail (`Factor.damped`), otherwise none that
+        matters: the Gauss-Newton step comes first.
 
     Raises
     ------
@@ -74,40 +78,43 @@ class LevenbergMarquardt(Optimizer):
     (True, array([1., 1.]))
     """
 
-    damping: float = 1e-3
+    damping: float | None = None
     name = "levenberg-marquardt"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not is_number(self.damping) or not 0 < self.damping < HOPELESS:
+        if self.damping is not None and not (is_number(self.damping) and 0 < self.damping < HOPELESS):
             raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
 
-    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
-        damping, undamped, D2 = self.damping, Undamped(problem), np.zeros(problem.pattern.n)
-        if not system.column_norms.any():
-            undamped.step(system)  # nothing reacts to anything: refused, with the names of the unknowns
-        while watch.status is None:
-            if watch.flat(system, undamped):
+    def first_damping(self, problem: Problem) -> float:
+        if self.damping is not None:
+            return self.damping
+        return CAREFUL if any(batch.model.factor.damped for batch in problem.pattern.batches) else FAINT
+
+    def within(
+        self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
+    ) -> tuple[Array, float]:
+        dx, below = undamped.step(system, D), undamped.damping
+        length = float(np.linalg.norm(D * dx))
+        if not BAND[1] * radius < length < math.inf:
+            return dx, below
+        above = float(np.linalg.norm(system.gradient / D)) / radius  # |D dx| <= |D^-1 A'b| / lambda
+        above = max(above, 1e4 * below)  # but for rounding, where lambda is too faint for a nearly singular system
+        old, old_length, trial = below, length, damping or above * radius / length
+        for _ in range(TRIALS):
+            damping = trial if below < trial < above else math.sqrt(max(below, 1e-10 * above) * above)
+            if not below < damping < above:
                 break
-            D2 = np.maximum(D2, diagonal(system))
             try:
-                dx = problem.solve(system, damping * D2)
-            except SingularSystemError as error:
-                trial, promised, led = None, math.inf, f"nowhere: {error}"
-            else:
-                promised = system.promised(dx)
-                Y, trial, led = problem.attempt(X, dx)
-            used, fall = damping, -math.inf if trial is None else system.chi2 - trial.chi2
-            if fall > GOOD * promised:
-                damping = max(damping / 10, FAINT)
-            elif not fall >= POOR * promised:
-                damping *= 3
-            if trial is not None and fall > SUFFICIENT * promised:
-                X, system = Y, trial
-                watch.step(X, system, dx, promised, problem.lap(), used, undamped)
-            else:
-                watch.refuse(system, promised, led, undamped)
-                if damping > HOPELESS and watch.status is None:
-                    watch.stall(system, led)
-        if watch.status is Status.CONVERGED:
-            watch.free = undamped.free
+                dx = undamped.problem.solve(system, damping * D**2)
+            except SingularSystemError:
+                below, trial = damping, math.nan
+                continue
+            length = float(np.linalg.norm(D * dx))
+            if BAND[0] * radius <= length <= BAND[1] * radius:
+                break
+            below, above = (damping, above) if length > radius else (below, damping)
+            slope = (1 / length - 1 / old_length) / (damping - old)
+            trial = damping + (1 / radius - 1 / length) / slope if slope > 0 else math.nan
+            old, old_length = damping, length
+        return dx, damping

@@ -1,4 +1,4 @@
-"""The undamped step of a linearization, for methods that shorten it: what it would be, and what it promises."""
+"""The undamped step of a linearization, for methods that shorten it: faintly damped, and without any for a verdict."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.linear.base import SingularSystemError
-from nls.optimizers.watch import AGREEMENT, ROUNDING_CHI2
 
 if TYPE_CHECKING:
     from models.algebra import Array
     from nls.optimizers.problem import Problem
     from nls.system import LinearSystem
 
-__all__ = ["Undamped", "diagonal"]
+__all__ = ["FAINT", "Undamped", "diagonal"]
 
-FAINT = 1e-8  # of the diagonal of A'A: holds free directions still, and costs the others eight digits of nothing
+FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
+
+
+LARGEST = 1e-8  # that a system which follows keeps
+HOPELESS = 1e16  # lambda at which no step is left to try
 
 
 def diagonal(system: LinearSystem) -> Array:
@@ -26,44 +29,57 @@ def diagonal(system: LinearSystem) -> Array:
 
 
 class Undamped:
-    """Solves a linearization without damping, once, and judges whether chi2 can still fall there.
+    """Solves a linearization with the faintest damping, once, or with none.
 
     Parameters
     ----------
     problem : what is optimized.
+    damping : lambda of the first system; a tenth of it for each that follows, down to `FAINT`.
 
     Attributes
     ----------
-    free : the last system, when it turned out to be singular.
-    reach : max |dx| of the step that agreed last; 0 where something is free, and any length is as good.
+    free : the system solved last without damping, when it is singular; None when it is not.
+    damping : lambda of the latest system.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.reach = problem, 0.0
+    def __init__(self, problem: Problem, damping: float = FAINT) -> None:
+        self.problem, self.damping, self._least = problem, 10 * damping, FAINT
         self.free: LinearSystem | None = None
-        self._solved: tuple[LinearSystem, Array] | None = None
+        self._solved: dict[bool, tuple[LinearSystem, Array]] = {}
 
-    def step(self, system: LinearSystem) -> Array:
-        """dx = argmin |A dx - b|, computed once per system.
+    def step(self, system: LinearSystem, D: Array, strict: bool = False) -> Array:
+        """dx = argmin |A dx - b|^2 + lambda |D dx|^2 with the least lambda that works; computed once per system.
+
+        Parameters
+        ----------
+        system, D : the linearization; lengths of the columns of A, which damping is measured by.
+        strict : with lambda = 0 where there is such a step. Otherwise that is not tried: it would double the
+            factorizations of a graph that is free throughout.
 
         Raises
         ------
         SingularSystemError
-            There is none.
+            None works.
         """
-        if self._solved is None or self._solved[0] is not system:
-            self._solved = system, self.problem.solve(system)
-        return self._solved[1]
+        if self._solved.get(strict, (None,))[0] is not system:
+            dx = self._exact(system) if strict else None
+            self._solved[strict] = system, self._faint(system, D) if dx is None else dx
+        return self._solved[strict][1]
 
-    def agrees(self, system: LinearSystem, chi2_rtol: float) -> bool:
-        """Whether the linear model, undamped, promises no fall of chi2 worth another step.
-
-        A singular system is solved with the faintest damping, and remembered in `free`.
-        """
+    def _exact(self, system: LinearSystem) -> Array | None:
         try:
-            dx = self.step(system)
-            self.free, self.reach = None, float(np.abs(dx).max(initial=0.0))
+            dx, self.free = self.problem.solve(system), None
         except SingularSystemError:
-            self.free, self.reach = system, 0.0
-            dx = self.problem.solve(system, FAINT * diagonal(system))
-        return float(dx @ system.gradient) <= AGREEMENT * chi2_rtol * system.chi2 + ROUNDING_CHI2
+            dx, self.free = None, system
+        return dx
+
+    def _faint(self, system: LinearSystem, D: Array) -> Array:
+        self.damping = max(self.damping / 10, self._least)
+        while True:
+            try:
+                return self.problem.solve(system, self.damping * D**2)
+            except SingularSystemError:
+                self.damping *= 100
+                self._least = min(self.damping, LARGEST)
+                if self.damping > HOPELESS:
+                    raise

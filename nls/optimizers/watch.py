@@ -10,7 +10,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from nls.optimizers.result import Iteration
 from nls.optimizers.stop import Status, Stop
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Watch"]
 
-BOUND = 1e12  # growth of chi2 over the start, or a step in meters or radians, that no problem of ours comes back from
+BOUND = 1e12  # growth of chi2 over the start that no problem of ours comes back from
 PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
 ROUND = 20  # steps up and down without a new best, and none above those before: at the limit, no search still going on
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
@@ -34,8 +33,9 @@ ALMOST = 10  # times chi2_rtol: a fall not worth a factorization, and ten times 
 CHECK = "check the Jacobians with factors.check_jacobians"
 ROUNDING = 1e-9  # relative difference of chi2 that is no difference
 STATIONARY = 1e-6  # scaled gradient of a point from which no step leads down, within what chi2 of 16 digits can show
+SHORT = 0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
 PULL = 5.0  # sigmas by which noise hardly pulls an unknown that a solver leaves alone
-ROUNDING_CHI2 = 1e-12  # chi2 of whitened errors of a millionth sigma: noise-free data, where only rounding is left
+EPS = 1e-15  # relative rounding of an error: of the numbers whose difference it is
 
 
 class Watch:
@@ -66,8 +66,9 @@ class Watch:
         self.stop, self.callback, self.began = stop, callback, perf_counter()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest, self._since_best = values, chi2, 0
+        self._start = values
         self._fall, self._running = math.inf, 0  # of the last step; steps in a row that ran along a plateau
-        self._reacted: npt.NDArray[np.bool_] | None = None
+        self._longest: Array | float = 0.0  # column of A of each unknown
         self.status: Status | None = None
         self.reason = ""
         self.free: LinearSystem | None = None
@@ -77,13 +78,19 @@ class Watch:
         """It is over."""
         self.status, self.reason = status, reason
 
-    def flat(self, system: LinearSystem, undamped: Undamped | None = None) -> bool:
-        """Whether the gradient of the current point vanishes; it is over then, without another step."""
+    def scale(self, system: LinearSystem) -> Array:
+        """Lengths of the columns of A (n,), the largest met of each; 1 where none has reacted."""
+        self._longest = np.maximum(self._longest, system.column_norms)
+        return np.where(self._longest > 0, self._longest, 1.0)
+
+    def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
+        """Whether the gradient of the current point vanishes, dx its undamped step; it is over then, without a step."""
         gradient = system.scaled_gradient
         self.history[-1] = replace(self.history[-1], gradient=gradient)
-        if not self._lost(system) and (system.chi2 == 0.0 or gradient <= self.stop.gradient_tol):
-            self._agreed(undamped, system)  # notes what is free there
-            self._settled(f"scaled gradient {gradient:.1e} <= {self.stop.gradient_tol:g}")
+        if self.lost(system):
+            return True
+        if system.chi2 == 0.0 or (gradient <= self.stop.gradient_tol and self._close(values, system, dx)):
+            self._settled(values, system, f"scaled gradient {gradient:.1e} <= {self.stop.gradient_tol:g}")
         return self.status is not None
 
     def step(
@@ -113,24 +120,32 @@ class Watch:
         self._since_best += 1
         if chi2 < self.lowest:
             self.best, self.lowest, self._since_best = values, chi2, 0
-        missed = undamped is None and promised > AGREEMENT * max(fall, little) and promised > ROUNDING_CHI2
+        missed = undamped is None and promised > AGREEMENT * max(fall, little)
+        missed = missed and not self._invisible(promised, values, system)
         still, level = update < stop.update_tol, 0 <= fall <= little and not missed
         ending = level and self._summed(fall, chi2, little)
         shorter, longer = update < SHORTER * old.update, update >= SHORTER * old.update  # neither after the first step
-        self._running = self._running + 1 if ending and longer else 0
+        plateau = ending and longer and (undamped is None or not self._close(values, system, dx))
+        self._running = self._running + 1 if plateau else 0
         self._fall = fall
-        if not (chi2 < BOUND * max(self.history[0].chi2, 1.0) and update < BOUND):
+        unseen = self._invisible(promised, values, system)
+        exhausted = longer and undamped is None and unseen
+        if not chi2 < BOUND * self.history[0].chi2:
             self.end(Status.DIVERGED, f"chi2 {old.chi2:.3g} -> {chi2:.3g} by an update of {update:.3g}")
         elif still and missed:
             said = f"an update of {update:.1e} promised to lower chi2 by {promised:.3g} and brought {fall:.3g}"
             self.end(Status.STALLED, f"{said}; {CHECK}")
-        elif still and self._agreed(undamped, system) and self._near(undamped):
-            self._settled(f"max|dx| = {update:.1e} < {stop.update_tol:g}")
-        elif ending and shorter and self._agreed(undamped, system):
-            self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
-        elif self._running >= PLATEAU:
+        elif still and self._near(values, system, dx, undamped):
+            self._settled(values, system, f"max|dx| = {update:.1e} < {stop.update_tol:g}")
+        elif ending and shorter and self._agreed(values, system, dx, undamped):
+            self._settled(values, system, f"chi2 fell by {fall / old.chi2:.1e} of itself <= {stop.chi2_rtol:g}")
+        elif exhausted and self._agreed(values, system, dx, None):
+            self._settled(
+                values, system, f"steps of {update:.1e} get no shorter, chi2 falls by no more than its rounding"
+            )
+        elif self._running >= PLATEAU or (unseen and self._leaves(values, system, dx, undamped)):
             self._plateau()
-        elif self._cycles(chi2):
+        elif self._cycles(chi2) and not self._invisible(promised, values, system):
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
         else:
             self._limits()
@@ -149,43 +164,61 @@ class Watch:
         """Whether a fall of chi2 is hardly more than what counts as none."""
         return 0 <= fall <= ALMOST * self.stop.chi2_rtol * self.history[-1].chi2
 
-    def last(self, values: Values, chi2: float, dx: Array, promised: float, seconds: dict[str, float]) -> bool:
+    def last(
+        self, values: Values, system: LinearSystem, chi2: float, dx: Array, promised: float, seconds: dict[str, float]
+    ) -> bool:
         """Take a step that may be the last; it is forgotten when it is not.
 
         Parameters
         ----------
         values, chi2 : where it led.
+        system : where it came from.
         dx, promised, seconds : as for `step`.
         """
         old, update = self.history[-1], float(np.abs(dx).max(initial=0.0))
         fall, little = old.chi2 - chi2, self.stop.chi2_rtol * old.chi2
-        missed = promised > AGREEMENT * max(fall, ROUNDING * chi2) and promised > ROUNDING_CHI2
+        missed = promised > AGREEMENT * max(fall, ROUNDING * chi2) and not self._invisible(promised, values, system)
         ending = 0 <= fall <= little and not missed and self._summed(fall, chi2, little)
-        if not (ending and update < SHORTER * old.update):
+        if not (ending and update < SHORTER * old.update and self._close(values, system, dx)):
             return False
         self.history.append(Iteration(old.number + 1, chi2, update, seconds=seconds))
         if chi2 < self.lowest:
             self.best, self.lowest = values, chi2
-        self._settled(f"chi2 fell by {fall / old.chi2:.1e} of itself <= {self.stop.chi2_rtol:g}")
+        self._settled(values, system, f"chi2 fell by {fall / old.chi2:.1e} of itself <= {self.stop.chi2_rtol:g}")
         if self.callback is not None:
             self.callback(self.history[-1])
         return True
 
-    def refuse(self, system: LinearSystem, promised: float, led: str, undamped: Undamped) -> None:
-        """A trial step was not taken: over when it promised nothing, or at a limit; `led` says where it led."""
-        little = self.stop.chi2_rtol * system.chi2
-        if promised <= little and self._agreed(undamped, system):
+    def refuse(
+        self, values: Values, system: LinearSystem, dx: Array, promised: float, fall: float, undamped: Undamped
+    ) -> None:
+        """A trial step was not taken: over when it promised nothing, led along a plateau, or at a limit."""
+        little = promised <= self.stop.chi2_rtol * system.chi2 or self._invisible(promised, values, system)
+        if self._invisible(abs(fall), values, system) and self._leaves(values, system, dx, undamped):
+            self._plateau()
+        elif little and self._agreed(values, system, dx, undamped):
             if self._running >= PLATEAU:
                 self._plateau()
             else:
-                self._settled(f"no step promises to lower chi2 by more than {self.stop.chi2_rtol:g} of itself")
+                part = promised / system.chi2
+                self._settled(values, system, f"no step promises to lower chi2 by more than {part:.1e} of itself")
         else:
             self._limits()
 
-    def stall(self, system: LinearSystem, led: str) -> None:
-        """No shorter step is left to try: at a minimum within rounding, or because something is wrong."""
-        if system.scaled_gradient <= STATIONARY:
-            self._settled(f"no step lowers chi2 within its 16 digits; scaled gradient {system.scaled_gradient:.1e}")
+    def stall(self, values: Values, system: LinearSystem, chi2: float, led: str) -> None:
+        """No shorter step is left to try: at a minimum within rounding, on a plateau, or because something is wrong.
+
+        Parameters
+        ----------
+        values, system : the current point.
+        chi2 : some way along the undamped step: it rises where a minimum is, even if the Jacobian is singular there.
+        led : where the last step led.
+        """
+        rise = chi2 - system.chi2
+        if rise <= 0 or self._invisible(rise, values, system):
+            self._plateau()
+        elif (gradient := system.scaled_gradient) <= STATIONARY:
+            self._settled(values, system, f"no step lowers chi2 within its 16 digits; scaled gradient {gradient:.1e}")
         else:
             self.end(Status.STALLED, f"every step was refused, the last one led {led}; {CHECK}")
 
@@ -214,17 +247,51 @@ class Watch:
             f"{self.history[-1].update:.3g} the last: a plateau that falls for ever, no minimum",
         )
 
-    def _near(self, undamped: Undamped | None) -> bool:
-        return undamped is None or undamped.reach <= FARTHER * self.stop.update_tol
+    def _near(self, values: Values, system: LinearSystem, dx: Array, undamped: Undamped | None) -> bool:
+        """Whether the undamped step is short as well; where something is free, its length says nothing."""
+        if undamped is not None:
+            dx = undamped.step(system, self.scale(system), strict=True)
+            if undamped.free is not None:
+                return self._agreed(values, system, dx, undamped)
+        short = undamped is None or float(np.abs(dx).max(initial=0.0)) <= FARTHER * self.stop.update_tol
+        return short and not self.lost(system) and self._close(values, system, dx)
 
-    def _agreed(self, undamped: Undamped | None, system: LinearSystem) -> bool:
-        return undamped is None or (undamped.agrees(system, self.stop.chi2_rtol) and not self._lost(system))
+    def _agreed(self, values: Values, system: LinearSystem, dx: Array, undamped: Undamped | None) -> bool:
+        """Whether the undamped step, dx where no other was taken, promises no fall worth it and leads nowhere else."""
+        if undamped is not None:
+            dx = undamped.step(system, self.scale(system), strict=True)
+            promised = float(dx @ system.gradient)
+            little = AGREEMENT * self.stop.chi2_rtol * system.chi2
+            if promised > little and not self._invisible(promised, values, system):
+                return False
+        free = undamped is not None and undamped.free is not None  # along what is free any length is as good
+        return not self.lost(system) and (free or self._close(values, system, dx))
 
-    def _lost(self, system: LinearSystem) -> bool:
+    def _close(self, values: Values, system: LinearSystem, dx: Array) -> bool:
+        """Whether dx is short beside the estimate, or the start: a minimum is near, and no plateau that goes on."""
+        D, restrict = self.scale(system), system.pattern.restrict
+        sizes = (float(np.linalg.norm(D * restrict(X.coordinates))) for X in (values, self._start))
+        length = float(np.linalg.norm(D * dx))
+        return any(length <= SHORT * size for size in sizes)
+
+    def _leaves(self, values: Values, system: LinearSystem, dx: Array, undamped: Undamped | None) -> bool:
+        """Whether a step that chi2 does not react to is long, and not along something free."""
+        if self._close(values, system, dx):
+            return False
+        if undamped is not None:
+            undamped.step(system, self.scale(system), strict=True)
+        return undamped is None or undamped.free is None
+
+    def _invisible(self, change: float, values: Values, system: LinearSystem) -> bool:
+        """Whether rounding may change chi2 by as much: an error is a difference of numbers as large as |A_k| |x_k|."""
+        b, x = math.sqrt(system.chi2), np.abs(system.pattern.restrict(values.coordinates))
+        error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
+        return change <= (2 * b + error) * error
+
+    def lost(self, system: LinearSystem) -> bool:
         """Whether an unknown that was measured has lost its last derivative; it is over then."""
-        reacts = system.column_norms > 0
-        self._reacted = reacts if self._reacted is None else self._reacted | reacts
-        lost = self._reacted & ~reacts
+        self.scale(system)
+        lost = (self._longest > 0) & (system.column_norms == 0)
         if lost.any():
             key, name = system.column(int(np.argmax(lost)))
             self.end(
@@ -234,10 +301,10 @@ class Watch:
             )
         return bool(lost.any())
 
-    def _settled(self, rule: str) -> None:
+    def _settled(self, values: Values, system: LinearSystem, rule: str) -> None:
         """CONVERGED where the last point is the best one up to rounding."""
         last = self.history[-1].chi2
-        if last <= self.lowest * (1 + ROUNDING) + ROUNDING_CHI2:
+        if last <= self.lowest * (1 + ROUNDING) or self._invisible(last - self.lowest, values, system):
             self.end(Status.CONVERGED, rule)
         else:
             above = f"{rule}, but at chi2 {last:.6g}, above the {self.lowest:.6g} met before, which is returned"

@@ -15,7 +15,7 @@ from nls.linear.base import SingularSystemError
 from nls.linear.cholesky import CholmodFactorization
 from nls.linear.lu import SuperLUFactorization
 from nls.optimizers.problem import Problem
-from nls.optimizers.undamped import Undamped, diagonal
+from nls.optimizers.undamped import FAINT, Undamped, diagonal
 from tests.nls.graphs import SAMPLES, mixed, pose_graph, scalar
 
 ALL = pytest.mark.parametrize("name", SOLVERS)
@@ -135,10 +135,33 @@ def test_the_undamped_step_is_solved_once() -> None:
             type(self).solves += 1
             return super().solve(*args)
 
-    undamped = Undamped(Problem(system.pattern, Counting()))
-    dx = undamped.step(system)
-    assert dx == pytest.approx(np.linalg.lstsq(*_dense(system))[0])
-    assert not undamped.agrees(system, 1e-6)
-    assert undamped.agrees(system, 1e9)
-    assert undamped.reach == pytest.approx(np.abs(dx).max())
-    assert Counting.solves == 1
+    undamped, D = Undamped(Problem(system.pattern, Counting())), system.column_norms
+    for strict in (False, True):  # the faintest damping changes nothing, and each is solved once
+        dx = [undamped.step(system, D, strict) for _ in range(2)]
+        assert dx[0] is dx[1]
+        assert dx[0] == pytest.approx(np.linalg.lstsq(*_dense(system))[0])
+    assert undamped.free is None
+    assert Counting.solves == 2
+
+
+def test_the_damping_of_a_singular_system_is_the_least_that_works() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    system = sample.graph.linearize(sample.values)
+    undamped, D = Undamped(Problem(system.pattern, make("lu"))), system.column_norms
+    dx = undamped.step(system, D)
+    assert FAINT < undamped.damping < 1e-8
+    assert undamped.free is None  # nobody asked
+    undamped.step(system, D, strict=True)
+    assert undamped.free is system
+    shortest = np.linalg.pinv(system.A.toarray()) @ system.b
+    assert system.times(dx) == pytest.approx(system.times(shortest), abs=1e-4 * np.abs(system.b).max())
+
+
+def test_the_first_damping_falls_tenfold_from_system_to_system() -> None:
+    sample = pose_graph(SE2)
+    undamped, used = Undamped(Problem(sample.graph.linearize(sample.values).pattern, make("lu")), 1e-3), []
+    for _ in range(14):
+        system = sample.graph.linearize(sample.values)
+        undamped.step(system, system.column_norms)
+        used.append(undamped.damping)
+    assert used == pytest.approx([max(10.0**-k, FAINT) for k in range(3, 17)], rel=1e-9)

@@ -88,18 +88,16 @@ def test_a_step_onto_a_singular_place_loses_nothing(optimizer: Optimizer) -> Non
         assert "Range(x0, l0)" in result.reason
 
 
-def test_a_free_gauge_with_dogleg_ends_with_a_status_or_a_name() -> None:
+def test_a_free_gauge_with_dogleg_ends_with_a_status() -> None:
     def residual(A: Array, B: Array) -> Array:
         d = B - A
         return np.stack([d[:, 0] + d[:, 1], d[:, 1] ** 2], axis=1)
 
     graph = FactorGraph([Factor.from_function(residual, [x[0], x[1]], dim=2, relative=True)])
-    start, ended = Values({x: (R(2), [[0.0, 0.0], [1.0, 1.0]])}), set()
+    start = Values({x: (R(2), [[0.0, 0.0], [1.0, 1.0]])})
     for update_tol in np.logspace(-8, -3, 21):  # at d = 0 the system is singular
         stop = Stop(update_tol=float(update_tol), chi2_rtol=0, gradient_tol=0)
-        try:
-            ended.add(graph.optimize(start, Dogleg(stop), gauge="free").status.name)
-        except UnderconstrainedError as error:
-            assert "x1" in str(error)  # noqa: PT017
-            ended.add("refused")
-    assert ended == {"CONVERGED", "refused"}
+        result = graph.optimize(start, Dogleg(stop), gauge="free")
+        assert result.converged
+        assert result.chi2_final < 1e-6
+        assert not result.underconstrained or "x1" in result.underconstrained[0]

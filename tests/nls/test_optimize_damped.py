@@ -17,7 +17,7 @@ from factors import Between, Factor, Huber, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import OptionError, UnderconstrainedError
-from nls import FactorGraph, Iteration, LevenbergMarquardt, Status, Stop, Values
+from nls import FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Status, Stop, Values
 from nls.optimizers import OPTIMIZERS
 from tests.nls.graphs import GROUPS, SAMPLES, Sample, circle, distance, never_worse, p, pose_graph, scalar, walk, x
 
@@ -232,10 +232,11 @@ def loose(prior: bool = False) -> tuple[FactorGraph, Values]:
     return sample.graph, sample.values
 
 
-def test_levenberg_marquardt_converges_on_a_singular_graph_and_says_what_is_free() -> None:
+@DAMPED
+def test_damped_methods_converge_on_a_singular_graph_and_say_what_is_free(name: str) -> None:
     graph, start = loose()
     held = graph.optimize(start)
-    result = graph.optimize(start, LevenbergMarquardt(), gauge="none")
+    result = graph.optimize(start, OPTIMIZERS[name](), gauge="none")
     assert result.converged
     assert result.chi2_final == pytest.approx(held.chi2_final, rel=1e-6)
     assert len(result.underconstrained) == 3
@@ -252,11 +253,10 @@ def test_what_is_free_is_said_without_a_step() -> None:
     assert (result.converged, result.iterations, len(result.underconstrained)) == (True, 0, 3)
 
 
-@pytest.mark.parametrize("name", ["gauss-newton", "dogleg"])
-def test_undamped_methods_refuse_a_singular_graph(name: str) -> None:
+def test_gauss_newton_refuses_a_singular_graph() -> None:
     graph, start = loose()
     with pytest.raises(UnderconstrainedError) as caught:
-        graph.optimize(start, OPTIMIZERS[name](), gauge="none")
+        graph.optimize(start, GaussNewton(), gauge="none")
     assert caught.value.nullity == 3
     assert graph.chi2(caught.value.values) == graph.chi2(start)
 

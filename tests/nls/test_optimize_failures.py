@@ -194,7 +194,7 @@ def test_a_plateau_at_infinity(name: str, residual: object, dim: int, at: float)
     if result.status is Status.DIVERGED:
         assert any(word in result.reason for word in ("plateau", "by an update of", "not finite")), result.reason
     else:  # damped steps: chi2 is still falling, or the only residual promises a fall to 0 that never comes
-        assert name == "levenberg-marquardt"
+        assert name != "gauss-newton"
         assert result.status in (Status.MAX_ITERATIONS, Status.STALLED)
 
 
@@ -225,11 +225,8 @@ def test_huge_and_tiny_numbers(name: str, scale: float) -> None:
         ]
     )
     result = optimize(exact, start, name, Stop(update_tol=0.0))
-    if result.status is Status.DIVERGED:
-        assert scale > 1e11  # an update of more than 1e12 is what divergence means
-        return
     assert result.converged
-    assert result.values[p[0]][0] == pytest.approx(1.77495 * scale, rel=1e-4)
+    assert result.values[p[0]][0] == pytest.approx(1.7523324 * scale, rel=1e-4, abs=0)  # 2 x^3 - 5 x = 2
     assert graph.chi2(result.values) == pytest.approx(result.chi2_final)
 
 

@@ -77,4 +77,4 @@ def test_a_projection_from_far_away() -> None:
     damped = graph.optimize(start, LevenbergMarquardt())
     assert damped.converged
     assert damped.values[p[0]] == pytest.approx(truth, abs=1e-5)
-    assert damped.chi2_final <= undamped.chi2_final
+    assert damped.chi2_final < max(undamped.chi2_final, 1e-20)  # or rounding alone

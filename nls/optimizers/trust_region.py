@@ -1,0 +1,82 @@
+"""The loop that Levenberg-Marquardt and dogleg share: a step within a radius, tried, and the radius set by its gain."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nls.optimizers.base import Optimizer
+from nls.optimizers.stop import Status
+from nls.optimizers.undamped import FAINT, Undamped
+
+if TYPE_CHECKING:
+    from models.algebra import Array
+    from nls.optimizers.problem import Problem
+    from nls.optimizers.watch import Watch
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["TrustRegion"]
+
+SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
+GOOD, POOR = 0.75, 0.25  # parts of it between which the radius stays
+SHRINK, GROW = 0.4, 2.5  # of |D dx|: the radius after a step that fell short, and after one that did well
+PROBE = 0.1  # of |D x|: where no step is left to try, chi2 is looked at so far along the undamped one
+SMALLEST = 1e-16  # radius, as a part of |D x|, at which no step is left to try
+
+
+@dataclass(frozen=True)
+class TrustRegion(Optimizer):
+    """A method whose steps stay within a radius; subclasses give `within`, their algorithm box."""
+
+    @abstractmethod
+    def within(
+        self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float
+    ) -> tuple[Array, float]:
+        """A step with |D dx| of about the radius, or the undamped one where that is shorter; and its damping.
+
+        Parameters
+        ----------
+        undamped, system : what is linearized.
+        D, radius : lengths of the columns of A, the largest met of each; the bound.
+        damping : of the step before.
+        """
+
+    def first_damping(self, problem: Problem) -> float:
+        """Lambda of the first step."""
+        return FAINT
+
+    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        radius, damping, undamped = math.inf, 0.0, Undamped(problem, self.first_damping(problem))
+        if not system.column_norms.any():
+            problem.solve(system)  # nothing reacts to anything: refused, with the names of the unknowns
+        while watch.status is None:
+            D = watch.scale(system)
+            gn = undamped.step(system, D)
+            if watch.flat(X, system, gn):
+                break
+            dx, damping = self.within(undamped, system, D, radius, damping)
+            length, promised = float(np.linalg.norm(D * dx)), system.promised(dx)
+            Y, trial, led = problem.attempt(X, dx)
+            fall = -math.inf if trial is None else system.chi2 - trial.chi2
+            if trial is not None and fall > max(SUFFICIENT * promised, 0.0):
+                if fall < POOR * promised:
+                    radius = SHRINK * length
+                elif fall > GOOD * promised:
+                    radius = max(radius, GROW * length)
+                X, system = Y, trial
+                watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
+            else:
+                size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
+                radius = min(0.6 * radius, SHRINK * length, size or math.inf)
+                watch.refuse(X, system, dx, promised, fall, undamped)
+                if not SMALLEST * (size or length) <= radius < math.inf and watch.status is None:
+                    _, chi2 = problem.glance(X, gn * (PROBE * (size or length) / float(np.linalg.norm(D * gn))))
+                    watch.stall(X, system, chi2, led)
+        if watch.status is Status.CONVERGED:
+            undamped.step(system, watch.scale(system), strict=True)
+            watch.free = undamped.free
