@@ -113,8 +113,9 @@ def planted(data: Path, task: Task) -> tuple[Solved, FactorGraph]:
     )
     if task.table == "few":
         right = few(right, TWENTY, rng)
-    ratio = {"kinds": task.amount / (1 - task.amount), "protocol": task.amount}.get(task.table, 0.0)
-    wrong = int(task.amount) if task.table == "few" else round(ratio * int(right.loops.sum()))
+        return right, FactorGraph([right.edges, spoiled(right, int(task.amount), task.kind, rng)])
+    ratio = task.amount if task.table == "protocol" else task.amount / (1 - task.amount)
+    wrong = round(ratio * int(right.loops.sum()))
     return right, FactorGraph([right.edges, spoiled(right, wrong, task.kind, rng)] if wrong else [right.edges])
 
 

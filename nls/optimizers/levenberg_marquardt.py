@@ -4,12 +4,12 @@ r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they stay within a rad
     dx   = argmin |A dx - b|^2 + lambda |D dx|^2,  lambda the least one with |D dx| <= radius
     gain = (chi2(X) - chi2(X retract dx)) / fall of chi2 in the linear model
     if gain > 0:     X = X retract dx
-    if gain > 3/4:   radius = max(radius, 2 |D dx|)
+    if gain > 3/4:   radius = max(radius, 2.5 |D dx|)
     if gain < 1/4:   radius = 0.4 |D dx|
-    if gain <= 0:    radius = min(radius, |D x|)
+    if gain <= 0:    radius = 0.99 |D x| at most
 
 D^2 is the diagonal of A'A, each entry the largest met so far, so that the damping does not depend on units and holds on
-to an unknown that loses its influence. A refused step bounds the next one by the size |D x| of the estimate itself.
+to an unknown that loses its influence. A refused step bounds the next one by the size |D x| of the estimate.
 
 The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line: mostly by one or two
 factorizations. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals. Sources:

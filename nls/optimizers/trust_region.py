@@ -25,6 +25,7 @@ __all__ = ["TrustRegion"]
 SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
 GOOD, POOR = 0.75, 0.25  # parts of it between which the radius stays
 SHRINK, GROW = 0.4, 2.5  # of |D dx|: the radius after a step that fell short, and after one that did well
+BELOW = 0.99  # of |D x|: the radius after a refused step, at most; a step as long as a number ends at 0
 PROBE = 0.1  # of |D x|: where no step is left to try, chi2 is looked at so far along the undamped one
 SMALLEST = 1e-16  # radius, as a part of |D x|, at which no step is left to try
 
@@ -72,7 +73,7 @@ class TrustRegion(Optimizer):
                 watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
             else:
                 size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
-                radius = min(0.6 * radius, SHRINK * length, size or math.inf)
+                radius = min(0.6 * radius, SHRINK * length, BELOW * size or math.inf)
                 watch.refuse(X, system, dx, promised, fall, undamped)
                 if not SMALLEST * (size or length) <= radius < math.inf and watch.status is None:
                     _, chi2 = problem.glance(X, gn * (PROBE * (size or length) / float(np.linalg.norm(D * gn))))

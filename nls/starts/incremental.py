@@ -44,6 +44,9 @@ __all__ = ["incremental", "sees_points"]
 
 EACH, STAGES = 50, 20  # poses a stage, at most, and stages, at least
 STEPS = 20  # at most, in a stage
+DAMPING = (
+    1e-2  # of the first step: it holds elevations that are nearly free so far, else rounding decides on centimeters
+)
 ENOUGH, ENOUGH_OF_ALL = 1e-2, 1e-3  # a stage ends when a step lowers its chi2 by less; 1e-2 bends Victoria Park
 POOR = 5.0  # chi2 per measured row of a stage, beside what all before it left: noise gives 1
 ELEVATIONS = 7  # on either side, a degree apart in a DIDSON; a search of 14 takes twice as long for the same start
@@ -170,7 +173,9 @@ class _Growth:
         part, within = self.parts.take(wanted, held, values)
         if not len(part):
             return values, 0.0
-        method = LevenbergMarquardt(Stop(max_iterations=STEPS), _Falls(ENOUGH_OF_ALL if everything else ENOUGH))
+        method = LevenbergMarquardt(
+            Stop(max_iterations=STEPS), _Falls(ENOUGH_OF_ALL if everything else ENOUGH), DAMPING
+        )
         try:
             found = part.optimize(within, method)
         except UnderconstrainedError:
