@@ -44,9 +44,7 @@ __all__ = ["incremental", "sees_points"]
 
 EACH, STAGES = 50, 20  # poses a stage, at most, and stages, at least
 STEPS = 20  # at most, in a stage
-DAMPING = (
-    1e-2  # of the first step: it holds elevations that are nearly free so far, else rounding decides on centimeters
-)
+DAMPING = 3e-3  # of the first step: holds elevations that are nearly free so far, or rounding decides on centimeters
 ENOUGH, ENOUGH_OF_ALL = 1e-2, 1e-3  # a stage ends when a step lowers its chi2 by less; 1e-2 bends Victoria Park
 POOR = 5.0  # chi2 per measured row of a stage, beside what all before it left: noise gives 1
 ELEVATIONS = 7  # on either side, a degree apart in a DIDSON; a search of 14 takes twice as long for the same start
