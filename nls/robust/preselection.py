@@ -28,7 +28,7 @@ STILL = 0.005  # of the extent: a map that moves less is the same
 STRAINED = 2.35  # times the typical noise between neighbors; of public graphs 0.9 to 2.3
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
-RIVAL, AWAY = 3.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
+RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 TURNS = 3  # of giving up contradicted groups
 
@@ -59,7 +59,7 @@ class Preselection:
         loops, result = self.loops, self.choice.result
         kept = loops.accepted(self.choice.kept)
         m, n = len(kept), int(kept.sum())
-        found = verdict.doubts(result, n, m, self.probability)
+        found = verdict.doubts(result, n, m)
         span, spans = loops.spanned(kept), loops.spanned(np.ones(m, dtype=bool))
         if span < verdict.HALF * spans:
             found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))

@@ -60,13 +60,10 @@ class Doubt:
         return self.kind.value.format(**numbers)
 
 
-def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[Doubt]:
-    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained.
-
-    Of a right half some are lost by chance: half is `probability` times that.
-    """
+def doubts(result: Result, kept: int, doubted: int) -> list[Doubt]:
+    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained."""
     found = []
-    if kept < HALF * probability * doubted:
+    if kept < HALF * doubted:
         found.append(Doubt(DoubtKind.FEW_KEPT, kept, doubted))
     if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - UNLIKELY)):
         found.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
