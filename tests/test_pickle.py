@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import factors
+import factors.function as function_module
 import models
 import nls
 import sim
@@ -151,7 +152,8 @@ def local(X: np.ndarray) -> np.ndarray:
     return X
 
 
-def test_a_function_no_other_process_can_find_is_named() -> None:
+def test_a_function_no_other_process_can_find_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(function_module, "BY_VALUE", frozenset())  # another test may have imported cloudpickle
     values = Values({x: (R(2), [[1, 0.5]])})
     for residual, jacobians in ((lambda X: X, None), (partial(lambda a, X: a * X, 2), None), (local, lambda X: (X,))):
         factor = Factor.from_function(residual, x[0], 2, jacobians=jacobians)

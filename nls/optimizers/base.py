@@ -68,8 +68,6 @@ class Optimizer(Abstract):
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.solver.said(problem.state))
         except SingularSystemError as error:
-            if watch.lost(problem.latest):
-                return watch
             raise underconstrained(problem.solver.seen(problem.latest), watch.best, error) from error
         except (EvaluationError, SingularGeometryError) as error:
             if isinstance(error, EvaluationError):

@@ -21,11 +21,10 @@ __all__ = ["Preselection"]
 
 FAR = (10.0, 1000.0)  # thresholds within which closures pull at first: the lower cost is taken
 WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails than chi2
-STRAIN = 3.0  # times the noise between neighbors; more in the whole graph is no noise
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
-STRAINED = 2.35  # times the typical noise between neighbors; of public graphs 0.9 to 2.3
+STRAIN = 2.35  # times the typical noise between neighbors; of public graphs 0.9 to 2.3
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
@@ -71,7 +70,7 @@ class Preselection:
         if np.mean(chances or [0.0]) > CHANCE and (n < m or len(chances) > SOLE):
             found.append(Doubt(DoubtKind.UNCHECKED, part=float(np.mean(chances))))
         strain = float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(loops.neighbors.typical, 1.0)
-        if strain > STRAINED:
+        if strain > STRAIN:
             found.append(Doubt(DoubtKind.STRAINED, number=strain))
         if found and loops.neighbors.typical > 1:
             found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
@@ -90,7 +89,7 @@ class Preselection:
     def _explained(self) -> tuple[Choice, float] | None:
         """All closures but a few, where noise explains the optimum of all; None where it does not."""
         loops, graph = self.loops, self.loops.graph
-        if loops.neighbors.passing < MOST or self._dearer() > DEARER:
+        if loops.neighbors.passing < MOST or self._dearer(DEARER):
             return None
         first = lowest(graph, loops.values)
         noise = _noise(first)
@@ -114,7 +113,7 @@ class Preselection:
         problem = self.problem.scaled(variance)
         choices = [problem.choice(first.values, self.loss, far) for far in problem.affordable(first.values, FAR)]
         self.rivals = sorted(choices, key=lambda choice: choice.cost)
-        if self._dearer() <= CHEAP:
+        if not self._dearer(CHEAP):
             other = problem.choice(loops.values, self.loss, np.inf)
             better = other.cost < self.rivals[0].cost - RIVAL * max(problem.c2)
             self.rivals.insert(0 if better else 1, other)
@@ -122,12 +121,12 @@ class Preselection:
         self.rivals = [choice, *self.rivals, *others]
         return choice, variance
 
-    def _dearer(self) -> float:
-        """How many times the operations all closures take, of those that agree with a neighbor."""
+    def _dearer(self, times: float) -> bool:
+        """Whether all closures take so many times the operations of those that agree with a neighbor."""
         loops = self.loops
         every = np.ones(len(loops.closures), dtype=bool)
         whole, part = (self.problem.flops(loops.values, loops.masks(m)) for m in (every, loops.neighbors.support > 0))
-        return whole / part
+        return whole > times * part
 
     def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:
         """The choice without the groups that the others contradict, and how far the map moves, part of its extent."""
