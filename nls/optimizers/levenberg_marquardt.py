@@ -9,7 +9,7 @@ r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they stay within a rad
     if gain <= 0:    radius = 0.99 |D x| at most
 
 D^2 is the diagonal of A'A, each entry the largest met so far, so that the damping does not depend on units and holds on
-to an unknown that loses its influence. A refused step bounds the next one by the size |D x| of the estimate.
+to an unknown that loses its influence. Where a factor has kinks (`Factor.damped`) the radius follows success alone. A refused step bounds the next one by the size |D x| of the estimate.
 
 The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line: mostly by one or two
 factorizations. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals. Sources:
@@ -37,7 +37,6 @@ from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
 
 if TYPE_CHECKING:
     from models.algebra import Array
-    from nls.optimizers.problem import Problem
     from nls.system import LinearSystem
 
 __all__ = ["LevenbergMarquardt"]
@@ -86,10 +85,10 @@ class LevenbergMarquardt(TrustRegion):
         if self.damping is not None and not (is_number(self.damping) and 0 < self.damping < HOPELESS):
             raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
 
-    def first_damping(self, problem: Problem) -> float:
+    def first_damping(self, kinked: bool) -> float:
         if self.damping is not None:
             return self.damping
-        return CAREFUL if any(batch.model.factor.damped for batch in problem.pattern.batches) else FAINT
+        return CAREFUL if kinked else FAINT
 
     def within(
         self, undamped: Undamped, system: LinearSystem, D: Array, radius: float, damping: float

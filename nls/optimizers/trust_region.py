@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 __all__ = ["TrustRegion"]
 
 SUFFICIENT = 1e-4  # a step is taken when chi2 falls by this part of what the linear model promised
-GOOD, POOR = 0.75, 0.25  # parts of it between which the radius stays
-SHRINK, GROW = 0.4, 2.5  # of |D dx|: the radius after a step that fell short, and after one that did well
+# Gain above which the radius grows and below which it shrinks; the radius then, times |D dx|.
+SMOOTH = 0.75, 0.25, 2.5, 0.4
+KINKED = 0.1, 0.1, 10.0, 0.5  # over a kink no step gains what the linear model promises: success alone decides
 BELOW = 0.99  # of |D x|: the radius after a refused step, at most; a step as long as a number ends at 0
 PROBE = 0.1  # of |D x|: where no step is left to try, chi2 is looked at so far along the undamped one
 SMALLEST = 1e-16  # radius, as a part of |D x|, at which no step is left to try
@@ -47,12 +48,14 @@ class TrustRegion(Optimizer):
         damping : of the step before.
         """
 
-    def first_damping(self, problem: Problem) -> float:
-        """Lambda of the first step."""
+    def first_damping(self, kinked: bool) -> float:
+        """Lambda of the first step; kinked: a factor says that undamped steps fail (`Factor.damped`)."""
         return FAINT
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
-        radius, damping, undamped = math.inf, 0.0, Undamped(problem, self.first_damping(problem))
+        kinked = any(batch.model.factor.damped for batch in problem.pattern.batches)
+        good, poor, grown, shrunk = KINKED if kinked else SMOOTH
+        radius, damping, undamped = math.inf, 0.0, Undamped(problem, self.first_damping(kinked))
         if not system.column_norms.any():
             problem.solve(system)  # nothing reacts to anything: refused, with the names of the unknowns
         while watch.status is None:
@@ -65,15 +68,15 @@ class TrustRegion(Optimizer):
             Y, trial, led = problem.attempt(X, dx)
             fall = -math.inf if trial is None else system.chi2 - trial.chi2
             if trial is not None and fall > max(SUFFICIENT * promised, 0.0):
-                if fall < POOR * promised:
-                    radius = SHRINK * length
-                elif fall > GOOD * promised:
-                    radius = max(radius, GROW * length)
+                if fall < poor * promised:
+                    radius = shrunk * length
+                elif fall > good * promised:
+                    radius = max(radius, grown * length)
                 X, system = Y, trial
                 watch.step(X, system, dx, promised, problem.lap(), damping, undamped)
             else:
                 size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates)))
-                radius = min(0.6 * radius, SHRINK * length, BELOW * size or math.inf)
+                radius = min(0.6 * radius, shrunk * length, BELOW * size or math.inf)
                 watch.refuse(X, system, dx, promised, fall, undamped)
                 if not SMALLEST * (size or length) <= radius < math.inf and watch.status is None:
                     _, chi2 = problem.glance(X, gn * (PROBE * (size or length) / float(np.linalg.norm(D * gn))))
