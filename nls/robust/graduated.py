@@ -179,7 +179,7 @@ def gnc(
         doubts = preselected.doubts()
     else:
         choice, variance, local = problem.choice(values, loss, np.inf), 1.0, float("nan")
-        doubts = verdict.doubts(choice.result, total - problem.rejected(choice.kept), total)
+        doubts = verdict.doubts(choice.result, total - problem.rejected(choice.kept), total, probability)
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5)
         for factor, m, s in zip(graph.factors, choice.kept, choice.s, strict=True)

@@ -10,6 +10,7 @@ from nls.chi_squared import chi2_gate
 from nls.optimizers import Result
 from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest
+from nls.robust.closures import Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged
 from nls.robust.groups import misfits, witnesses
@@ -26,6 +27,7 @@ MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.35  # times the typical noise between neighbors; of public graphs 0.9 to 2.3
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
+MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
@@ -58,7 +60,7 @@ class Preselection:
         loops, result = self.loops, self.choice.result
         kept = loops.accepted(self.choice.kept)
         m, n = len(kept), int(kept.sum())
-        found = verdict.doubts(result, n, m)
+        found = verdict.doubts(result, n, m, self.probability)
         span, spans = loops.spanned(kept), loops.spanned(np.ones(m, dtype=bool))
         if span < verdict.HALF * spans:
             found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
@@ -66,15 +68,24 @@ class Preselection:
             count = int(misfits(loops, result, kept).sum())
             found.append(Doubt(DoubtKind.CONTRADICTED, count, n, part=self.moved))
         found += self._rivals()
-        chances = [witness.chance for witness in witnesses(loops, result.values, kept)] if n else []
-        if np.mean(chances or [0.0]) > CHANCE and (n < m or len(chances) > SOLE):
-            found.append(Doubt(DoubtKind.UNCHECKED, part=float(np.mean(chances))))
+        found += self._unchecked(kept)
         strain = float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(loops.neighbors.typical, 1.0)
         if strain > STRAIN:
             found.append(Doubt(DoubtKind.STRAINED, number=strain))
-        if found and loops.neighbors.typical > 1:
+        if loops.neighbors.typical > 1 and (found or n < MANY * m):
             found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
         return found
+
+    def _unchecked(self, kept: Mask) -> list[Doubt]:
+        """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
+        loops = self.loops
+        _, sizes = np.unique(loops.neighbors.cluster[~kept], return_counts=True)
+        alike = (sizes > 1).any()
+        judged = list(witnesses(loops, self.choice.result.values, kept)) if kept.any() else []
+        chances = [w.chance if alike or len(w.members) == 1 else 0.0 for w in judged]
+        mean = float(np.mean(chances or [0.0]))
+        chosen = not kept.all() or len(chances) > SOLE
+        return [Doubt(DoubtKind.UNCHECKED, part=mean)] if mean > CHANCE and chosen else []
 
     def _rivals(self) -> list[Doubt]:
         """The first choice that fits nearly as well, but for a different map."""

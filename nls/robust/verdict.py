@@ -60,10 +60,13 @@ class Doubt:
         return self.kind.value.format(**numbers)
 
 
-def doubts(result: Result, kept: int, doubted: int) -> list[Doubt]:
-    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained."""
+def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[Doubt]:
+    """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained.
+
+    Of a right half some are lost by chance: the bound is `probability` times half.
+    """
     found = []
-    if kept < HALF * doubted:
+    if kept < HALF * probability * doubted:
         found.append(Doubt(DoubtKind.FEW_KEPT, kept, doubted))
     if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - UNLIKELY)):
         found.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))

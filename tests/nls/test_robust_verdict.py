@@ -54,16 +54,17 @@ def test_more_than_half_wrong_is_doubtful_and_less_is_not(laps: sim.World) -> No
             assert "doubtful: " in str(found)
 
 
-def test_half_is_enough(laps: sim.World) -> None:
+def test_half_is_meant_less_what_chance_rejects(laps: sim.World) -> None:
     result = laps.graph.optimize(laps.start)
-    assert doubts(result, 50, 100) == []
-    assert [doubt.kind for doubt in doubts(result, 49, 100)] == [DoubtKind.FEW_KEPT]
+    assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
+    assert [doubt.kind for doubt in doubts(result, 98, 200, 0.99)] == [DoubtKind.FEW_KEPT]
+    assert [doubt.kind for doubt in doubts(result, 99, 200, 0.999)] == [DoubtKind.FEW_KEPT]
 
 
 def test_a_chi2_that_noise_does_not_explain_is_doubtful(laps: sim.World) -> None:
     result = laps.graph.optimize(laps.start)
     for ratio, doubtful in ((1.9, False), (2.1, True)):
-        found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1)
+        found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1, 0.99)
         assert [doubt.kind for doubt in found] == [DoubtKind.UNEXPLAINED] * doubtful
 
 
