@@ -25,7 +25,7 @@ WIDE = 3.0  # times sigma0 of what was accepted: residuals have heavier tails th
 UNLIKELY = 0.05  # of chi2 to be smaller, or larger
 MOST = 0.95  # of all closures; where odometry allows fewer, some are wrong
 STILL = 0.005  # of the extent: a map that moves less is the same
-STRAIN = 2.35  # times the typical noise between neighbors; of public graphs 0.9 to 2.3
+STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
 MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
@@ -69,12 +69,15 @@ class Preselection:
             found.append(Doubt(DoubtKind.CONTRADICTED, count, n, part=self.moved))
         found += self._rivals()
         found += self._unchecked(kept)
-        strain = float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(loops.neighbors.typical, 1.0)
-        if strain > STRAIN:
+        if (strain := self._strain(result)) > STRAIN:
             found.append(Doubt(DoubtKind.STRAINED, number=strain))
         if loops.neighbors.typical > 1 and (found or n < MANY * m):
             found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
         return found
+
+    def _strain(self, result: Result) -> float:
+        """Noise of an optimum over the typical one between neighbors, or the stated one if that is less."""
+        return float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(self.loops.neighbors.typical, 1.0)
 
     def _unchecked(self, kept: Mask) -> list[Doubt]:
         """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
@@ -106,7 +109,7 @@ class Preselection:
         noise = _noise(first)
         if not first.converged or first.dof < 1 or first.chi2_final > chi2_gate(first.dof, 1 - UNLIKELY):
             return None
-        if noise > STRAIN**2 * min(loops.neighbors.typical, 1.0) ** 2:
+        if self._strain(first) > STRAIN:
             return None
         variance = min(WIDE**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
