@@ -40,6 +40,8 @@ def contents(thing: Any, met: dict[int, tuple[int, Any]] | None = None) -> Any:
         return tuple((contents(key, met), contents(value, met)) for key, value in thing.items())
     if isinstance(thing, list | tuple):
         return tuple(contents(item, met) for item in thing)
+    if isinstance(thing, BaseException):  # whose reduction depends on whether somebody has looked at its attributes
+        return contents((type(thing), thing.args, vars(thing)), met)
     return contents(thing.__reduce_ex__(4), met)
 
 
