@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["FAINT", "Undamped", "diagonal"]
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
-
-
 LARGEST = 1e-8  # that a system which follows keeps
 HOPELESS = 1e16  # lambda at which no step is left to try
 

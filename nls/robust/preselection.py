@@ -149,7 +149,7 @@ class Preselection:
         if not wrong.any():
             return choice, 0.0
         masks = [a & b for a, b in zip(choice.kept, self.loops.masks(kept & ~wrong), strict=True)]
-        other = self.problem.scaled(1.0).without(choice, masks)
+        other = self.problem.without(choice, masks)
         return other, verdict.shift(self.loops, choice.result.values, other.result.values)
 
 
