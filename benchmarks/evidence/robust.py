@@ -206,7 +206,9 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5, help="trials of every kind (default 5)")
-    parser.add_argument("--large", type=int, default=1, help="trials of every kind on large graphs (default 1)")
+    parser.add_argument(
+        "--large", type=int, default=1, help="the same on large graphs, and with few closures (default 1)"
+    )
     parser.add_argument("--minutes", type=float, default=60.0, help="no trial begins after so many (default 60)")
     parser.add_argument(
         "--trials", type=Path, default=None, metavar="FILE", help="keeps every trial; those in it stand"

@@ -76,22 +76,24 @@ class Trial:
 
 
 def tasks(seeds: int, large: int) -> list[Task]:
-    """Clean graphs, small ones with the first seed and the others, then large ones: what ends early has most of it."""
+    """Clean graphs, small ones, large ones with the first seed, the protocol, then the rest: what ends early has most.
+
+    Parameters
+    ----------
+    seeds, large : of small graphs; of large ones, and of those with few closures.
+    """
     small = [name for name in SETS if name not in (*LARGE, LARGEST)]
     return [
         *(Task("clean", name, "none", 0.0, 0) for name in SETS),
         *(task for seed in range(seeds) for task in _kinds(small, seed)),
-        *(task for seed in range(RUNS) for task in _protocol(small, seed)),
-        *(
-            Task("few", name, kind, count, seed)
-            for seed in range(seeds)
-            for name in FEW_SETS
-            for count in COUNTS
-            for kind in KINDS
-        ),
-        *(task for seed in range(large) for task in _kinds(LARGE, seed)),
-        *(task for seed in range(RUNS) for task in _protocol(LARGE, seed)),
+        *(task for seed in range(min(large, 1)) for task in _kinds(LARGE, seed)),
+        *(task for names in (small, LARGE) for seed in range(RUNS) for task in _protocol(names, seed)),
+        *(task for seed in range(large) for task in (*_few(seed), *(_kinds(LARGE, seed) if seed else ()))),
     ]
+
+
+def _few(seed: int) -> list[Task]:
+    return [Task("few", name, kind, count, seed) for name in FEW_SETS for count in COUNTS for kind in KINDS]
 
 
 def _kinds(names: Sequence[str], seed: int) -> list[Task]:

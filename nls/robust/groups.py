@@ -21,7 +21,7 @@ Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import gamma, pi
 
@@ -62,17 +62,16 @@ class Witness:
     chance: float
 
 
-def misfits(loops: LoopGraph, result: Result, accepted: Mask) -> Mask:
+def misfits(judged: Iterable[Witness], result: Result, loops: LoopGraph) -> Mask:
     """Which closures (m,) belong to a group of neighbors that agree and that the rest of the graph contradicts.
 
     Parameters
     ----------
-    loops, accepted : the graph, and the closures (m,) it is solved with.
-    result : the optimum of these.
+    judged : the groups, at the optimum `result` of the graph.
     """
     noise = unit_variance(result.chi2_final / max(result.dof, 1))
-    wrong = np.zeros(len(accepted), dtype=bool)
-    for witness in witnesses(loops, result.values, accepted):
+    wrong = np.zeros(len(loops.closures), dtype=bool)
+    for witness in judged:
         gate = chi2_gate(len(witness.members) * loops.edges.group.dim, FITS)
         wrong[witness.members] = witness.t > WIDE * noise * gate
     return wrong

@@ -33,7 +33,7 @@ from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
 from nls.robust.closures import Index, Links, Mask
 from nls.robust.consistency import mahalanobis
-from nls.robust.groups import misfits
+from nls.robust.groups import misfits, witnesses
 from nls.robust.loop_graph import LoopGraph, loop_graph
 from nls.robust.paths import path_covariances
 from nls.starts.chordal import chordal
@@ -122,7 +122,7 @@ def grown(loops: LoopGraph) -> Growth:
             break
     if accepted.any():
         result = loops.graph.only(loops.masks(accepted)).optimize(values)
-        wrong = misfits(loops, result, accepted)
+        wrong = misfits(witnesses(loops, result.values, accepted), result, loops)
         if wrong.any():
             accepted &= ~wrong
             values, _ = _solved(loops, values, accepted)

@@ -13,7 +13,7 @@ from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.closures import Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged
-from nls.robust.groups import misfits, witnesses
+from nls.robust.groups import Witness, misfits, witnesses
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.verdict import Doubt, DoubtKind
@@ -28,6 +28,7 @@ STILL = 0.005  # of the extent: a map that moves less is the same
 STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
 MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
+QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
@@ -45,8 +46,9 @@ class Preselection:
 
     def __init__(self, problem: Truncated, loops: LoopGraph, loss: str, probability: float) -> None:
         self.problem, self.loops, self.loss, self.probability = problem, loops, loss, probability
-        explained = self._explained()
         self.rivals: list[Choice] = []
+        self._judged: tuple[Choice | None, list[Witness]] = None, []
+        explained = self._explained()
         self.choice, self.variance = explained or self._grown()
         self.moved = 0.0
         for _ in range(0 if explained else TURNS):
@@ -65,26 +67,27 @@ class Preselection:
         if span < verdict.HALF * spans:
             found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
         if self.moved > STILL:
-            count = int(misfits(loops, result, kept).sum())
+            count = int(misfits(self._witnesses(self.choice), result, loops).sum())
             found.append(Doubt(DoubtKind.CONTRADICTED, count, n, part=self.moved))
         found += self._rivals()
         found += self._unchecked(kept)
         if (strain := self._strain(result)) > STRAIN:
             found.append(Doubt(DoubtKind.STRAINED, number=strain))
-        if loops.neighbors.typical > 1 and (found or n < MANY * m):
+        small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
+        if small and (found or n < MANY * m):
             found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
         return found
 
     def _strain(self, result: Result) -> float:
         """Noise of an optimum over the typical one between neighbors, or the stated one if that is less."""
-        return float(np.sqrt(result.chi2_final / max(result.dof, 1))) / min(self.loops.neighbors.typical, 1.0)
+        return _sigmas(result) / min(self.loops.neighbors.typical, 1.0)
 
     def _unchecked(self, kept: Mask) -> list[Doubt]:
         """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
         loops = self.loops
         _, sizes = np.unique(loops.neighbors.cluster[~kept], return_counts=True)
         alike = (sizes > 1).any()
-        judged = list(witnesses(loops, self.choice.result.values, kept)) if kept.any() else []
+        judged = self._witnesses(self.choice)
         chances = [w.chance if alike or len(w.members) == 1 else 0.0 for w in judged]
         mean = float(np.mean(chances or [0.0]))
         chosen = not kept.all() or len(chances) > SOLE
@@ -144,13 +147,26 @@ class Preselection:
 
     def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:
         """The choice without the groups that the others contradict, and how far the map moves, part of its extent."""
-        kept = self.loops.accepted(choice.kept)
-        wrong = misfits(self.loops, choice.result, kept) if kept.any() else kept
+        wrong = misfits(self._witnesses(choice), choice.result, self.loops)
         if not wrong.any():
             return choice, 0.0
-        masks = [a & b for a, b in zip(choice.kept, self.loops.masks(kept & ~wrong), strict=True)]
+        right = self.loops.masks(self.loops.accepted(choice.kept) & ~wrong)
+        masks = [a & b for a, b in zip(choice.kept, right, strict=True)]
         other = self.problem.without(choice, masks)
         return other, verdict.shift(self.loops, choice.result.values, other.result.values)
+
+    def _witnesses(self, choice: Choice) -> list[Witness]:
+        """The groups of a choice, judged by its other closures; kept for the last choice, as they cost a covariance."""
+        if self._judged[0] is not choice:
+            kept = self.loops.accepted(choice.kept)
+            found = list(witnesses(self.loops, choice.result.values, kept)) if kept.any() else []
+            self._judged = choice, found
+        return self._judged[1]
+
+
+def _sigmas(result: Result) -> float:
+    """Noise of an optimum, in the stated sigmas."""
+    return float(np.sqrt(result.chi2_final / max(result.dof, 1)))
 
 
 def _noise(result: Result) -> float:

@@ -17,7 +17,7 @@ from nls.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import Neighbors, Odometry, neighbors
-from nls.robust.groups import FITS, WIDE, misfits
+from nls.robust.groups import FITS, WIDE, misfits, witnesses
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
@@ -179,7 +179,7 @@ def test_a_group_is_judged_by_what_chi2_falls_by_without_it() -> None:
         gate = WIDE * chi2_gate(2 * int((groups == group).sum()), FITS)
         for above, found in ((1.001, False), (0.999, True)):  # linear: the statistic is exactly that fall
             scaled = replace(result, chi2_final=above * fall / gate * result.dof)  # what the noise is taken from
-            wrong = misfits(track, scaled, np.ones(5, dtype=bool))
+            wrong = misfits(witnesses(track, result.values, np.ones(5, dtype=bool)), scaled, track)
             assert wrong[groups == group].all() == found
             assert wrong[groups == group].any() == found
 
