@@ -54,6 +54,23 @@ def test_more_than_half_wrong_is_doubtful_and_less_is_not(laps: sim.World) -> No
             assert "doubtful: " in str(found)
 
 
+def test_a_quiet_map_shows_that_sigmas_are_not_too_small(laps: sim.World) -> None:
+    """The same numbers; disagreeing neighbors are a doubt of the sigmas only where the map has about as much noise."""
+    count = 3 * len(laps.graph.factors[1])
+    for times, quiet in ((1.0, False), (2.0, True)):
+        wider = [
+            Between(*factor.keys, factor.z, Diagonal(times / factor.noise.sqrt_information(1, ("x", "y", "yaw"))[0]))
+            for factor in (*laps.graph.factors, wrong(120, count, 1))
+        ]
+        found = nls.gnc(FactorGraph(wider), laps.truth)
+        assert found.weights[1].all()
+        assert not found.weights[2].any()
+        doubts_of = [DoubtKind.FEW_KEPT] + ([] if quiet else [DoubtKind.SIGMAS])
+        assert [doubt.kind for doubt in found.doubts] == doubts_of
+        noise = np.sqrt(found.result.chi2_final / found.result.dof)
+        assert (noise < preselection_module.QUIET) == quiet
+
+
 def test_half_is_meant_less_what_chance_rejects(laps: sim.World) -> None:
     result = laps.graph.optimize(laps.start)
     assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
