@@ -82,10 +82,7 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
-    graph, values, report = _read(path, convention, dialect, repair_information, elevation)
-    for note in report.warnings:
-        warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
-    return graph, values, report
+    return _warned(path, _read(path, convention, dialect, repair_information, elevation))
 
 
 def load_stream(
@@ -118,10 +115,14 @@ def load_stream(
             data = read_stream(file, name)
         except OSError as error:
             raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
-    graph, values, report = _parsed(data, name, convention, dialect, repair_information)
-    for note in report.warnings:
-        warnings.warn(f"{name}: {note}", GraphWarning, stacklevel=2)
-    return graph, values, report
+    return _warned(name, _parsed(data, name, convention, dialect, repair_information))
+
+
+def _warned(name: str | Path, read: tuple[FactorGraph, Values, LoadReport]) -> tuple[FactorGraph, Values, LoadReport]:
+    """What was read, its notes given as warnings of the caller's line."""
+    for note in read[2].warnings:
+        warnings.warn(f"{name}: {note}", GraphWarning, stacklevel=3)
+    return read
 
 
 def _read(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from nls.linear.base import SingularSystemError
 
 if TYPE_CHECKING:
@@ -13,17 +11,11 @@ if TYPE_CHECKING:
     from nls.optimizers.problem import Problem
     from nls.system import LinearSystem
 
-__all__ = ["FAINT", "Undamped", "diagonal"]
+__all__ = ["FAINT", "HOPELESS", "Undamped"]
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
 LARGEST = 1e-8  # that a system which follows keeps
 HOPELESS = 1e16  # lambda at which no step is left to try
-
-
-def diagonal(system: LinearSystem) -> Array:
-    """Diagonal of A'A (n,), and 1 for an unknown that nothing reacts to: what damping is measured by."""
-    squares = np.square(system.column_norms)
-    return np.where(squares > 0, squares, 1.0)
 
 
 class Undamped:

@@ -14,7 +14,7 @@ from factors.base import Jacobians
 from factors.keys import Keys
 from models import SE2, SE3, SO2, SO3, LieGroup, Manifold, R
 from models.algebra import Array
-from nls import FactorGraph, Result, Status, Values, kinds
+from nls import FactorGraph, LinearSystem, Result, Status, Values, kinds
 
 GROUPS: tuple[LieGroup, ...] = (R(1), R(2), R(3), SO2, SE2, SO3, SE3)
 POSES: tuple[LieGroup, ...] = (R(2), SE2, SE3)
@@ -190,6 +190,12 @@ def circle() -> tuple[FactorGraph, Values]:
     beacons, measured = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]]), np.array([5.0, 8.3, 6.5])
     graph = FactorGraph([Factor.from_function(lambda X: np.linalg.norm(X - beacons, axis=1)[None] - measured, p[0], 3)])
     return graph, Values({p: (R(2), [[8.0, 9.0]])})
+
+
+def diagonal(system: LinearSystem) -> Array:
+    """Diagonal of A'A (n,), and 1 for an unknown that nothing reacts to."""
+    squares = np.square(system.column_norms)
+    return np.where(squares > 0, squares, 1.0)
 
 
 def never_worse(graph: FactorGraph, start: Values, result: Result) -> None:

@@ -15,8 +15,8 @@ from nls.linear.base import SingularSystemError
 from nls.linear.cholesky import CholmodFactorization
 from nls.linear.lu import SuperLUFactorization
 from nls.optimizers.problem import Problem
-from nls.optimizers.undamped import FAINT, Undamped, diagonal
-from tests.nls.graphs import SAMPLES, mixed, pose_graph, scalar
+from nls.optimizers.undamped import FAINT, Undamped
+from tests.nls.graphs import SAMPLES, diagonal, mixed, pose_graph
 
 ALL = pytest.mark.parametrize("name", SOLVERS)
 
@@ -115,13 +115,6 @@ def test_columns_by_name() -> None:
     for k, said in enumerate(system.cols):
         key, component = system.column(k)
         assert said == f"{key!r}: {component}"
-
-
-def test_what_damping_is_measured_by() -> None:
-    graph, start = scalar(lambda X: 3 * X, 1.0, lambda X: np.full((1, 1, 1), 3.0))
-    assert diagonal(graph.linearize(start)) == pytest.approx([9.0])
-    graph, start = scalar(lambda X: X, 1.0, lambda X: np.zeros((1, 1, 1)))
-    assert diagonal(graph.linearize(start)) == pytest.approx([1.0])
 
 
 def test_the_undamped_step_is_solved_once() -> None:

@@ -16,8 +16,7 @@ from nls import FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marg
 from nls.linear import Cholesky, CholeskyPCG
 from nls.linear.base import SingularSystemError
 from nls.linear.pcg import KeptState
-from nls.optimizers.undamped import diagonal
-from tests.nls.graphs import pose_graph, x
+from tests.nls.graphs import diagonal, pose_graph, x
 
 pytestmark = pytest.mark.skipif(CholeskyPCG.missing() is not None, reason=str(CholeskyPCG.missing()))
 MANY = 60

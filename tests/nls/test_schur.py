@@ -18,8 +18,7 @@ from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Value
 from nls.linear import LU
 from nls.linear.roots import inverse_root
 from nls.linear.schur import SchurFactorization
-from nls.optimizers.undamped import diagonal
-from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph
+from tests.nls.graphs import SAMPLES, Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
 
 GRAPHS: dict[str, Callable[[], Sample]] = {

@@ -33,8 +33,7 @@ from nls.linear.conjugate import conjugate
 from nls.linear.independent import independent, twins
 from nls.linear.schur import SchurFactorization
 from nls.linear.schur_pcg import PCGState
-from nls.optimizers.undamped import diagonal
-from tests.nls.graphs import SAMPLES, Sample, pose_graph
+from tests.nls.graphs import SAMPLES, Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, seen_by_range, step, two_kinds, x
 
 c, k = nls.kinds("c", "k")
