@@ -53,9 +53,9 @@ class Piece:
     """
 
     def __init__(self, make: Callable[[np.random.Generator], Any]) -> None:
-        from nls.assemble import Pattern
         from nls.gauge import choose_gauge, fixed_variables
         from nls.linear import default_solver
+        from nls.sparse.pattern import Pattern
 
         self.world = make(np.random.default_rng(1))
         other = make(np.random.default_rng(2))  # the order of the latest graph is remembered: two in turn never find it
@@ -76,8 +76,8 @@ class Piece:
         self.edges = len(self.world.graph)
 
     def build(self) -> object:
-        from nls.assemble import Pattern
-        from nls.hessian import Blocks
+        from nls.sparse.hessian import Blocks
+        from nls.sparse.pattern import Pattern
 
         return Blocks(Pattern(self.world.graph.factors, self.world.truth, self.held))
 
@@ -142,7 +142,7 @@ class Reference:
 
     def factorization(self) -> object:
         """CHOLMOD's numeric factorization of the same matrix in the same order."""
-        from nls.linear.threads import single_thread
+        from nls.sparse.threads import single_thread
 
         with single_thread():
             return self.factor.cholesky_inplace(self.piece.H)

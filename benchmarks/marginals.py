@@ -67,8 +67,8 @@ def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
 def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> str:
     """Measure one problem with one factorization."""
     from nls.gauge import choose_gauge, fixed_variables
-    from nls.linear.takahashi import diagonal_blocks
-    from nls.linear.threads import single_thread
+    from nls.sparse.takahashi import diagonal_blocks
+    from nls.sparse.threads import single_thread
 
     every = graph.pattern(values)
     pattern = every.holding(choose_gauge("first", every, values, fixed_variables(graph.fixed, values)).held)

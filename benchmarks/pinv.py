@@ -65,9 +65,9 @@ class Series:
 def measure(name: str, n: int, folder: Path) -> None:
     """Solve the system of n unknowns; print seconds and bytes as JSON, leave the update in the folder."""
     import sim
-    from nls.assemble import Pattern
     from nls.gauge import fixed_variables
     from nls.linear import SOLVERS
+    from nls.sparse.pattern import Pattern
     from nls.system import LinearSystem
 
     def system(poses: int) -> LinearSystem:

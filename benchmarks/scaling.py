@@ -137,10 +137,10 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     threading.Thread(target=end_after, args=[ENOUGH * seconds], daemon=True).start()
     import nls
     import nls.graph
-    from nls.assemble import Pattern
-    from nls.hessian import Blocks
     from nls.linear import default_solver
     from nls.linear.normal import NormalEquations, NormalState
+    from nls.sparse.hessian import Blocks
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
     solver: Any = type(default_solver())

@@ -35,7 +35,7 @@ from pinv import (  # the script beside this one
 
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
-    from nls.hessian import Blocks
+    from nls.sparse.hessian import Blocks
     from sim import Mission
 
 SOLVERS = {"schur": "landmarks first", "cholesky": "AMD over all", "natural": "none"}
@@ -63,7 +63,7 @@ def problem(name: str) -> tuple[FactorGraph, Values]:
 
 def linear_solver(name: str) -> Any:
     """`natural` is CHOLMOD with the unknowns in the order of the graph."""
-    from nls.elimination import Index
+    from models.algebra import Index
     from nls.linear import Cholesky, Schur
     from nls.linear.cholesky import CholmodFactorization
 
@@ -81,8 +81,8 @@ def linear_solver(name: str) -> Any:
 
 def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
     """Order of the variables by a solver."""
-    from nls.elimination import Elimination
     from nls.linear import Schur
+    from nls.sparse.elimination import Elimination
 
     if solver == "schur":
         hessian = Schur(memory_limit=np.inf).analyze(system.pattern)[1].hessian
@@ -94,9 +94,9 @@ def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
 
 def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str, Any]:
     """Fill, seconds and bytes of one solver on one problem; no seconds where it would pass a limit."""
-    from nls.hessian import Blocks
-    from nls.linear.fill import counted
     from nls.optimizers.undamped import diagonal
+    from nls.sparse.fill import counted
+    from nls.sparse.hessian import Blocks
 
     graph, values = problem(name)
     system = graph.linearize(values)

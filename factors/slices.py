@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 
 __all__ = ["one_each", "places", "rows"]
-
-Index = npt.NDArray[np.intp]
 
 
 def places(index: Any, n: int, what: str) -> Index:

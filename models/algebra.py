@@ -16,6 +16,7 @@ import numpy.typing as npt
 __all__ = [
     "TINY",
     "Array",
+    "Index",
     "apply",
     "arrangement",
     "components",
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 
 def wrap(angle: npt.ArrayLike) -> Array:

@@ -12,13 +12,14 @@ from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls.directions import carriers_of_singles, separated, single_directions
 from nls.gauge import component_labels, touched_variables
-from nls.hessian import Blocks
-from nls.linear.base import NULL, SingularSystemError, UnsolvedSystemError
-from nls.linear.normal import NormalState
+from nls.linear.default import best_decomposition
+from nls.linear.factorization import Factorization
+from nls.linear.singular import NULL, SingularSystemError, UnsolvedSystemError
 
 if TYPE_CHECKING:
     from factors.keys import Keys
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
+    from nls.sparse.pattern import Pattern
     from nls.system import LinearSystem
     from nls.values import Values
 
@@ -241,25 +242,24 @@ def _weakest(system: LinearSystem) -> tuple[Array, Array]:
     return s, np.asarray(N / np.linalg.norm(N, axis=0))
 
 
-def _shifted(system: LinearSystem, squares: Array) -> NormalState:
+def _shifted(system: LinearSystem, squares: Array) -> Factorization:
     """A'A + shift diag(squares), factorized by the best factorization installed: what is free is no obstacle then.
 
     BAL problem-49-7776, 23,757 unknowns: 1.0 s for all, 3.2 by SuperLU on scipy's A.T @ A. The least shift above the
     rounding of A'A is taken; 1e-12 may be too little for a large graph.
     """
-    from nls.linear import best_factorization
-
-    kind, blocks = best_factorization(), Blocks(system.pattern)
-    state, S = NormalState(blocks.structure(kind.order), kind), blocks.fill(system)
+    decomposition = best_decomposition()
+    hessian, S = system.pattern.hessian(decomposition.order), system.H_blocks
+    factorization = Factorization(hessian, decomposition(hessian))
     for shift in SHIFTS:
         shifted = S.copy()
-        state.hessian.damp(shifted, shift * squares)
+        hessian.damp(shifted, shift * squares)
         try:
-            pivots = state.factorization.factorize(shifted)
+            pivots = factorization.decomposition.factorize(shifted)
         except SingularSystemError:
             continue
         if (pivots > 0).all():
-            return state
+            return factorization
     raise SingularSystemError("A'A is not positive definite beyond its rounding")
 
 

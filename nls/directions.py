@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, gram
-from nls.linear.base import NULL
+from nls.linear.singular import NULL
 
 if TYPE_CHECKING:
-    from nls.assemble import Index
+    from models.algebra import Index
     from nls.system import LinearSystem
 
 __all__ = ["carriers_of_singles", "separated", "single_directions"]

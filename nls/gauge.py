@@ -16,37 +16,25 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import perf_counter
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
-from models.algebra import Array
+from models.algebra import Index
 from models.errors import GraphWarning, OptionError
-from nls.assemble import Batch, Pattern, offsets
-from nls.components import connected, firsts
-from nls.linear.base import LinearSolution, LinearSolver, SingularSystemError
-from nls.linear.normal import NormalEquations
-from nls.system import LinearSystem
-
-if TYPE_CHECKING:
-    from nls.assemble import Index
-    from nls.values import Values
+from nls.sparse.components import connected, firsts
+from nls.sparse.pattern import Batch, Pattern, offsets
+from nls.values import Values
 
 __all__ = [
     "GAUGES",
-    "FreeGauge",
     "Gauge",
     "choose_gauge",
     "component_labels",
     "fixed_variables",
-    "free_directions",
-    "gauge_columns",
     "touched_variables",
 ]
 
@@ -168,83 +156,6 @@ def _first_of_components(
     by_number = [pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable") for kind in kinds]
     order = np.concatenate([*by_number, np.zeros(0, dtype=np.intp)])
     return firsts(label, order[(moving & ~anchored[label])[order]])
-
-
-def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
-    """Columns of `free` that `held` leaves out, the gauge, and all others."""
-    gauge = np.flatnonzero(np.repeat(held.held & ~free.held, np.where(free.held, 0, free.dims)))
-    return gauge, np.setdiff1d(np.arange(free.n), gauge)
-
-
-def free_directions(A: sp.csr_array, gauge: Index, rest: Index, unheld: Array) -> Array:
-    """Orthonormal basis (n, k) of the free gauge, N = [-pinv(A_f) A_h; I], from ``unheld``, pinv(A_f) A_h.
-
-    Raises
-    ------
-    SingularSystemError
-        The held columns are no free directions: N changes a measurement.
-    """
-    N = np.zeros((A.shape[1], len(gauge)))
-    N[rest], N[gauge] = -unheld, np.eye(len(gauge))
-    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
-        raise SingularSystemError("the held variable is not a free direction of the measurements")
-    return np.asarray(np.linalg.qr(N)[0])
-
-
-@dataclass(frozen=True)
-class FreeState:
-    """What `FreeGauge` knows of a pattern: the state of its solver, and which columns are the gauge."""
-
-    analyzed: Any
-    gauge: Index
-    rest: Index
-
-
-class FreeGauge(LinearSolver):
-    """A linear solver whose step is the shortest of all minimizers, found with one variable per component held.
-
-    With A = [A_f A_h], the columns of N = [-pinv(A_f) A_h; I] change no measurement: they are the gauge. The step of
-    the solver with the held columns left out, minus its part along N, is pinv(A) b, by sparse means. The factorization
-    of the step serves N as well, N_f = -(A_f'A_f)^-1 A_f'A_h; a solver that keeps none is called once per column.
-
-    Parameters
-    ----------
-    solver : the linear solver for the free columns.
-    held : the pattern with the gauge held; the pattern given to `analyze` has all its columns.
-    """
-
-    def __init__(self, solver: LinearSolver, held: Pattern) -> None:
-        self.solver, self.held = solver, held
-        self.name, self.exact = solver.name, solver.exact  # type: ignore[misc]
-
-    def analyze(self, pattern: Pattern) -> FreeState:
-        return FreeState(self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
-
-    def said(self, analyzed: FreeState) -> str:
-        return self.solver.said(analyzed.analyzed)
-
-    def seen(self, system: LinearSystem) -> LinearSystem:
-        return LinearSystem(self.held, system.blocks, system.b)
-
-    def solve(self, analyzed: FreeState, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
-        A, gauge, rest = system.A, analyzed.gauge, analyzed.rest
-        held = None if damping is None else damping[rest]
-        step = self.solver.solve(analyzed.analyzed, self.seen(system), held)
-        t0 = perf_counter()
-        x = np.zeros(A.shape[1])
-        x[rest] = step.dx
-        Q = free_directions(A, gauge, rest, self._unheld(analyzed, system))
-        seconds = {**step.seconds, "solve": step.seconds.get("solve", 0.0) + perf_counter() - t0}
-        return LinearSolution(x - Q @ (Q.T @ x), seconds)
-
-    def _unheld(self, analyzed: FreeState, system: LinearSystem) -> Array:
-        """pinv(A_f) A_h, after the solver has taken its step."""
-        A_f, A_h = system.A[:, analyzed.rest], system.A[:, analyzed.gauge]
-        if isinstance(self.solver, NormalEquations):
-            _, factorized = analyzed.analyzed
-            return np.asarray(factorized.solve((A_f.T @ A_h).toarray()))
-        columns = [LinearSystem(self.held, system.blocks, column) for column in A_h.toarray().T]
-        return np.stack([self.solver.solve(analyzed.analyzed, column).dx for column in columns], axis=1)
 
 
 def fixed_variables(fixed: Sequence[Keys], values: Values) -> npt.NDArray[np.bool_]:

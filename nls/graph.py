@@ -13,14 +13,15 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.robust import Kernel
 from models.errors import GraphError, OptionError
-from nls.assemble import Pattern, measured_rows
 from nls.diagnose import directions, underconstrained
-from nls.gauge import FreeGauge, choose_gauge, fixed_variables
+from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
-from nls.linear.threads import single_thread
+from nls.linear.free_gauge import FreeGauge
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
+from nls.sparse.pattern import Pattern, measured_rows
+from nls.sparse.threads import single_thread
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class FactorGraph:
 
     def linearize(self, values: Values) -> LinearSystem:
         """A and b at the values, with labels; no gauge is held, only what was fixed."""
-        return self.pattern(values).holding(fixed_variables(self.fixed, values)).linearize(values)
+        return LinearSystem.at(self.pattern(values).holding(fixed_variables(self.fixed, values)), values)
 
     @single_thread()  # a BLAS thread that waits for the next product burns the second core meanwhile
     def optimize(
@@ -197,7 +198,7 @@ class FactorGraph:
         dof = measured_rows(pattern) - int(pattern.dims[~decided.held].sum())
         limited = any(factor.limit_only for factor in self.factors)  # what is free may be meant to be, within them
         if dof < 0 and not limited and isinstance(method, TrustRegion):  # it would not notice
-            raise underconstrained(pattern.linearize(values), values)
+            raise underconstrained(LinearSystem.at(pattern, values), values)
         watch = method.run(problem, values.copy())
         assert watch.status is not None
         free = () if watch.free is None else underconstrained(watch.free).components
@@ -209,7 +210,7 @@ class FactorGraph:
             chi2_initial=watch.history[0].chi2,
             chi2_final=watch.lowest,
             dof=dof + len(free),
-            linear_solver=solver.said(problem.state),
+            linear_solver=problem.analysis.description,
             gauge=decided.said,
             timings=problem.timings,
             method=method.name,

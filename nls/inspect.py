@@ -8,8 +8,8 @@ import numpy as np
 
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.linear import default_solver
-from nls.linear.fill import fill_in
+from nls.linear import best_decomposition, default_solver
+from nls.sparse.fill import fill_in
 from nls.values import Values
 
 __all__ = ["inspect"]
@@ -38,7 +38,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
         lengths.append(rows[rows > 0])
     weights = np.concatenate(lengths)
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
-    fill = fill_in(pattern, gauge.held)
+    fill = fill_in(pattern, gauge.held, best_decomposition().order)
     sizes = np.sort(np.bincount(labels[touched]))[::-1]
     sizes = sizes[sizes > 0]
     return {

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
+from factors.keys import Keys
+from factors.robust import reweighted
 from models.algebra import Array, apply
-from models.errors import EvaluationError, OptionError
-from nls.hessian import Blocks
-
-if TYPE_CHECKING:
-    from factors.keys import Keys
-    from nls.assemble import Pattern
-    from nls.linear import LinearSolver
+from models.errors import EvaluationError
+from nls.sparse.pattern import Pattern
+from nls.values import Values
 
 __all__ = ["LinearSystem"]
 
@@ -39,6 +36,23 @@ class LinearSystem:
     ) -> None:
         self.pattern, self.blocks, self.b = pattern, blocks, b
         self.chi2 = float(np.square(b).sum()) if chi2 is None else chi2
+
+    @classmethod
+    def at(cls, pattern: Pattern, values: Values) -> LinearSystem:
+        """Every whitened A_i and b_i at the values; one call per batch."""
+        b = np.empty(pattern.m)
+        blocks, chi2 = [], 0.0
+        for batch in pattern.batches:
+            A, b_batch = batch.model.linearize(*batch.gather(values))
+            kernel = batch.model.factor.kernel
+            if kernel is None:
+                chi2 += float(np.square(b_batch).sum())  # not b @ b: BLAS would start threads, and round differently
+            else:
+                A, b_batch, rho = reweighted(kernel, A, b_batch)
+                chi2 += float(rho.sum())
+            b[batch.rows] = b_batch.reshape(-1)
+            blocks.append(A)
+        return cls(pattern, blocks, b, chi2)
 
     def __repr__(self) -> str:
         return f"LinearSystem({self.pattern.m} x {self.pattern.n}, chi2 {self.chi2:.6g})"
@@ -98,9 +112,15 @@ class LinearSystem:
         )
 
     @cached_property
+    def H_blocks(self) -> Array:
+        """The blocks of A'A, flat, as `nls.sparse.blocks` lays them out; infinite where squares overflow."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.pattern.blocks.fill(self.blocks)
+
+    @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,)."""
-        return np.sqrt(self.pattern.by_column([np.square(A_k).sum(axis=1) for A_k in A] for A in self.blocks))
+        return np.sqrt(np.take(self.H_blocks, self.pattern.blocks.on_diagonal))
 
     @property
     def scaled_gradient(self) -> float:
@@ -151,31 +171,7 @@ class LinearSystem:
     @cached_property
     def H(self) -> sp.csc_array:
         """A'A (n, n), symmetric, columns in the order of A, filled from the blocks."""
-        blocks = Blocks(self.pattern)
-        return blocks.structure().symmetric(blocks.fill(self))
-
-    def solve(self, linear_solver: LinearSolver | None = None) -> Array:
-        """The step dx = argmin |A dx - b|, (n,), by a solver of `nls.linear`; the best one installed when omitted.
-
-        Raises
-        ------
-        UnderconstrainedError
-            Something is free: there is no unique step.
-        EvaluationError
-            Squares of weights or Jacobians overflow.
-        """
-        from nls.diagnose import underconstrained
-        from nls.linear import LinearSolver, default_solver
-        from nls.linear.base import SingularSystemError
-
-        solver = default_solver() if linear_solver is None else linear_solver
-        if not isinstance(solver, LinearSolver):
-            raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
-        state = solver.analyze(self.pattern)
-        try:
-            return solver.solve(state, self).dx
-        except SingularSystemError as error:
-            raise underconstrained(solver.seen(self), cause=error) from error
+        return self.pattern.hessian().symmetric(self.H_blocks)
 
     @property
     def rows(self) -> list[str]:

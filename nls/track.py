@@ -10,7 +10,8 @@ import numpy.typing as npt
 from factors import Between, BetweenSensors
 
 if TYPE_CHECKING:
-    from nls.assemble import Batch, Index, Pattern
+    from models.algebra import Index
+    from nls.sparse.pattern import Batch, Pattern
 
 __all__ = ["closures", "steps"]
 

@@ -34,7 +34,7 @@ import numpy as np
 from models.errors import GraphFileError, GraphWarning, LeadlineError, OptionError
 from models.options import is_whole
 from nls.io.files import read_bytes, write_bytes
-from nls.linear.threads import single_thread
+from nls.sparse.threads import single_thread
 
 __all__ = ["FailedRunsError", "Record", "runs", "sentence"]
 

@@ -21,9 +21,9 @@ import numpy as np
 from factors import Between, Diagonal, Prior
 from models import SE2, R
 from nls import FactorGraph, Values, kinds
-from nls.assemble import measured_rows
 from nls.filters.base import steps
-from nls.linear.threads import single_thread
+from nls.sparse.pattern import measured_rows
+from nls.sparse.threads import single_thread
 from nls.starts import locate_points
 from sim.checks import check_rng, check_whole
 from sim.estimators import batch, estimator

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from factors import Between, Diagonal
 from models import LieGroup
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.dead_reckoning.chain import chain
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
@@ -32,8 +32,6 @@ __all__ = [
     "seed_of",
     "start_from_odometry",
 ]
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from models.sensors import DIDSON_HIGH, HOLOOCEAN_DVL, Camera, SingularAt
 from nls import filters
 from nls.covariance import Marginals
 from nls.io.weights import AsRead
-from nls.linear.base import SingularSystemError, UnsolvedSystemError
+from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.metrics import ate
 from nls.observability import helpful_motions, observability
 from nls.robust import kernels

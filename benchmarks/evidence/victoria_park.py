@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from factors import BearingRange, Between, Covariance, Diagonal, Prior
 from models import SE2, R
+from models.algebra import Index
 from models.dead_reckoning import integrate_plane
 from models.sensors import point_from_direction_range
 from models.vehicles import ackermann
@@ -25,7 +26,6 @@ from nls.starts import locate_points
 from sim.landmark_world import KNOWN_START
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 x, l = kinds("x", "l")
 # of speed and steering, m/s and rad, and of slip ahead, across and in yaw, m/s and rad/s, all per sqrt(Hz): over 1.1 s
 # scans and odometry differ by 0.04 m ahead, 0.07 m across and 0.005 rad

@@ -13,11 +13,11 @@ import nls
 from factors import Between
 from factors.keys import Keys
 from models import LieGroup
+from models.algebra import Index
 from nls import FactorGraph, Values
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 SETS = {
     "CSAIL": "pose-graphs-2d/CSAIL.g2o",

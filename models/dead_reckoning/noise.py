@@ -22,14 +22,11 @@ Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.3.3 (compound
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.dead_reckoning.samples import Mixture
 
 __all__ = ["at_nodes", "from_samples", "sum_by_leg"]
-
-Index = npt.NDArray[np.intp]
 
 
 def at_nodes(LA: Array, LB: Array, leg: Index) -> Array:

@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.manifolds.so3 import SO3
 
 __all__ = ["Mixture", "mixture"]
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import numpy as np
 
 from models.algebra import Array, apply
 from nls.certificate.problem import PoseGraph
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
 
 __all__ = ["Optimum", "nearest", "newton", "rotations", "tangent"]
 

@@ -17,6 +17,8 @@ over the special Euclidean group", IJRR 38(2-3), 2019.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -28,12 +30,12 @@ from models.algebra import Array, gram, pack
 from models.errors import GraphError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix
-from nls.components import connected
-from nls.elimination import eliminated
 from nls.graph import FactorGraph
-from nls.hessian import Hessian
-from nls.linear import best_factorization
-from nls.linear.normal import NormalState
+from nls.linear import best_decomposition
+from nls.linear.factorization import Factorization
+from nls.sparse.components import connected
+from nls.sparse.elimination import Elimination
+from nls.sparse.hessian import Hessian
 from nls.starts.edges import PoseEdges, pose_edges
 from nls.values import Values
 
@@ -68,7 +70,7 @@ class PoseGraph:
         TW = self.T * self.W[:, None]
         self.on_diagonal = self._summed(TW @ self.T.mT, self.W[:, None] * np.eye(d + 1))
         self.off = -TW
-        self._states: dict[int, NormalState] = {}
+        self._factorizations: dict[int, Factorization] = {}
 
     def _summed(self, at_i: Array, at_j: Array) -> Array:
         """Sums (n, ...) at every pose of what its edges (m, ...) have there."""
@@ -112,7 +114,7 @@ class PoseGraph:
         L[:, : self.d, : self.d] = (product + product.mT) / 2
         return L
 
-    def factorized(self, on_diagonal: Array, off: Array) -> NormalState:
+    def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
         """Cholesky factorization of the symmetric matrix of blocks (n, k, k), and (m, k, k) of the edges.
 
         Raises
@@ -121,14 +123,16 @@ class PoseGraph:
             It is not positive definite.
         """
         k = off.shape[-1]
-        if k not in self._states:
-            kind, begin = best_factorization(), np.arange(self.n + len(off)) * k * k
-            elimination = eliminated(self.edges.i, self.edges.j, self.n, kind.order)
-            hessian = Hessian(elimination, np.full(self.n, k), begin[: self.n], begin[self.n :])
-            self._states[k] = NormalState(hessian, kind)
-        state = self._states[k]
-        state.factorize(np.concatenate([on_diagonal.reshape(-1), off.reshape(-1)]))
-        return state
+        if k not in self._factorizations:
+            begin = np.arange(self.n + len(off)) * k * k
+            hessian = Hessian(self._elimination, np.full(self.n, k), begin[: self.n], begin[self.n :])
+            self._factorizations[k] = Factorization(hessian, best_decomposition()(hessian))
+        return self._factorizations[k].factorize(np.concatenate([on_diagonal.reshape(-1), off.reshape(-1)]))
+
+    @cached_property
+    def _elimination(self) -> Elimination:
+        """The order of the poses, whatever the sizes of their blocks."""
+        return Elimination(self.edges.i, self.edges.j, self.n, best_decomposition().order)
 
 
 def certifiable(graph: FactorGraph, values: Values) -> PoseGraph:

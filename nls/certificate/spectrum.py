@@ -29,8 +29,8 @@ from models.algebra import Array
 from models.errors import EvaluationError
 from nls.certificate.newton import Optimum
 from nls.certificate.problem import PoseGraph
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalState
+from nls.linear.factorization import Factorization
+from nls.linear.singular import SingularSystemError
 
 __all__ = ["RELATIVE", "Spectrum", "spectrum"]
 
@@ -93,7 +93,7 @@ def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 
 
-def _largest_of_inverse(state: NormalState, turns: npt.NDArray[np.bool_], count: int) -> tuple[Array, Array]:
+def _largest_of_inverse(state: Factorization, turns: npt.NDArray[np.bool_], count: int) -> tuple[Array, Array]:
     """Eigenvalues theta of the rotation part of the inverse, falling, and the first one's vector, with positions."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 

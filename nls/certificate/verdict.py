@@ -13,7 +13,7 @@ from nls.certificate.problem import PoseGraph, certifiable
 from nls.certificate.spectrum import RELATIVE, Spectrum, spectrum
 from nls.certificate.staircase import placed, staircase
 from nls.graph import FactorGraph
-from nls.linear.threads import single_thread
+from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
 from nls.values import Values
 

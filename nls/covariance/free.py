@@ -16,12 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, ResourceLimitError
-from nls.assemble import Index, Pattern
-from nls.gauge import free_directions, gauge_columns
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalState
+from nls.linear.factorization import Factorization
+from nls.linear.free_gauge import free_directions, gauge_columns
+from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
 from nls.values import Values
 
 __all__ = ["FreePart", "free_part"]
@@ -53,13 +54,15 @@ class FreePart:
         return np.asarray(Sigma - Q_r @ B_c.mT - B_r @ Q_c.mT + Q_r @ ((M + M.T) / 2) @ Q_c.mT)
 
 
-def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, memory_limit: float) -> FreePart:
+def free_part(
+    held: Pattern, free: Pattern, factorization: Factorization, values: Values, memory_limit: float
+) -> FreePart:
     """The basis of the gauge and Sigma_held times it.
 
     Parameters
     ----------
     held, free : the graph with the gauge held, and without.
-    state : the factorization of A'A of `held`.
+    factorization : of A'A of `held`.
     values : the linearization point.
     memory_limit : bytes of the dense columns.
 
@@ -80,9 +83,9 @@ def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, 
             memory_limit,
             "free gauge",
         )
-    A = free.linearize(values).A
+    A = LinearSystem.at(free, values).A
     try:
-        directions = free_directions(A, gauge, rest, state.solve((A[:, rest].T @ A[:, gauge]).toarray()))
+        directions = free_directions(A, gauge, rest, factorization.solve((A[:, rest].T @ A[:, gauge]).toarray()))
     except SingularSystemError as error:
         raise GraphError(
             "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
@@ -91,5 +94,5 @@ def free_part(held: Pattern, free: Pattern, state: NormalState, values: Values, 
     of_all = np.flatnonzero(np.repeat(~free.held, free.dims))
     Q, B = np.zeros((2, int(free.dims.sum()), len(gauge)))
     Q[of_all] = directions
-    B[of_all[rest]] = state.solve(Q[of_all[rest]])
+    B[of_all[rest]] = factorization.solve(Q[of_all[rest]])
     return FreePart(Q, B)

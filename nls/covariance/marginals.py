@@ -3,7 +3,7 @@ r"""Covariances of the estimate, (A'A)^-1 at the linearization point and parts o
     X = X_hat Exp(delta),   delta ~ N(0, Sigma),   Sigma = (A'A)^-1
 
 A few columns of Sigma are solved for with the factor of A'A; the diagonal blocks of all variables come out of one pass
-over that factor (`nls.linear.takahashi`).
+over that factor (`nls.sparse.takahashi`).
 """
 
 from __future__ import annotations
@@ -15,18 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import Keys, Kind
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
-from nls.assemble import Index
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
 from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
-from nls.linear import LinearSolver, default_solver
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalEquations
-from nls.linear.takahashi import diagonal_blocks
+from nls.linear import LinearSolver, factorize
+from nls.linear.singular import SingularSystemError
+from nls.system import LinearSystem
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -111,20 +109,17 @@ class Marginals:
         fixed = fixed_variables(graph.fixed, values)
         decided = choose_gauge(gauge, graph.pattern(values), values, fixed)
         pattern = self._pattern = decided.pattern.holding(decided.held)
-        solver = linear_solver if isinstance(linear_solver, NormalEquations) else default_solver()
-        assert isinstance(solver, NormalEquations)
-        self._blocks, self._state = solver.analyze(pattern)  # refuses what would not fit
-        system = pattern.linearize(values)
+        system = LinearSystem.at(pattern, values)
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # an overflow is refused by name in factorize
-                self._state.factorize(self._blocks.fill(system))
-                self._state.refuse_free(system)
+            self._factorization = factorize(system, linear_solver)
         except SingularSystemError as error:
             raise underconstrained(system) from error
         self.gauge = decided.said
         self._free: FreePart | None = None
         if decided.free:
-            self._free = free_part(pattern, decided.pattern.holding(decided.fixed), self._state, values, memory_limit)
+            self._free = free_part(
+                pattern, decided.pattern.holding(decided.fixed), self._factorization, values, memory_limit
+            )
         zero = decided.fixed if decided.free else decided.held
         self._status = np.select(
             [fixed, decided.fixed, zero], ["fixed", "unmeasured", "gauge"], "estimated"
@@ -230,7 +225,8 @@ class Marginals:
     @cached_property
     def _diagonal(self) -> dict[str, Array]:
         """Diagonal blocks (n, d, d) of every kind, axes of the tangent space."""
-        flat = diagonal_blocks(self._blocks, self._state, self.memory_limit)
+        every = np.arange(len(self._pattern.blocks.dims))
+        flat = self._factorization.inverse_blocks(every, every, self.memory_limit)
         out, begin = {}, 0
         for kind, stack in self.values.stacks.items():
             n, d = len(stack), stack.manifold.dim
@@ -264,7 +260,7 @@ class Marginals:
             part = free[begin : begin + ONE_BLOCK]
             E = np.zeros((n, len(part)))
             E[a[part], np.arange(len(part))] = 1.0
-            Sigma[free[:, None], part] = self._state.solve(E)[a[free]]
+            Sigma[free[:, None], part] = self._factorization.solve(E)[a[free]]
         if self._free is not None:
             Sigma = self._free.moved(Sigma, columns, columns)
         return (Sigma + Sigma.T) / 2

@@ -35,15 +35,15 @@ from models.sensors import cartesian, point_in_frame, spherical
 from nls.degeneracy.truncated import truncated_inverse
 from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
-from nls.linear.base import SINGULAR
 from nls.linear.lu import SYMMETRIC
+from nls.linear.singular import SINGULAR
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from nls.assemble import Pattern
     from nls.graph import FactorGraph
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["LandmarkInformation", "landmark_information"]
@@ -152,7 +152,7 @@ def landmark_information(
     if stack.manifold not in (R(2), R(3)):
         raise GraphError(f"landmark_information: {name} is in {stack.manifold}, expected points in R(2) or R(3)")
     every = graph.pattern(values)
-    system = every.linearize(values)
+    system = LinearSystem.at(every, values)
     H = np.zeros((len(stack), d, d))
     for batch, blocks in zip(every.batches, system.blocks, strict=True):
         for slot_kind, index, A in zip(batch.kinds, batch.index, blocks, strict=True):

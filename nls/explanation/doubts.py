@@ -16,9 +16,9 @@ from nls.explanation.statistics import Tested, measuring
 from nls.track import closures
 
 if TYPE_CHECKING:
-    from nls.assemble import Pattern
     from nls.explanation.suspects import Suspects
     from nls.graph import FactorGraph
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = [

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, SingularGeometryError
-from nls.assemble import measured_rows
 from nls.chi_squared import chi2_interval, chi2_tail
 from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
@@ -23,12 +22,13 @@ from nls.explanation.suspects import Suspects, suspects
 from nls.explanation.twins import twins
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.linear.threads import single_thread
 from nls.observability.report import ANGULAR, LENGTHS
+from nls.sparse.pattern import measured_rows
+from nls.sparse.threads import single_thread
 from nls.values import Values
 
 if TYPE_CHECKING:
-    from nls.assemble import Pattern
+    from nls.sparse.pattern import Pattern
 
     Mask = npt.NDArray[np.bool_]
 

@@ -16,18 +16,18 @@ import scipy.sparse as sp
 from factors import Isotropic, Prior
 from factors.keys import Keys
 from models.algebra import Array
-from nls.assemble import Pattern
 from nls.diagnose import null_space
 from nls.directions import separated, single_directions
 from nls.explanation.linear import Checked, Linearization
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from factors.base import Factor
-    from nls.assemble import Index
+    from models.algebra import Index
     from nls.values import Values
 
 __all__ = ["Freedom", "freedom"]

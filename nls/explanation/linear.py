@@ -10,7 +10,7 @@ and without measurement i, exactly where the problem is linear,
     e_i <- (I - w_i C_i)^-1 e_i,   C_i <- C_i (I - w_i C_i)^-1
 
 Any two variables of one factor are neighbors in A'A, so the blocks of P that C_i needs come out of one pass over its
-Cholesky factor (`nls.linear.takahashi`), and taking a measurement out changes all others by products of its m columns
+Cholesky factor (`nls.sparse.takahashi`), and taking a measurement out changes all others by products of its m columns
 P A_i'. W. Baarda, "A testing procedure for use in geodetic networks", 1968; the redundancy numbers tr(I - C_i) are in
 P. Teunissen, "Testing theory: an introduction", 2000.
 """
@@ -24,15 +24,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.algebra import Array, apply, product
-from nls.hessian import Blocks
-from nls.linear import default_solver
-from nls.linear.normal import NormalEquations
-from nls.linear.takahashi import inverse_blocks
+from nls.linear import factorize
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.linear.normal import NormalState
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["Checked", "Linearization"]
@@ -74,21 +70,6 @@ class Linearization:
             self.w.append(w)
         self.system = LinearSystem(pattern, blocks, rows)
 
-    def factorized(self) -> tuple[Blocks, NormalState]:
-        """A'A of the weighted system, factorized.
-
-        Raises
-        ------
-        SingularSystemError
-            Something is free.
-        """
-        solver = default_solver()
-        assert isinstance(solver, NormalEquations)
-        blocks, state = solver.analyze(self.pattern)
-        state.factorize(blocks.fill(self.system))
-        state.refuse_free(self.system)
-        return blocks, state
-
 
 class Checked:
     """Every measurement against all others.
@@ -107,8 +88,8 @@ class Checked:
 
     def __init__(self, linear: Linearization) -> None:
         self.linear, pattern = linear, linear.pattern
-        self.blocks, self.state = linear.factorized()
-        self.dx = self.state.solve(linear.system.gradient)
+        self.factorization = factorize(linear.system)
+        self.dx = self.factorization.solve(linear.system.gradient)
         self.promised = linear.system.promised(self.dx)
         X = pattern.by_kind(self.dx)
         self.w = [w.copy() for w in linear.w]
@@ -121,7 +102,7 @@ class Checked:
 
     def _predictions(self) -> None:
         """C of all measurements, from the blocks of P of their variables."""
-        pattern, dims = self.linear.pattern, self.blocks.dims
+        pattern, dims = self.linear.pattern, self.linear.pattern.blocks.dims
         number = np.where(pattern.held, -1, np.cumsum(~pattern.held) - 1)
         every = np.arange(len(dims))
         ones, others = [every], [every]
@@ -131,7 +112,7 @@ class Checked:
                 both = (i >= 0) & (j >= 0)
                 ones.append(i[both])
                 others.append(j[both])
-        found = inverse_blocks(self.blocks, self.state, np.concatenate(ones), np.concatenate(others), MEMORY_LIMIT)
+        found = self.factorization.inverse_blocks(np.concatenate(ones), np.concatenate(others), MEMORY_LIMIT)
         sizes = [int((dims[i] * dims[j]).sum()) for i, j in zip(ones, others, strict=True)]
         parts = iter(np.split(found, np.cumsum(sizes)[:-1]))
         self.diagonal = next(parts)
@@ -160,7 +141,7 @@ class Checked:
             start, d = pattern.starts[variables[index]], A_k.shape[2]
             if start >= 0:
                 columns[start : start + d] += A_k[index].T
-        U = self.state.solve(columns)
+        U = self.factorization.solve(columns)
         for V, K in self._taken:
             U += V @ (K @ (V.T @ columns))
         w, e = self.w[batch][index], self.e[batch][index].copy()

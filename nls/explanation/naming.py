@@ -16,8 +16,9 @@ from nls.explanation.sights import Sight, named, sights
 from nls.gauge import component_labels
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
     from nls.explanation.free import Freedom
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
     Mask = npt.NDArray[np.bool_]

@@ -14,7 +14,8 @@ from models.algebra import Array
 from models.sensors import point_in_frame
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["Sight", "named", "sights"]

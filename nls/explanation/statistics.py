@@ -24,8 +24,9 @@ from nls.track import closures
 
 if TYPE_CHECKING:
     from factors.base import Model
-    from nls.assemble import Batch, Index, Pattern
+    from models.algebra import Index
     from nls.explanation.linear import Checked
+    from nls.sparse.pattern import Batch, Pattern
 
 __all__ = ["Tested", "checks", "kinds_of", "measuring", "spoiled", "tested"]
 
@@ -67,7 +68,7 @@ def tested(batch: Batch, e: Array, C: Array, w: Array) -> Tested:
 
 
 def measuring(model: Model) -> Index:
-    """(n,) numbers per measurement that measure something, as `nls.assemble.measured_numbers` counts them."""
+    """(n,) numbers per measurement that measure something, as `nls.sparse.pattern.measured_numbers` counts them."""
     n, W = len(model.z), model.W
     zero = (W == 0).sum(axis=1) if W.ndim == 2 else (W == 0).all(axis=2).sum(axis=1)
     return np.broadcast_to(model.dim - model.factor.eliminated - zero, n)

@@ -17,13 +17,14 @@ from nls.chi_squared import chi2_tail
 from nls.explanation.linear import Checked, Linearization
 from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
 from nls.graph import FactorGraph
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import chordal
 from nls.track import steps
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["Suspects", "suspects"]

@@ -16,8 +16,9 @@ from nls.chi_squared import chi2_gate
 from nls.explanation.findings import Finding
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
     from nls.explanation.linear import Checked
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["twins"]
@@ -81,7 +82,7 @@ def _nearest(
     columns = pattern.starts[points[involved], None] + np.arange(d)  # (q, d)
     E = np.zeros((pattern.n, columns.size))
     E[columns.reshape(-1), np.arange(columns.size)] = 1.0
-    P = checked.state.solve(E)[columns.reshape(-1)].reshape(len(involved), d, len(involved), d)
+    P = checked.factorization.solve(E)[columns.reshape(-1)].reshape(len(involved), d, len(involved), d)
     for r, i, j in apart:
         a, b = np.searchsorted(involved, [i, j])
         Sigma = P[a, :, a] + P[b, :, b] - P[a, :, b] - P[b, :, a]

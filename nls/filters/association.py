@@ -35,7 +35,7 @@ from models.options import is_number
 from nls.chi_squared import chi2_gate
 
 if TYPE_CHECKING:
-    from nls.assemble import Index
+    from models.algebra import Index
 
 __all__ = [
     "Assignment",

@@ -27,12 +27,12 @@ from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError
 from nls.filters.consistency import nees
-from nls.linear.threads import single_thread
 from nls.metrics import TrajectoryError, ate
+from nls.sparse.threads import single_thread
 from nls.values import Values
 
 if TYPE_CHECKING:
-    from nls.assemble import Index
+    from models.algebra import Index
     from nls.graph import FactorGraph
 
 __all__ = ["POSE", "Filter", "Step", "Track", "landmark_kind", "steps"]

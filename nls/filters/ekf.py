@@ -27,10 +27,9 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.seen import Seen
 from models import LieGroup, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
 from models.options import is_number, is_whole
-from nls.assemble import Index
 from nls.chi_squared import chi2_gate
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step

@@ -21,9 +21,8 @@ import numpy as np
 
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import EvaluationError
-from nls.assemble import Index
 
 __all__ = ["MapState", "rows_of"]
 

@@ -27,7 +27,8 @@ from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
 from models.algebra import Array
 from models.errors import UnderconstrainedError
-from nls.assemble import Pattern
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
 from nls.values import Stack, Values
 
 __all__ = ["MarginalPrior", "marginalized", "numbers_of", "without"]
@@ -123,7 +124,7 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     near = {kind: numbers_of(touching, kind) for kind in values.stacks}
     part = Values.of(_kept(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values())
     pattern = Pattern(touching, part)
-    system = pattern.linearize(part)
+    system = LinearSystem.at(pattern, part)
     variables = [pattern.key(k) for k in range(len(pattern.dims))]
     goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
     order = np.argsort(~goes, kind="stable")

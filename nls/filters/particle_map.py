@@ -13,21 +13,18 @@ Source: S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005, section 13.3
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
 from factors.seen import Seen
 from models import LieGroup, Manifold
-from models.algebra import Array, apply, gram, product
+from models.algebra import Array, Index, apply, gram, product
 from models.errors import GraphError
 from nls.filters.map_state import rows_of
 from nls.filters.motion import Copies, copies, most_likely
 from nls.filters.particles import covariance, mean
 
 __all__ = ["ParticleMap", "each_once"]
-
-Index = npt.NDArray[np.intp]
 
 
 class ParticleMap:

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from factors.base import Factor, Model
 from factors.seen import Seen
 from models import Manifold
-from models.algebra import Array
-from nls.assemble import Index
+from models.algebra import Array, Index
 from nls.chi_squared import chi2_gate
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE

@@ -15,11 +15,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 
 __all__ = ["BLANK", "LINE_END", "MARKS", "PAD", "UNREAD", "WHOLE", "decimals", "windows", "words"]
-
-Index = npt.NDArray[np.intp]
 Words = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]
 Places = npt.NDArray[np.int8]

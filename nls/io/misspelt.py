@@ -9,14 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-import numpy as np
-import numpy.typing as npt
-
+from models.algebra import Index
 from nls.io.text import NUMBER, Text, printable, strange
 
 __all__ = ["refuse_misspelt"]
-
-Index = npt.NDArray[np.intp]
 SIGNS = bytes.maketrans(b"-:", b"__")  # as they are confused in tags
 
 

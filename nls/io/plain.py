@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.io.files import read_bytes
 from nls.io.text import Text
 
 __all__ = ["or_compressed", "plain_lines", "plain_table", "refuse_late"]
-
-Index = npt.NDArray[np.intp]
 
 
 def or_compressed(folder: str | Path, name: str) -> Path:

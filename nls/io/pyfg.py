@@ -36,7 +36,7 @@ from factors.noise import Covariance, square
 from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
@@ -49,8 +49,6 @@ from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
 __all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
-
-Index = npt.NDArray[np.intp]
 LONGEST = 40  # characters of a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 

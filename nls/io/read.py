@@ -7,13 +7,12 @@ they were first seen. Nothing is repaired unless asked for: what cannot be right
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
 from models import LieGroup, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
@@ -31,8 +30,6 @@ from nls.stages import stage
 from nls.values import Stack, Values
 
 __all__ = ["read_graph"]
-
-Index = npt.NDArray[np.intp]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused

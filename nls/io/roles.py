@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from models.algebra import Index
 from nls.io.lines import Lines, Numbers, among, by_number, different, joined
 from nls.io.records import KINDS
 from nls.io.text import Text, printable
 
 __all__ = ["Roles"]
-
-Index = npt.NDArray[np.intp]
 SAID = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 
 

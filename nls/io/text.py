@@ -14,14 +14,12 @@ from unicodedata import name
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
 
 __all__ = ["NUMBER", "Text", "printable", "rows", "strange"]
-
-Index = npt.NDArray[np.intp]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")

@@ -6,14 +6,12 @@ from collections import Counter
 from collections.abc import Collection
 
 import numpy as np
-import numpy.typing as npt
 
+from models.algebra import Index
 from nls.io.report import LoadReport
 from nls.io.text import Text, printable
 
 __all__ = ["appended", "keep", "keep_unknown", "left_out", "note_comments"]
-
-Index = npt.NDArray[np.intp]
 NAMED = 9  # tags in a sentence
 
 

@@ -2,49 +2,42 @@
 
 from __future__ import annotations
 
-from nls.linear.base import LinearSolution, LinearSolver
+from nls.linear.base import Analysis, LinearSolution, LinearSolver
 from nls.linear.cholesky import Cholesky, openmp_capped
+from nls.linear.default import best_decomposition, default_solver, factorize
 from nls.linear.dense import DenseCholesky, DenseQR, Pinv
+from nls.linear.factorization import Factorization
 from nls.linear.lu import LU
-from nls.linear.normal import Factorization, NormalEquations
+from nls.linear.normal import NormalEquations
 from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
-from nls.linear.schur import Schur
-from nls.linear.schur_pcg import PCG
+from nls.linear.schur import PCG, Schur
 
 __all__ = [
     "LU",
     "PCG",
     "QR",
     "SOLVERS",
+    "Analysis",
     "Cholesky",
     "CholeskyPCG",
     "DenseCholesky",
     "DenseQR",
+    "Factorization",
     "LinearSolution",
     "LinearSolver",
+    "NormalEquations",
     "Pinv",
     "Schur",
     "backends",
-    "best_factorization",
+    "best_decomposition",
     "default_solver",
+    "factorize",
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {
     solver.name: solver for solver in (Cholesky, CholeskyPCG, Schur, PCG, QR, LU, DenseCholesky, DenseQR, Pinv)
 }
-
-
-def default_solver() -> LinearSolver:
-    """The best linear solver installed: CHOLMOD, or SuperLU without SuiteSparse."""
-    return Cholesky() if Cholesky.missing() is None else LU()
-
-
-def best_factorization() -> type[Factorization]:
-    """The factorization of positive definite matrices behind the default solver."""
-    solver = default_solver()
-    assert isinstance(solver, NormalEquations)
-    return solver.factorization
 
 
 def backends() -> dict[str, str]:

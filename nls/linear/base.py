@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,41 +12,19 @@ import scipy.sparse as sp
 from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import MissingSolverError
-
-if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.system import LinearSystem
+from nls.linear.factorization import Factorization
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
 
 __all__ = [
     "INSTALL_SUITESPARSE",
-    "NULL",
-    "SINGULAR",
-    "WEAK",
+    "Analysis",
     "LinearSolution",
     "LinearSolver",
-    "SingularSystemError",
-    "UnsolvedSystemError",
+    "with_damping",
 ]
 
-SINGULAR = 1e-13
-"""A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
-digits of the column were cancelled by the columns before it, and the direction counts as free."""
-
-
-WEAK, NULL = 1e-6, 1e-9
-"""Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is
-one when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
-
-
 INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"
-
-
-class SingularSystemError(np.linalg.LinAlgError):
-    """The system has no unique solution; optimizers turn this into `UnderconstrainedError` with names."""
-
-
-class UnsolvedSystemError(SingularSystemError):
-    """An iteration did not reach its tolerance: too near to singular for it, or given too few steps."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +35,55 @@ class LinearSolution:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+class Analysis(Abstract):
+    """What a solver knows of a pattern: it solves every linearization of it.
+
+    Parameters
+    ----------
+    name : of the solver.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @abstractmethod
+    def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+        """The step dx = argmin |A dx - b|^2 + sum damping_k dx_k^2.
+
+        Parameters
+        ----------
+        system : one linearization.
+        damping : (n,) not negative, added to the diagonal of A'A; none for the Gauss-Newton step.
+
+        Raises
+        ------
+        SingularSystemError
+            A is rank deficient.
+        """
+
+    def again(self, system: LinearSystem) -> LinearSolution | None:
+        """H^-1 A'b of this system, with H as the latest undamped `solve` factorized it.
+
+        None where nothing is kept, or where that H is known to be of no use any more.
+
+        Near an optimum, where H hardly changes, that is the Gauss-Newton step but for a few percent, for the price of
+        two triangular solves.
+        """
+        return None
+
+    def columns(self, system: LinearSystem, B: sp.csr_array) -> Array:
+        """pinv(A) B for B (m, k), after `solve` of this system."""
+        sides = [LinearSystem(system.pattern, system.blocks, b) for b in B.toarray().T]
+        return np.stack([self.solve(side).dx for side in sides], axis=1)
+
+    @property
+    def description(self) -> str:
+        """The solver in the result, with what there is to tell."""
+        return self.name
+
+
 class LinearSolver(Abstract):
-    """Base of the linear solvers. Solvers hold settings only; `analyze` returns the state.
+    """Base of the linear solvers. Solvers hold settings only; `analyze` returns what they know of a pattern.
 
     Attributes
     ----------
@@ -86,46 +111,12 @@ class LinearSolver(Abstract):
             raise MissingSolverError(f"linear solver {self.name!r}: {what}")
 
     @abstractmethod
-    def analyze(self, pattern: Pattern) -> Any:
+    def analyze(self, pattern: Pattern) -> Analysis:
         """What depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
 
-    @abstractmethod
-    def solve(self, analyzed: Any, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
-        """The step dx = argmin |A dx - b|^2 + sum damping_k dx_k^2.
-
-        Parameters
-        ----------
-        analyzed : what `analyze` returned.
-        system : one linearization.
-        damping : (n,) not negative, added to the diagonal of A'A; none for the Gauss-Newton step.
-
-        Raises
-        ------
-        SingularSystemError
-            A is rank deficient.
-        """
-
-    def again(self, analyzed: Any, system: LinearSystem) -> LinearSolution | None:
-        """H^-1 A'b of this system, with H as the latest undamped `solve` factorized it.
-
-        None where nothing is kept, or where that H is known to be of no use any more.
-
-        Near an optimum, where H hardly changes, that is the Gauss-Newton step but for a few percent, for the price of
-        two triangular solves.
-        """
+    def factorization(self, system: LinearSystem) -> Factorization | None:
+        """A'A of a linearization, factorized; None of a solver that does not factorize it."""
         return None
-
-    def said(self, analyzed: Any) -> str:
-        """The solver in the result, with what its state has to tell."""
-        return self.name
-
-    @staticmethod
-    def damped(A: sp.csr_array, b: Array, damping: Array | None) -> tuple[sp.csr_array, Array]:
-        """A and b with the damping as further rows: the same step for solvers that work on A itself."""
-        if damping is None:
-            return A, b
-        rows = sp.diags_array(np.sqrt(damping))
-        return sp.csr_array(sp.vstack([A, rows])), np.concatenate([b, np.zeros(len(damping))])
 
     def seen(self, system: LinearSystem) -> LinearSystem:
         """The system whose singularity `solve` reports: the one given, unless the solver holds something itself."""
@@ -133,3 +124,11 @@ class LinearSolver(Abstract):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"
+
+
+def with_damping(A: sp.csr_array, b: Array, damping: Array | None) -> tuple[sp.csr_array, Array]:
+    """A and b with the damping as further rows: the same step for solvers that work on A itself."""
+    if damping is None:
+        return A, b
+    rows = sp.diags_array(np.sqrt(damping))
+    return sp.csr_array(sp.vstack([A, rows])), np.concatenate([b, np.zeros(len(damping))])

@@ -13,28 +13,27 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
 - CHOLMOD chooses itself between columns one by one and supernodes (dense blocks), at 40 flops per number of R. With its
   threads kept in check that is the faster one on every graph measured: kitti_00 3 ms against 12, city10000 63 against
   92, sphere2500 65 against 398.
-- One thread: see `nls.linear.threads`.
+- One thread: see `nls.sparse.threads`.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array
-from nls.linear.base import INSTALL_SUITESPARSE, SingularSystemError
-from nls.linear.fill import counted
-from nls.linear.normal import Factorization, NormalEquations
-from nls.linear.threads import openmp, single_thread
+from models.algebra import Array, Index
+from nls.linear.base import INSTALL_SUITESPARSE
+from nls.linear.factorization import Decomposition
+from nls.linear.normal import SparseSolver
+from nls.linear.singular import SingularSystemError
+from nls.sparse.fill import counted
+from nls.sparse.hessian import Hessian
+from nls.sparse.threads import openmp, single_thread
 
-if TYPE_CHECKING:
-    from nls.elimination import Index
-    from nls.hessian import Hessian
-
-__all__ = ["Cholesky", "CholmodFactorization", "openmp_capped"]
+__all__ = ["Cholesky", "Cholmod", "openmp_capped"]
 
 LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
@@ -57,7 +56,7 @@ def _order(graph: sp.csc_matrix, method: str) -> Index:
     return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
 
 
-class CholmodFactorization(Factorization):
+class Cholmod(Decomposition):
     """P H P' = L L' or L D L' of a `Hessian` by CHOLMOD."""
 
     @staticmethod
@@ -122,11 +121,11 @@ class CholmodFactorization(Factorization):
         return sp.csc_array(self._chol.L()), np.arange(self._hessian.n)
 
 
-class Cholesky(NormalEquations):
+class Cholesky(SparseSolver):
     """A'A = L L' by CHOLMOD: the fastest for sparse systems, and the default where it is installed."""
 
     name = "cholesky"
-    factorization = CholmodFactorization
+    decomposition = Cholmod
     per_number = 17.0
 
     @classmethod

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from importlib import import_module
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.algebra import Array
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
-from nls.linear.base import SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.limits import checked_limit, default_limit
-from nls.linear.threads import single_thread
-
-if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.system import LinearSystem
+from nls.linear.singular import SINGULAR, SingularSystemError
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
 
 __all__ = ["DenseCholesky", "DenseQR", "Pinv"]
 
@@ -39,7 +37,7 @@ class _Dense(LinearSolver):
         """Bytes a solve of an (m, n) system takes."""
         return 8.0 * self.copies * m * n
 
-    def analyze(self, pattern: Pattern) -> None:
+    def analyze(self, pattern: Pattern) -> DenseAnalysis:
         needed = self.needed(pattern.m, pattern.n)
         if needed > self.memory_limit:
             raise ResourceLimitError(
@@ -49,19 +47,34 @@ class _Dense(LinearSolver):
                 self.memory_limit,
                 "dense system",
             )
+        return DenseAnalysis(self)
 
-    def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+    def least_squares(self, A: Array, b: Array) -> Array:
+        """argmin |A dx - b|."""
+        raise NotImplementedError
+
+
+class DenseAnalysis(Analysis):
+    """Nothing is kept between solves.
+
+    Parameters
+    ----------
+    solver : solves the dense system.
+    """
+
+    def __init__(self, solver: _Dense) -> None:
+        super().__init__(solver.name)
+        self.solver = solver
+
+    def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         import_module("scipy.linalg")  # its BLAS must be there before single_thread looks for it
         t0 = perf_counter()
-        sparse, b = self.damped(system.A, system.b, damping)
+        sparse, b = with_damping(system.A, system.b, damping)
         A = sparse.toarray()
         t1 = perf_counter()
         with single_thread():
-            dx = self._solve(A, b) if A.size else np.zeros(A.shape[1])
+            dx = self.solver.least_squares(A, b) if A.size else np.zeros(A.shape[1])
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
-
-    def _solve(self, A: Array, b: Array) -> Array:
-        raise NotImplementedError
 
 
 def _scaled(A: Array) -> tuple[Array, Array]:
@@ -78,7 +91,7 @@ class DenseQR(_Dense):
     name = "dense-qr"
     copies = 6.0
 
-    def _solve(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -94,7 +107,7 @@ class DenseCholesky(_Dense):
     name = "dense-cholesky"
     copies = 4.0
 
-    def _solve(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -125,5 +138,5 @@ class Pinv(_Dense):
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
         self.rtol: float = float(rtol)
 
-    def _solve(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array) -> Array:
         return np.asarray(np.linalg.pinv(A, rcond=self.rtol) @ b)

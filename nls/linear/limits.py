@@ -1,6 +1,6 @@
 """How much memory a factorization may take: estimated before it is taken, and refused with the numbers.
 
-The estimate is the numbers of R (`nls.linear.fill`) times what a number costs at the peak, which was measured as the
+The estimate is the numbers of R (`nls.sparse.fill`) times what a number costs at the peak, which was measured as the
 largest resident memory of analysis and solve together, above that of the linearized graph, over 8 bytes a number of R:
 
     CHOLMOD   1.9 - 2.1   (R of 27 to 218 MB: a factor with zeros in its supernodes, the fronts, H and its blocks)
@@ -19,16 +19,11 @@ import math
 import os
 import sys
 from functools import cache
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
-from nls.linear.fill import counted
-
-if TYPE_CHECKING:
-    from nls.hessian import Blocks, Hessian
+from nls.sparse.fill import counted
+from nls.sparse.hessian import Hessian
 
 __all__ = ["FRACTION", "always_fits", "checked_limit", "default_limit", "gigabytes", "refuse_above"]
 
@@ -69,14 +64,14 @@ def always_fits(limit: float, per_number: float, n: int) -> bool:
     return per_number * n * (n + 1) / 2 <= limit
 
 
-def refuse_above(limit: float, per_number: float, blocks: Blocks, hessian: Hessian, solver: str) -> None:
+def refuse_above(limit: float, per_number: float, hessian: Hessian, solver: str) -> None:
     """Refuse a factorization whose R would not fit.
 
     Parameters
     ----------
     limit : bytes.
     per_number : bytes at the peak per number of R.
-    blocks, hessian : the variables, and the structure with its elimination order.
+    hessian : the structure with its elimination order.
     solver : name, for the message.
 
     Raises
@@ -85,9 +80,8 @@ def refuse_above(limit: float, per_number: float, blocks: Blocks, hessian: Hessi
     """
     if always_fits(limit, per_number, hessian.n):
         return
-    owner = np.repeat(np.arange(len(blocks.dims)), blocks.dims)[hessian.permutation]
-    eliminated = owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]  # every variable once
-    fill = counted(blocks.dims, blocks.u, blocks.v, eliminated)
+    elimination = hessian.elimination
+    fill = counted(hessian.dims, elimination.u, elimination.v, elimination.variables)
     needed = per_number * fill.nnz
     if needed > limit:
         other = "" if solver == "cholesky" else "take linear solver 'cholesky', which needs least, "

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import Factorization, NormalEquations
+from models.algebra import Array, Index
+from nls.linear.factorization import Decomposition
+from nls.linear.normal import SparseSolver
+from nls.linear.singular import SingularSystemError
+from nls.sparse.hessian import Hessian
 
-if TYPE_CHECKING:
-    from nls.elimination import Index
-    from nls.hessian import Hessian
-
-__all__ = ["LU", "SYMMETRIC", "SuperLUFactorization", "dominant"]
+__all__ = ["LU", "SYMMETRIC", "SuperLU", "dominant"]
 
 SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
@@ -27,7 +25,7 @@ def dominant(u: Index, v: Index, V: int) -> sp.csc_array:
     return sp.csc_array(adjacency + sp.diags_array(1.0 - adjacency.sum(axis=0)))
 
 
-class SuperLUFactorization(Factorization):
+class SuperLU(Decomposition):
     """H = L U with symmetric pivoting. SuperLU's minimum degree orders the graph of variables, once per graph."""
 
     @staticmethod
@@ -72,9 +70,9 @@ class SuperLUFactorization(Factorization):
         return sp.csc_array(lu.L @ sp.diags_array(np.sqrt(lu.U.diagonal()))), np.argsort(lu.perm_c)
 
 
-class LU(NormalEquations):
+class LU(SparseSolver):
     """A'A = L U by SciPy's SuperLU: the default where SuiteSparse is not installed."""
 
     name = "lu"
-    factorization = SuperLUFactorization
+    decomposition = SuperLU
     per_number = 144.0

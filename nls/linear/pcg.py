@@ -29,53 +29,46 @@ Methods for Sparse Linear Systems, 2003, sections 6.7.3 (Lanczos coefficients) a
 from __future__ import annotations
 
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sp
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import OptionError
 from models.options import is_number, is_whole
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
 from nls.linear.conjugate import conjugate
-from nls.linear.normal import Factorization, NormalState
-from nls.linear.threads import single_thread
+from nls.linear.factorization import Factorization
+from nls.linear.normal import NormalAnalysis
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 
-if TYPE_CHECKING:
-    import scipy.sparse as sp
-
-    from nls.assemble import Pattern
-    from nls.elimination import Index
-    from nls.hessian import Blocks, Hessian
-
-__all__ = ["CholeskyPCG", "KeptState"]
+__all__ = ["CholeskyPCG", "KeptFactorization"]
 
 SURE = 0.01  # of the deviation of h along any direction: what is left of it in an accepted step
 SOFT = 1e-3  # part of M that H keeps in every direction; below, its own pivots have to speak
 TRIED = 1  # steps before their rate is believed: a poor M shows in the first one, which costs a fifth of H = L L'
 
 
-class KeptState(NormalState):
+class KeptFactorization(Factorization):
     """A factorization that may be older than the system solved last. Asked for itself, it is made new first.
 
     Attributes
     ----------
-    factorizations, steps : of this analysis so far.
+    factorizations, steps : so far.
     """
 
-    def __init__(self, hessian: Hessian, factorization: Factorization) -> None:
-        self.hessian, self.factorization, self._judged = hessian, factorization, np.inf
-        self.factorizations = self.steps = 0
-        self._newer: Array | None = None  # the flat blocks of the current H, where the factorization is older
-        self._h: Array | None = None  # None: there is no factorization to start from
+    factorizations = steps = 0
+    _newer: Array | None = None  # the flat blocks of the current H, where the factorization is older
+    _h: Array | None = None  # None: there is no factorization to start from
 
-    def factorize(self, S: Array) -> Array:
+    def factorize(self, S: Array) -> Factorization:
         self._newer = self._h = None  # one that fails leaves nothing behind
-        diagonal = super().factorize(S)
+        super().factorize(S)
         self.factorizations += 1
-        return diagonal
+        return self
 
     def keep(self, system: LinearSystem, damping: Array | None) -> None:
         """The factorization just made is good: h for the check of what is solved with it later."""
@@ -126,7 +119,7 @@ class KeptState(NormalState):
         upper = H.T
         found = conjugate(
             lambda P: np.stack([H @ p + upper @ p - diagonal * p for p in P]),
-            lambda R: self.factorization.solve(R.T).T,
+            lambda R: self.decomposition.solve(R.T).T,
             np.stack([g, h]),
             lambda first: np.array([tol**2 * first[0], SURE**2]),
             max_steps,
@@ -142,10 +135,6 @@ class KeptState(NormalState):
     def lower(self) -> tuple[sp.csc_array, Index]:
         self._renew()
         return super().lower()
-
-    def upper(self) -> tuple[sp.csc_array, Index]:
-        self._renew()
-        return super().upper()
 
     def _renew(self) -> None:
         if self._newer is not None:
@@ -191,9 +180,9 @@ class CholeskyPCG(Cholesky):
     >>> world = sim.manhattan(np.random.default_rng(1), n_poses=200)
     >>> world.graph.fix(world.graph.factors[0].keys[0][0])
     >>> solver, system = CholeskyPCG(), world.graph.linearize(world.truth)
-    >>> analyzed = solver.analyze(system.pattern)
-    >>> first, again = solver.solve(analyzed, system), solver.solve(analyzed, system)
-    >>> solver.said(analyzed)
+    >>> analysis = solver.analyze(system.pattern)
+    >>> first, again = analysis.solve(system), analysis.solve(system)
+    >>> analysis.description
     'cholesky-pcg, 1 factorization, 1 CG step'
     """
 
@@ -208,54 +197,55 @@ class CholeskyPCG(Cholesky):
         self.tol: float = float(tol)
         self.max_steps: int = int(max_steps)
 
-    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
-        blocks, state = super().analyze(pattern)
-        return blocks, KeptState(state.hessian, state.factorization)
+    def analyze(self, pattern: Pattern) -> KeptAnalysis:
+        made = self.prepared(pattern)
+        return KeptAnalysis(KeptFactorization(made.hessian, made.decomposition), self.tol, self.max_steps)
 
-    def solve(
-        self, analyzed: tuple[Blocks, NormalState], system: LinearSystem, damping: Array | None = None
-    ) -> LinearSolution:
-        state = _kept(analyzed)
+
+class KeptAnalysis(NormalAnalysis):
+    """Conjugate gradients where the kept factorization is near enough, a new one where it is not.
+
+    Parameters
+    ----------
+    kept : the factorization.
+    tol, max_steps : as in `CholeskyPCG`.
+    """
+
+    def __init__(self, kept: KeptFactorization, tol: float, max_steps: int) -> None:
+        super().__init__(CholeskyPCG.name, kept)
+        self._kept, self._tol, self._max_steps = kept, tol, max_steps
+
+    def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         seconds = {"assemble": 0.0, "factorize": 0.0, "solve": 0.0}
-        if state.kept:
-            dx = self._iterated(analyzed[0], state, system, damping, seconds)
+        if self._kept.kept:
+            dx = self._iterated(system, damping, seconds)
             if dx is not None:
                 return LinearSolution(dx, seconds)
-        solution = super().solve(analyzed, system, damping)
+        solution = super().solve(system, damping)
         t0 = perf_counter()
-        state.keep(system, damping)
+        self._kept.keep(system, damping)
         seconds["factorize"] += perf_counter() - t0
         return LinearSolution(solution.dx, {part: seconds[part] + taken for part, taken in solution.seconds.items()})
 
-    def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
-        return super().again(analyzed, system) if _kept(analyzed).current else None
+    def again(self, system: LinearSystem) -> LinearSolution | None:
+        return super().again(system) if self._kept.current else None
 
-    def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
+    @property
+    def description(self) -> str:
         """Name, factorizations and steps of conjugate gradients since `analyze`, in words."""
-        state = _kept(analyzed)
-        many, steps = "" if state.factorizations == 1 else "s", "" if state.steps == 1 else "s"
-        return f"{self.name}, {state.factorizations} factorization{many}, {state.steps} CG step{steps}"
+        kept = self._kept
+        many, steps = "" if kept.factorizations == 1 else "s", "" if kept.steps == 1 else "s"
+        return f"{self.name}, {kept.factorizations} factorization{many}, {kept.steps} CG step{steps}"
 
-    def _iterated(
-        self, blocks: Blocks, state: KeptState, system: LinearSystem, damping: Array | None, seconds: dict[str, float]
-    ) -> Array | None:
+    def _iterated(self, system: LinearSystem, damping: Array | None, seconds: dict[str, float]) -> Array | None:
         """The step by conjugate gradients, or None; the time it took is added to `seconds`."""
         t0 = perf_counter()
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused where it is factorized
-            S, g = blocks.fill(system), system.gradient
-        norms = np.empty_like(g)
-        norms[state.hessian.permutation] = state.hessian.diagonal(S)
+            S, g = system.H_blocks, system.gradient
         if damping is not None:
-            state.hessian.damp(S, damping)
+            S = S.copy()
+            self._kept.hessian.damp(S, damping)
         t1 = perf_counter()
-        dx = state.iterate(S, g, self.tol, self.max_steps)
-        if dx is not None and damping is None:
-            system.column_norms = np.sqrt(norms)  # known now; the stop rule asks for them
+        dx = self._kept.iterate(S, g, self._tol, self._max_steps)
         seconds["assemble"], seconds["solve"] = t1 - t0, perf_counter() - t1
         return dx
-
-
-def _kept(analyzed: tuple[Blocks, NormalState]) -> KeptState:
-    state = analyzed[1]
-    assert isinstance(state, KeptState)
-    return state

@@ -5,20 +5,19 @@ from __future__ import annotations
 from functools import cache
 from threading import Lock
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array
-from nls.hessian import Blocks
-from nls.linear.base import INSTALL_SUITESPARSE, SINGULAR, LinearSolution, LinearSolver, SingularSystemError
+from nls.linear.base import INSTALL_SUITESPARSE, Analysis, LinearSolution, LinearSolver, with_damping
+from nls.linear.default import best_decomposition
 from nls.linear.limits import always_fits, checked_limit, default_limit, refuse_above
-from nls.linear.threads import single_thread
-
-if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.system import LinearSystem
+from nls.linear.singular import SINGULAR, SingularSystemError
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
 
 __all__ = ["QR"]
 
@@ -57,7 +56,7 @@ class QR(LinearSolver):
     def missing(cls) -> str | None:
         return None if spqr() is not None else INSTALL_SUITESPARSE
 
-    def analyze(self, pattern: Pattern) -> None:
+    def analyze(self, pattern: Pattern) -> QRAnalysis:
         """Nothing but the estimate of memory, for the elimination order of the default solver.
 
         Raises
@@ -66,21 +65,23 @@ class QR(LinearSolver):
         ResourceLimitError
             R would take more than the limit.
         """
-        from nls.linear import best_factorization
-
         self.require()
         limit = self.memory_limit or default_limit()
         if not always_fits(limit, self.per_number, pattern.n):
-            blocks = Blocks(pattern)
-            refuse_above(limit, self.per_number, blocks, blocks.structure(best_factorization().order), self.name)
+            refuse_above(limit, self.per_number, pattern.hessian(best_decomposition().order), self.name)
+        return QRAnalysis(self.name)
 
-    def solve(self, analyzed: None, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
+
+class QRAnalysis(Analysis):
+    """Nothing is kept between solves."""
+
+    def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         from scipy.sparse.linalg import spsolve_triangular
 
         module = spqr()
         assert module is not None
         t0 = perf_counter()
-        A, b = self.damped(system.A, system.b, damping)
+        A, b = with_damping(system.A, system.b, damping)
         n = A.shape[1]
         lengths = system.column_norms if damping is None else np.sqrt(system.column_norms**2 + damping)
         if n == 0:

@@ -27,15 +27,15 @@ from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.options import is_number
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.linear import default_solver
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalEquations
+from nls.linear.factorization import Factorization
+from nls.linear.singular import SingularSystemError
 from nls.observability.report import ANGULAR, FREE, LENGTHS, Observability
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    from nls.assemble import Index, Pattern
+    from models.algebra import Index
     from nls.graph import FactorGraph
-    from nls.linear.normal import NormalState
+    from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["check_one", "observability"]
@@ -115,7 +115,7 @@ def observability(
     stack.index(key)  # refuses what has no value
     components = stack.manifold.components
     pattern, held, said = _held(graph, values, key, gauge)
-    system = pattern.holding(held).linearize(values)
+    system = LinearSystem.at(pattern.holding(held), values)
     A_k, X, E, rest = _left(system, key)
     length = _distance(system.pattern, values, key) if length is None else float(length)
     w = _weights(components, np.linalg.norm(A_k, axis=0), length)
@@ -178,10 +178,10 @@ def _left(system: LinearSystem, key: Keys) -> tuple[Array, Array, Array, Index]:
     held = pattern.held.copy()
     held[place] = True
     others = LinearSystem(pattern.holding(held), system.blocks, system.b)
-    state = _factorized(others)
+    factorization = _factorized(others)
     X, E = np.zeros((len(rest), len(columns))), A_k
     for _ in range(ROUNDS):
-        step = state.solve(np.asarray(A_r.T @ E)) if len(rest) else X
+        step = factorization.solve(np.asarray(A_r.T @ E)) if len(rest) else X
         X = X + step
         last, E = E, A_k - A_r @ X
         if np.abs(last - E).max(initial=0.0) <= SETTLED * np.abs(A_k).max(initial=0.0):
@@ -189,20 +189,14 @@ def _left(system: LinearSystem, key: Keys) -> tuple[Array, Array, Array, Index]:
     return A_k, X, E, rest
 
 
-def _factorized(system: LinearSystem) -> NormalState:
+def _factorized(system: LinearSystem) -> Factorization:
     """A_r'A_r factorized as it is; with a little damping where it is singular."""
-    solver = default_solver()
-    assert isinstance(solver, NormalEquations)
-    blocks, state = solver.analyze(system.pattern)
-    S = blocks.fill(system)
+    analysis = default_solver().analyze(system.pattern)
     try:
-        state.factorize(S)
-        state.refuse_free(system)
+        return analysis.factorize(system)
     except SingularSystemError:
         squares = np.square(system.column_norms)
-        state.hessian.damp(S, DAMPING * np.where(squares > 0, squares, 1.0))
-        state.factorize(S)
-    return state
+        return analysis.factorize(system, DAMPING * np.where(squares > 0, squares, 1.0))
 
 
 def _distance(pattern: Pattern, values: Values, key: Keys) -> float:

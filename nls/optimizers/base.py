@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from models.abstract import Abstract
 from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.diagnose import underconstrained
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
 from nls.optimizers.result import Iteration
 from nls.optimizers.stop import Status, Stop
 from nls.optimizers.watch import Watch
@@ -66,7 +66,7 @@ class Optimizer(Abstract):
         try:
             self.iterate(problem, values, system, watch)
             if watch.status is Status.CONVERGED and not problem.solver.exact:
-                watch.doubt(problem.linearize(watch.best), problem.solver.said(problem.state))
+                watch.doubt(problem.linearize(watch.best), problem.analysis.description)
         except SingularSystemError as error:
             raise underconstrained(problem.solver.seen(problem.latest), watch.best, error) from error
         except (EvaluationError, SingularGeometryError) as error:

@@ -32,7 +32,7 @@ import numpy as np
 
 from models.errors import OptionError
 from models.options import is_number
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
 from nls.optimizers.trust_region import TrustRegion
 from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from models.algebra import Array
 from models.errors import EvaluationError, SingularGeometryError
-from nls.assemble import Pattern
 from nls.linear.base import LinearSolution, LinearSolver
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -34,20 +34,20 @@ class Problem:
         self.timings: dict[str, float] = {}
         self._lap: dict[str, float] = {}
         start = perf_counter()
-        self.state: Any = solver.analyze(pattern)
+        self.analysis = solver.analyze(pattern)
         self._add("analyze", perf_counter() - start)
         self._lap.clear()
 
     def linearize(self, values: Values) -> LinearSystem:
-        return self._timed("linearize", lambda: self.pattern.linearize(values))
+        return self._timed("linearize", lambda: LinearSystem.at(self.pattern, values))
 
     def solve(self, system: LinearSystem, damping: Array | None = None) -> Array:
         self.latest = system
-        return self._counted(self.solver.solve(self.state, system, damping))
+        return self._counted(self.analysis.solve(system, damping))
 
     def solve_again(self, system: LinearSystem) -> Array | None:
         """The step by the factorization of the latest solve; None where the linear solver keeps none."""
-        solution = self.solver.again(self.state, system)
+        solution = self.analysis.again(system)
         return None if solution is None else self._counted(solution)
 
     def retract(self, values: Values, dx: Array) -> Values:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
 
 if TYPE_CHECKING:
     from models.algebra import Array

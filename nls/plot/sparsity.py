@@ -8,10 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from nls.diagnose import underconstrained
-from nls.hessian import Blocks
-from nls.linear import best_factorization
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalState
+from nls.linear import factorize
+from nls.linear.singular import SingularSystemError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,14 +41,10 @@ def spy(system: LinearSystem) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    factorization = best_factorization()
-    blocks = Blocks(system.pattern)
-    state = NormalState(blocks.structure(factorization.order), factorization)
     try:
-        state.factorize(blocks.fill(system))
+        R, permutation = factorize(system).upper()
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    R, permutation = state.upper()
     R.eliminate_zeros()  # CHOLMOD pads its supernodes
     H = system.H.copy()
     H.eliminate_zeros()

@@ -11,10 +11,11 @@ from factors.base import Factor
 from models.algebra import Array
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.linear.fill import fill_in
+from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status
 from nls.robust.closures import Mask
 from nls.robust.kernels import LOSSES, Graduated
+from nls.sparse.fill import fill_in
 from nls.starts import chordal
 from nls.values import Values
 
@@ -80,7 +81,8 @@ class Truncated:
 
     def flops(self, values: Values, kept: list[Mask]) -> float:
         """Operations to factorize A'A of some measurements."""
-        return fill_in(self.graph.only(kept).pattern(values), fixed_variables(self.graph.fixed, values)).flops
+        pattern, held = self.graph.only(kept).pattern(values), fixed_variables(self.graph.fixed, values)
+        return fill_in(pattern, held, best_decomposition().order).flops
 
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""

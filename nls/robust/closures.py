@@ -18,7 +18,7 @@ import numpy.typing as npt
 from factors.base import Model
 from factors.between import Between
 from models import LieGroup
-from models.algebra import Array, gram
+from models.algebra import Array, Index, gram
 from models.errors import GraphError
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
@@ -27,8 +27,6 @@ from nls.track import closures, steps
 from nls.values import Values
 
 __all__ = ["Links", "Mask", "chained", "loop_closures"]
-
-Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 

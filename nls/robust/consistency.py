@@ -34,11 +34,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.chi_squared import chi2_gate
-from nls.components import connected
 from nls.covariance.frames import turned
-from nls.robust.closures import Index, Links
+from nls.robust.closures import Links
+from nls.sparse.components import connected
 
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
 

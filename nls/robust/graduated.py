@@ -41,7 +41,6 @@ from models.errors import GraphError, OptionError
 from models.options import is_number
 from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
-from nls.linear.threads import single_thread
 from nls.optimizers import Result
 from nls.robust import verdict
 from nls.robust.choice import Truncated
@@ -50,6 +49,7 @@ from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph
 from nls.robust.preselection import Preselection
 from nls.robust.verdict import Doubt
+from nls.sparse.threads import single_thread
 from nls.values import Values
 
 __all__ = ["Rejected", "Robustified", "gnc"]

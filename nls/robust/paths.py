@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.covariance.frames import turned
-from nls.robust.closures import Index, Links
+from nls.robust.closures import Links
 
 __all__ = ["path_covariances"]
 

@@ -16,9 +16,9 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
-from nls.assemble import measured_rows
 from nls.graph import FactorGraph
-from nls.linear.threads import single_thread
+from nls.sparse.pattern import measured_rows
+from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal

@@ -21,7 +21,7 @@ from factors.projection import Projection
 from factors.range_azimuth import RangeAzimuth
 from factors.seen import Seen
 from models import SE3, R, wrap
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 from models.ray_range import RayRange, ray_range
 from models.sensors.singular import CLOSE
@@ -29,8 +29,6 @@ from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
 __all__ = ["AHEAD", "Pairs", "covariance", "on_vehicle", "sightings"]
-
-Index = npt.NDArray[np.intp]
 Rows = npt.NDArray[np.bool_]
 Columns = list[npt.NDArray[Any]]
 AHEAD = np.array([0.0, 0.0, 0.0, -0.5, -0.5, -0.5, 0.5])  # axes x ahead, y right, z down in those of a camera

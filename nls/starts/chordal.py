@@ -14,16 +14,16 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2, SE3
-from models.algebra import Array, apply, pack, product, wrap
+from models.algebra import Array, Index, apply, pack, product, wrap
 from models.errors import UnderconstrainedError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
-from nls.elimination import Index, eliminated
 from nls.graph import FactorGraph
-from nls.hessian import Hessian
-from nls.linear import best_factorization
-from nls.linear.base import SingularSystemError
-from nls.linear.normal import NormalState
+from nls.linear import best_decomposition
+from nls.linear.factorization import Factorization
+from nls.linear.singular import SingularSystemError
+from nls.sparse.elimination import Eliminations
+from nls.sparse.hessian import Hessian
 from nls.starts.edges import PoseEdges, pose_edges
 from nls.values import Values
 
@@ -65,15 +65,16 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     >>> chordal(FactorGraph([square]), Values({x: (SE2, SE2.identity(4))}))[x[1:4]].round(6).tolist()
     [[1.0, 0.0, 1.570796], [1.0, 1.0, -3.141593], [-0.0, 1.0, -1.570796]]
     """
+    eliminations = graph.pattern(values).eliminations  # the optimization goes on with the one that is made here
     for edges in pose_edges(graph, values):
         if edges.group in (SE2, SE3):
-            values = edges.replaced(values, _relax(edges, edges.stack(values)))
+            values = edges.replaced(values, _relax(edges, edges.stack(values), eliminations))
     return values
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start that is not finite is refused when it is evaluated
-def _relax(edges: PoseEdges, X: Array) -> Array:
-    system = _Laplacian(edges)
+def _relax(edges: PoseEdges, X: Array, eliminations: Eliminations) -> Array:
+    system = _Laplacian(edges, eliminations)
     if not len(system.free):
         return X
     out = _plane(system, X[system.held]) if edges.group is SE2 else _space(system, X[system.held])
@@ -164,17 +165,19 @@ class _Laplacian:
     With 0 for the free ones the edges miss by e = T y_i + c - y_j, and H y = g: w e at j and -w T'e at i, summed.
     """
 
-    def __init__(self, edges: PoseEdges) -> None:
+    def __init__(self, edges: PoseEdges, eliminations: Eliminations) -> None:
         free = edges.touched.copy()
         free[edges.roots] = False
         self.edges, self.free, self.held = edges, free.nonzero()[0], (~free).nonzero()[0]
         between_free = free.take(edges.i) & free.take(edges.j)
         self.both, self.rest = between_free.nonzero()[0], (~between_free).nonzero()[0]
-        self.factorization = best_factorization()
+        self.decomposition = best_decomposition()
         number = np.cumsum(free) - 1
         u, v = number.take(edges.i.take(self.both)), number.take(edges.j.take(self.both))
-        self.elimination = eliminated(u, v, len(self.free), self.factorization.order)  # of both systems
-        self._states: dict[int, NormalState] = {}  # by size of the blocks: in the plane both systems share one
+        self.elimination = eliminations.of(u, v, len(self.free), self.decomposition.order)  # of both systems
+        self._factorizations: dict[
+            int, Factorization
+        ] = {}  # by size of the blocks: in the plane both systems share one
 
     def turned(self, w: Array, T: Array, held: Array) -> Array:
         """Minimizer of sum w |y_j - T y_i|^2, w (m,), T (m, d, d) orthogonal, that keeps ``held`` (h, d, k)."""
@@ -201,16 +204,16 @@ class _Laplacian:
         V, d, k = len(self.free), *y.shape[1:]
         diagonal = self.edges.sums(w, w).take(self.free)
         S = np.concatenate([diagonal[:, None, None] * np.eye(d), -off], dtype=y.dtype)
-        if d not in self._states:
+        if d not in self._factorizations:
             begin = np.arange(len(S)) * d * d
             hessian = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
-            self._states[d] = NormalState(hessian, self.factorization, y.dtype.type)
+            self._factorizations[d] = Factorization(hessian, self.decomposition(hessian, y.dtype.type))
         g, at_i, at_j = (x.reshape(-1, d * k) for x in (np.zeros_like(y), at_i, at_j))
         for column in range(d * k):
             np.add.at(g[:, column], j, at_j[:, column])
             np.subtract.at(g[:, column], i, at_i[:, column])
         try:
-            self._states[d].factorize(S.reshape(-1))
+            self._factorizations[d].factorize(S.reshape(-1))
         except SingularSystemError as error:
             cause = (
                 "weights of edges differ too much"
@@ -218,5 +221,5 @@ class _Laplacian:
                 else "some poses have no rotation or no translation measurement"
             )
             raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
-        y[self.free] = self._states[d].solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
+        y[self.free] = self._factorizations[d].solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
         return y

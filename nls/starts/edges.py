@@ -13,15 +13,13 @@ import scipy.sparse as sp
 from factors.base import Model
 from factors.between import Between
 from models import LieGroup, Manifold
-from models.algebra import Array
-from nls.assemble import Batch, Pattern
-from nls.components import connected, firsts
+from models.algebra import Array, Index
 from nls.graph import FactorGraph
+from nls.sparse.components import connected, firsts
+from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
 __all__ = ["PoseEdges", "edges_of", "pose_batches", "pose_edges"]
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -28,15 +28,13 @@ from factors.range_azimuth import RangeAzimuth
 from factors.seen import Seen
 from factors.sonar import first_contacts
 from models import SE3
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import OptionError
 from models.options import is_number, is_whole
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
 __all__ = ["first_sighting", "search_elevation"]
-
-Index = npt.NDArray[np.intp]
 APERTURE = radians(14.0)  # of a DIDSON, where no hinge of the graph states another
 FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to leave elevation 0
 

@@ -30,9 +30,9 @@ from factors.zpr import ZPR
 from models import SE2, SE3
 from models.errors import OptionError, UnderconstrainedError
 from models.options import is_whole
-from nls.assemble import measured_rows
 from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
+from nls.sparse.pattern import measured_rows
 from nls.starts.chain import chain
 from nls.starts.dead_reckoning import dead_reckoning
 from nls.starts.elevation import search_elevation

@@ -28,14 +28,12 @@ from factors.bearing import Bearing
 from factors.range import Range
 from factors.seen import Seen
 from models import LieGroup
-from models.algebra import Array, apply
+from models.algebra import Array, Index, apply
 from models.sensors import point_from_direction_range
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
 __all__ = ["locate_points"]
-
-Index = npt.NDArray[np.intp]
 POORLY = 1e-3  # a sighting that says so much less than the best one of its point is passed over
 DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
 

@@ -17,7 +17,7 @@ from models import LINE, SE2
 from models.sensors import line_in_frame, normalized
 from models.vehicles import differential_drive, travel_sigmas
 from nls import FactorGraph, Values, kinds
-from nls.assemble import measured_rows
+from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
 from sim.checks import check_not_negative, check_poses, check_rng, check_whole
 from sim.landmark_world import KNOWN_START, LandmarkWorld

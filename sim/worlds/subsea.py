@@ -19,7 +19,7 @@ from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.sensors import direction, distance, point_in_frame
 from nls import FactorGraph, Values, kinds
-from nls.assemble import measured_rows
+from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
 from sim.checks import check_not_negative, check_poses, check_rng, check_whole
 from sim.landmark_world import KNOWN_START, LandmarkWorld

@@ -10,9 +10,9 @@ from factors import Between, Diagonal, Isotropic, Prior
 from models import SE2
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
-from nls.assemble import Pattern
 from nls.gauge import fixed_variables
-from nls.hessian import Blocks
+from nls.sparse.hessian import Blocks
+from nls.sparse.pattern import Pattern
 from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph, x
 
 

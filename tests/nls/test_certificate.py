@@ -17,8 +17,8 @@ from nls.certificate.newton import Optimum, _second_order, nearest, newton, rota
 from nls.certificate.problem import PoseGraph, certifiable
 from nls.certificate.spectrum import spectrum
 from nls.certificate.staircase import _rounded, placed, staircase
-from nls.linear.base import SingularSystemError
 from nls.linear.lu import SuperLUFactorization
+from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import ODD, informations, pose_graph, walk, x
 
 GROUPS = (SE2, SE3)

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from nls.components import connected, firsts
+from nls.sparse.components import connected, firsts
 
 
 def lowest(i: np.ndarray, j: np.ndarray, n: int) -> list[int]:

@@ -9,13 +9,13 @@ from factors import Huber
 from models import SE2
 from models.algebra import Array
 from nls import LinearSystem
-from nls.hessian import Blocks
 from nls.linear import SOLVERS, LinearSolver
-from nls.linear.base import SingularSystemError
 from nls.linear.cholesky import CholmodFactorization
 from nls.linear.lu import SuperLUFactorization
+from nls.linear.singular import SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.optimizers.undamped import FAINT, Undamped
+from nls.sparse.hessian import Blocks
 from tests.nls.graphs import SAMPLES, diagonal, mixed, pose_graph
 
 ALL = pytest.mark.parametrize("name", SOLVERS)

@@ -20,7 +20,7 @@ from nls.explanation.linear import Checked, Linearization
 from nls.explanation.statistics import checks
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import default_solver
-from nls.linear.takahashi import inverse_blocks
+from nls.sparse.takahashi import inverse_blocks
 from tests.nls.graphs import ODD, informations, pose_graph, x
 
 ELSEWHERE = 3.0  # where linear problems are linearized: nothing may depend on it

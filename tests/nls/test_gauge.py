@@ -9,10 +9,10 @@ from factors import Between, Factor, Isotropic, Prior
 from models import SE2, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
-from nls.assemble import Pattern
 from nls.gauge import FreeGauge, choose_gauge
 from nls.linear import LU, SOLVERS
 from nls.linear.normal import NormalState
+from nls.sparse.pattern import Pattern
 from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
 ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))

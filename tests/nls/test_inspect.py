@@ -11,13 +11,13 @@ import scipy.sparse as sp
 from factors import Between, Diagonal, Information, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphWarning, Values
-from nls.assemble import Pattern
-from nls.hessian import Blocks
 from nls.inspect import inspect
 from nls.linear import best_factorization
-from nls.linear.fill import fill_in
 from nls.linear.lu import SuperLUFactorization
 from nls.linear.normal import NormalState
+from nls.sparse.fill import fill_in
+from nls.sparse.hessian import Blocks
+from nls.sparse.pattern import Pattern
 from tests.nls.graphs import SAMPLES, l, pose_graph, x
 
 

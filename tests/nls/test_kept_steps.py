@@ -12,9 +12,9 @@ from factors import Factor, GemanMcClure, Isotropic, Prior, Robust
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
-from nls.assemble import Pattern
 from nls.linear import default_solver
-from nls.linear.base import SingularSystemError
+from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, pose_graph, x
 
 (p,) = kinds("p")
@@ -115,7 +115,8 @@ from contextlib import contextmanager
 import numpy as np, nls
 from factors import Isotropic, Prior
 from models import R
-from nls.linear import cholesky, threads
+from nls.linear import cholesky
+from nls.sparse import threads
 seen, original = [], cholesky.single_thread
 @contextmanager
 def recorded():

@@ -12,12 +12,12 @@ from factors import Between, Factor, Isotropic, Prior
 from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
-from nls.hessian import Blocks
 from nls.linear import SOLVERS, LinearSolver, Pinv, backends, best_factorization, default_solver
-from nls.linear.base import SingularSystemError
 from nls.linear.cholesky import CholmodFactorization
 from nls.linear.lu import SuperLUFactorization
 from nls.linear.normal import Factorization, NormalState
+from nls.linear.singular import SingularSystemError
+from nls.sparse.hessian import Blocks
 from tests.nls.graphs import SAMPLES, mixed, p, pose_graph, x
 
 DENSE = ("dense-qr", "dense-cholesky", "pinv")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import nls.linear.cholesky as cholesky
-from nls.elimination import Elimination, Index
-from nls.linear.fill import counted
+from models.algebra import Index
+from nls.sparse.elimination import Elimination
+from nls.sparse.fill import counted
 
 pytestmark = pytest.mark.skipif(cholesky.cholmod() is None, reason="needs CHOLMOD")
 

@@ -14,8 +14,8 @@ from models import SE2, SE3
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marginals, OptionError, Stop, Values
 from nls.linear import Cholesky, CholeskyPCG
-from nls.linear.base import SingularSystemError
 from nls.linear.pcg import KeptState
+from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import diagonal, pose_graph, x
 
 pytestmark = pytest.mark.skipif(CholeskyPCG.missing() is not None, reason=str(CholeskyPCG.missing()))

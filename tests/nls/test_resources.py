@@ -13,14 +13,14 @@ import pytest
 
 from factors import Between, Isotropic, Prior
 from models import SE3, R
+from models.algebra import Index
 from nls import LU, QR, Cholesky, FactorGraph, OptionError, ResourceLimitError, Values
-from nls.assemble import Pattern
 from nls.gauge import choose_gauge
-from nls.hessian import Index
 from nls.inspect import inspect
 from nls.linear import LinearSolver, limits
-from nls.linear.fill import counted, rows_below
 from nls.linear.limits import FRACTION, UNKNOWN, default_limit
+from nls.sparse.fill import counted, rows_below
+from nls.sparse.pattern import Pattern
 from tests.nls.graphs import pose_graph, x
 
 SPARSE = (Cholesky, LU, QR)
@@ -96,7 +96,7 @@ def test_the_estimate_covers_what_a_solve_takes() -> None:
         pytest.skip("needs CHOLMOD and /proc")
     script = """
 import nls
-from nls.linear.fill import fill_in
+from nls.sparse.fill import fill_in
 from tests.nls.test_resources import lattice
 def read(name):
     return next(1024 * int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(name))

@@ -16,8 +16,8 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Values
 from nls.linear import LU
-from nls.linear.roots import inverse_root
-from nls.linear.schur import SchurFactorization
+from nls.linear.schur.roots import inverse_root
+from nls.linear.schur.solver import SchurFactorization
 from tests.nls.graphs import SAMPLES, Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
 

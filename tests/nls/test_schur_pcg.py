@@ -27,12 +27,12 @@ from nls import (
     Values,
 )
 from nls.diagnose import underconstrained
-from nls.hessian import Blocks
-from nls.linear.base import SingularSystemError, UnsolvedSystemError
 from nls.linear.conjugate import conjugate
-from nls.linear.independent import independent, twins
-from nls.linear.schur import SchurFactorization
-from nls.linear.schur_pcg import PCGState
+from nls.linear.schur.independent import independent, twins
+from nls.linear.schur.pcg import PCGState
+from nls.linear.schur.solver import SchurFactorization
+from nls.linear.singular import SingularSystemError, UnsolvedSystemError
+from nls.sparse.hessian import Blocks
 from tests.nls.graphs import SAMPLES, Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, seen_by_range, step, two_kinds, x
 
@@ -151,7 +151,7 @@ def test_the_lens_in_the_block_of_its_camera_saves_steps(monkeypatch: pytest.Mon
         return analyzed[1].iterative.steps
 
     together = steps()
-    monkeypatch.setattr("nls.linear.schur_pcg.twins", lambda pattern, blocks, gone: np.arange(len(gone)))
+    monkeypatch.setattr("nls.linear.schur.pcg.twins", lambda pattern, blocks, gone: np.arange(len(gone)))
     assert 0 < together < 0.8 * steps()
 
 

@@ -11,10 +11,10 @@ import nls
 from factors import Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, R
 from nls import FactorGraph, GaussNewton, Schur, Values
-from nls.hessian import Blocks
-from nls.linear.base import SingularSystemError
-from nls.linear.independent import _heaviest, independent, separate
+from nls.linear.schur.independent import _heaviest, independent, separate
+from nls.linear.singular import SingularSystemError
 from nls.optimizers.undamped import diagonal
+from nls.sparse.hessian import Blocks
 from tests.nls.graphs import Sample, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 

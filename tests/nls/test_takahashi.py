@@ -8,17 +8,18 @@ import pytest
 import sim
 from factors import Between, Isotropic, Prior
 from models import SE2, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import ResourceLimitError
 from nls import FactorGraph, LinearSystem, Values
-from nls.assemble import Pattern
-from nls.hessian import Blocks, Index
-from nls.linear import SOLVERS, supernodes
+from nls.linear import SOLVERS
 from nls.linear.cholesky import CholmodFactorization
 from nls.linear.lu import SuperLUFactorization
 from nls.linear.normal import Factorization, NormalState
-from nls.linear.supernodes import Supernodes
-from nls.linear.takahashi import diagonal_blocks
+from nls.sparse import supernodes
+from nls.sparse.hessian import Blocks
+from nls.sparse.pattern import Pattern
+from nls.sparse.supernodes import Supernodes
+from nls.sparse.takahashi import diagonal_blocks
 from tests.nls.graphs import SAMPLES, mixed, pose_graph, x
 
 FACTORIZATIONS: tuple[type[Factorization], ...] = (CholmodFactorization, SuperLUFactorization)

@@ -15,8 +15,9 @@ import pytest
 from factors import Factor, Isotropic
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Marginals, Values, backends
-from nls.linear import SOLVERS, threads
-from nls.linear.threads import single_thread
+from nls.linear import SOLVERS
+from nls.sparse import threads
+from nls.sparse.threads import single_thread
 from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
 
 WORKERS = 4

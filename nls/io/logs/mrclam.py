@@ -18,13 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from models import wrap
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.io.plain import or_compressed, plain_table, refuse_late
 from nls.io.text import Text
 
 __all__ = ["Mrclam", "read_mrclam"]
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.dead_reckoning.drop_outs import longest_step, losses
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
 __all__ = ["Holes", "holes_of"]
-
-Index = npt.NDArray[np.intp]
 ROUNDING = 1e-9  # of a step: times that are told apart
 
 

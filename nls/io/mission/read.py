@@ -15,12 +15,12 @@ from models import SE3, Manifold, R, euler
 from models.algebra import Array
 from models.errors import OptionError
 from models.sensors import ImagingSonar
-from nls.components import connected
 from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.folder import read_tables
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.sparse.components import connected
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.decimals import PAD
@@ -22,8 +22,6 @@ from nls.io.files import read_bytes
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
-
-Index = npt.NDArray[np.intp]
 Numbers = npt.NDArray[np.int64]
 SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
 TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading

@@ -72,7 +72,7 @@ class Told:
         """A and b at the values, one variable of every part held that nothing holds."""
         values = self.values
         decided = choose_gauge("first", self.graph.pattern(values), values, fixed_variables(self.graph.fixed, values))
-        return decided.pattern.holding(decided.held).linearize(values)
+        return LinearSystem.at(decided.pattern.holding(decided.held), values)
 
     @cached_property
     def covariances(self) -> Marginals | UnderconstrainedError | None:

@@ -6,13 +6,12 @@ there are few stacked products however many lengths there are.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from nls.elimination import Index
+from models.algebra import Index
 
 __all__ = ["Pairs", "Products", "changes"]
 

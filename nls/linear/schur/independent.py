@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from nls.components import connected
-
-if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.elimination import Index
-    from nls.hessian import Blocks
+from models.algebra import Index
+from nls.sparse.blocks import Blocks
+from nls.sparse.components import connected
+from nls.sparse.pattern import Pattern
 
 __all__ = ["independent", "separate", "together", "twins"]
 

@@ -22,33 +22,29 @@ backward pass of the multifrontal method, I. Duff, J. Reid, ACM TOMS 9 (1983).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg.lapack import dtrtri
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import ResourceLimitError
-from nls.linear.supernodes import Supernodes
-from nls.linear.threads import single_thread
+from nls.sparse.hessian import Hessian
+from nls.sparse.supernodes import Supernodes
+from nls.sparse.threads import single_thread
 
-if TYPE_CHECKING:
-    from nls.elimination import Index
-    from nls.hessian import Blocks
-    from nls.linear.normal import NormalState
-
-__all__ = ["diagonal_blocks", "inverse_blocks", "takahashi"]
+__all__ = ["inverse_blocks", "takahashi"]
 
 
-def diagonal_blocks(blocks: Blocks, state: NormalState, memory_limit: float) -> Array:
-    """Diagonal blocks of H^-1, (d, d) row by row, one after the other in the order of the free variables.
+def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float) -> Array:
+    """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
 
     Parameters
     ----------
-    blocks : sizes of the free variables and which of them share a factor.
-    state : H, factorized.
+    hessian : the structure of H.
+    L, p : with H[p][:, p] = L L', the columns of H in the order in which they were given.
+    i, j : (k,) variables; any two that share a block, or one twice.
     memory_limit : bytes the dense fronts may take.
 
     Raises
@@ -56,32 +52,14 @@ def diagonal_blocks(blocks: Blocks, state: NormalState, memory_limit: float) -> 
     ResourceLimitError
         They would take more.
     """
-    every = np.arange(len(blocks.dims))
-    return inverse_blocks(blocks, state, every, every, memory_limit)
-
-
-def inverse_blocks(blocks: Blocks, state: NormalState, i: Index, j: Index, memory_limit: float) -> Array:
-    """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
-
-    Parameters
-    ----------
-    blocks, state, memory_limit : as for `diagonal_blocks`.
-    i, j : (p,) free variables, by their number among these; any two that share a factor, or one twice.
-
-    Raises
-    ------
-    ResourceLimitError
-        The fronts would take more.
-    """
-    dims, V = blocks.dims, len(blocks.dims)
+    dims, V = hessian.dims, len(hessian.dims)
     if not len(i):
         return np.zeros(0)
-    L, p = state.lower()
     owner = np.repeat(np.arange(V), dims)[p]
     eliminated = owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]  # every variable once
     position = np.empty(V, dtype=np.intp)
     position[eliminated] = np.arange(V)
-    u, v = position[blocks.u], position[blocks.v]
+    u, v = position[hessian.elimination.u], position[hessian.elimination.v]
     nodes = Supernodes(dims[eliminated], np.maximum(u, v), np.minimum(u, v))
     needed = 8.0 * (nodes.numbers + 2 * int(((nodes.width + nodes.height) ** 2).max()) + 4 * L.nnz)
     if needed > memory_limit:

@@ -1,8 +1,6 @@
-"""From factors and values to A and b: the pattern once per graph, the numbers once per iteration.
+"""The structure of A and A'A, once per graph: variables, rows and columns numbered, factor batch by factor batch.
 
-`Pattern` numbers the variables and columns and knows, for every factor batch, which rows and variables are its own.
-`Pattern.linearize` gathers the linearization point, makes one call per batch, and returns a `LinearSystem`. There is no
-loop over measurements or variables.
+`nls.system.LinearSystem.at` fills it with numbers, once per iteration. There is no loop over measurements or variables.
 """
 
 from __future__ import annotations
@@ -11,24 +9,20 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from factors.base import Factor, Model
 from factors.keys import Keys
-from factors.robust import reweighted
-from models.algebra import Array, components
-from nls.scatter import Scatter
-from nls.system import LinearSystem
+from models.algebra import Array, Index, components
+from nls.sparse.blocks import Blocks
+from nls.sparse.elimination import Eliminations, Order
+from nls.sparse.hessian import Hessian
+from nls.sparse.scatter import Scatter
 from nls.values import Values, take
 
-if TYPE_CHECKING:
-    from factors.base import Factor, Model
-
 __all__ = ["Batch", "Pattern", "measured_rows", "offsets"]
-
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -43,6 +37,15 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.model.z)
+
+    @property
+    def slots(self) -> list[tuple[Index, int]]:
+        """Variables (k,) of every slot and their dimension."""
+        return [(i, manifold.dim) for i, manifold in zip(self.variables, self.model.manifolds, strict=True)]
+
+    def gather(self, values: Values) -> list[Array]:
+        """The values (k, size) of every slot."""
+        return [take(values.stacks[k].X, i) for k, i in zip(self.kinds, self.index, strict=True)]
 
 
 class Pattern:
@@ -59,6 +62,7 @@ class Pattern:
     dims : (V,) tangent dimension of every variable.
     starts : (V,) first free column of every variable; -1 where it is held.
     m, n : rows and free columns.
+    eliminations : structure kept between solves, also of the same graph with other variables held.
     """
 
     def __init__(self, factors: Sequence[Factor], values: Values, held: npt.NDArray[np.bool_] | None = None) -> None:
@@ -77,7 +81,10 @@ class Pattern:
             self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
             self.m = rows.stop
         ends = np.cumsum(self.dims)
-        self._sums = Scatter(self.batches, ends - self.dims, int(ends[-1]) if len(ends) else 0)
+        self.eliminations = Eliminations()
+        self._sums = Scatter(
+            [batch.slots for batch in self.batches], ends - self.dims, int(ends[-1]) if len(ends) else 0
+        )
         self._hold(np.zeros(len(self.dims), dtype=bool) if held is None else held)
 
     def _hold(self, held: npt.NDArray[np.bool_]) -> None:
@@ -92,7 +99,8 @@ class Pattern:
     def holding(self, held: npt.NDArray[np.bool_]) -> Pattern:
         """The same rows and variables, with others of them held."""
         other = copy(self)
-        other.__dict__.pop("structure", None)
+        for structure in ("structure", "blocks"):
+            other.__dict__.pop(structure, None)
         other._hold(held)
         return other
 
@@ -118,34 +126,15 @@ class Pattern:
         for batch in self.batches:
             batch.model.refuse_extreme()
 
-    def linearize(self, values: Values) -> LinearSystem:
-        """Every whitened A_i and b_i at the values; one call per batch."""
-        b = np.empty(self.m)
-        blocks, chi2 = [], 0.0
-        for batch in self.batches:
-            A, b_batch = batch.model.linearize(*self._gather(batch, values))
-            kernel = batch.model.factor.kernel
-            if kernel is None:
-                chi2 += float(np.square(b_batch).sum())  # not b @ b: BLAS would start threads, and round differently
-            else:
-                A, b_batch, rho = reweighted(kernel, A, b_batch)
-                chi2 += float(rho.sum())
-            b[batch.rows] = b_batch.reshape(-1)
-            blocks.append(A)
-        return LinearSystem(self, blocks, b, chi2)
-
     @np.errstate(over="ignore")  # an infinite chi2 is an answer
     def chi2(self, values: Values) -> float:
         """Sum of rho(|b_i|^2) without any Jacobian; rho is the identity where there is no robust kernel."""
         total = 0.0
         for batch in self.batches:
-            squares = np.square(batch.model.error(*self._gather(batch, values)))
+            squares = np.square(batch.model.error(*batch.gather(values)))
             kernel = batch.model.factor.kernel
             total += float(squares.sum() if kernel is None else kernel.rho(squares.sum(axis=1)).sum())
         return total
-
-    def _gather(self, batch: Batch, values: Values) -> list[Array]:
-        return [take(values.stacks[k].X, i) for k, i in zip(batch.kinds, batch.index, strict=True)]
 
     @property
     def numbers_in_A(self) -> int:
@@ -166,6 +155,17 @@ class Pattern:
         indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
         kept = np.flatnonzero(every >= 0) if self.held.any() else None
         return every if kept is None else every[kept], indptr, kept
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """The blocks of A'A over the free variables."""
+        return Blocks(self.dims, self.held, [batch.slots for batch in self.batches])
+
+    def hessian(self, order: Order | None = None) -> Hessian:
+        """Structure of A'A over the free variables, eliminated in an order; None keeps theirs."""
+        blocks = self.blocks
+        elimination = self.eliminations.of(blocks.u, blocks.v, len(blocks.dims), order)
+        return Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
 
     def _columns(self, variables: Index, d: int) -> Index:
         """Columns (k, d) of the components of variables, -1 where they are held."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.assemble import Batch
+from models.algebra import Array, Index
 
-__all__ = ["Scatter"]
+__all__ = ["Scatter", "Slots"]
 
-Index = npt.NDArray[np.intp]
+Slots = Sequence[Sequence[tuple[Index, int]]]
+"""Per batch and slot the variables (k,) of its measurements, and their dimension."""
 
 
 class Scatter:
@@ -22,23 +19,20 @@ class Scatter:
 
     Parameters
     ----------
-    batches : the batches of the pattern.
+    slots : of every batch.
     first : (V,) where in the flat array the numbers of each variable begin.
     size : of the flat array.
     inner : for a variable of dimension d the places (c,) of its numbers from there; all d of them when omitted.
     """
 
-    def __init__(
-        self, batches: Sequence[Batch], first: Index, size: int, inner: Callable[[int], Index] = np.arange
-    ) -> None:
-        self.batches, self.first, self.size, self.inner = batches, first, size, inner
+    def __init__(self, slots: Slots, first: Index, size: int, inner: Callable[[int], Index] = np.arange) -> None:
+        self.slots, self.first, self.size, self.inner = slots, first, size, inner
         self._places: dict[tuple[int, int], Index] = {}  # by batch and slot
 
     def add(self, total: Array, batch: int, slot: int, part: Array) -> None:
         """Add a part (c, k), components first, of k measurements to ``total`` (size,)."""
         places = self._places.get((batch, slot))
         if places is None:
-            model, variables = self.batches[batch].model, self.batches[batch].variables[slot]
-            inner = self.inner(model.manifolds[slot].dim)
-            places = self._places[batch, slot] = (self.first[variables] + inner[:, None]).reshape(-1)
+            variables, d = self.slots[batch][slot]
+            places = self._places[batch, slot] = (self.first[variables] + self.inner(d)[:, None]).reshape(-1)
         total += np.bincount(places, part.reshape(-1), self.size)

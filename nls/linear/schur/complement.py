@@ -11,27 +11,24 @@ With X_l the inverse of the Cholesky factor of H_ll nothing grows where a landma
 H_pp and no larger. (H_pl H_ll^-1 H_lp as it is written passes through numbers as large as the condition of H_ll.)
 
 Which pairs (Y_lp, Y_lq) make which S_pq is listed once per graph. All S_pq of one shape with lists of one length are
-one stacked product (`nls.linear.pairs`). Variables p that see the same l, a camera and its lens, count as one with both
-their columns: a fourth of the pairs, half of the numbers to be gathered.
+one stacked product (`nls.linear.schur.pairs`). Variables p that see the same l, a camera and its lens, count as one
+with both their columns: a fourth of the pairs, half of the numbers to be gathered.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array
-from nls.elimination import Elimination
-from nls.hessian import Hessian, triangle
-from nls.linear.pairs import Pairs, Products, changes
-from nls.linear.roots import BlockInverse, cholesky_root, inverse_root
-
-if TYPE_CHECKING:
-    from nls.elimination import Index
-    from nls.hessian import Blocks
+from models.algebra import Array, Index
+from nls.linear.schur.pairs import Pairs, Products, changes
+from nls.linear.schur.roots import BlockInverse, cholesky_root, inverse_root
+from nls.sparse.blocks import Blocks
+from nls.sparse.elimination import Elimination
+from nls.sparse.hessian import Hessian, triangle
 
 __all__ = ["Complement", "Filled"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import OptionError
-from nls.linear.base import SINGULAR, SingularSystemError
+from nls.linear.singular import SINGULAR, SingularSystemError
 
 __all__ = ["BlockInverse", "cholesky_root", "inverse_root", "missing_directions"]
 

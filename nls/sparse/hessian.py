@@ -1,31 +1,24 @@
-"""H = A'A as the lower triangle of a sparse matrix, filled from blocks without forming A.
+"""A block-sparse symmetric matrix H as the lower triangle of a sparse matrix, filled from an array of blocks.
 
 The structure (which block lands where) is computed once per graph: every number of the lower triangle has a source in
-one flat array S that holds the blocks A_a'A_b of all pairs of slots and the summed diagonal blocks. An iteration fills
-S and takes from it: H.data = S[source]. Pairs of variables that several factors share are added afterwards. (20,687
-SE(2) edges: 2 ms; scipy's A.T @ A: 10 ms.)
+one flat array S that holds the blocks, `nls.sparse.blocks` for A'A. An iteration fills S and takes from it:
+H.data = S[source]. Pairs of variables that several factors share are added afterwards. (20,687 SE(2) edges: 2 ms;
+scipy's A.T @ A: 10 ms.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache, cached_property
-from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array, gram, product
+from models.algebra import Array, Index
 from models.errors import ResourceLimitError
-from nls.elimination import Elimination, Index, Order, eliminated
-from nls.scatter import Scatter
+from nls.sparse.elimination import Elimination
 
-if TYPE_CHECKING:
-    from nls.assemble import Pattern
-    from nls.system import LinearSystem
-
-__all__ = ["Blocks", "Hessian", "triangle"]
+__all__ = ["Hessian", "triangle"]
 
 
 @cache
@@ -33,13 +26,6 @@ def triangle(d: int) -> tuple[Index, Index]:
     """Rows and columns of the lower triangle of a (d, d) block, by rows (`numpy.tril_indices` takes 180 us)."""
     rows, columns = np.nonzero(np.tri(d))
     return rows, columns
-
-
-@cache
-def _lower(d: int) -> Index:
-    """Places of the lower triangle of a (d, d) block stored by rows."""
-    rows, columns = triangle(d)
-    return np.asarray(rows * d + columns)
 
 
 class Hessian:
@@ -54,6 +40,7 @@ class Hessian:
 
     Attributes
     ----------
+    elimination, dims : as given.
     n : columns.
     permutation : (n,) column k here is column permutation[k] of the given order.
     indptr, indices : of the lower triangle, compressed by column.
@@ -61,6 +48,7 @@ class Hessian:
     """
 
     def __init__(self, elimination: Elimination, dims: Index, diagonal: Index, off: Index) -> None:
+        self.elimination, self.dims = elimination, dims
         e, V = elimination, len(dims)
         widths = dims[e.variables]
         starts = np.cumsum(widths) - widths
@@ -149,55 +137,3 @@ class Hessian:
         H = sp.csc_matrix((self.data(S), self.indices, self.indptr), shape=(self.n, self.n))
         H.has_sorted_indices = True
         return H
-
-
-class Blocks:
-    """Fills the flat array S from a linear system: A_a'A_b per pair of slots, and summed A_a'A_a per variable.
-
-    S holds the diagonal blocks of *all* variables, also of held ones, whose blocks are never taken from it; and of
-    these blocks the lower triangle.
-
-    Parameters
-    ----------
-    pattern : the numbering of the graph.
-    """
-
-    def __init__(self, pattern: Pattern) -> None:
-        free = np.flatnonzero(~pattern.held)
-        number = np.full(len(pattern.held), -1, dtype=np.intp)
-        number[free] = np.arange(len(free))
-        sizes = pattern.dims * pattern.dims
-        begin = np.cumsum(sizes) - sizes
-        self.dims, self.diagonal, self.size = pattern.dims[free], begin[free], int(sizes.sum())
-        self.squares = Scatter(pattern.batches, begin, self.size, _lower)
-        u, v, off = [], [], []
-        self.pairs: list[tuple[int, int, int, slice]] = []  # batch, two slots, place in S
-        for k, batch in enumerate(pattern.batches):
-            widths = [manifold.dim for manifold in batch.model.manifolds]
-            for a, c in combinations(range(len(widths)), 2):
-                p, q, block = number[batch.variables[a]], number[batch.variables[c]], widths[a] * widths[c]
-                both = np.flatnonzero((p >= 0) & (q >= 0))
-                u.append(p[both])
-                v.append(q[both])
-                off.append(self.size + both * block)
-                self.pairs.append((k, a, c, slice(self.size, self.size + len(batch) * block)))
-                self.size += len(batch) * block
-        none = [np.zeros(0, dtype=np.intp)]
-        self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
-
-    def structure(self, order: Order | None = None) -> Hessian:
-        """Structure of H = A'A over the free variables, eliminated in an order; None keeps theirs."""
-        return Hessian(eliminated(self.u, self.v, len(self.dims), order), self.dims, self.diagonal, self.off)
-
-    def fill(self, system: LinearSystem) -> Array:
-        """S of one linearization."""
-        S = np.empty(self.size)
-        diagonal = S[: self.squares.size]
-        diagonal[:] = 0.0
-        for k, blocks in enumerate(system.blocks):
-            for slot, A in enumerate(blocks):
-                self.squares.add(diagonal, k, slot, gram(A).transpose(1, 2, 0)[triangle(A.shape[2])])
-        for k, a, c, where in self.pairs:
-            A, C = system.blocks[k][a], system.blocks[k][c]
-            S[where].reshape(len(A), A.shape[2], C.shape[2])[...] = product(A.mT, C)
-        return S

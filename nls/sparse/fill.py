@@ -19,15 +19,13 @@ factorization", SIAM J. Matrix Anal. Appl. 15 (1994).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from nls.assemble import Pattern
-    from nls.elimination import Index
+from models.algebra import Index
+from nls.sparse.elimination import Order
+from nls.sparse.pattern import Pattern
 
 __all__ = ["Fill", "counted", "fill_in", "rows_below"]
 
@@ -40,23 +38,11 @@ class Fill:
     flops: float
 
 
-def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_]) -> Fill:
-    """Fill of R with A'A = R'R, in the order the default solver would eliminate the variables that are not held."""
-    from nls.elimination import eliminated
-    from nls.linear import best_factorization
-
-    free = np.flatnonzero(~held)
-    number = np.full(len(held), -1, dtype=np.intp)
-    number[free] = np.arange(len(free))
-    pairs = [
-        (number[a], number[b]) for f in pattern.batches for k, a in enumerate(f.variables) for b in f.variables[k + 1 :]
-    ]
-    none = np.zeros(0, dtype=np.intp)
-    u, v = (np.concatenate([none, *(p[s] for p in pairs)]) for s in (0, 1))
-    both = (u >= 0) & (v >= 0)
-    u, v = u[both], v[both]
-    order = eliminated(u, v, len(free), best_factorization().order).variables if len(free) else none
-    return counted(pattern.dims[free], u, v, order)
+def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_], order: Order) -> Fill:
+    """Fill of R with A'A = R'R, the variables that are not held eliminated in an order."""
+    blocks = pattern.holding(held).blocks
+    u, v, V = blocks.u, blocks.v, len(blocks.dims)
+    return counted(blocks.dims, u, v, pattern.eliminations.of(u, v, V, order).variables) if V else Fill(0, 0.0)
 
 
 def counted(dims: Index, u: Index, v: Index, eliminated: Index) -> Fill:

@@ -27,37 +27,35 @@ preconditioning", 1990.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from models.algebra import Array
 from models.errors import OptionError
 from models.options import is_number, is_whole
-from nls.elimination import Elimination
-from nls.hessian import Blocks, Hessian
-from nls.linear.base import SINGULAR, SingularSystemError, UnsolvedSystemError
-from nls.linear.complement import Complement
+from nls.linear.base import LinearSolver
 from nls.linear.conjugate import Iterated, conjugate
-from nls.linear.independent import independent, together, twins
-from nls.linear.normal import Assembled, NormalState
-from nls.linear.schur import SchurFactorization, SchurState
-from nls.linear.threads import single_thread
+from nls.linear.factorization import Factorization
+from nls.linear.normal import NormalAnalysis
+from nls.linear.schur.complement import Complement
+from nls.linear.schur.independent import independent, together, twins
+from nls.linear.schur.solver import SchurDecomposition
+from nls.linear.singular import SINGULAR, SingularSystemError, UnsolvedSystemError
+from nls.sparse.elimination import Elimination
+from nls.sparse.hessian import Hessian
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nls.assemble import Pattern
-    from nls.system import LinearSystem
-
-__all__ = ["PCG", "PCGFactorization", "PCGState"]
+__all__ = ["PCG", "PCGDecomposition"]
 
 SURE = 0.01  # of the deviation of h along any direction: what is left of it where nothing is free
 GROWN = 1e4  # times r'M^-1 r at the start, and then times what it was when A was asked last: a free direction, perhaps
 EXACT = 1e-6  # a larger tolerance is an inexact solver
 
 
-class PCGFactorization(SchurFactorization):
+class PCGDecomposition(SchurDecomposition):
     """H whose first columns are eliminated block by block; the others are solved for by conjugate gradients.
 
     Parameters
@@ -149,12 +147,10 @@ class PCGFactorization(SchurFactorization):
             )
 
 
-class PCGState(SchurState):
-    """H, its first columns eliminated block by block, and conjugate gradients for the others."""
+class PCGFactorization(Factorization):
+    """H, whose free directions conjugate gradients have to look for."""
 
-    def __init__(self, hessian: Hessian, factorization: PCGFactorization, said: str) -> None:
-        super().__init__(hessian, factorization, said)
-        self.iterative = factorization
+    decomposition: PCGDecomposition
 
     def refuse_free(self, system: LinearSystem) -> None:
         super().refuse_free(system)
@@ -165,10 +161,33 @@ class PCGState(SchurState):
             dx[order] = x
             return bool(np.square(system.times(dx)).sum() < SINGULAR * np.square(norms * dx).sum())
 
-        self.iterative.refuse_free(free)
+        self.decomposition.refuse_free(free)
 
 
-class PCG(Assembled):
+class PCGAnalysis(NormalAnalysis):
+    """H, its first columns eliminated block by block, and conjugate gradients for the others.
+
+    Parameters
+    ----------
+    factorization, decomposition : of H, and how it is made.
+    eliminated : which variables, in words.
+    """
+
+    def __init__(self, factorization: Factorization, decomposition: PCGDecomposition, eliminated: str) -> None:
+        super().__init__(PCG.name, factorization)
+        self._decomposition, self._eliminated = decomposition, eliminated
+
+    @property
+    def description(self) -> str:
+        """Name, what is eliminated, and the steps of conjugate gradients since `analyze`, in words."""
+        steps = self._decomposition.steps
+        return f"{self.name}, {self._eliminated}, {steps:,} CG step{'' if steps == 1 else 's'}"
+
+    def again(self, system: LinearSystem) -> None:
+        return None  # H was not factorized
+
+
+class PCG(LinearSolver):
     """A'A dx = A'b by conjugate gradients on the Schur complement of the landmarks, preconditioned with its diagonal.
 
     For the largest bundle problems: memory is that of A'A, whatever sees what. Which variables are eliminated is found
@@ -217,23 +236,17 @@ class PCG(Assembled):
         self.tol, self.max_steps = float(tol), int(max_steps)
         self.exact = self.tol <= EXACT
 
-    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
-        blocks = Blocks(pattern)
-        gone, said = independent(pattern, blocks)
+    def analyze(self, pattern: Pattern) -> PCGAnalysis:
+        blocks = pattern.blocks
+        gone, eliminated = independent(pattern, blocks)
         first, group = np.flatnonzero(gone), twins(pattern, blocks, gone)
         others = together(np.flatnonzero(~gone), group)
         order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others])
         elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         complement = Complement(blocks, elimination, len(first), hessian, group[others], diagonal=True)
-        return blocks, PCGState(hessian, PCGFactorization(complement, self.tol, self.max_steps), said)
-
-    def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
-        """Name, what is eliminated, and the steps of conjugate gradients since `analyze`, in words."""
-        state = analyzed[1]
-        assert isinstance(state, PCGState)
-        steps = state.iterative.steps
-        return f"{self.name}, {state.said}, {steps:,} CG step{'' if steps == 1 else 's'}"
+        decomposition = PCGDecomposition(complement, self.tol, self.max_steps)
+        return PCGAnalysis(PCGFactorization(hessian, decomposition), decomposition, eliminated)
 
     def __repr__(self) -> str:
         return f"PCG(tol={self.tol:g}, max_steps={self.max_steps})"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from models.algebra import Index
 
 __all__ = ["connected", "firsts"]
-
-Index = npt.NDArray[np.intp]
 
 
 def connected(i: Index, j: Index, n: int) -> Index:

@@ -5,9 +5,9 @@ r"""Landmarks first: every one is eliminated by itself, and only the graph of po
     S dx_p = g_p - H_pl H_ll^-1 g_l
     dx_l = H_ll^-1 (g_l - H_lp dx_p)
 
-l are variables that share no factor with each other (`nls.linear.independent`), so that H_ll is block diagonal; p are
-all others. S is formed block by block (`nls.linear.complement`) and factorized by the best factorization installed, in
-the order it gives to the graph of p in which everything that sees one l is joined.
+l are variables that share no factor with each other (`nls.linear.schur.independent`), so that H_ll is block diagonal; p
+are all others. S is formed block by block (`nls.linear.schur.complement`) and factorized by the best decomposition
+installed, in the order it gives to the graph of p in which everything that sees one l is joined.
 
 It is the Cholesky factorization of H in one particular order, and judged like every other: pivots of H_ll and of S are
 compared with the diagonal of H, and a free direction that rounding hides is looked for in A.
@@ -18,45 +18,33 @@ A. Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.1.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import OptionError, ResourceLimitError
-from nls.elimination import Elimination
-from nls.hessian import Blocks, Hessian
-from nls.linear.complement import Complement
-from nls.linear.independent import independent, together, twins
+from nls.linear.base import LinearSolution
+from nls.linear.default import default_solver
+from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.limits import default_limit, refuse_above
-from nls.linear.normal import Factorization, NormalEquations, NormalState
-from nls.linear.roots import BlockInverse, missing_directions
-from nls.linear.threads import single_thread
+from nls.linear.normal import NormalAnalysis, NormalEquations
+from nls.linear.schur.complement import Complement
+from nls.linear.schur.independent import independent, together, twins
+from nls.linear.schur.roots import BlockInverse, missing_directions
+from nls.sparse.blocks import Blocks
+from nls.sparse.elimination import Elimination
+from nls.sparse.hessian import Hessian
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from nls.assemble import Pattern
-    from nls.elimination import Index
-    from nls.linear.base import LinearSolution
-    from nls.system import LinearSystem
-
-__all__ = ["Schur", "SchurFactorization", "SchurState"]
+__all__ = ["Schur", "SchurDecomposition"]
 
 PER_PAIR = 60.0  # bytes at the peak per pair of neighbors of one eliminated variable, while the lists are sorted
 
 
-def _best() -> NormalEquations:
-    """The default solver: its factorization is the one of S."""
-    from nls.linear import default_solver
-
-    solver = default_solver()
-    assert isinstance(solver, NormalEquations)
-    return solver
-
-
-class SchurFactorization(Factorization):
+class SchurDecomposition(Decomposition):
     """H = L L' of a `Hessian` whose first columns are eliminated block by block.
 
     Parameters
@@ -74,11 +62,11 @@ class SchurFactorization(Factorization):
     @staticmethod
     def order(u: Index, v: Index, V: int) -> Index:
         """Order of the variables that are kept, as S is factorized."""
-        return _best().factorization.order(u, v, V)
+        return default_solver().decomposition.order(u, v, V)
 
     def __init__(self, complement: Complement, exact: bool) -> None:
         self._complement, self._exact = complement, exact
-        self._rest = _best().factorization(complement.hessian)
+        self._rest = default_solver().decomposition(complement.hessian)
 
     def factorize(self, S: Array) -> Array:
         with single_thread():
@@ -117,17 +105,30 @@ class SchurFactorization(Factorization):
         return sp.csc_array(sp.hstack([self._L[p], right])), p
 
 
-class SchurState(NormalState):
-    """H, its first columns eliminated block by block, and in words which they are."""
+class SchurAnalysis(NormalAnalysis):
+    """H, its first columns eliminated block by block.
 
-    def __init__(self, hessian: Hessian, factorization: SchurFactorization, said: str) -> None:
-        self.hessian, self.factorization, self._judged = hessian, factorization, np.inf
-        self.said, self._schur = said, factorization
+    Parameters
+    ----------
+    factorization, decomposition : of H, and how it is made.
+    eliminated : which variables, in words.
+    exact : whether the blocks are inverted exactly.
+    """
+
+    def __init__(
+        self, factorization: Factorization, decomposition: SchurDecomposition, eliminated: str, exact: bool
+    ) -> None:
+        super().__init__(Schur.name, factorization)
+        self._decomposition, self._eliminated, self._exact = decomposition, eliminated, exact
 
     @property
-    def left_alone(self) -> int:
-        """Directions of what is eliminated along which the latest step could not move."""
-        return self._schur.left_alone
+    def description(self) -> str:
+        """Name, what is eliminated, and how many directions of that another inverse left alone in the latest solve."""
+        left = "" if self._exact else f", {self._decomposition.left_alone:,} directions left alone"
+        return f"{self.name}, {self._eliminated}{left}"
+
+    def again(self, system: LinearSystem) -> LinearSolution | None:
+        return super().again(system) if self._exact else None  # it is not this H that was factorized
 
 
 class Schur(NormalEquations):
@@ -175,19 +176,19 @@ class Schur(NormalEquations):
             raise OptionError("block_inverse", block_inverse, "a function of blocks (k, d, d), or None")
         self.block_inverse, self.exact = block_inverse, block_inverse is None
 
-    def analyze(self, pattern: Pattern) -> tuple[Blocks, NormalState]:
+    def analyze(self, pattern: Pattern) -> SchurAnalysis:
         limit = self.memory_limit or default_limit()
-        blocks = Blocks(pattern)
-        gone, said = independent(pattern, blocks)
+        blocks = pattern.blocks
+        gone, eliminated = independent(pattern, blocks)
         group = twins(pattern, blocks, gone)
         order = self._order(blocks, gone, group, limit)
         elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
-        refuse_above(limit, max(self.per_number, _best().per_number), blocks, hessian, self.name)
+        refuse_above(limit, max(self.per_number, default_solver().per_number), hessian, self.name)
         count = int(gone.sum())
         complement = Complement(blocks, elimination, count, hessian, group[order[count:]], self.block_inverse)
-        factorization = SchurFactorization(complement, self.exact)
-        return blocks, SchurState(hessian, factorization, said)
+        decomposition = SchurDecomposition(complement, self.exact)
+        return SchurAnalysis(Factorization(hessian, decomposition), decomposition, eliminated, self.exact)
 
     def __repr__(self) -> str:
         return "Schur()" if self.exact else "Schur(block_inverse=...)"
@@ -220,15 +221,5 @@ class Schur(NormalEquations):
             )
         joined = sp.coo_array(sp.tril(seen.T @ seen, -1))
         i, j = (np.concatenate([number[a[rest]], b]) for a, b in ((u, joined.row), (v, joined.col)))
-        poses = Elimination(i, j, len(others), SchurFactorization.order).variables if len(others) else others
+        poses = Elimination(i, j, len(others), SchurDecomposition.order).variables if len(others) else others
         return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], together(others[poses], group)])
-
-    def said(self, analyzed: tuple[Blocks, NormalState]) -> str:
-        """Name, what is eliminated, and how many directions of that another inverse left alone in the latest solve."""
-        state = analyzed[1]
-        assert isinstance(state, SchurState)
-        left = "" if self.exact else f", {state.left_alone:,} directions left alone"
-        return f"{self.name}, {state.said}{left}"
-
-    def again(self, analyzed: tuple[Blocks, NormalState], system: LinearSystem) -> LinearSolution | None:
-        return super().again(analyzed, system) if self.exact else None  # it is not this H that was factorized

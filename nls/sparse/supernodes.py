@@ -14,11 +14,10 @@ Anal. Appl. 11 (1990). The merging is C. Ashcraft's and R. Grimes' relaxed super
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from models.algebra import Index
 
 __all__ = ["Supernodes"]
-
-Index = npt.NDArray[np.intp]
 
 STEP, GATHER, FLOP = 60e-6, 3e-9, 0.2e-9  # seconds of one supernode, of one number moved, of one operation
 
@@ -142,7 +141,7 @@ def _merged(widths: Index, row: Index, column: Index) -> tuple[list[list[int]], 
 
 
 def _seconds(w: int, h: int) -> float:
-    """Time a supernode of w columns and h rows below takes in the recursion of `nls.linear.takahashi`."""
+    """Time a supernode of w columns and h rows below takes in the recursion of `nls.sparse.takahashi`."""
     return STEP + GATHER * (h * h + 0.5 * (w + h) ** 2) + FLOP * (2 * h * h * w + 3 * h * w * w + w * w * w)
 
 

@@ -1,0 +1,59 @@
+"""The linear solver taken where none is named."""
+
+from __future__ import annotations
+
+from nls.linear.base import LinearSolver
+from nls.linear.cholesky import Cholesky
+from nls.linear.factorization import Decomposition, Factorization
+from nls.linear.lu import LU
+from nls.linear.normal import SparseSolver
+from nls.system import LinearSystem
+
+__all__ = ["best_decomposition", "default_solver", "factorize"]
+
+
+def default_solver() -> SparseSolver:
+    """The best linear solver installed: CHOLMOD, or SuperLU without SuiteSparse."""
+    return Cholesky() if Cholesky.missing() is None else LU()
+
+
+def best_decomposition() -> type[Decomposition]:
+    """The decomposition of positive definite matrices behind the default solver."""
+    return default_solver().decomposition
+
+
+def factorize(system: LinearSystem, linear_solver: LinearSolver | None = None) -> Factorization:
+    """H = A'A of a linearization, factorized: H^-1 g, L, R = L', blocks of H^-1.
+
+    Parameters
+    ----------
+    system : ``graph.linearize(values)``.
+    linear_solver : `Cholesky`, `LU` or `Schur`; the best one installed when omitted, and for a solver that does not
+        factorize A'A.
+
+    Raises
+    ------
+    SingularSystemError
+        Something is free.
+    EvaluationError
+        Squares of weights or Jacobians overflow.
+    ResourceLimitError, MissingSolverError
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Between, Isotropic, Prior
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, factorize, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(1.0)), Between(x[0], x[1], [1, 0, 0], Isotropic(0.1))])
+    >>> system = graph.linearize(Values({x: (SE2, np.zeros((2, 3)))}))
+    >>> H = factorize(system)
+    >>> H.solve(system.gradient).round(6)
+    array([0., 0., 0., 1., 0., 0.])
+    >>> R, p = H.upper()
+    >>> np.allclose((R.T @ R).toarray(), system.H.toarray()[p][:, p])
+    True
+    """
+    own = None if linear_solver is None else linear_solver.factorization(system)
+    return default_solver().factorization(system) if own is None else own

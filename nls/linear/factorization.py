@@ -1,0 +1,141 @@
+"""A block-sparse symmetric matrix H, factorized: solve, L, R, blocks of the inverse, free directions."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.abstract import Abstract
+from models.algebra import Array, Index
+from models.errors import EvaluationError
+from nls.linear.singular import NULL, SINGULAR, WEAK, SingularSystemError
+from nls.sparse.hessian import Hessian
+from nls.sparse.takahashi import inverse_blocks
+from nls.system import LinearSystem
+
+__all__ = ["Decomposition", "Factorization"]
+
+
+class Decomposition(Abstract):
+    """H = L L' by one program, for a positive definite H of fixed structure, columns in the order of the `Hessian`."""
+
+    @staticmethod
+    @abstractmethod
+    def order(u: Index, v: Index, V: int) -> Index:
+        """Elimination order (V,) of V variables with the given pairs: each once, u > v, by rising v and then u."""
+
+    @abstractmethod
+    def __init__(self, hessian: Hessian, dtype: type = float) -> None: ...
+
+    @abstractmethod
+    def factorize(self, S: Array) -> Array:
+        """Factorize from the flat blocks; returns the squared pivots (n,), or raises SingularSystemError."""
+
+    @abstractmethod
+    def solve(self, g: Array) -> Array:
+        """Solution of H x = g for g (n,) or (n, k)."""
+
+    @abstractmethod
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        """Sparse lower triangular L and its order p, with H[p][:, p] = L L'."""
+
+
+class Factorization:
+    """H, factorized; rows and columns in the order in which its variables were given.
+
+    Parameters
+    ----------
+    hessian : the structure.
+    decomposition : what factorizes it.
+
+    Attributes
+    ----------
+    diagonal : (n,) of the latest H.
+    """
+
+    diagonal: Array
+
+    def __init__(self, hessian: Hessian, decomposition: Decomposition) -> None:
+        self.hessian, self.decomposition = hessian, decomposition
+        self._judged: Array | float = np.inf  # pivots, as parts of the diagonal, when they were looked at last
+
+    def factorize(self, S: Array) -> Factorization:
+        """Factorize H from its flat blocks.
+
+        Raises
+        ------
+        EvaluationError
+            The diagonal, sums of squares, has overflowed.
+        SingularSystemError
+            H is rank deficient.
+        """
+        diagonal = self.hessian.diagonal(S)
+        if not np.isfinite(diagonal).all():
+            if np.isinf(diagonal).any():
+                raise EvaluationError(
+                    "the squares of weights or Jacobians overflow in A'A; check sigmas and units", where="A'A"
+                )
+            raise SingularSystemError("A'A is not finite")
+        pivots = self.decomposition.factorize(S)
+        if not (pivots > SINGULAR * diagonal).all():
+            raise SingularSystemError("a pivot of A'A vanishes")
+        self._pivots = pivots / np.where(diagonal > 0, diagonal, 1.0)
+        self.diagonal = np.empty_like(diagonal)
+        self.diagonal[self.hessian.permutation] = diagonal
+        return self
+
+    def solve(self, g: Array) -> Array:
+        """H^-1 g for g (n,) or (n, k)."""
+        x = np.empty_like(g)
+        x[self.hessian.permutation] = self.decomposition.solve(g[self.hessian.permutation])
+        return x
+
+    def lower(self) -> tuple[sp.csc_array, Index]:
+        """Sparse lower triangular L and an order p, with H[p][:, p] = L L'."""
+        L, p = self.decomposition.lower()
+        return L, self.hessian.permutation[p]
+
+    def upper(self) -> tuple[sp.csc_array, Index]:
+        """Sparse upper triangular R = L' and its order p, with H[p][:, p] = R'R."""
+        L, p = self.lower()
+        return sp.csc_array(L.T), p
+
+    def inverse_blocks(self, i: Index, j: Index, memory_limit: float) -> Array:
+        """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
+
+        Parameters
+        ----------
+        i, j : (k,) free variables, by their number among these; any two that share a factor, or one twice.
+        memory_limit : bytes the dense fronts may take.
+
+        Raises
+        ------
+        ResourceLimitError
+            They would take more.
+        """
+        return inverse_blocks(self.hessian, *self.lower(), i, j, memory_limit)
+
+    def refuse_free(self, system: LinearSystem) -> None:
+        """Look for a free direction that rounding has hidden from the pivots of the latest factorization.
+
+        A'A squares the condition of A: a pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
+        where another one is small. Inverse iteration, three solves, finds the direction, and A itself, which keeps
+        twice the digits, tells whether it is free. A later linearization is looked at where a pivot has halved since.
+
+        Raises
+        ------
+        SingularSystemError
+        """
+        weak = self._pivots < WEAK
+        if not (weak & (self._pivots < 0.5 * self._judged)).any():
+            return
+        D = 1 / np.where(system.column_norms > 0, system.column_norms, 1.0)
+        v = np.random.default_rng(0).normal(size=len(D))
+        for _ in range(3):
+            v = self.solve(v / D) / D
+            v /= np.linalg.norm(v)
+        if np.linalg.norm(system.times(D * v)) <= NULL:
+            raise SingularSystemError("A'A has a null direction that its pivots do not show")
+        self._judged = self._pivots

@@ -1,0 +1,24 @@
+"""When a linear system counts as singular, and the errors that say so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["NULL", "SINGULAR", "WEAK", "SingularSystemError", "UnsolvedSystemError"]
+
+SINGULAR = 1e-13
+"""A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
+digits of the column were cancelled by the columns before it, and the direction counts as free."""
+
+
+WEAK, NULL = 1e-6, 1e-9
+"""Where the smallest pivot, relative to its diagonal entry, is below WEAK, rounding may hide a free direction; it is
+one when |A v| is below NULL for a vector v of length 1, the columns of A scaled to length 1."""
+
+
+class SingularSystemError(np.linalg.LinAlgError):
+    """The system has no unique solution; optimizers turn this into `UnderconstrainedError` with names."""
+
+
+class UnsolvedSystemError(SingularSystemError):
+    """An iteration did not reach its tolerance: too near to singular for it, or given too few steps."""

@@ -1,0 +1,82 @@
+"""The blocks of H = A'A from the blocks of A, in one flat array S, without forming A.
+
+S holds the summed diagonal blocks A_a'A_a of *all* variables, also of held ones, whose blocks are never taken from it,
+and of these blocks the lower triangle; then the blocks A_a'A_c of all pairs of slots, one for every measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from models.algebra import Array, Index, gram, product
+from nls.sparse.hessian import triangle
+from nls.sparse.scatter import Scatter, Slots
+
+__all__ = ["Blocks"]
+
+
+@cache
+def _lower(d: int) -> Index:
+    """Places of the lower triangle of a (d, d) block stored by rows."""
+    rows, columns = triangle(d)
+    return np.asarray(rows * d + columns)
+
+
+class Blocks:
+    """Where every block of A'A is in S, and how S is filled.
+
+    Parameters
+    ----------
+    dims : (V,) tangent dimension of every variable.
+    held : (V,) which of them have no columns.
+    slots : per batch and slot the variables and their dimension.
+
+    Attributes
+    ----------
+    dims, diagonal : (F,) of the free variables: dimension, and where in S the diagonal block begins.
+    on_diagonal : (n,) where in S the diagonal numbers are, in the order of the columns of A.
+    u, v, off : (P,) pairs of free variables that share a factor, and where in S their block (dims[u], dims[v]) begins.
+    size : of S.
+    """
+
+    def __init__(self, dims: Index, held: npt.NDArray[np.bool_], slots: Slots) -> None:
+        free = np.flatnonzero(~held)
+        number = np.full(len(held), -1, dtype=np.intp)
+        number[free] = np.arange(len(free))
+        sizes = dims * dims
+        begin = np.cumsum(sizes) - sizes
+        self.dims, self.diagonal, self.size = dims[free], begin[free], int(sizes.sum())
+        columns = np.arange(int(self.dims.sum())) - np.repeat(np.cumsum(self.dims) - self.dims, self.dims)
+        self.on_diagonal = np.repeat(self.diagonal, self.dims) + columns * (np.repeat(self.dims, self.dims) + 1)
+        self.squares = Scatter(slots, begin, self.size, _lower)
+        u, v, off = [], [], []
+        self.pairs: list[tuple[int, int, int, slice]] = []  # batch, two slots, place in S
+        for k, batch in enumerate(slots):
+            for (a, (i, d)), (c, (j, e)) in combinations(enumerate(batch), 2):
+                p, q = number[i], number[j]
+                both = np.flatnonzero((p >= 0) & (q >= 0))
+                u.append(p[both])
+                v.append(q[both])
+                off.append(self.size + both * d * e)
+                self.pairs.append((k, a, c, slice(self.size, self.size + len(p) * d * e)))
+                self.size += len(p) * d * e
+        none = [np.zeros(0, dtype=np.intp)]
+        self.u, self.v, self.off = np.concatenate(u + none), np.concatenate(v + none), np.concatenate(off + none)
+
+    def fill(self, A: Sequence[tuple[Array, ...]]) -> Array:
+        """S from the Jacobian blocks of one linearization, per batch one (k, m, d) array per slot."""
+        S = np.empty(self.size)
+        diagonal = S[: self.squares.size]
+        diagonal[:] = 0.0
+        for k, blocks in enumerate(A):
+            for slot, A_k in enumerate(blocks):
+                self.squares.add(diagonal, k, slot, gram(A_k).transpose(1, 2, 0)[triangle(A_k.shape[2])])
+        for k, a, c, where in self.pairs:
+            A_a, A_c = A[k][a], A[k][c]
+            S[where].reshape(len(A_a), A_a.shape[2], A_c.shape[2])[...] = product(A_a.mT, A_c)
+        return S
