@@ -165,7 +165,7 @@ def solve_rig(name: str, solver: str, path: str) -> dict[str, Any]:
     analysis, seconds = process_time() - began, []
     for _ in range(RUNS):
         began = process_time()
-        way.solve(analyzed, system, damping)
+        analyzed.solve(system, damping)
         seconds.append(process_time() - began)
     found = {"columns": system.pattern.n, "rows": system.pattern.m, "analysis": analysis}
     found |= {"solve": float(np.median(seconds)), "bytes": peak_memory() - before}

@@ -68,27 +68,29 @@ class Piece:
             patterns.append(pattern.holding(held))
         self.turns = cycle(patterns)
         self.held, self.pattern = patterns[0].held, patterns[0]
-        self.system = self.pattern.linearize(self.world.truth)
-        self.blocks, self.state = self.solver.analyze(self.pattern)
-        self.S = self.blocks.fill(self.system)
+        from nls.system import LinearSystem
+
+        self.system = LinearSystem.at(self.pattern, self.world.truth)
+        self.state, self.S = self.solver.analyze(self.pattern).factorization, self.system.H_blocks
         self.H = self.state.hessian.matrix(self.S)  # lower triangle, in the order of elimination
         self.A = sp.csc_array(self.system.A)
         self.edges = len(self.world.graph)
 
     def build(self) -> object:
-        from nls.sparse.hessian import Blocks
         from nls.sparse.pattern import Pattern
 
-        return Blocks(Pattern(self.world.graph.factors, self.world.truth, self.held))
+        return Pattern(self.world.graph.factors, self.world.truth, self.held).blocks
 
     def analyze(self) -> object:
         return self.solver.analyze(next(self.turns))
 
     def linearize(self) -> object:
-        return self.pattern.linearize(self.world.truth)
+        from nls.system import LinearSystem
+
+        return LinearSystem.at(self.pattern, self.world.truth)
 
     def assemble(self) -> object:
-        return self.state.hessian.data(self.blocks.fill(self.system))
+        return self.state.hessian.data(self.pattern.blocks.fill(self.system.blocks))
 
     def factorize(self) -> object:
         return self.state.factorize(self.S)

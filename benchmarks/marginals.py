@@ -67,17 +67,17 @@ def timed(what: Callable[[], Any], runs: int = RUNS) -> tuple[float, Any]:
 def row(name: str, graph: Any, values: Any, solver: Any, solve_columns: bool) -> str:
     """Measure one problem with one factorization."""
     from nls.gauge import choose_gauge, fixed_variables
-    from nls.sparse.takahashi import diagonal_blocks
     from nls.sparse.threads import single_thread
+    from nls.system import LinearSystem
 
     every = graph.pattern(values)
     pattern = every.holding(choose_gauge("first", every, values, fixed_variables(graph.fixed, values)).held)
-    blocks, state = solver.analyze(pattern)
-    S = blocks.fill(pattern.linearize(values))
+    state, S = solver.analyze(pattern).factorization, LinearSystem.at(pattern, values).H_blocks
+    every_one = np.arange(len(state.hessian.dims))
     with single_thread():
         factorize, _ = timed(lambda: state.factorize(S))
-        ours, flat = timed(lambda: diagonal_blocks(blocks, state, np.inf))
-    n, d = pattern.n, int(blocks.dims[0])
+        ours, flat = timed(lambda: state.inverse_blocks(every_one, every_one, np.inf))
+    n, d = pattern.n, int(state.hessian.dims[0])
     cells = [name, solver.name, f"{len(values):,}", f"{n:,}", f"{state.lower()[0].nnz:,}"]
     cells += [f"{1e3 * factorize:.0f}", f"{ours:.3f}"]
     if solve_columns:

@@ -138,9 +138,11 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     import nls
     import nls.graph
     from nls.linear import default_solver
-    from nls.linear.normal import NormalEquations, NormalState
-    from nls.sparse.hessian import Blocks
+    from nls.linear.factorization import Factorization
+    from nls.linear.normal import NormalAnalysis, SparseSolver
+    from nls.sparse.blocks import Blocks
     from nls.sparse.pattern import Pattern
+    from nls.system import LinearSystem
     from nls.values import Values
 
     solver: Any = type(default_solver())
@@ -152,12 +154,12 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
     for owner, method, stage in (
         (nls.graph, "choose_gauge", "build"),
         (Pattern, "holding", "build"),
-        (NormalEquations, "analyze", "analyze"),
-        (Pattern, "linearize", "linearize"),
-        (NormalEquations, "solve", "assemble"),  # what it does besides factorizing and solving
+        (SparseSolver, "analyze", "analyze"),
+        (LinearSystem, "at", "linearize"),
+        (NormalAnalysis, "solve", "assemble"),  # what it does besides factorizing and solving
         (Blocks, "fill", "assemble"),
-        (NormalState, "factorize", "factorize"),
-        (NormalState, "solve", "solve"),
+        (Factorization, "factorize", "factorize"),
+        (Factorization, "solve", "solve"),
         (Values, "retract", "retract"),
     ):
         meter.watch(owner, method, stage)

@@ -35,7 +35,6 @@ from pinv import (  # the script beside this one
 
 if TYPE_CHECKING:
     from nls import FactorGraph, LinearSystem, Values
-    from nls.sparse.hessian import Blocks
     from sim import Mission
 
 SOLVERS = {"schur": "landmarks first", "cholesky": "AMD over all", "natural": "none"}
@@ -65,16 +64,16 @@ def linear_solver(name: str) -> Any:
     """`natural` is CHOLMOD with the unknowns in the order of the graph."""
     from models.algebra import Index
     from nls.linear import Cholesky, Schur
-    from nls.linear.cholesky import CholmodFactorization
+    from nls.linear.cholesky import Cholmod
 
-    class Unordered(CholmodFactorization):
+    class Unordered(Cholmod):
         @staticmethod
         def order(u: Index, v: Index, V: int) -> Index:
             return np.arange(V)
 
     class Natural(Cholesky):
         name = "natural"
-        factorization = Unordered
+        decomposition = Unordered
 
     return {"schur": Schur, "cholesky": Cholesky, "natural": Natural}[name](memory_limit=np.inf)
 
@@ -85,23 +84,22 @@ def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
     from nls.sparse.elimination import Elimination
 
     if solver == "schur":
-        hessian = Schur(memory_limit=np.inf).analyze(system.pattern)[1].hessian
-        owner = np.repeat(np.arange(len(blocks.dims)), blocks.dims)[hessian.permutation]
-        return owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]
-    order = linear_solver(solver).factorization.order
+        hessian = Schur(memory_limit=np.inf).analyze(system.pattern).factorization.hessian
+        return hessian.elimination.variables
+    order = linear_solver(solver).decomposition.order
     return Elimination(blocks.u, blocks.v, len(blocks.dims), order).variables
 
 
 def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str, Any]:
     """Fill, seconds and bytes of one solver on one problem; no seconds where it would pass a limit."""
-    from nls.optimizers.undamped import diagonal
     from nls.sparse.fill import counted
-    from nls.sparse.hessian import Blocks
 
     graph, values = problem(name)
     system = graph.linearize(values)
-    damping = 1e-4 * diagonal(system) if name == "problem-49-7776" else None  # its gauge and scale are free
-    blocks = Blocks(system.pattern)
+    damping = (
+        1e-4 * np.square(system.column_norms) if name == "problem-49-7776" else None
+    )  # its gauge and scale are free
+    blocks = system.pattern.blocks
     fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system, blocks))
     sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
     contacts = max(len(factor) for factor in graph.factors)
@@ -117,7 +115,7 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
     seconds = []
     while len(seconds) < RUNS and sum(seconds) < 20:
         began = process_time()
-        dx = way.solve(analyzed, system, damping).dx
+        dx = analyzed.solve(system, damping).dx
         seconds.append(process_time() - began)
     added, residual = peak_memory() - before, normal_residual(system, dx, damping)
     return found | {"solve": float(np.median(seconds)), "bytes": added, "residual": residual}

@@ -40,8 +40,19 @@ if TYPE_CHECKING:
         Pinv,
         Schur,
         backends,
+        factorize,
     )
-    from nls.optimizers import Dogleg, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Result, Status, Stop
+    from nls.optimizers import (
+        Dogleg,
+        GaussNewton,
+        Iteration,
+        LevenbergMarquardt,
+        Optimizer,
+        Result,
+        Status,
+        Stop,
+        gauss_newton_step,
+    )
     from nls.robust import Robustified, gnc
     from nls.starts import initialize
     from nls.system import LinearSystem
@@ -58,8 +69,8 @@ _WHERE = {
     "nls.explanation": "Explanation Finding explain",
     "nls.graph": "FactorGraph",
     "nls.io": "LoadReport load save",
-    "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends",
-    "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop",
+    "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends factorize",
+    "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop gauss_newton_step",
     "nls.robust": "Robustified gnc",
     "nls.starts": "initialize",
     "nls.system": "LinearSystem",
@@ -120,6 +131,8 @@ __all__ = [
     "backends",
     "certify",
     "explain",
+    "factorize",
+    "gauss_newton_step",
     "gnc",
     "initialize",
     "kinds",

@@ -120,7 +120,7 @@ class LinearSystem:
     @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,)."""
-        return np.sqrt(np.take(self.H_blocks, self.pattern.blocks.on_diagonal))
+        return np.asarray(np.sqrt(np.take(self.H_blocks, self.pattern.blocks.on_diagonal)))
 
     @property
     def scaled_gradient(self) -> float:

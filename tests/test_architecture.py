@@ -18,7 +18,7 @@ import sim
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "factors", "nls", "sim")
-ENGINE = ("values", "graph", "assemble", "system", "hessian", "linear", "optimizers", "gauge", "diagnose", "covariance")
+ENGINE = ("values", "graph", "sparse", "system", "linear", "optimizers", "gauge", "diagnose", "covariance")
 RIM = (
     "robust",
     "io",

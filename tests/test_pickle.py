@@ -126,7 +126,7 @@ def test_values_from_elsewhere_work_with_a_graph_from_here(way: str) -> None:
     assert np.array_equal(system.b, world.graph.linearize(world.start).b)
     assert graph.chi2(start) == world.graph.chi2(world.start)
     copied = COPIES[way](system)
-    assert np.array_equal(copied.solve(), system.solve())
+    assert np.array_equal(nls.gauss_newton_step(copied), nls.gauss_newton_step(system))
     assert copied.rows == system.rows
 
 

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 
 from factors import RangeAzimuth
 from factors.keys import Keys, Kind
@@ -35,8 +34,8 @@ from models.sensors import cartesian, point_in_frame, spherical
 from nls.degeneracy.truncated import truncated_inverse
 from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
-from nls.linear.lu import SYMMETRIC
-from nls.linear.singular import SINGULAR
+from nls.linear.default import default_solver
+from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
@@ -194,8 +193,6 @@ def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -
 
 def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
     """M_l (n, d, d) of all landmarks of a kind from their H_l."""
-    from scipy.sparse.linalg import splu
-
     pattern, d = system.pattern, H.shape[1]
     for batch in pattern.batches:
         if batch.kinds.count(kind) > 1:
@@ -204,23 +201,25 @@ def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
     begin = pattern.offsets[kind]
     theirs = (owner >= begin) & (owner < begin + len(H))
     estimated = np.unique(owner[theirs]) - begin
-    A_p, A_l = system.A[:, ~theirs], system.A[:, theirs]
-    P = truncated_inverse(H[estimated], tau=SINGULAR)  # what is free beyond rounding, and nothing else, is left out
-    if not A_p.shape[1]:
+    if theirs.all():
         return H
-    H_pl = sp.csc_array(A_p.T @ A_l)
-    S = sp.csc_array(A_p.T @ A_p - H_pl @ sp.block_diag(P, format="csc") @ H_pl.T)
+    P = truncated_inverse(H[estimated], tau=SINGULAR)  # what is free beyond rounding, and nothing else, is left out
+    free = np.eye(d) - P @ H[estimated]  # a projection: A is 0 along it, so weight there changes no S
+    weight = np.trace(H[estimated], axis1=1, axis2=2) / d
+    place = (np.cumsum(~pattern.held) - 1)[begin + estimated]
+    blocks = system.H_blocks.copy()
+    at = pattern.blocks.diagonal[place, None] + np.arange(d * d)
+    blocks[at] += (np.where(weight > 0, weight, 1.0)[:, None, None] * (free + free.mT) / 2).reshape(-1, d * d)
     try:
-        lu = splu(S, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-    except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
+        factorization = default_solver().prepared(pattern).factorize(blocks)
+    except SingularSystemError as error:
         raise underconstrained(system) from error
-    if not (lu.U.diagonal()[lu.perm_c] > SINGULAR * (A_p.T @ A_p).diagonal()).all():
-        raise underconstrained(system)
-    M = H.copy()
+    A_l, M = system.A[:, theirs], H.copy()
     for k in range(0, len(estimated), CHUNK):
-        B = H_pl[:, k * d : (k + CHUNK) * d]
+        B = (system.A.T @ A_l[:, k * d : (k + CHUNK) * d]).toarray()
+        B[theirs] = 0.0
         n = B.shape[1] // d
-        QQ = (B.T @ lu.solve(B.toarray())).reshape(n, d, n, d)
+        QQ = (B.T @ factorization.solve(B)).reshape(n, d, n, d)
         Q = QQ[np.arange(n), :, np.arange(n), :]
         M[estimated[k : k + CHUNK]] -= Q @ np.linalg.inv(np.eye(d) + P[k : k + CHUNK] @ Q)
     return M

@@ -9,6 +9,7 @@ from nls.optimizers.base import Optimizer
 from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
+from nls.optimizers.problem import gauss_newton_step
 from nls.optimizers.result import Iteration, Result
 from nls.optimizers.stop import Status, Stop
 
@@ -26,6 +27,7 @@ __all__ = [
     "Status",
     "Stop",
     "default_optimizer",
+    "gauss_newton_step",
 ]
 
 

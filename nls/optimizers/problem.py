@@ -8,13 +8,16 @@ from time import perf_counter
 from typing import TypeVar
 
 from models.algebra import Array
-from models.errors import EvaluationError, SingularGeometryError
+from models.errors import EvaluationError, OptionError, SingularGeometryError
+from nls.diagnose import underconstrained
 from nls.linear.base import LinearSolution, LinearSolver
+from nls.linear.default import default_solver
+from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Problem"]
+__all__ = ["Problem", "gauss_newton_step"]
 
 T = TypeVar("T")
 
@@ -99,3 +102,37 @@ class Problem:
     def _add(self, part: str, seconds: float) -> None:
         self.timings[part] = self.timings.get(part, 0.0) + seconds
         self._lap[part] = self._lap.get(part, 0.0) + seconds
+
+
+def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None = None) -> Array:
+    """The step dx = argmin |A dx - b|, (n,).
+
+    Parameters
+    ----------
+    system : one linearization, ``graph.linearize(values)``.
+    linear_solver : of `nls.linear`; the best one installed when omitted.
+
+    Raises
+    ------
+    UnderconstrainedError
+        Something is free: there is no unique step.
+    EvaluationError
+        Squares of weights or Jacobians overflow.
+
+    Examples
+    --------
+    >>> from factors import Isotropic, Prior
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, gauss_newton_step, kinds
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Prior(x[0], [1, 2, 0], Isotropic(0.1))])
+    >>> gauss_newton_step(graph.linearize(Values({x: (SE2, [0, 0, 0])}))).round(6)
+    array([1., 2., 0.])
+    """
+    solver = default_solver() if linear_solver is None else linear_solver
+    if not isinstance(solver, LinearSolver):
+        raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
+    try:
+        return solver.analyze(system.pattern).solve(system).dx
+    except SingularSystemError as error:
+        raise underconstrained(solver.seen(system), cause=error) from error

@@ -38,7 +38,7 @@ def landmarks(group: LieGroup, n: int = 12, k: int = 30, seed: int = 0, anchored
 
 
 def step(solver: LinearSolver, system: LinearSystem, damping: Array | None = None) -> Array:
-    return solver.solve(solver.analyze(system.pattern), system, damping).dx
+    return solver.analyze(system.pattern).solve(system, damping).dx
 
 
 def same(system: LinearSystem, damping: Array | None = None) -> None:
@@ -47,7 +47,7 @@ def same(system: LinearSystem, damping: Array | None = None) -> None:
 
 
 def said(system: LinearSystem) -> str:
-    return Schur().said(Schur().analyze(system.pattern))
+    return Schur().analyze(system.pattern).description
 
 
 def two_kinds() -> Sample:

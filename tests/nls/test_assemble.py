@@ -11,7 +11,6 @@ from models import SE2
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
 from nls.gauge import fixed_variables
-from nls.sparse.hessian import Blocks
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph, x
 
@@ -93,21 +92,20 @@ def test_A_is_minus_the_derivative_of_b(name: str) -> None:
     """Independent of every Jacobian: b at values moved along one column of A after the other."""
     sample = SAMPLES[name]()
     pattern = Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
-    A, step = pattern.linearize(sample.values).A.toarray(), 1e-6
+    A, step = LinearSystem.at(pattern, sample.values).A.toarray(), 1e-6
     for column in range(pattern.n):
         delta = np.zeros(pattern.n)
         delta[column] = step
-        there, back = (pattern.linearize(sample.values.retract(pattern.expand(s * delta))).b for s in (1, -1))
+        there, back = (LinearSystem.at(pattern, sample.values.retract(pattern.expand(s * delta))).b for s in (1, -1))
         np.testing.assert_allclose(A[:, column], (back - there) / (2 * step), rtol=0, atol=2e-7 * np.abs(A).max())
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_any_elimination_order_gives_the_same_H(sample: Sample, seed: int) -> None:
     pattern = Pattern(sample.graph.factors, sample.values, fixed_variables(sample.graph.fixed, sample.values))
-    system = pattern.linearize(sample.values)
-    blocks = Blocks(pattern)
-    hessian = blocks.structure(lambda u, v, V: np.random.default_rng(seed).permutation(V))
-    S = blocks.fill(system)
+    system = LinearSystem.at(pattern, sample.values)
+    hessian = pattern.hessian(lambda u, v, V: np.random.default_rng(seed).permutation(V))
+    S = system.H_blocks
     lower = hessian.matrix(S)
     assert (sp.triu(lower, 1)).nnz == 0
     assert all((np.diff(lower.indices[a:b]) > 0).all() for a, b in zip(lower.indptr, lower.indptr[1:], strict=False))

@@ -17,7 +17,7 @@ from nls.certificate.newton import Optimum, _second_order, nearest, newton, rota
 from nls.certificate.problem import PoseGraph, certifiable
 from nls.certificate.spectrum import spectrum
 from nls.certificate.staircase import _rounded, placed, staircase
-from nls.linear.lu import SuperLUFactorization
+from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import ODD, informations, pose_graph, walk, x
 
@@ -175,7 +175,7 @@ def test_the_bound_holds_for_random_pose_graphs() -> None:
 def test_without_cholmod_it_is_the_same(group: LieGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, M, *_ = problem_of(group)
     expected = spectrum(graph, newton(graph, M))
-    monkeypatch.setattr(problem_module, "best_factorization", lambda: SuperLUFactorization)
+    monkeypatch.setattr(problem_module, "best_decomposition", lambda: SuperLU)
     other, *_ = problem_of(group)
     found = spectrum(other, newton(other, M))
     assert found.certified

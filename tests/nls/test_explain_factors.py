@@ -27,7 +27,7 @@ def test_rank_and_words(sample: Sample) -> None:
     explanation = nls.explain(graph, values)
     pattern = graph.pattern(values)
     held = choose_gauge("first", pattern, values, fixed_variables([], values)).held
-    A = pattern.holding(held).linearize(values).A.toarray()
+    A = nls.LinearSystem.at(pattern.holding(held), values).A.toarray()
     norms = np.linalg.norm(A, axis=0)
     A = A / np.where(norms > 1e-13 * norms.max(initial=0.0), norms, np.inf)
     rank = np.linalg.matrix_rank(A, tol=1e-9) if A.size else 0

@@ -19,8 +19,7 @@ from nls.explanation.free import freedom
 from nls.explanation.linear import Checked, Linearization
 from nls.explanation.statistics import checks
 from nls.gauge import choose_gauge, fixed_variables
-from nls.linear import default_solver
-from nls.sparse.takahashi import inverse_blocks
+from nls.linear import factorize
 from tests.nls.graphs import ODD, informations, pose_graph, x
 
 ELSEWHERE = 3.0  # where linear problems are linearized: nothing may depend on it
@@ -151,11 +150,10 @@ def test_blocks_of_the_inverse(group: object) -> None:
     """Every pair of variables that share a factor, in both orders, from the pass over the Cholesky factor."""
     sample = pose_graph(group, numbers=ODD)  # type: ignore[arg-type]
     system = sample.graph.linearize(sample.values)
-    blocks, state = default_solver().analyze(system.pattern)
-    state.factorize(blocks.fill(system))
+    blocks, H = system.pattern.blocks, factorize(system)
     i, j = np.concatenate([blocks.u, blocks.v]), np.concatenate([blocks.v, blocks.u])
     d = int(blocks.dims[0])
-    found = inverse_blocks(blocks, state, i, j, 4e9).reshape(-1, d, d)
+    found = H.inverse_blocks(i, j, 4e9).reshape(-1, d, d)
     P = np.linalg.inv(system.H.toarray()).reshape(8, d, 8, d)
     np.testing.assert_allclose(found, P[i, :, j, :], rtol=1e-6, atol=1e-12)
 

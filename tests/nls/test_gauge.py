@@ -11,7 +11,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
 from nls.gauge import FreeGauge, choose_gauge
 from nls.linear import LU, SOLVERS
-from nls.linear.normal import NormalState
+from nls.linear.factorization import Factorization
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
@@ -220,13 +220,13 @@ def test_the_held_variable_does_not_change_the_shape(group: LieGroup) -> None:
 
 def test_free_factorizes_once_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
-    factorize = NormalState.factorize
+    factorize = Factorization.factorize
 
-    def counted(state: NormalState, S: Array) -> Array:
+    def counted(state: Factorization, S: Array) -> Factorization:
         calls.append(state)
         return factorize(state, S)
 
-    monkeypatch.setattr(NormalState, "factorize", counted)
+    monkeypatch.setattr(Factorization, "factorize", counted)
     graph, values = two_components(POSES[-1])
     graph.optimize(values, ONE_STEP, LU(), gauge="first")
     needed = len(calls)

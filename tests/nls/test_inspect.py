@@ -12,11 +12,9 @@ from factors import Between, Diagonal, Information, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphWarning, Values
 from nls.inspect import inspect
-from nls.linear import best_factorization
-from nls.linear.lu import SuperLUFactorization
-from nls.linear.normal import NormalState
+from nls.linear import best_decomposition, factorize
+from nls.linear.lu import SuperLU
 from nls.sparse.fill import fill_in
-from nls.sparse.hessian import Blocks
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import SAMPLES, l, pose_graph, x
 
@@ -28,12 +26,10 @@ def test_numbers_in_R_are_those_of_a_factorization(name: str) -> None:
     found = inspect(sample.graph, sample.values)
     assert found["columns_of_A"] == system.A.shape[1]
     assert found["rows_of_A"] == system.A.shape[0]
-    blocks, kind = Blocks(system.pattern), best_factorization()
-    if kind is SuperLUFactorization:
+    kind = best_decomposition()
+    if kind is SuperLU:
         pytest.skip("SuperLU orders scalars itself; its fill is another")
-    state = NormalState(blocks.structure(kind.order), kind)
-    state.factorize(blocks.fill(system))
-    R_, order = state.upper()
+    R_, order = factorize(system).upper()
     assert found["numbers_in_R"] == eliminated(system.A, order) <= R_.nnz  # supernodes are stored with zeros in them
 
 
@@ -53,7 +49,7 @@ def test_fill_of_a_chain_is_none(group: LieGroup) -> None:
     n, d = 50, group.dim
     graph = FactorGraph([Between(x[0 : n - 1], x[1:n], group.identity(), Isotropic(1))])
     pattern = Pattern(graph.factors, Values({x: (group, group.identity(n))}))
-    fill = fill_in(pattern, pattern.held)
+    fill = fill_in(pattern, pattern.held, best_decomposition().order)
     assert fill.nnz == n * d * (d + 1) // 2 + (n - 1) * d * d
     per_column = np.concatenate([np.tile(np.arange(2 * d, d, -1.0), n - 1), np.arange(d, 0, -1.0)])
     assert fill.flops == pytest.approx((per_column**2).sum())
@@ -62,7 +58,7 @@ def test_fill_of_a_chain_is_none(group: LieGroup) -> None:
 def test_fill_of_everything_held() -> None:
     sample = pose_graph(SE2)
     pattern = Pattern(sample.graph.factors, sample.values)
-    assert fill_in(pattern, np.ones(8, dtype=bool)).nnz == 0
+    assert fill_in(pattern, np.ones(8, dtype=bool), best_decomposition().order).nnz == 0
 
 
 def test_counts() -> None:

@@ -106,8 +106,8 @@ def test_a_system_that_was_refused_is_refused_again() -> None:
     state = solver.analyze(pattern)
     for _ in range(3):
         with pytest.raises(SingularSystemError):
-            solver.solve(state, pattern.linearize(values))
-    assert isinstance(pattern.linearize(values), LinearSystem)
+            state.solve(LinearSystem.at(pattern, values))
+    assert isinstance(LinearSystem.at(pattern, values), LinearSystem)
 
 
 INSIDE = """

@@ -43,7 +43,7 @@ def asked(monkeypatch: pytest.MonkeyPatch, built_with_metis: bool = True) -> lis
 
 def ordered(u: Index, v: Index, V: int) -> tuple[Index, float]:
     """The order, which is one, and its flops."""
-    order = Elimination(u, v, V, cholesky.CholmodFactorization.order).variables
+    order = Elimination(u, v, V, cholesky.Cholmod.order).variables
     assert np.array_equal(np.sort(order), np.arange(V))
     return order, counted(np.ones(V, dtype=np.intp), u, v, order).flops
 

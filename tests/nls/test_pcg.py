@@ -14,7 +14,7 @@ from models import SE2, SE3
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, LinearSystem, Marginals, OptionError, Stop, Values
 from nls.linear import Cholesky, CholeskyPCG
-from nls.linear.pcg import KeptState
+from nls.linear.pcg import KeptFactorization
 from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import diagonal, pose_graph, x
 
@@ -51,9 +51,9 @@ def test_the_step_solves_the_current_system_to_the_tolerance(tol: float, damped:
     solver = CholeskyPCG(tol, MANY)
     analyzed = solver.analyze(old.pattern)
     before, after = (0.1 * diagonal(old), 0.05 * diagonal(new)) if damped else (None, None)
-    solver.solve(analyzed, old, before)
-    dx = solver.solve(analyzed, new, after).dx
-    assert solver.said(analyzed).startswith("cholesky-pcg, 1 factorization, ")
+    analyzed.solve(old, before)
+    dx = analyzed.solve(new, after).dx
+    assert analyzed.description.startswith("cholesky-pcg, 1 factorization, ")
     M, H = dense(old, before), dense(new, after)
     assert error(H, M, new.gradient, dx) <= tol * (1 + 1e-3)
     stale: Array = np.asarray(np.linalg.solve(M, new.gradient), dtype=np.float64)
@@ -68,10 +68,11 @@ def test_steps_grow_with_the_tolerance_and_are_counted() -> None:
         solver = CholeskyPCG(tol, MANY)
         analyzed = solver.analyze(graph.linearize(best).pattern)
         for values in (best, near):
-            solver.solve(analyzed, graph.linearize(values))
-        assert isinstance(analyzed[1], KeptState)
-        assert analyzed[1].factorizations == 1
-        counts.append(analyzed[1].steps)
+            analyzed.solve(graph.linearize(values))
+        kept = analyzed.factorization
+        assert isinstance(kept, KeptFactorization)
+        assert kept.factorizations == 1
+        counts.append(kept.steps)
     assert 0 < counts[0] < counts[1] < counts[2] < MANY
 
 
@@ -80,13 +81,13 @@ def test_where_it_will_not_do_it_factorizes_and_says_so() -> None:
     solver, exact = CholeskyPCG(1e-9, 2), Cholesky()
     system = graph.linearize(near)
     analyzed = solver.analyze(system.pattern)
-    solver.solve(analyzed, graph.linearize(best))
-    found = solver.solve(analyzed, system)
-    assert re.fullmatch(r"cholesky-pcg, 2 factorizations, [12] CG steps?", solver.said(analyzed))
-    assert np.array_equal(found.dx, exact.solve(exact.analyze(system.pattern), system).dx)
+    analyzed.solve(graph.linearize(best))
+    found = analyzed.solve(system)
+    assert re.fullmatch(r"cholesky-pcg, 2 factorizations, [12] CG steps?", analyzed.description)
+    assert np.array_equal(found.dx, exact.analyze(system.pattern).solve(system).dx)
     assert found.seconds["factorize"] > 0
-    solver.solve(analyzed, graph.linearize(near))  # the new factorization is the one that is kept
-    assert solver.said(analyzed).startswith("cholesky-pcg, 2 factorizations")
+    analyzed.solve(graph.linearize(near))  # the new factorization is the one that is kept
+    assert analyzed.description.startswith("cholesky-pcg, 2 factorizations")
 
 
 def robbed(system: LinearSystem, poses: range) -> LinearSystem:
@@ -107,12 +108,12 @@ def test_a_direction_that_became_free_is_refused(part: range, max_steps: int) ->
     system = graph.linearize(best)
     solver = CholeskyPCG(1e-6, max_steps)
     analyzed = solver.analyze(system.pattern)
-    solver.solve(analyzed, system)
+    analyzed.solve(system)
     loose = robbed(system, part)
     for _ in range(2):  # and the failed factorization is not used afterwards
         with pytest.raises(SingularSystemError):
-            solver.solve(analyzed, loose)
-    again = solver.solve(analyzed, system).dx
+            analyzed.solve(loose)
+    again = analyzed.solve(system).dx
     assert dense(system) @ again == pytest.approx(system.gradient, abs=1e-6 * np.abs(system.gradient).max())
 
 
@@ -123,9 +124,9 @@ def test_damping_in_the_kept_factorization_hides_nothing(faint: float) -> None:
     system = sample.graph.linearize(sample.values)
     solver = CholeskyPCG(1e-6, 1000)
     analyzed = solver.analyze(system.pattern)
-    solver.solve(analyzed, system, faint * diagonal(system))
+    analyzed.solve(system, faint * diagonal(system))
     with pytest.raises(SingularSystemError):
-        solver.solve(analyzed, system)
+        analyzed.solve(system)
 
 
 def test_asked_for_itself_the_factorization_is_the_current_one() -> None:
@@ -138,15 +139,15 @@ def test_asked_for_itself_the_factorization_is_the_current_one() -> None:
     g = np.random.default_rng(1).normal(size=(len(H), 3))
     for ask in ("solve", "lower", "upper"):
         for system in systems:
-            solver.solve(analyzed, system)
-        state = analyzed[1]
+            analyzed.solve(system)
+        state = analyzed.factorization
         if ask == "solve":
             assert H @ state.solve(g) == pytest.approx(g, abs=1e-6)
         else:
             L, p = getattr(state, ask)()
             square = (L @ L.T if ask == "lower" else L.T @ L).toarray()
             assert square == pytest.approx(H[np.ix_(p, p)], rel=0, abs=1e-9 * np.abs(H).max())
-        solver.solve(analyzed, systems[0])
+        analyzed.solve(systems[0])
 
 
 @pytest.mark.parametrize("gauge", ["first", "prior", "free"])

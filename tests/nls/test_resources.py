@@ -96,6 +96,7 @@ def test_the_estimate_covers_what_a_solve_takes() -> None:
         pytest.skip("needs CHOLMOD and /proc")
     script = """
 import nls
+from nls.linear import best_decomposition
 from nls.sparse.fill import fill_in
 from tests.nls.test_resources import lattice
 def read(name):
@@ -103,10 +104,10 @@ def read(name):
 graph, values = lattice(12, 3)
 system = graph.linearize(values)
 system.gradient
-numbers = fill_in(system.pattern, system.pattern.held).nnz
+numbers = fill_in(system.pattern, system.pattern.held, best_decomposition().order).nnz
 solver = nls.Cholesky()
 before = read("VmRSS")
-solver.solve(solver.analyze(system.pattern), system)
+solver.analyze(system.pattern).solve(system)
 print(read("VmHWM") - before, solver.per_number * numbers, 8 * numbers)
 """
     root = Path(__file__).parents[2]

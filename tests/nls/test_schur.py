@@ -17,7 +17,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Schur, Stop, Values
 from nls.linear import LU
 from nls.linear.schur.roots import inverse_root
-from nls.linear.schur.solver import SchurFactorization
+from nls.linear.schur.solver import SchurDecomposition
 from tests.nls.graphs import SAMPLES, Sample, diagonal, mixed, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, said, same, seen_by_range, step, two_kinds, x
 
@@ -69,11 +69,11 @@ def test_the_complement_is_the_formula() -> None:
     """S = H_pp - H_pl H_ll^-1 H_lp, with points that a pose sees twice and points of two dimensions."""
     sample = two_kinds()
     system = sample.graph.linearize(sample.values)
-    blocks, state = Schur().analyze(system.pattern)
-    factorization = state.factorization
-    assert isinstance(factorization, SchurFactorization)
-    complement = factorization._complement
-    filled = complement.fill(blocks.fill(system))
+    state = Schur().analyze(system.pattern).factorization
+    decomposition = state.decomposition
+    assert isinstance(decomposition, SchurDecomposition)
+    complement = decomposition._complement
+    filled = complement.fill(system.H_blocks)
     p, n = state.hessian.permutation, complement.n
     H = system.H.toarray()[np.ix_(p, p)]
     S = H[n:, n:] - H[n:, :n] @ np.linalg.inv(H[:n, :n]) @ H[:n, n:]
@@ -119,8 +119,8 @@ def test_a_kept_step_is_that_of_the_kept_factorization() -> None:
     old, new = sample.graph.linearize(sample.values), sample.graph.linearize(sample.truth)
     solver = Schur()
     analyzed = solver.analyze(old.pattern)
-    assert solver.solve(analyzed, old).seconds.keys() == {"assemble", "factorize", "solve"}
-    kept = solver.again(analyzed, new)
+    assert analyzed.solve(old).seconds.keys() == {"assemble", "factorize", "solve"}
+    kept = analyzed.again(new)
     assert kept is not None
     expected = np.linalg.solve(old.H.toarray(), new.gradient)
     assert kept.dx == pytest.approx(expected, rel=0, abs=1e-9 * np.abs(expected).max())
@@ -270,9 +270,9 @@ def test_what_is_left_alone_is_counted_in_the_latest_solve() -> None:
     sample = seen_by_range(4)
     solver = Schur(truncated)
     analyzed = solver.analyze(sample.graph.linearize(sample.values).pattern)
-    solver.solve(analyzed, sample.graph.linearize(sample.values))
-    assert solver.said(analyzed).endswith(", 1 directions left alone")
-    assert solver.again(analyzed, sample.graph.linearize(sample.values)) is None
+    analyzed.solve(sample.graph.linearize(sample.values))
+    assert analyzed.description.endswith(", 1 directions left alone")
+    assert analyzed.again(sample.graph.linearize(sample.values)) is None
 
 
 def test_a_root_of_an_inverse() -> None:

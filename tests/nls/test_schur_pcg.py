@@ -29,10 +29,9 @@ from nls import (
 from nls.diagnose import underconstrained
 from nls.linear.conjugate import conjugate
 from nls.linear.schur.independent import independent, twins
-from nls.linear.schur.pcg import PCGState
-from nls.linear.schur.solver import SchurFactorization
+from nls.linear.schur.pcg import PCGDecomposition
+from nls.linear.schur.solver import SchurDecomposition
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
-from nls.sparse.hessian import Blocks
 from tests.nls.graphs import SAMPLES, Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, seen_by_range, step, two_kinds, x
 
@@ -103,8 +102,8 @@ def test_the_tolerance_is_in_the_norm_of_the_preconditioner(tol: float) -> None:
     sample = bundle()
     system = sample.graph.linearize(sample.values)
     solver = PCG(tol)
-    blocks, state = solver.analyze(system.pattern)
-    dx = solver.solve((blocks, state), system).dx
+    analysis = solver.analyze(system.pattern)
+    dx, state = analysis.solve(system).dx, analysis.factorization
     p, n = state.hessian.permutation, 3 * 60
     H, g, there = system.H.toarray()[np.ix_(p, p)], system.gradient[p], dx[p]
     S = H[n:, n:] - H[n:, :n] @ np.linalg.solve(H[:n, :n], H[:n, n:])
@@ -123,8 +122,7 @@ def test_a_camera_and_its_lens_are_twins_and_a_shared_lens_is_none() -> None:
     found = []
     for graph in (sample.graph, one_lens):
         pattern = graph.linearize(sample.values).pattern
-        blocks = Blocks(pattern)
-        found.append(twins(pattern, blocks, independent(pattern, blocks)[0]))
+        found.append(twins(pattern, pattern.blocks, independent(pattern, pattern.blocks)[0]))
     assert found[0][:16].tolist() == [*range(8), *range(8)]
     assert found[1][:9].tolist() == [*range(9)]
 
@@ -132,9 +130,9 @@ def test_a_camera_and_its_lens_are_twins_and_a_shared_lens_is_none() -> None:
 def test_twins_are_one_block_of_the_complement_of_schur() -> None:
     sample = bundle()
     system = sample.graph.linearize(sample.values)
-    factorization = Schur().analyze(system.pattern)[1].factorization
-    assert isinstance(factorization, SchurFactorization)
-    assert [group.products[0].shape for group in factorization._complement.groups] == [(9, 9)]
+    decomposition = Schur().analyze(system.pattern).factorization.decomposition
+    assert isinstance(decomposition, SchurDecomposition)
+    assert [group.products[0].shape for group in decomposition._complement.groups] == [(9, 9)]
     expected = step(reference(), system)
     assert step(Schur(), system) == pytest.approx(expected, rel=0, abs=1e-8 * np.abs(expected).max())
 
@@ -146,9 +144,9 @@ def test_the_lens_in_the_block_of_its_camera_saves_steps(monkeypatch: pytest.Mon
     def steps() -> int:
         solver = PCG(1e-6)
         analyzed = solver.analyze(system.pattern)
-        solver.solve(analyzed, system, 1e-4 * diagonal(system))
-        assert isinstance(analyzed[1], PCGState)
-        return analyzed[1].iterative.steps
+        analyzed.solve(system, 1e-4 * diagonal(system))
+        assert isinstance(analyzed.factorization.decomposition, PCGDecomposition)
+        return analyzed.factorization.decomposition.steps
 
     together = steps()
     monkeypatch.setattr("nls.linear.schur.pcg.twins", lambda pattern, blocks, gone: np.arange(len(gone)))
@@ -216,7 +214,7 @@ def test_a_gauge_and_a_scale_are_seen() -> None:
             with pytest.raises(SingularSystemError, match="no measurement sees"):
                 step(solver, system)
         with pytest.raises(nls.UnderconstrainedError, match=rf"leave {7 - min(3 * len(anchors), 6)} direction"):
-            system.solve(PCG())
+            nls.gauss_newton_step(system, PCG())
 
 
 @pytest.mark.parametrize(("group", "n", "k", "seed"), [(SE2, 2, 2, 1), (SE2, 4, 4, 2), (SE3, 2, 4, 0), (SE3, 3, 1, 3)])

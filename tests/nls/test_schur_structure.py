@@ -14,7 +14,6 @@ from nls import FactorGraph, GaussNewton, Schur, Values
 from nls.linear.schur.independent import _heaviest, independent, separate
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.undamped import diagonal
-from nls.sparse.hessian import Blocks
 from tests.nls.graphs import Sample, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 
@@ -49,7 +48,7 @@ def test_no_unknowns_at_all() -> None:
 def test_a_pose_graph_loses_single_poses() -> None:
     sample = pose_graph(SE2, n=40)
     system = sample.graph.linearize(sample.values)
-    blocks = Blocks(system.pattern)
+    blocks = system.pattern.blocks
     gone, words = independent(system.pattern, blocks)
     assert not (gone[blocks.u] & gone[blocks.v]).any()
     assert words == f"{gone.sum()} of 40 x eliminated: {3 * gone.sum()} of 120 columns"

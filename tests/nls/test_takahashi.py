@@ -12,27 +12,29 @@ from models.algebra import Array, Index
 from models.errors import ResourceLimitError
 from nls import FactorGraph, LinearSystem, Values
 from nls.linear import SOLVERS
-from nls.linear.cholesky import CholmodFactorization
-from nls.linear.lu import SuperLUFactorization
-from nls.linear.normal import Factorization, NormalState
+from nls.linear.cholesky import Cholmod
+from nls.linear.factorization import Decomposition, Factorization
+from nls.linear.lu import SuperLU
 from nls.sparse import supernodes
-from nls.sparse.hessian import Blocks
 from nls.sparse.pattern import Pattern
 from nls.sparse.supernodes import Supernodes
-from nls.sparse.takahashi import diagonal_blocks
 from tests.nls.graphs import SAMPLES, mixed, pose_graph, x
 
-FACTORIZATIONS: tuple[type[Factorization], ...] = (CholmodFactorization, SuperLUFactorization)
-every_factorization = pytest.mark.parametrize("kind", FACTORIZATIONS)
+DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU)
+every_factorization = pytest.mark.parametrize("kind", DECOMPOSITIONS)
 
 
-def factorized(kind: type[Factorization], system: LinearSystem) -> tuple[Blocks, NormalState]:
-    if kind is CholmodFactorization and (why := SOLVERS["cholesky"].missing()) is not None:
+def factorized(kind: type[Decomposition], system: LinearSystem) -> Factorization:
+    if kind is Cholmod and (why := SOLVERS["cholesky"].missing()) is not None:
         pytest.skip(why)
-    blocks = Blocks(system.pattern)
-    state = NormalState(blocks.structure(kind.order), kind)
-    state.factorize(blocks.fill(system))
-    return blocks, state
+    hessian = system.pattern.hessian(kind.order)
+    return Factorization(hessian, kind(hessian)).factorize(system.H_blocks)
+
+
+def diagonal_blocks(state: Factorization, memory_limit: float) -> Array:
+    """The blocks of all variables, one after the other."""
+    every = np.arange(len(state.hessian.dims))
+    return state.inverse_blocks(every, every, memory_limit)
 
 
 def split(flat: Array, dims: Index) -> list[Array]:
@@ -61,51 +63,51 @@ def dense_world(seed: int) -> LinearSystem:
 
 @pytest.mark.parametrize("graph", SAMPLES)
 @every_factorization
-def test_every_graph_against_the_dense_inverse(kind: type[Factorization], graph: str) -> None:
+def test_every_graph_against_the_dense_inverse(kind: type[Decomposition], graph: str) -> None:
     sample = SAMPLES[graph]()
     system = sample.graph.linearize(sample.values)
-    blocks, state = factorized(kind, system)
-    agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+    state = factorized(kind, system)
+    agrees(diagonal_blocks(state, 4e9), system, state.hessian.dims)
 
 
 @pytest.mark.parametrize("step", [0.0, 60e-6, 1e9], ids=["nothing merged", "as it is", "all in one"])
 @every_factorization
-def test_merging_changes_nothing(kind: type[Factorization], step: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_merging_changes_nothing(kind: type[Decomposition], step: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supernodes, "STEP", step)
     if step == 0.0:
         monkeypatch.setattr(supernodes, "GATHER", 0.0)
     for system in (dense_world(1), mixed(3).graph.linearize(mixed(3).values)):
-        blocks, state = factorized(kind, system)
-        agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+        state = factorized(kind, system)
+        agrees(diagonal_blocks(state, 4e9), system, state.hessian.dims)
 
 
 @every_factorization
-def test_space_against_column_solves(kind: type[Factorization]) -> None:
+def test_space_against_column_solves(kind: type[Decomposition]) -> None:
     world = sim.sphere(np.random.default_rng(2), rings=8, per_ring=20)
     world.graph.fix(x[0])
     system = world.graph.linearize(world.truth)
-    blocks, state = factorized(kind, system)
+    state = factorized(kind, system)
     inverse = state.solve(np.eye(system.pattern.n))
-    found = diagonal_blocks(blocks, state, 4e9).reshape(-1, 6, 6)
+    found = diagonal_blocks(state, 4e9).reshape(-1, 6, 6)
     for k, block in enumerate(found):
         expected = inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
         np.testing.assert_allclose(block, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 @every_factorization
-def test_a_long_loop(kind: type[Factorization]) -> None:
+def test_a_long_loop(kind: type[Decomposition]) -> None:
     """Variances on a ring of resistances, by hand: 1/s = 1/k + 1/(n - k) between places k apart."""
     n = 3000
     graph = FactorGraph([Between(x[np.arange(n)], x[(np.arange(n) + 1) % n], np.zeros((n, 1)), Isotropic(1.0))])
     graph.fix(x[0])
     system = graph.linearize(Values({x: (R(1), np.zeros((n, 1)))}))
-    blocks, state = factorized(kind, system)
+    state = factorized(kind, system)
     k = np.arange(1, n)
-    np.testing.assert_allclose(diagonal_blocks(blocks, state, 4e9), k * (n - k) / n, rtol=1e-9)
+    np.testing.assert_allclose(diagonal_blocks(state, 4e9), k * (n - k) / n, rtol=1e-9)
 
 
 @every_factorization
-def test_numbers_that_happen_to_be_zero(kind: type[Factorization]) -> None:
+def test_numbers_that_happen_to_be_zero(kind: type[Decomposition]) -> None:
     """At heading 0 and unit steps whole parts of A'A vanish; the structure has them all the same."""
     X = np.zeros((30, 3))
     X[:, 0] = np.arange(30)
@@ -113,8 +115,8 @@ def test_numbers_that_happen_to_be_zero(kind: type[Factorization]) -> None:
     graph.add(Between(x[0:29], x[1:30], np.tile([1.0, 0, 0], (29, 1)), Isotropic(0.1)))
     graph.add(Between(x[[0, 3, 9]], x[[20, 17, 28]], SE2.between(X[[0, 3, 9]], X[[20, 17, 28]]), Isotropic(0.1)))
     system = graph.linearize(Values({x: (SE2, X)}))
-    blocks, state = factorized(kind, system)
-    agrees(diagonal_blocks(blocks, state, 4e9), system, blocks.dims)
+    state = factorized(kind, system)
+    agrees(diagonal_blocks(state, 4e9), system, state.hessian.dims)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -167,16 +169,16 @@ def test_fronts_needed_at_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_would_not_fit_is_refused() -> None:
     sample = pose_graph(SE2)
-    blocks, state = factorized(SuperLUFactorization, sample.graph.linearize(sample.values))
+    state = factorized(SuperLU, sample.graph.linearize(sample.values))
     with pytest.raises(ResourceLimitError, match=r"the marginal covariances of 8 variables need .* GB") as caught:
-        diagonal_blocks(blocks, state, 1000.0)
+        diagonal_blocks(state, 1000.0)
     assert caught.value.needed > caught.value.limit == 1000.0
-    diagonal_blocks(blocks, state, caught.value.needed)
+    diagonal_blocks(state, caught.value.needed)
 
 
 @every_factorization
-def test_nothing_free_has_no_blocks(kind: type[Factorization]) -> None:
+def test_nothing_free_has_no_blocks(kind: type[Decomposition]) -> None:
     sample = pose_graph(SE2)
     held = np.ones(8, dtype=bool)
-    blocks, state = factorized(kind, Pattern(sample.graph.factors, sample.values, held).linearize(sample.values))
-    assert diagonal_blocks(blocks, state, 4e9).shape == (0,)
+    state = factorized(kind, Pattern(sample.graph.factors, sample.values, held).linearize(sample.values))
+    assert diagonal_blocks(state, 4e9).shape == (0,)
