@@ -78,7 +78,7 @@ def linear_solver(name: str) -> Any:
     return {"schur": Schur, "cholesky": Cholesky, "natural": Natural}[name](memory_limit=np.inf)
 
 
-def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
+def elimination(solver: str, system: LinearSystem) -> Any:
     """Order of the variables by a solver."""
     from nls.linear import Schur
     from nls.sparse.elimination import Elimination
@@ -87,6 +87,7 @@ def elimination(solver: str, system: LinearSystem, blocks: Blocks) -> Any:
         hessian = Schur(memory_limit=np.inf).analyze(system.pattern).factorization.hessian
         return hessian.elimination.variables
     order = linear_solver(solver).decomposition.order
+    blocks = system.pattern.blocks
     return Elimination(blocks.u, blocks.v, len(blocks.dims), order).variables
 
 
@@ -100,7 +101,7 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
         1e-4 * np.square(system.column_norms) if name == "problem-49-7776" else None
     )  # its gauge and scale are free
     blocks = system.pattern.blocks
-    fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system, blocks))
+    fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system))
     sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
     contacts = max(len(factor) for factor in graph.factors)
     found: dict[str, Any] = {"sizes": sizes, "contacts": contacts, "nnz": fill.nnz, "flops": fill.flops}

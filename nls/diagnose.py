@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from models.algebra import Array
+from factors.keys import Keys
+from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.directions import carriers_of_singles, separated, single_directions
 from nls.gauge import component_labels, touched_variables
 from nls.linear.default import best_decomposition
 from nls.linear.factorization import Factorization
 from nls.linear.singular import NULL, SingularSystemError, UnsolvedSystemError
-
-if TYPE_CHECKING:
-    from factors.keys import Keys
-    from models.algebra import Index
-    from nls.sparse.pattern import Pattern
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["null_space", "underconstrained"]
 

@@ -12,17 +12,12 @@ to separate parts of the graph comes apart.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy.sparse as sp
 
-from models.algebra import Array, gram
+from models.algebra import Array, Index, gram
 from nls.linear.singular import NULL
-
-if TYPE_CHECKING:
-    from models.algebra import Index
-    from nls.system import LinearSystem
+from nls.system import LinearSystem
 
 __all__ = ["carriers_of_singles", "separated", "single_directions"]
 

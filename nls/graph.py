@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +22,8 @@ from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.pattern import Pattern, measured_rows
 from nls.sparse.threads import single_thread
+from nls.system import LinearSystem
 from nls.values import Values
-
-if TYPE_CHECKING:
-    from nls.system import LinearSystem
 
 __all__ = ["FactorGraph"]
 

@@ -9,9 +9,10 @@ from factors import Between, Factor, Isotropic, Prior
 from models import SE2, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
-from nls.gauge import FreeGauge, choose_gauge
+from nls.gauge import choose_gauge
 from nls.linear import LU, SOLVERS
 from nls.linear.factorization import Factorization
+from nls.linear.free_gauge import FreeGauge
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 

@@ -13,8 +13,7 @@ from models import SE2, SE3, R
 from nls import FactorGraph, GaussNewton, Schur, Values
 from nls.linear.schur.independent import _heaviest, independent, separate
 from nls.linear.singular import SingularSystemError
-from nls.optimizers.undamped import diagonal
-from tests.nls.graphs import Sample, pose_graph
+from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 
 # ---- what is eliminated
