@@ -181,7 +181,7 @@ def test_damped_and_robust_iterations_need_few_factorizations() -> None:
         expected = robust.optimize(near, optimizer, Cholesky())
         assert result.status is expected.status
         assert result.chi2_final == pytest.approx(expected.chi2_final, rel=1e-8)
-        assert made[0][1].factorizations < expected.iterations
+        assert made[0].factorization.factorizations < expected.iterations
 
 
 @pytest.mark.parametrize(("option", "wrong"), [("tol", [0, 1, -1e-3, True, "x", None]), ("max_steps", [0, 2.5, True])])

@@ -180,5 +180,5 @@ def test_what_would_not_fit_is_refused() -> None:
 def test_nothing_free_has_no_blocks(kind: type[Decomposition]) -> None:
     sample = pose_graph(SE2)
     held = np.ones(8, dtype=bool)
-    state = factorized(kind, Pattern(sample.graph.factors, sample.values, held).linearize(sample.values))
+    state = factorized(kind, LinearSystem.at(Pattern(sample.graph.factors, sample.values, held), sample.values))
     assert diagonal_blocks(state, 4e9).shape == (0,)
