@@ -99,7 +99,8 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
 
     graph, values = problem(name)
     system = graph.linearize(values)
-    damping = 1e-4 * np.square(system.column_norms) if name == "problem-49-7776" else None  # its gauge and scale are free
+    free = name == "problem-49-7776"  # its gauge and scale
+    damping = 1e-4 * np.square(system.column_norms) if free else None
     blocks = Blocks(system.pattern)
     fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system, blocks))
     sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
