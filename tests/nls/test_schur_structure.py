@@ -14,8 +14,7 @@ from nls import FactorGraph, GaussNewton, Schur, Values
 from nls.hessian import Blocks
 from nls.linear.base import SingularSystemError
 from nls.linear.independent import _heaviest, independent, separate
-from nls.optimizers.undamped import diagonal
-from tests.nls.graphs import Sample, pose_graph
+from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
 
 # ---- what is eliminated
