@@ -97,9 +97,8 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
 
     graph, values = problem(name)
     system = graph.linearize(values)
-    damping = (
-        1e-4 * np.square(system.column_norms) if name == "problem-49-7776" else None
-    )  # its gauge and scale are free
+    free = name == "problem-49-7776"  # its gauge and scale
+    damping = 1e-4 * np.square(system.column_norms) if free else None
     blocks = system.pattern.blocks
     fill = counted(blocks.dims, blocks.u, blocks.v, elimination(solver, system))
     sizes = {kind: len(stack) for kind, stack in values.stacks.items()}
@@ -107,7 +106,6 @@ def measure(name: str, solver: str, gigabytes: float, flops: float) -> dict[str,
     found: dict[str, Any] = {"sizes": sizes, "contacts": contacts, "nnz": fill.nnz, "flops": fill.flops}
     if fill.flops > flops or 17 * fill.nnz > gigabytes * 1e9:
         return found
-    del blocks
     way = linear_solver(solver)
     before = peak_memory(reset=True)
     began = process_time()

@@ -18,7 +18,7 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["null_space", "underconstrained"]
+__all__ = ["null_space", "underconstrained", "weakest"]
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration
@@ -54,7 +54,7 @@ def underconstrained(
     norms = system.column_norms
     if (norms == 0.0).any():
         return _unmeasured(pattern, norms == 0.0, values)
-    s, N = _weakest(system)
+    s, N = weakest(system)
     null = s <= NULL
     if not null.any() or _longest(weighted) > FAR:
         return _unlike(weighted, values)
@@ -99,7 +99,7 @@ def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedErro
     keys, where = [key[[index]] for key in pattern.batches[batch].model.factor.keys], ""
     if spread < RESOLVED and (norms > 0).all():
         owner, component = pattern.column_owner()
-        s, N = _weakest(system)
+        s, N = weakest(system)
         moved = np.flatnonzero(_carriers(N[:, [np.argmin(s)]], norms, _component_ids(pattern, owner, component))[:, 0])
         named = _by_variable(pattern, owner[moved], component[moved])
         keys = [key for key, _ in named]
@@ -208,11 +208,11 @@ def _carriers(N: Array, scale: Array, ids: Index) -> npt.NDArray[np.bool_]:
 
 def null_space(system: LinearSystem) -> Array:
     """Free directions (n, k) of a linear system, whatever its weights, of length 1, k at most 12."""
-    s, N = _weakest(system.balanced)
+    s, N = weakest(system.balanced)
     return N[:, s <= NULL]
 
 
-def _weakest(system: LinearSystem) -> tuple[Array, Array]:
+def weakest(system: LinearSystem) -> tuple[Array, Array]:
     """The least singular values (k,) of A with columns scaled to length 1, at most 12, and their directions (n, k).
 
     A is tall and sparse: a few rounds of inverse iteration on A'A + shift D^2, D the lengths of its columns, separate

@@ -18,8 +18,8 @@ D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters
 Levenberg-Marquardt algorithm: implementation and theory", 1978.
 
 A small damped step proves nothing: damping makes every step small. Before the method says converged the undamped step
-must agree that chi2 cannot fall. Where that system is singular, something is free: the result then says so in
-`Result.underconstrained`.
+must agree that chi2 cannot fall, and chi2 must not curve downward along that step, as at a saddle. Where that system is
+singular, something is free: the result then says so in `Result.underconstrained`.
 """
 
 from __future__ import annotations

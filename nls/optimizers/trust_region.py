@@ -29,6 +29,8 @@ KINKED = 0.1, 0.1, 10.0, 0.5  # over a kink no step gains what the linear model 
 BELOW = 0.99  # of |D x|: the radius after a refused step, at most; a step as long as a number ends at 0
 PROBE = 0.1  # of |D x|: where no step is left to try, chi2 is looked at so far along the undamped one
 SMALLEST = 1e-16  # radius, as a part of |D x|, at which no step is left to try
+NEARBY = 1e-3  # of |D x|: so far along the undamped step chi2 is compared with its tangent
+SLOWER = 0.5  # undamped step, as a part of the step before it, below which steps still shorten: no way off a saddle
 
 
 @dataclass(frozen=True)
@@ -82,5 +84,34 @@ class TrustRegion(Optimizer):
                     _, chi2 = problem.glance(X, gn * (PROBE * (size or length) / float(np.linalg.norm(D * gn))))
                     watch.stall(X, system, chi2, led)
         if watch.status is Status.CONVERGED:
-            undamped.step(system, watch.scale(system), strict=True)
-            watch.free = undamped.free
+            gn = undamped.step(system, watch.scale(system), strict=True)
+            lower = _below_tangent(problem, X, system, gn, watch)
+            if lower is None:
+                watch.free = undamped.free
+                return
+            watch.reopen()
+            if watch.status is None:
+                Y, trial, dx = lower
+                watch.step(Y, trial, dx, system.promised(dx), problem.lap(), 0.0, undamped)
+                self.iterate(problem, Y, trial, watch)
+
+
+def _below_tangent(
+    problem: Problem, X: Values, system: LinearSystem, gn: Array, watch: Watch
+) -> tuple[Values, LinearSystem, Array] | None:
+    """A point near a stationary one where chi2 is below its tangent, hence no minimum; with the step that leads there.
+
+    The linear model cannot see that: |A dx - b|^2 never curves downward. Undamped steps grow along such a direction, so
+    chi2 is looked at only where they no longer shorten.
+    """
+    if system.chi2 == 0 or not gn.any() or np.abs(gn).max() < SLOWER * watch.history[-1].update:
+        return None
+    D = watch.scale(system)
+    length = float(np.linalg.norm(D * gn))
+    size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates))) or length
+    dx = gn * (NEARBY * size / length)
+    _, chi2 = problem.glance(X, dx)
+    if not watch.visible(system.chi2 - 2 * float(dx @ system.gradient) - chi2, X, system):
+        return None
+    Y, trial, _ = problem.attempt(X, dx)
+    return None if trial is None else (Y, trial, dx)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nls.linear.singular import SingularSystemError
+import numpy as np
+
+from nls.diagnose import weakest
+from nls.linear.singular import NULL, SingularSystemError
 
 if TYPE_CHECKING:
     from models.algebra import Array
@@ -15,6 +18,7 @@ __all__ = ["FAINT", "HOPELESS", "Undamped"]
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
 LARGEST = 1e-8  # that a system which follows keeps
+UNSEEN = 1e-13  # of a column of A: what a direction changes by no more is rounding, and says nothing of chi2
 HOPELESS = 1e16  # lambda at which no step is left to try
 
 
@@ -28,7 +32,7 @@ class Undamped:
 
     Attributes
     ----------
-    free : the system solved last without damping, when it is singular; None when it is not.
+    free : the system solved last without damping, when A has a null direction; None when it has none.
     damping : lambda of the latest system.
     """
 
@@ -52,16 +56,26 @@ class Undamped:
             None works.
         """
         if self._solved.get(strict, (None,))[0] is not system:
-            dx = self._exact(system) if strict else None
-            self._solved[strict] = system, self._faint(system, D) if dx is None else dx
+            self._solved[strict] = system, self._exact(system, D) if strict else self._faint(system, D)
         return self._solved[strict][1]
 
-    def _exact(self, system: LinearSystem) -> Array | None:
+    def _exact(self, system: LinearSystem, D: Array) -> Array:
+        """The step without damping; where A'A is singular but A is not, along its weakest directions by A itself.
+
+        A'A squares the condition of A. A direction that A sees with 1e-8 of a column is lost in it, and chi2 may fall
+        a long way along it.
+        """
         try:
             dx, self.free = self.problem.solve(system), None
+            return dx
         except SingularSystemError:
-            dx, self.free = None, system
-        return dx
+            dx = self._faint(system, D)
+        s, N = weakest(system)
+        self.free = system if (s <= NULL).any() else None
+        N = N[:, s > UNSEEN]
+        A_N, rest = system.A @ N, system.b - system.times(dx)
+        lengths = np.linalg.norm(A_N, axis=0)
+        return np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, rest)[0])
 
     def _faint(self, system: LinearSystem, D: Array) -> Array:
         self.damping = max(self.damping / 10, self._least)

@@ -69,6 +69,7 @@ class Watch:
         self._start = values
         self._fall, self._running = math.inf, 0  # of the last step; steps in a row that ran along a plateau
         self._longest: Array | float = 0.0  # column of A of each unknown
+        self._halted = False  # by the callback, at the latest step
         self.status: Status | None = None
         self.reason = ""
         self.free: LinearSystem | None = None
@@ -149,8 +150,16 @@ class Watch:
             self.end(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {self.lowest:.6g}")
         else:
             self._limits()
-        if self.callback is not None and self.callback(new) and self.status is None:
+        self._halted = self.callback is not None and bool(self.callback(new))
+        if self._halted and self.status is None:
             self.end(Status.STOPPED, f"after {new.number} iterations")
+
+    def reopen(self) -> None:
+        """Not over after all, unless the callback or a limit ends it here."""
+        self.status, self.reason = None, ""
+        if self._halted:
+            self.end(Status.STOPPED, f"after {self.history[-1].number} iterations")
+        self._limits()
 
     @property
     def nearly(self) -> bool:
@@ -287,6 +296,10 @@ class Watch:
         b, x = math.sqrt(system.chi2), np.abs(system.pattern.restrict(values.coordinates))
         error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
         return change <= (2 * b + error) * error
+
+    def visible(self, change: float, values: Values, system: LinearSystem) -> bool:
+        """Whether chi2 changes by more than rounding can explain."""
+        return change > ROUNDING * system.chi2 and not self._invisible(change, values, system)
 
     def lost(self, system: LinearSystem) -> bool:
         """Whether an unknown that was measured has lost its last derivative; it is over then."""

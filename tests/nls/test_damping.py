@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Huber
-from models import SE2
+from factors import Factor, Huber
+from models import SE2, R
 from models.algebra import Array
-from nls import LinearSystem
+from nls import Dogleg, FactorGraph, LevenbergMarquardt, LinearSystem, Values
 from nls.linear import SOLVERS, LinearSolver
 from nls.linear.cholesky import Cholmod
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.optimizers.undamped import FAINT, Undamped
-from tests.nls.graphs import SAMPLES, diagonal, mixed, pose_graph
+from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph
 
 ALL = pytest.mark.parametrize("name", SOLVERS)
 
@@ -156,3 +156,20 @@ def test_the_first_damping_falls_tenfold_from_system_to_system() -> None:
         undamped.step(system, system.column_norms)
         used.append(undamped.damping)
     assert used == pytest.approx([max(10.0**-k, FAINT) for k in range(3, 17)], rel=1e-9)
+
+
+@pytest.mark.parametrize(("angle", "free", "keeps"), [(1e-8, False, True), (1e-10, True, True), (0.0, True, False)])
+def test_the_exact_step_keeps_a_direction_that_only_A_sees(angle: float, free: bool, keeps: bool) -> None:
+    """Two columns at an angle whose square is lost in A'A; chi2 falls by 1 along one column, by 1 between them."""
+    A = np.array([[1.0, 1.0], [0.0, angle], [0.0, 0.0]])
+    factor = Factor.from_function(lambda X: X @ A.T - 1.0, p[0], dim=3, jacobians=lambda X: [A[None]])
+    graph, values = FactorGraph([factor]), Values({p: (R(2), [[0.0, 0.0]])})
+    system = graph.linearize(values)
+    undamped = Undamped(Problem(system.pattern, make("lu")))
+    dx = undamped.step(system, system.column_norms, strict=True)
+    assert (undamped.free is not None) == free
+    assert system.promised(dx) == pytest.approx(2.0 if keeps else 1.0, rel=1e-5)
+    for optimizer in (Dogleg(), LevenbergMarquardt()):
+        result = graph.optimize(values, optimizer)
+        assert not result.converged or result.chi2_final == pytest.approx(1.0 if keeps else 2.0, rel=1e-5)
+        assert result.converged or keeps

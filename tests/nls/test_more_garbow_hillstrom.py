@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from models import R
 from models.algebra import Array
 from models.errors import EvaluationError, LeadlineError, UnderconstrainedError
-from nls import Result, Status, Stop
+from nls import Result, Status, Stop, Values
 from nls.optimizers import OPTIMIZERS
 from tests.nls.mgh import PROBLEMS, Problem, p
 
@@ -17,7 +18,7 @@ MULTIPLES = (1, 10, 100)  # of the published start
 
 # Stationary points that are no published minima, |f|^2: converging to them is no lie. Each is checked below.
 STATIONARY = {
-    "wood": (7.87697,),  # a saddle: one eigenvalue of the Hessian is -0.06, the others 15 to 500
+    "wood": (7.87697,),  # a saddle, for Gauss-Newton: one eigenvalue of the Hessian is -0.06, the others 15 to 500
     "kowalik_osborne": (4.23675e-4,),  # a minimum at negative x2, x3, x4
     "gulf_research": (7.29104,),  # a minimum at negative x3
     "trigonometric": (2.79506e-5, 4.21863e-5, 8.78823e-4),  # minima; MINPACK ends at the first one
@@ -28,12 +29,12 @@ SOLVED = {
     ("gauss-newton", 1): 21,
     ("gauss-newton", 10): 17,
     ("gauss-newton", 100): 14,
-    ("levenberg-marquardt", 1): 34,  # the others end at a saddle and at a higher minimum, STATIONARY
-    ("levenberg-marquardt", 10): 24,
-    ("levenberg-marquardt", 100): 21,
-    ("dogleg", 1): 34,
-    ("dogleg", 10): 23,
-    ("dogleg", 100): 22,
+    ("levenberg-marquardt", 1): 35,  # the other ends at a higher minimum, STATIONARY
+    ("levenberg-marquardt", 10): 25,
+    ("levenberg-marquardt", 100): 22,
+    ("dogleg", 1): 35,
+    ("dogleg", 10): 24,
+    ("dogleg", 100): 23,
 }
 CASES = [(q, m) for q in PROBLEMS for m in MULTIPLES if m == 1 or any(q.start)]
 
@@ -110,13 +111,57 @@ def test_how_many_are_solved(name: str, multiple: int) -> None:
     assert solved >= SOLVED[name, multiple]
 
 
+# ---- the saddle of Wood's function, which Gauss-Newton steps approach fast and leave slowly
+
+DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
+WOOD = next(q for q in PROBLEMS if q.name == "wood")
+SADDLE = 6  # steps to where chi2 falls by 5e-8 of itself
+
+
+@DAMPED
+@pytest.mark.parametrize("multiple", MULTIPLES)
+def test_a_saddle_is_no_minimum(name: str, multiple: int) -> None:
+    """From every multiple of the start the first point where chi2 hardly falls is the saddle."""
+    result = outcome(name, WOOD, multiple)
+    assert isinstance(result, Result)
+    assert any(it.chi2 == pytest.approx(7.87697, rel=1e-5) for it in result.history)
+    assert result.converged, result.reason
+    assert result.chi2_final < 1e-10
+
+
+@DAMPED
+def test_a_start_beside_a_saddle(name: str) -> None:
+    """As near as the digits of chi2 allow to tell: the undamped step is a millionth of the estimate."""
+    saddle = stationary_point(WOOD, np.array([-0.97, 0.95, -0.97, 0.95]))
+    optimizer = OPTIMIZERS[name](Stop(max_iterations=300))
+    result = WOOD.graph().optimize(Values({p: (R(4), [saddle + 1e-6 * np.eye(4)[0]])}), optimizer)
+    assert result.converged, result.reason
+    assert result.chi2_final < 1e-10
+
+
+@DAMPED
+def test_a_limit_at_a_saddle(name: str) -> None:
+    """No budget to leave it: the limit is the reason, and the point is not called converged."""
+    result = WOOD.graph().optimize(WOOD.values(), OPTIMIZERS[name](Stop(max_iterations=SADDLE)))
+    assert result.status is Status.MAX_ITERATIONS
+    assert result.history[-1].number == SADDLE
+
+
+@DAMPED
+def test_a_callback_that_stops_at_a_saddle(name: str) -> None:
+    """It says so once, at the step after which the search would go on."""
+    result = WOOD.graph().optimize(WOOD.values(), OPTIMIZERS[name](callback=lambda it: it.number == SADDLE))
+    assert result.status is Status.STOPPED
+    assert result.history[-1].number == SADDLE
+
+
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda q: q.name)
 def test_the_differences_of_the_library_lead_where_exact_jacobians_do(problem: Problem) -> None:
     result, exact = (outcome("levenberg-marquardt", problem, 1, exact=e) for e in (False, True))
     assert isinstance(result, Result)
     assert isinstance(exact, Result)
     assert result.status is Status.CONVERGED
-    known = exact.chi2_final if problem.name in ("wood", "trigonometric") else None  # STATIONARY, see SOLVED
+    known = exact.chi2_final if problem.name == "trigonometric" else None  # STATIONARY, see SOLVED
     assert reaches(result.chi2_final, problem) or result.chi2_final == pytest.approx(known, rel=1e-4)
 
 
