@@ -18,7 +18,6 @@ import sim
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "factors", "nls", "sim")
-ENGINE = ("values", "graph", "sparse", "system", "linear", "optimizers", "gauge", "diagnose", "covariance")
 RIM = (
     "robust",
     "io",
@@ -33,6 +32,24 @@ RIM = (
     "explanation",
     "__main__",
 )
+# The floor of the engine, from the ground up: which rooms each imports, late and typing imports counted.
+FLOOR = {
+    "values": set(),
+    "sparse": {"values"},
+    "system": {"sparse", "values"},
+    "linear": {"sparse", "system"},
+    "gauge": {"sparse", "values"},
+    "directions": {"linear", "system"},
+    "diagnose": {"directions", "gauge", "linear", "sparse", "system", "values"},
+    "optimizers": {"diagnose", "linear", "sparse", "system", "values"},
+    "graph": {"diagnose", "gauge", "linear", "optimizers", "sparse", "system", "values"},
+}
+CIRCLES = [  # files that import each other; none may be added
+    {"models.manifolds.euler", "models.manifolds.se3"},
+    {"nls.explanation.findings", "nls.explanation.words"},
+    {"factors.base", "factors.differences", "factors.function", "factors.returned"},
+]
+ENGINE = (*FLOOR, "covariance")
 FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
 ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
 ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
@@ -102,6 +119,44 @@ def test_the_engine_does_not_know_the_rim(path: Path) -> None:
             assert parts[1] not in RIM, f"{name_of(path)} imports {name}"
         if parts[0] == "factors" and len(parts) > 1:
             assert parts[1] in FACTORS_FOR_ENGINE, f"{name_of(path)} imports {name}"
+
+
+@pytest.mark.parametrize("room", FLOOR)
+def test_a_room_of_the_floor_imports_what_lies_below_it(room: str) -> None:
+    """Both ways: nothing else, and all of that. So no import has to hide in a function."""
+    rooms = list(FLOOR)
+    assert all(rooms.index(below) < rooms.index(room) for below in FLOOR[room])
+    files = [p for p in engine_files() if p.relative_to(ROOT / "nls").parts[0].removesuffix(".py") == room]
+    found = {name.split(".")[1] for path in files for name in imports(path) if name.startswith("nls.")}
+    assert found - {room} == FLOOR[room]
+    for path in files:
+        for function in (node for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)):
+            for node in ast.walk(function):
+                module = str(node.module) if isinstance(node, ast.ImportFrom) else ""
+                assert module.split(".")[0] not in PACKAGES, f"{name_of(path)}:{function.lineno} imports {module} late"
+
+
+def test_no_further_files_import_each_other() -> None:
+    modules_of = {name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", "."): path for path in FILES}
+    below: dict[str, set[str]] = {}
+    for module, path in modules_of.items():
+        named = {next((n for n in (name, name.rpartition(".")[0]) if n in modules_of), "") for name in imports(path)}
+        packages = {
+            name for name in named if any(other.startswith(name + ".") for other in named)
+        }  # of what is in them
+        below[module] = named - {module, ""} - packages
+
+    def reached(module: str) -> set[str]:
+        out, waiting = set(), [module]
+        while waiting:
+            for other in below[waiting.pop()] - out:
+                out.add(other)
+                waiting.append(other)
+        return out
+
+    above = {module: reached(module) for module in modules_of}
+    circles = {frozenset(other for other in above[m] if m in above[other]) for m in modules_of if m in above[m]}
+    assert circles == set(map(frozenset, CIRCLES))
 
 
 @pytest.mark.parametrize("path", engine_files(), ids=name_of)
