@@ -332,7 +332,11 @@ def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: Progress) ->
 
 def _table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:
     lines = result.steps if verbose else []
-    names = {"file": "dead reckoning"} if "mission" in report else {}  # a mission has no start in a file
+    names = {}
+    if "mission" in report:  # which has no start in a file
+        from nls.starts.candidates import AFTER_STEPS
+
+        names = {f"file{steps}": f"dead reckoning{steps}" for steps in ("", AFTER_STEPS)}
     start = ", ".join(f"{names.get(name, name)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""

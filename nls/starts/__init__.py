@@ -5,21 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
-import numpy as np
-
+from factors.between import Between
 from models import SE2, SE3
-from models.errors import (
-    EvaluationError,
-    GraphWarning,
-    LeadlineError,
-    OptionError,
-    SingularGeometryError,
-    UnderconstrainedError,
-)
+from models.errors import GraphWarning, OptionError
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.stages import stage
+from nls.starts.candidates import Candidates
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
 from nls.starts.dead_reckoning import dead_reckoning, walks
@@ -61,7 +54,9 @@ STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {
     "chordal": lambda graph, values: locate_points(graph, chordal(graph, values)),
     "incremental": incremental,
 }
-NEAR, POOR = 10.0, 100.0  # chi2 per measured row; noise gives 1, starts Gauss-Newton converges from seldom over 10
+# chi2 per measured row above which the odometry chain and `incremental` are tried; noise gives 1, starts that
+# Gauss-Newton converges from seldom over 10
+NEAR, FAR = 10.0, 100.0
 
 
 @single_thread()
@@ -76,15 +71,18 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
         ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
         chordal; above 100 per measured row it tries ``incremental``, which costs several solves, where the graph has
-        measurements between poses and points, or both kinds of odometry, and above 10 the odometry chain. A start that
-        does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own, where
-        placeholders are usual.
+        measurements between poses and points, or both kinds of odometry, and above 10 the odometry chain. Where the
+        best of them has more than 10 per degree of freedom, and the graph has other measurements than relative poses,
+        it compares the starts by what they lead to: up to 20 steps of the dogleg from each, the lowest first, until
+        noise explains chi2 (at most 2 per degree of freedom). If no start leads there, it tries ``incremental``, too.
+        A start that does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's
+        own, where placeholders are usual.
 
     Returns
     -------
-    values : the start.
-    name : the method it came from.
-    chi2 : chi2 of every start that was tried.
+    values : the start; after a comparison the place where the best steps led.
+    name : the method it came from; after a comparison with its steps, such as ``chordal + 20 steps``.
+    chi2 : chi2 of every start that was tried, and of the places where the steps led.
 
     Raises
     ------
@@ -114,35 +112,25 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    chi2: dict[str, float] = {}
-    best, name = values, ""
-    refused: dict[str, LeadlineError] = {}
-    groups, rows = pose_batches(pattern), measured_rows(pattern)
-    candidates = {"file": 0.0}  # and the chi2 per row above which it is worth trying
-    candidates |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
+    groups, candidates = pose_batches(pattern), Candidates(graph, values)
+    limits = {"file": 0.0}  # and the chi2 per row above which a start is worth its cost
+    limits |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
     steps = groups or walks(graph)
-    candidates |= {"incremental": POOR} if steps and (sees_points(graph, values) or (groups and walks(graph))) else {}
-    candidates |= {"odometry": NEAR} if steps else {}
-    for candidate, limit in candidates.items():
-        if name and limit and _plain(graph, best) < limit * rows:
-            continue
-        try:
-            with stage(f"init {candidate}"):
-                start = STARTS[candidate](graph, values)
-                chi2[candidate] = graph.chi2(start)
-        except (UnderconstrainedError, EvaluationError, SingularGeometryError) as error:
-            refused[candidate] = error
-            continue
-        if chi2[candidate] < chi2.get(name, np.inf):
-            best, name = start, candidate
-    if not chi2:
-        raise refused.popitem()[1]
-    for candidate in [c for c in refused if c != "file"]:
-        message = f"start {candidate!r} was left out: {refused[candidate]}"
+    grows = bool(steps and (sees_points(graph, values) or (groups and walks(graph))))
+    limits |= {"incremental": FAR} if grows else {}
+    limits |= {"odometry": NEAR} if steps else {}
+    for candidate, limit in limits.items():
+        if not (limit and candidates.name) or candidates.misfit() >= limit * candidates.rows:
+            candidates.add(candidate, values, STARTS[candidate])
+    if not candidates.chi2:
+        raise candidates.refused.popitem()[1]
+    relative = all(isinstance(factor, Between) for factor in graph.factors)  # chordal relaxation uses all of these
+    if not relative and len(limits) > 1 and candidates.poor():
+        candidates.compare()
+        if grows and not candidates.explained() and not candidates.knows("incremental"):
+            candidates.add("incremental", values, incremental)
+            candidates.compare()
+    for candidate in [c for c in candidates.refused if c != "file"]:
+        message = f"start {candidate!r} was left out: {candidates.refused[candidate]}"
         warnings.warn(message, GraphWarning, stacklevel=3)  # 2: single_thread
-    return best, name, chi2
-
-
-def _plain(graph: FactorGraph, values: Values) -> float:
-    """chi2 without robust kernels, under which every start looks near."""
-    return sum(float(factor.chi2(values).sum()) for factor in graph.factors)
+    return candidates.best, candidates.name, candidates.chi2

@@ -154,11 +154,12 @@ def _first_of(factor: Factor, number: int) -> npt.NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("kernel", [Cauchy(1.0), Tukey(4.7)], ids=repr)
-def test_under_a_kernel_the_same_starts_are_tried(kernel: Kernel) -> None:
+def test_under_a_kernel_no_start_is_passed_over(kernel: Kernel) -> None:
+    """Tukey's kernel lets go of good measurements from both starts: chi2 without it asks for a third."""
     mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=20)
     _, _, tried = initialize(mission.graph, mission.start)
     _, robust, under = initialize(mission.graph.robust(kernel), mission.start)
-    assert tried.keys() == under.keys() > {"file"}
+    assert {"file"} < tried.keys() <= under.keys()
     assert robust == min(under, key=under.__getitem__) != "file"
 
 

@@ -1,0 +1,153 @@
+"""Poor starts compared by what they lead to: ranges alone, and where nothing is to be compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from factors import BearingRange, Between, Factor, Isotropic, Prior, Range
+from models import SE2, R
+from models.algebra import Array
+from nls import FactorGraph, Values, initialize, kinds
+from nls.metrics import ate
+from nls.optimizers import LevenbergMarquardt, Result, Status
+from nls.starts import STARTS
+from tests.nls.graphs import between, pose_graph
+
+x, l = kinds("x", "l")
+
+
+def ranges_alone(seed: int, laps: int = 1, azimuth: str = "increment") -> tuple[sim.LandmarkWorld, FactorGraph]:
+    """Subsea without its bearings: the range of every sighting, with its own sigma. The first pose is known."""
+    world = sim.subsea(np.random.default_rng(seed), laps, known_start=True, azimuth=azimuth)  # type: ignore[arg-type]
+    (seen,) = [factor for factor in world.graph.factors if isinstance(factor, BearingRange)]
+    others = [factor for factor in world.graph.factors if factor is not seen]
+    return world, FactorGraph([*others, Range(*seen.keys, seen.z[:, 1:], Isotropic(0.2))])
+
+
+def forgotten(values: Values) -> Values:
+    """Points at one place."""
+    return values.replaced({"l": np.full((6, 2), 7.0)})
+
+
+@pytest.mark.parametrize("points", ["located", "unknown"])
+@pytest.mark.parametrize("seed", range(8))
+def test_ranges_alone_end_at_the_best_optimum(seed: int, points: str) -> None:
+    world, graph = ranges_alone(seed)
+    start, name, chi2 = initialize(graph, world.start if points == "located" else forgotten(world.start))
+    assert chi2[name] == graph.chi2(start)
+    result = graph.optimize(start)
+    assert result.converged
+    assert result.chi2_final == pytest.approx(graph.optimize(world.truth).chi2_final, rel=1e-5)
+    assert world.ate(result.values) < 1.0
+
+
+def test_the_lowest_start_is_not_the_one_that_ends_lowest() -> None:
+    world, graph = ranges_alone(1)
+    relaxed = graph.optimize(STARTS["chordal"](graph, world.start))
+    assert (relaxed.converged, relaxed.chi2_final > 3000, world.ate(relaxed.values) > 10) == (True, True, True)
+    start, name, chi2 = initialize(graph, world.start)
+    assert chi2["chordal"] == pytest.approx(29633, abs=1)
+    assert chi2["chordal"] < chi2["file"]
+    assert chi2["chordal + 20 steps"] == pytest.approx(relaxed.chi2_final, rel=1e-2)
+    assert name == "file + 20 steps"
+    assert chi2[name] == min(chi2.values()) < 375  # of the incremental start
+    assert "incremental" not in chi2
+    assert world.ate(graph.optimize(start).values) < 0.5
+
+
+def test_the_incremental_start_is_tried_where_no_other_leads_to_an_optimum() -> None:
+    world, graph = ranges_alone(1)
+    _, name, chi2 = initialize(graph, forgotten(world.start))
+    assert chi2["chordal"] < 100 * 3 * len(graph)  # not poor enough to try it at once
+    assert name.startswith("incremental")
+    assert {"file", "chordal", "incremental", "chordal + 20 steps", "file + 20 steps"} <= chi2.keys()
+    assert chi2[name] == min(chi2.values())
+
+
+def test_an_equal_start_is_not_compared_twice() -> None:
+    world, graph = ranges_alone(1)
+    _, _, chi2 = initialize(graph, world.start)
+    assert chi2["odometry"] == pytest.approx(chi2["chordal"], rel=1e-9)  # no loop closures: one chain
+    assert sum(name in chi2 for name in ("odometry + 20 steps", "chordal + 20 steps")) == 1
+
+
+def refuse(*_: object) -> Result:
+    raise AssertionError("a step was taken")
+
+
+def test_a_good_start_costs_no_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, graph = ranges_alone(3)
+    monkeypatch.setattr(FactorGraph, "optimize", refuse)
+    _, name, chi2 = initialize(graph, world.start)
+    assert (name, chi2.keys()) == ("chordal", {"file", "chordal"})
+    assert 4 < chi2["chordal"] / 164 < 10
+    _, name, chi2 = initialize(graph, world.truth)
+    assert (name, chi2.keys()) == ("file", {"file", "chordal"})
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_pose_graph_costs_no_comparison(anchored: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However poor: chordal relaxation has used all there is. With a prior there is more."""
+    sample = pose_graph(SE2, n=30, seed=7, start=0.5)
+    overconfident: list[Factor] = [Between(*f.keys, f.z, Isotropic(1e-4)) for f in between(sample)]
+    prior = Prior(x[0], sample.values[x[0]] + 1.0, Isotropic(0.1))
+    graph = FactorGraph([*overconfident, prior] if anchored else overconfident)
+    monkeypatch.setattr(FactorGraph, "optimize", refuse)
+    if anchored:
+        with pytest.raises(AssertionError, match="a step was taken"):
+            initialize(graph, sample.values)
+    else:
+        assert min(initialize(graph, sample.values)[2].values()) > 10 * 3 * len(graph)
+
+
+def test_an_interrupt_ends_the_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, graph = ranges_alone(1)
+    ended = replace(graph.optimize(world.truth), status=Status.INTERRUPTED)
+    monkeypatch.setattr(FactorGraph, "optimize", lambda *_: ended)
+    with pytest.raises(KeyboardInterrupt):
+        initialize(graph, world.start)
+
+
+def test_a_start_from_which_no_step_can_be_taken_stays_a_start() -> None:
+    """A function of the user's exists at the starts alone, to rounding; it is differentiated with larger steps."""
+    world, graph = ranges_alone(1)
+    places = [STARTS[name](graph, world.start)[x[5]] for name in ("file", "chordal")]
+
+    def strict(pose: Array) -> Array:
+        if not any(np.allclose(pose, place, rtol=0, atol=1e-12) for place in places):
+            raise ValueError("not here")
+        return np.zeros((len(pose), 1))
+
+    graph.add(Factor.from_function(strict, x[5], 1))
+    with pytest.warns(nls.GraphWarning, match="start 'incremental' was left out"):
+        _, name, chi2 = initialize(graph, world.start)
+    assert name in ("chordal", "odometry")  # the same poses
+    assert chi2.keys() == {"file", "chordal", "odometry"}
+
+
+def test_a_warning_of_the_graph_is_left_to_its_optimization() -> None:
+    world, graph = ranges_alone(1)
+    values = Values({x: (SE2, world.start[x]), l: (R(2), np.concatenate([world.start[l], [[1.0, 2.0]]]))})
+    _, name, _ = initialize(graph, values)  # warnings are errors here
+    assert name == "file + 20 steps"
+    with pytest.warns(nls.GraphWarning, match="l6: no measurement touches it"):
+        graph.optimize(values)
+
+
+def test_charted_points_and_poor_headings(data: Path) -> None:
+    """6 per measured row is 356 per degree of freedom. Undamped steps go round even at the optimum."""
+    graph, values, _ = nls.load(data / "range-only/marine.pyfg.gz")
+    start, name, chi2 = initialize(graph, values)
+    assert chi2.keys() == {"file", "chordal", "file + 20 steps"}
+    assert (name, chi2[name] < 2 * 56) == ("file + 20 steps", True)
+    result = graph.optimize(start, LevenbergMarquardt())
+    assert (result.converged, result.dof) == (True, 56)
+    assert result.chi2_final == pytest.approx(64.624, abs=1e-3)
+    assert ate(result.values[kinds("A")[0]], values[kinds("A")[0]]).rmse < 5.0
+    assert not graph.optimize(result.values).converged
