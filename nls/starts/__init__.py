@@ -9,7 +9,6 @@ from factors.between import Between
 from models import SE2, SE3
 from models.errors import GraphWarning, OptionError
 from nls.graph import FactorGraph
-from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.candidates import Candidates
