@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.optimizers.base import Optimizer
-from nls.optimizers.stop import Status
+from nls.optimizers.thresholds import Status
 from nls.optimizers.undamped import FAINT, Undamped
 
 if TYPE_CHECKING:
