@@ -55,7 +55,7 @@ def no_rise(step: Step) -> Verdict | None:
 
 def stationary(step: Step) -> Verdict | None:
     """max_k |A_k'b| / (|A_k| |b|) <= 1e-6."""
-    size = step.system.scaled_gradient
+    size = step.slope
     if size > STATIONARY:
         return None
     return Verdict(Status.CONVERGED, f"noise floor of 16 digits: no step lowers chi2; scaled gradient {size:.1e}")

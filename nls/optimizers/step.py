@@ -60,7 +60,7 @@ class Step:
         self.update = float(np.abs(dx).max(initial=0.0))
         self.fall = self.old.chi2 - self.chi2 if fall is None else fall
 
-    @property
+    @cached_property
     def largest(self) -> str:
         """max |dx| with its unit, component and variable."""
         key, component = self.system.column(int(np.argmax(np.abs(self.dx))))
@@ -99,6 +99,11 @@ class Step:
         return level and (
             self.fall <= ROUNDING * self.chi2 or self.fall**2 <= self.little * (self.old_fall - self.fall)
         )
+
+    @cached_property
+    def slope(self) -> float:
+        """The scaled gradient of the system."""
+        return self.system.scaled_gradient
 
     @cached_property
     def invisible(self) -> bool:

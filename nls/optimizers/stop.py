@@ -68,14 +68,14 @@ def zero(step: Step) -> Verdict | None:
     """chi2 = 0; or A'b = 0, and dx is short."""
     if step.system.chi2 == 0.0:
         return Verdict(Status.CONVERGED, "chi2 is 0")
-    if step.system.scaled_gradient == 0.0 and step.short:
+    if step.slope == 0.0 and step.short:
         return Verdict(Status.CONVERGED, "the scaled gradient is 0")
     return None
 
 
 def scaled_gradient(step: Step) -> Verdict | None:
     """max_k |A_k'b| / (|A_k| |b|) <= gradient_tol, and dx is short."""
-    size, most = step.system.scaled_gradient, step.tol.gradient_tol
+    size, most = step.slope, step.tol.gradient_tol
     if not (0 < size <= most and step.short):
         return None
     return Verdict(Status.CONVERGED, f"scaled gradient {size:.1e}, below {most:g} (gradient_tol)")
@@ -211,7 +211,7 @@ def pulled(step: Step) -> Verdict | None:
     That is the pull of b on unknown k, in sigmas; chi2 would fall by its square along k alone. Noise pulls an unknown
     that is left alone by one or two (0.02 as a gradient on `hauv_hull`), so a small gradient cannot be asked for.
     """
-    size = step.system.scaled_gradient
+    size = step.slope
     pull = size * math.sqrt(step.system.chi2)
     if not (pull > PULL and size > math.sqrt(WORTH * step.tol.chi2_rtol)):
         return None

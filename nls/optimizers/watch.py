@@ -109,8 +109,9 @@ class Watch:
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
         """Whether it is over at the current point, without the step dx."""
-        self.history[-1] = replace(self.history[-1], gradient=system.scaled_gradient)
-        return self._ask(stop.BEFORE_A_STEP, Step(self, values, system, dx))
+        step = Step(self, values, system, dx)
+        self.history[-1] = replace(self.history[-1], gradient=step.slope)
+        return self._ask(stop.BEFORE_A_STEP, step)
 
     def step(
         self,

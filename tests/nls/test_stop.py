@@ -41,7 +41,6 @@ def looked(**changes: Any) -> Any:
     }
     system: dict[str, Any] = {
         "chi2": 50.0,
-        "scaled_gradient": 0.5,
         "column_norms": np.ones(2),
         "column": lambda index: ("p0", "xy"[index]),
     }
@@ -55,6 +54,7 @@ def looked(**changes: Any) -> Any:
         "promised": 60.0,
         "undamped": None,
         "words": "to chi2 51",
+        "slope": 0.5,
         "rounds": lambda change: change <= 1e-12,
     }
     step |= {"still": False, "missed": False, "near": True, "ending": False, "agreed": True, "short": True}
@@ -73,11 +73,11 @@ def swings(n: int) -> list[Iteration]:
 OFF = Thresholds(0.0, 0.0, 0.0)
 RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
     stop.unknown_lost: (Status.DIVERGED, {"column_norms": np.array([1.0, 0.0])}, [{"scaled": lambda s: np.zeros(2)}]),
-    stop.zero: (Status.CONVERGED, {"scaled_gradient": 0.0}, [{"scaled_gradient": 1e-300}, {"short": False}]),
+    stop.zero: (Status.CONVERGED, {"slope": 0.0}, [{"slope": 1e-300}, {"short": False}]),
     stop.scaled_gradient: (
         Status.CONVERGED,
-        {"scaled_gradient": 1e-10},
-        [{"scaled_gradient": 1.1e-10}, {"short": False}, {"tol": Thresholds(1.0, 1.0, 0.0)}],
+        {"slope": 1e-10},
+        [{"slope": 1.1e-10}, {"short": False}, {"tol": Thresholds(1.0, 1.0, 0.0)}],
     ),
     stop.chi2_unbounded: (Status.DIVERGED, {"chi2": 1e14}, [{"chi2": 0.9e14}]),
     stop.promise_missed: (Status.STALLED, {"still": True, "missed": True}, [{"still": False}, {"missed": False}]),
@@ -117,12 +117,12 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
     ),
     refusal.promise_invisible: (Status.CONVERGED, {"invisible": True}, [{"invisible": False}, {"agreed": False}]),
     refusal.no_rise: (Status.DIVERGED, {"fall": 0.0}, [{"fall": -1e-3}]),
-    refusal.stationary: (Status.CONVERGED, {"scaled_gradient": 1e-6}, [{"scaled_gradient": 1.1e-6}]),
+    refusal.stationary: (Status.CONVERGED, {"slope": 1e-6}, [{"slope": 1.1e-6}]),
     refusal.every_step_refused: (Status.STALLED, {}, []),
     stop.pulled: (
         Status.STALLED,
-        {"scaled_gradient": 1.0},
-        [{"scaled_gradient": 0.7}, {"scaled_gradient": 3e-3, "chi2": 1e8}],
+        {"slope": 1.0},
+        [{"slope": 0.7}, {"slope": 3e-3, "chi2": 1e8}],
     ),
     automatic.chi2_rises: (Status.DIVERGED, {"chi2": 1e6}, [{"chi2": 0.9e6}, {"rounds": lambda change: True}]),
     automatic.no_new_best: (Status.CYCLING, {"since_best": 10}, [{"since_best": 9}, {"invisible": True}]),
