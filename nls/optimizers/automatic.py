@@ -87,6 +87,7 @@ class Automatic(Optimizer):
             refusal = error
         if watch.status in FAILED and watch.taken < self.stop.max_iterations:
             watch.resume()
+            watch.after_a_step = stop.AFTER_A_STEP
             Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)
         if refusal and not (watch.status is Status.CONVERGED and watch.free is None):
             refusal.values = watch.best

@@ -1,8 +1,7 @@
-"""The memory of one optimization: its history and its best point. The stop rules are in `nls.optimizers.stop`."""
+"""What an optimizer tells step by step, and the stop rules that are asked then (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
@@ -11,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.optimizers import refusal, stop
-from nls.optimizers.result import Attempt, Iteration
+from nls.optimizers.record import Record
+from nls.optimizers.result import Iteration
 from nls.optimizers.step import Step
-from nls.optimizers.thresholds import Status, Stop
+from nls.optimizers.thresholds import Status
 
 if TYPE_CHECKING:
     from models.algebra import Array
+    from nls.optimizers.thresholds import Stop
     from nls.optimizers.undamped import Undamped
     from nls.system import LinearSystem
     from nls.values import Values
@@ -24,26 +25,19 @@ if TYPE_CHECKING:
 __all__ = ["Watch"]
 
 
-class Watch:
-    """Follows an optimizer step by step, and asks the stop stop.
+class Watch(Record):
+    """Records an optimization, and asks the stop rules.
 
     Parameters
     ----------
     settings : thresholds and limits.
     callback : called with every `Iteration`; returning True stops.
     values, system, seconds : the start.
-    after_a_step : rules asked after every step that is taken.
 
     Attributes
     ----------
-    best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
-    history : one `Iteration` per step of the present method, the point it began from first.
-    methods, attempts, earlier : names so far; those that failed, and their records.
-    status, reason, rule : None and empty until it is over.
     tol : the thresholds in force.
-    fall, level_steps : of the last step; steps in a row that ran along a plateau.
-    latest : the last step that was taken.
-    free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
+    after_a_step : rules asked after every step that is taken.
     """
 
     def __init__(
@@ -53,59 +47,11 @@ class Watch:
         values: Values,
         system: LinearSystem,
         seconds: dict[str, float],
-        after_a_step: Sequence[stop.Rule] = stop.AFTER_A_STEP,
     ) -> None:
+        super().__init__(values, system.chi2, seconds)
         self.stop, self.callback, self.tol, self.began = settings, callback, settings.in_force, perf_counter()
-        self.after_a_step = after_a_step
-        self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
-        self.history = [Iteration(0, system.chi2, seconds=seconds)]
-        self.start = self.best = values
-        self.lowest, self.since_best = system.chi2, 0
-        self.fall, self.level_steps = math.inf, 0
-        self.status: Status | None = None
-        self.reason = self.rule = ""
-        self.latest: Step | None = None
-        self.free: LinearSystem | None = None
-        self._longest: Array | float = 0.0  # column of A of each unknown
+        self.after_a_step = stop.AFTER_A_STEP
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
-
-    @property
-    def taken(self) -> int:
-        """Steps so far."""
-        return self.history[-1].number
-
-    @property
-    def last_update(self) -> str:
-        """max |dx| of the last step, in words; empty where there was none."""
-        return "" if self.latest is None else self.latest.largest
-
-    @property
-    def records(self) -> list[Iteration]:
-        """The history of all methods."""
-        return self.earlier + self.history[bool(self.earlier) :]
-
-    def resume(self) -> None:
-        """Another method continues from the best point; it knows nothing of the one before."""
-        assert self.status is not None
-        self.attempts.append(Attempt(self.methods[-1], self.status, self.reason, self.taken))
-        self.earlier, self.history = self.records, [Iteration(self.taken, self.lowest)]
-        self.after_a_step, self.start, self._longest = stop.AFTER_A_STEP, self.best, 0.0
-        self.since_best, self.fall, self.level_steps = 0, math.inf, 0
-        self.status, self.reason, self.rule = None, "", ""
-
-    def end(self, status: Status, reason: str, rule: str = "") -> None:
-        """It is over."""
-        self.status, self.reason, self.rule = status, reason, rule
-
-    def scaled(self, system: LinearSystem) -> Array:
-        """Lengths of the columns of A (n,), the largest met of each."""
-        self._longest = np.maximum(self._longest, system.column_norms)
-        return self._longest
-
-    def scale(self, system: LinearSystem) -> Array:
-        """The same, and 1 where none has reacted."""
-        longest = self.scaled(system)
-        return np.where(longest > 0, longest, 1.0)
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
         """Whether it is over at the current point, without the step dx."""
@@ -124,7 +70,7 @@ class Watch:
         undamped: Undamped | None = None,
         reused: bool = False,
     ) -> None:
-        """A step was taken: record it, and ask the stop.
+        """A step was taken: record it, and ask the rules.
 
         Parameters
         ----------
@@ -139,14 +85,6 @@ class Watch:
         self.level_steps, self.fall = self.level_steps + 1 if level else 0, step.fall
         self._ask(self.after_a_step, step)
         self.call_back()
-
-    def take(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
-        """Record a step, and whether it led to the best point."""
-        number, self.latest = self.taken + 1, step
-        self.history.append(Iteration(number, step.chi2, step.update, damping=damping, seconds=seconds, reused=reused))
-        self.since_best += 1
-        if step.chi2 < self.lowest:
-            self.best, self.lowest, self.since_best = step.values, step.chi2, 0
 
     def call_back(self) -> None:
         """Show the latest step to the callback, which may stop."""
