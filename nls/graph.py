@@ -156,8 +156,9 @@ class FactorGraph:
         Parameters
         ----------
         values : start; not changed. Every variable a factor touches must be there.
-        optimizer : `GaussNewton`, `LevenbergMarquardt` or `Dogleg` with its `Stop`. When omitted Gauss-Newton, or
-            Levenberg-Marquardt where a factor says that undamped steps fail (`Factor.damped`); the result names it.
+        optimizer : `GaussNewton`, `LevenbergMarquardt` or `Dogleg` with its `Stop`. When omitted Gauss-Newton, and
+            dogleg from its best point where it fails (`Automatic`); or Levenberg-Marquardt where a factor says that
+            undamped steps fail (`Factor.damped`). The result names them.
         linear_solver : `nls.linear`; the best one installed when omitted (the result names it).
         gauge : ``first``, ``prior``, ``free`` or ``none``, see `nls.gauge`.
 
@@ -204,14 +205,17 @@ class FactorGraph:
             values=watch.best,
             status=watch.status,
             reason=watch.reason + (f"; free: {directions(len(free))}, see `underconstrained`" if free else ""),
-            history=watch.history,
-            chi2_initial=watch.history[0].chi2,
+            history=watch.records,
+            chi2_initial=watch.records[0].chi2,
             chi2_final=watch.lowest,
             dof=dof + len(free),
             linear_solver=problem.analysis.description,
             gauge=decided.said,
             timings=problem.timings,
-            method=method.name,
+            method=", then ".join(watch.methods),
+            rule=watch.rule,
+            last_update=watch.last_update,
+            attempts=tuple(watch.attempts),
             robust=any(factor.kernel is not None for factor in self.factors),
             underconstrained=free,
         )

@@ -12,9 +12,15 @@ from models.errors import OptionError
 from models.manifolds.base import LieGroup
 from models.manifolds.rn import Vectors
 
-__all__ = ["ANGLES", "Measured"]
+__all__ = ["ANGLES", "LENGTHS", "Measured", "unit"]
 
 ANGLES = frozenset({"azimuth", "bearing", "elevation", "pitch", "roll", "yaw"})  # what is wrapped; the rest is not
+LENGTHS = frozenset({"x", "y", "z", "range"})
+
+
+def unit(component: str) -> str:
+    """The unit of a component by its name: rad, m, or empty where it is neither an angle nor a length."""
+    return "rad" if component in ANGLES else "m" if component in LENGTHS else ""
 
 
 class MeasuredNumbers(Vectors):

@@ -12,6 +12,7 @@ __all__ = ["parser"]
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 FILE = "graph file, folder of a mission, or '-' for standard input; all but folders may be gzip-compressed"
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
+ALONE = "thresholds that are not given are off then"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
@@ -96,7 +97,10 @@ def parser() -> Parser:
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
     _problem(solve, "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them")
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
-    solve.add_argument("--update-tol", type=float, default=1e-6, metavar="X", help="converged when max|dx| < X")
+    solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
+    solve.add_argument(
+        "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
+    )
     solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
     solve.add_argument(

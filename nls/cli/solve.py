@@ -61,7 +61,7 @@ def solve(options: argparse.Namespace) -> int:
         _refuse_no_values(options.output, form)
         if outliers.wanted(options.robust):
             refuse_loss(options, f"{options.robust} leaves out the measurements it rejects")
-    stop = nls.Stop(update_tol=options.update_tol, max_iterations=options.max_iterations)
+    stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     clock.lap("imports")
     with collected() as stages:
         as_read, values, report = read(options)
@@ -148,7 +148,10 @@ def solve(options: argparse.Namespace) -> int:
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
-        "reason": f"{result.status.value}: {typed(result.reason)}",
+        "reason": f"{result.status.value}: {typed(result.ending)}",
+        "rule": result.rule,
+        "reused": result.reused,
+        "attempts": [vars(attempt) | {"status": attempt.status.name} for attempt in result.attempts],
         **said,
         "history": [_record(iteration) for iteration in result.history],
         "timings": timings,
@@ -350,6 +353,7 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",
+        *(f"method      {remark}" for remark in result.remarks),
         *findings,
     ]
     if "mission" in report:
@@ -372,7 +376,7 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
 def _advice(result: Result, allowed: bool) -> str:
     """What to try next, by status; an estimate that has not converged may be `allowed` already."""
     name = result.status.name
-    if result.rises:
+    if result.rises and not result.attempts:
         return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"
     if name in ("MAX_ITERATIONS", "MAX_TIME"):
         return "allow more with --max-iterations" + (
@@ -392,4 +396,5 @@ def _record(iteration: Iteration) -> dict[str, Any]:
         "gradient": iteration.gradient,
         "lambda": iteration.damping,
         "seconds": iteration.seconds,
+        "reused": iteration.reused,
     }

@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.manifolds.measured import ANGLES
+from models.manifolds.measured import ANGLES, LENGTHS
 
 if TYPE_CHECKING:
     from factors.keys import Keys
 
 __all__ = ["ANGULAR", "FREE", "LENGTHS", "Observability", "shown"]
 
-ANGULAR, LENGTHS = ANGLES, frozenset({"x", "y", "z", "range"})
+ANGULAR = ANGLES
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
 CORRELATED = 0.9  # correlations at least this high are printed

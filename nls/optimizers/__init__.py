@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from nls.optimizers.automatic import Automatic
 from nls.optimizers.base import Optimizer
 from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
 from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
 from nls.optimizers.problem import gauss_newton_step
-from nls.optimizers.result import Iteration, Result
-from nls.optimizers.stop import Status, Stop
+from nls.optimizers.result import Attempt, Iteration, Result
+from nls.optimizers.thresholds import Status, Stop
 
 if TYPE_CHECKING:
     from factors.base import Factor
 
 __all__ = [
     "OPTIMIZERS",
+    "Attempt",
+    "Automatic",
     "Dogleg",
     "GaussNewton",
     "Iteration",
@@ -32,8 +35,8 @@ __all__ = [
 
 
 def default_optimizer(factors: Iterable[Factor]) -> type[Optimizer]:
-    """Gauss-Newton, or Levenberg-Marquardt where a factor says that undamped steps are known to fail."""
-    return LevenbergMarquardt if any(factor.damped for factor in factors) else GaussNewton
+    """`Automatic`, or Levenberg-Marquardt where a factor says that undamped steps are known to fail."""
+    return LevenbergMarquardt if any(factor.damped for factor in factors) else Automatic
 
 
 OPTIMIZERS: dict[str, type[Optimizer]] = {

@@ -12,7 +12,7 @@ from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.diagnose import underconstrained
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.result import Iteration
-from nls.optimizers.stop import Status, Stop
+from nls.optimizers.thresholds import Status, Stop
 from nls.optimizers.watch import Watch
 
 if TYPE_CHECKING:
@@ -62,21 +62,27 @@ class Optimizer(Abstract):
         except EvaluationError as error:
             error.iteration = 0
             raise
-        watch = Watch(self.stop, self.callback, values, system.chi2, problem.lap())
+        watch = Watch(self.stop, self.callback, values, system, problem.lap())
+        self.follow(problem, values, system, watch)
+        return watch
+
+    def follow(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        """`iterate`, and what goes wrong as a status; raises as `run` does."""
+        watch.methods.append(self.name)
         try:
-            self.iterate(problem, values, system, watch)
+            self.iterate(problem, X, system, watch)
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.analysis.description)
         except SingularSystemError as error:
             raise underconstrained(problem.solver.seen(problem.latest), watch.best, error) from error
         except (EvaluationError, SingularGeometryError) as error:
+            step = watch.taken + 1
             if isinstance(error, EvaluationError):
-                error.iteration = len(watch.history)
-            at_start = len(watch.history) == 1 and getattr(error, "where", "") == "A'A"
+                error.iteration = step
+            at_start = step == 1 and getattr(error, "where", "") == "A'A"
             raised = isinstance(error, EvaluationError) and error.__cause__ is not None  # by a function of the user's
             if raised or at_start:  # a fault to see, not a place the step should have avoided
                 raise
-            watch.end(Status.DIVERGED, f"the step of iteration {len(watch.history)} led where {error}")
+            watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
         except KeyboardInterrupt:
-            watch.end(Status.INTERRUPTED, f"after {len(watch.history) - 1} iterations")
-        return watch
+            watch.end(Status.INTERRUPTED, f"after {watch.taken} iterations", "interrupt")

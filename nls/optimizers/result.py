@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from nls.optimizers.stop import Status
+from nls.optimizers.thresholds import Status
 
 if TYPE_CHECKING:
     from nls.values import Values
 
-__all__ = ["Iteration", "Result"]
+__all__ = ["Attempt", "Iteration", "Result"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Iteration:
     gradient : largest cosine between b and a column of A, after the step; nan where no other was computed from there.
     damping : lambda of Levenberg-Marquardt; 0 for Gauss-Newton.
     seconds : by part: linearize, assemble, factorize, solve, retract.
+    reused : whether the step was solved with the factorization of the one before.
     """
 
     number: int
@@ -34,6 +35,23 @@ class Iteration:
     gradient: float = float("nan")
     damping: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
+    reused: bool = False
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A method that failed before another one continued from its best point.
+
+    Attributes
+    ----------
+    method, status, reason : as of a `Result`.
+    iterations : steps it took.
+    """
+
+    method: str
+    status: Status
+    reason: str
+    iterations: int
 
 
 SUSPICIOUS = 100  # chi2 per degree of freedom beyond which noise cannot be the reason
@@ -56,7 +74,10 @@ class Result:
     linear_solver : the one that ran.
     gauge : what was done about the gauge, in words.
     timings : seconds by part, summed over the iterations.
-    method : the optimizer.
+    method : the optimizer; ``gauss-newton, then dogleg`` where the second continued.
+    rule : name of the rule that stopped it, a function of `nls.optimizers.stop`.
+    last_update : max |dx| of the last step with its unit, variable and component; empty where there was no step.
+    attempts : methods that failed before the last one.
     robust : whether a factor has a robust kernel: chi2 is then not compared with the degrees of freedom.
     underconstrained : directions that stayed free under a damped method, in words: they are where the start had them.
     """
@@ -72,6 +93,9 @@ class Result:
     gauge: str
     timings: dict[str, float]
     method: str = "gauss-newton"
+    rule: str = ""
+    last_update: str = ""
+    attempts: tuple[Attempt, ...] = ()
     robust: bool = False
     underconstrained: tuple[str, ...] = ()
 
@@ -89,6 +113,29 @@ class Result:
     def iterations(self) -> int:
         """Steps taken."""
         return len(self.history) - 1
+
+    @property
+    def ending(self) -> str:
+        """The reason, and the last max|dx|."""
+        given = not self.last_update or self.last_update in self.reason
+        return self.reason if given else f"{self.reason}; last max|dx| {self.last_update}"
+
+    @property
+    def reused(self) -> int:
+        """Steps that were solved with the factorization of the one before."""
+        return sum(iteration.reused for iteration in self.history)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences on how the methods went: which one failed and which continued, where chi2 rose, what was reused."""
+        remarks = [
+            f"{attempt.method} ended as {attempt.status.name} after {attempt.iterations} iterations: {attempt.reason}; "
+            f"{self.method.rpartition('then ')[2]} continued from the lowest point"
+            for attempt in self.attempts
+        ]
+        if self.reused:
+            remarks.append(f"{self.reused} of {self.iterations} steps reused the last factorization")
+        return remarks
 
     @property
     def doubt(self) -> str:
@@ -115,13 +162,14 @@ class Result:
 
     def __str__(self) -> str:
         lines = self.steps
-        lines.append(f"{self.status.name}: {self.reason}")
+        lines.append(f"{self.status.name}: {self.ending}")
         lines.append(
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
-        if rises := self.rises:
+        lines += self.remarks
+        if (rises := self.rises) and not self.attempts:
             lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")

@@ -1,61 +1,238 @@
-"""When an optimization stops, and the sentence it says then."""
+"""When an optimization is over: one rule a function, in lists in the order in which they are asked.
+
+A rule takes a `Step` and returns a `Verdict`, or None where it does not apply; the first verdict ends the optimization.
+Each rule is documented by its inequality. The thresholds are those in force, `Stop.in_force`; 0 is one that is off.
+The rules for trial steps that a damped method refuses are in `nls.optimizers.refusal`.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from enum import Enum
-from numbers import Integral, Real
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from time import perf_counter
 
-from models.errors import OptionError
+import numpy as np
 
-__all__ = ["Status", "Stop"]
+from nls.optimizers.step import ROUNDING, Step
+from nls.optimizers.thresholds import Status
 
+__all__ = ["AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "LIMITS", "OUTCOMES", "Rule", "Verdict", "ask"]
 
-class Status(Enum):
-    """Why an optimization ended; the value is the sentence shown. Only CONVERGED is success."""
-
-    CONVERGED = "converged"
-    MAX_ITERATIONS = "the iteration limit was reached before it converged"
-    MAX_TIME = "the time limit was reached before it converged"
-    STALLED = "no further step lowers chi2 although its gradient is not small"
-    CYCLING = "chi2 goes up and down without falling"
-    DIVERGED = "chi2 or the update grew beyond bounds or is not finite"
-    STOPPED = "stopped by the callback"
-    INTERRUPTED = "interrupted by the user"
+CHECK = "check the Jacobians with factors.check_jacobians"
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Thresholds that end an optimization; each is documented by its inequality.
+class Verdict:
+    """The end of an optimization: its status, the sentence with the numbers, and the name of the rule."""
 
-    Parameters
-    ----------
-    update_tol : converged when max |dx| < update_tol (meters, radians).
-    chi2_rtol : converged when an accepted step lowers chi2 by no more than chi2_rtol * chi2, promised to lower it by no
-        more than ten times that, and was shorter than the one before; and when the falls, continued as the geometric
-        series of the last two, add up to no more than chi2_rtol * chi2 either. Gauss-Newton tries the step that
-        confirms it with the factorization of the one before, see the page on optimizers.
-    gradient_tol : converged when the largest cosine between b and a column of A is below it.
-    max_iterations : at most so many steps.
-    max_seconds : no further step after so many seconds.
+    status: Status
+    reason: str
+    rule: str = ""
 
-    Raises
-    ------
-    OptionError
-        A threshold that is negative or not a number.
+
+Rule = Callable[[Step], Verdict | None]
+
+
+def ask(rules: Sequence[Rule], step: Step) -> Verdict | None:
+    """The verdict of the first rule that has one; CONVERGED also has to pass the `GUARDS`."""
+    for rule in rules:
+        if verdict := rule(step):
+            verdict = replace(verdict, rule=verdict.rule or rule.__name__)
+            guards = GUARDS if verdict.status is Status.CONVERGED else ()
+            objections = (guard(step, verdict) for guard in guards)
+            return next((objection for objection in objections if objection), verdict)
+    return None
+
+
+# ---- before a step, which is known but not taken
+
+
+def unknown_lost(step: Step, verdict: Verdict | None = None) -> Verdict | None:
+    """|A_k| = 0 for an unknown k that was measured before."""
+    measured = step.watch.scaled(step.system) > 0
+    lost = measured & (step.system.column_norms == 0)
+    if not lost.any():
+        return None
+    key, name = step.system.column(int(np.argmax(lost)))
+    return Verdict(
+        Status.DIVERGED,
+        f"nothing reacts any more to {name} of {key}, which was measured at the start: the estimate went to a "
+        "plateau, where there is no minimum",
+        "unknown_lost",
+    )
+
+
+def zero(step: Step) -> Verdict | None:
+    """chi2 = 0; or A'b = 0, and dx is short."""
+    if step.system.chi2 == 0.0:
+        return Verdict(Status.CONVERGED, "chi2 is 0")
+    if step.slope == 0.0 and step.short:
+        return Verdict(Status.CONVERGED, "the scaled gradient is 0")
+    return None
+
+
+def scaled_gradient(step: Step) -> Verdict | None:
+    """max_k |A_k'b| / (|A_k| |b|) <= gradient_tol, and dx is short."""
+    size, most = step.slope, step.tol.gradient_tol
+    if not (0 < size <= most and step.short):
+        return None
+    return Verdict(Status.CONVERGED, f"scaled gradient {size:.1e}, below {most:g} (gradient_tol)")
+
+
+# ---- after a step
+
+BOUND = 1e12  # growth of chi2 over the start that no problem of ours comes back from
+PLATEAU = 6  # steps on a plateau, one after the other; a tail such as exp(-x) gives 11 before rounding
+PATIENCE = 10  # steps without a new best before a return to an earlier chi2 counts as a cycle
+SAME = 1e-6  # relative difference of chi2 that counts as a return
+
+
+def chi2_unbounded(step: Step) -> Verdict | None:
+    """chi2 >= 1e12 chi2 of the start, or not finite."""
+    if step.chi2 < BOUND * step.watch.history[0].chi2:
+        return None
+    return grown(step)
+
+
+def grown(step: Step) -> Verdict:
+    """DIVERGED, with the last rise of chi2."""
+    return Verdict(Status.DIVERGED, f"chi2 {step.old.chi2:.3g} -> {step.chi2:.3g} by an update of {step.update:.3g}")
+
+
+def promise_missed(step: Step) -> Verdict | None:
+    """max|dx| < update_tol, but chi2 fell by less than a tenth of the promise of the linear model."""
+    if not (step.still and step.missed):
+        return None
+    words = f"an update of {step.update:.1e} promised to lower chi2 by {step.promised:.3g} and brought {step.fall:.3g}"
+    return Verdict(Status.STALLED, f"{words}; {CHECK}")
+
+
+def update_norm(step: Step) -> Verdict | None:
+    """max|dx| < update_tol, and 10 update_tol for the undamped step of a damped method."""
+    if not (step.still and step.near):
+        return None
+    return Verdict(Status.CONVERGED, f"max|dx| {step.largest}, below {step.tol.update_tol:g} (update_tol)")
+
+
+def relative_decrease(step: Step) -> Verdict | None:
+    """fall <= chi2_rtol chi2, and the sum of falls to come; dx is shorter than before; the undamped step agrees."""
+    if not (step.tol.chi2_rtol > 0 and step.ending and step.shorter and step.agreed):
+        return None
+    part = step.fall / step.old.chi2
+    return Verdict(Status.CONVERGED, f"relative decrease of chi2 {part:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)")
+
+
+def noise_floor(step: Step) -> Verdict | None:
+    """max|dx| >= 0.99 of the step before, its promise is within the rounding of chi2, and dx is short."""
+    if not (step.undamped is None and step.longer and step.invisible and step.short):
+        return None
+    return Verdict(
+        Status.CONVERGED, f"noise floor of 16 digits: chi2 changes by rounding, max|dx| {step.largest} falls no further"
+    )
+
+
+def plateau(step: Step) -> Verdict | None:
+    """fall <= chi2_rtol chi2 and dx no shorter, 6 times in a row; or a long step that chi2 cannot show."""
+    return levels_off(step) if step.watch.level_steps >= PLATEAU or (step.invisible and step.leaves) else None
+
+
+def levels_off(step: Step) -> Verdict:
+    """DIVERGED, along a plateau."""
+    last = step.watch.history[-1]
+    return Verdict(
+        Status.DIVERGED,
+        f"chi2 levels off at {last.chi2:.6g} while the steps do not get shorter, {last.update:.3g} the last: a plateau "
+        "that falls for ever, no minimum",
+    )
+
+
+def cycle(step: Step) -> Verdict | None:
+    """No new best for 10 steps, and chi2 within 1e-6 of one of them."""
+    watch, chi2 = step.watch, step.chi2
+    if watch.since_best < PATIENCE or step.invisible:
+        return None
+    if not any(abs(chi2 - record.chi2) <= SAME * chi2 for record in watch.history[-PATIENCE:-1]):
+        return None
+    return Verdict(Status.CYCLING, f"chi2 {chi2:.6g} was met before; the lowest is {watch.lowest:.6g}")
+
+
+# ---- limits
+
+ROUND = 20  # steps up and down without a new best, and none above those before: no search still going on
+
+
+def up_and_down(step: Step) -> Verdict | None:
+    """steps >= max_iterations, and the last 20 went up and down, no lower than the best and no higher than before."""
+    watch = step.watch
+    since = [record.chi2 for record in watch.history[len(watch.history) - watch.since_best :]]
+    before, latest = since[:-ROUND], since[-ROUND:]
+    falls = sum(b < a for a, b in pairwise(latest))
+    swings = len(before) >= ROUND and max(latest) <= max(before) and 0 < falls < ROUND - 1
+    if not (swings and watch.taken >= watch.stop.max_iterations):
+        return None
+    words = f"chi2 has gone up and down for {watch.since_best} steps, at {watch.history[-1].chi2:.6g} now"
+    return Verdict(Status.CYCLING, f"{words}; the lowest is {watch.lowest:.6g}")
+
+
+def iteration_limit(step: Step) -> Verdict | None:
+    """steps >= max_iterations."""
+    taken = step.watch.taken
+    return (
+        Verdict(Status.MAX_ITERATIONS, f"after {taken} iterations") if taken >= step.watch.stop.max_iterations else None
+    )
+
+
+def time_limit(step: Step) -> Verdict | None:
+    """seconds > max_seconds."""
+    seconds = perf_counter() - step.watch.began
+    return Verdict(Status.MAX_TIME, f"after {seconds:.1f} s") if seconds > step.watch.stop.max_seconds else None
+
+
+# ---- where it has converged
+
+PULL = 5.0  # sigmas by which noise hardly pulls an unknown that a solver leaves alone
+WORTH = 10  # times chi2_rtol: the fall along one unknown that an inexact solver may leave
+
+
+def above_the_best(step: Step, verdict: Verdict) -> Verdict | None:
+    """chi2 > (1 + 1e-9) of the lowest, and not by rounding."""
+    chi2, lowest = step.chi2, step.watch.lowest
+    if chi2 <= lowest * (1 + ROUNDING) or step.rounds(chi2 - lowest):
+        return None
+    above = f"{verdict.reason}, but at chi2 {chi2:.6g}, above the {lowest:.6g} met before, which is returned"
+    return Verdict(Status.STALLED, above, "above_the_best")
+
+
+def pulled(step: Step) -> Verdict | None:
+    """|A_k'b| / |A_k| > 5 for an unknown k, where the linear solver is not exact; and its square > 10 chi2_rtol chi2.
+
+    That is the pull of b on unknown k, in sigmas; chi2 would fall by its square along k alone. Noise pulls an unknown
+    that is left alone by one or two (0.02 as a gradient on `hauv_hull`), so a small gradient cannot be asked for.
     """
+    size = step.slope
+    pull = size * math.sqrt(step.system.chi2)
+    if not (pull > PULL and size > math.sqrt(WORTH * step.tol.chi2_rtol)):
+        return None
+    return Verdict(
+        Status.STALLED,
+        f"{step.watch.reason}, but the measurements still pull one unknown by {pull:.3g} sigmas: chi2 can fall "
+        f"where the steps of the linear solver do not lead ({step.words})",
+    )
 
-    update_tol: float = 1e-6
-    chi2_rtol: float = 1e-6
-    gradient_tol: float = 1e-10
-    max_iterations: int = 100
-    max_seconds: float = math.inf
 
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not isinstance(value, Real) or value != value or value < 0:
-                raise OptionError(f.name, value, "a number of at least 0")
-        if not isinstance(self.max_iterations, Integral):
-            raise OptionError("max_iterations", self.max_iterations, "a whole number")
+LIMITS: tuple[Rule, ...] = (up_and_down, iteration_limit, time_limit)
+BEFORE_A_STEP: tuple[Rule, ...] = (unknown_lost, zero, scaled_gradient)
+OUTCOMES: tuple[Rule, ...] = (
+    chi2_unbounded,
+    promise_missed,
+    update_norm,
+    relative_decrease,
+    noise_floor,
+    plateau,
+    cycle,
+)
+AFTER_A_STEP = OUTCOMES + LIMITS
+AT_THE_END: tuple[Rule, ...] = (pulled,)
+GUARDS = (unknown_lost, above_the_best)

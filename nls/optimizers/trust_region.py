@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.optimizers.base import Optimizer
-from nls.optimizers.stop import Status
+from nls.optimizers.step import ROUNDING, Step
+from nls.optimizers.thresholds import Status
 from nls.optimizers.undamped import FAINT, Undamped
 
 if TYPE_CHECKING:
@@ -111,7 +112,8 @@ def _below_tangent(
     size = float(np.linalg.norm(D * problem.pattern.restrict(X.coordinates))) or length
     dx = gn * (NEARBY * size / length)
     _, chi2 = problem.glance(X, dx)
-    if not watch.visible(system.chi2 - 2 * float(dx @ system.gradient) - chi2, X, system):
+    below = system.chi2 - 2 * float(dx @ system.gradient) - chi2
+    if below <= ROUNDING * system.chi2 or Step(watch, X, system, dx).rounds(below):
         return None
     Y, trial, _ = problem.attempt(X, dx)
     return None if trial is None else (Y, trial, dx)

@@ -46,7 +46,7 @@ SHARE = 0.25  # of those that pass, accepted in one round
 SLACK = 4.0  # times the variances of its last prediction: what does not pass even so has no new one computed
 ROUNDS, LITTLE = 40, 0.005  # rounds at most; the last ones add less than this part of what is accepted
 METERS = 10  # steps of odometry that weigh as much as a radian when paths are compared
-BRIEF = Stop(max_iterations=4, chi2_rtol=1e-3)
+BRIEF = GaussNewton(Stop(1e-6, 1e-3, 1e-10, max_iterations=4), reuse=True)
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,6 @@ def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, A
     start = chordal(part, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
     if part.chi2(start) < part.chi2(values):
         values = start
-    values = part.optimize(values, GaussNewton(BRIEF)).values
+    values = part.optimize(values, BRIEF).values
     s = np.concatenate([model.factor.chi2(values) for model in loops.edges.models])
     return values, s[~loops.odometry]

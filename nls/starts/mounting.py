@@ -42,7 +42,7 @@ from nls.values import Values
 
 __all__ = ["at_the_camera", "axes_from_azimuths", "turned_to_azimuths", "unknown_mountings", "where_ranges_say"]
 
-ENOUGH = Stop(chi2_rtol=1e-3)  # more digits are the business of the solve from this start
+ENOUGH = Stop(1e-6, 1e-3, 1e-10)  # more digits are the business of the solve from this start
 DETERMINED = 1e-6  # second smallest over largest singular value
 UPRIGHT = 0.5  # least singular value of (r_1, r_2), 1 for two axes
 

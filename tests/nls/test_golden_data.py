@@ -19,7 +19,7 @@ from factors.keys import Keys
 from models import SE2
 from models.algebra import Array
 from models.errors import GraphFileError, LeadlineError, UnderconstrainedError
-from nls import FactorGraph, Values
+from nls import FactorGraph, GaussNewton, Status, Values
 from nls.metrics import ate
 from nls.starts import STARTS
 
@@ -84,6 +84,9 @@ SOLVED = [
     Solved(ROBUST + "Bovisa04_odometry_bow_tr.g2o.gz", 34169.11, 591, rel=1e-3, iterations=100),
     Solved("range-only/plaza2.pyfg.gz", 1454.116667, 1799, start="file"),
     Solved("range-only/goats_15.pyfg.gz", 35699.1445, 780, start="chordal + 20 steps"),
+    # undamped steps fail on these two, and dogleg continues
+    Solved("range-only/goats_14.pyfg.gz", 618334.2356, 1550, rel=2e-6, start="odometry + 20 steps", iterations=20),
+    Solved("range-only/marine.pyfg.gz", 64.624, 56, rel=1e-5, start="file + 20 steps", iterations=100),
     Solved(BAL + "dubrovnik-3-7-18-pre.txt", 0.2042076464, 4, start="file", hold="k"),
     Solved(BAL + "dubrovnik-3-7-pre.txt", 4.639827985, 6, start="file", hold="k"),
     Solved(BAL + "problem-49-7776-pre.txt.gz", 32734.55, 40071, rel=1e-4, start="file", hold="k"),
@@ -103,10 +106,6 @@ REFUSED = [
         for name in ("1-1", "3-7", "3-7-18")
     ),
     Refused(BAL + "dubrovnik-1-1-pre.txt", "leave 1 direction free: l0: x, y, z", "bal", UnderconstrainedError, "k"),
-]
-DAMPED = [  # undamped Gauss-Newton does not even stay at these optima
-    Solved("range-only/goats_14.pyfg.gz", 618334.2356, 1550),
-    Solved("range-only/marine.pyfg.gz", 64.6240, 56, iterations=60, start="file + 20 steps"),
 ]
 TABLES = {  # no graphs: what the refusal says
     "range-only/Plaza2_.mat": "is a MATLAB file",
@@ -129,7 +128,7 @@ def load(data: Path, name: str, dialect: str = "auto", hold: str = "") -> tuple[
 
 def test_every_file_is_here(data: Path) -> None:
     """A graph in one of the tables, or no graph: then refused in one line that says what it is."""
-    listed = {case.name for case in [*SOLVED, *DAMPED, *REFUSED]} | {ROBUST + "Bovisa04_GT_GPS.g2o"}
+    listed = {case.name for case in [*SOLVED, *REFUSED]} | {ROBUST + "Bovisa04_GT_GPS.g2o"}
     files = {p.relative_to(data).as_posix() for p in data.rglob("*") if p.is_file() and p.name != "README.md"}
     assert listed <= files
     assert len(files - listed) > 35
@@ -153,16 +152,18 @@ def test_the_default_reaches_the_known_optimum(case: Solved, data: Path) -> None
     assert result.iterations <= case.iterations
 
 
-@pytest.mark.parametrize("case", DAMPED, ids=str)
-def test_a_damped_method_reaches_the_known_optimum_from_the_default_start(case: Solved, data: Path) -> None:
-    graph, values = load(data, case.name)
-    start, name, chi2 = nls.initialize(graph, values)
-    assert name.endswith(" + 20 steps")
-    assert chi2[name] == graph.chi2(start) < 1.02 * case.chi2
-    result = graph.optimize(start, nls.LevenbergMarquardt())
-    assert result.converged
-    assert result.chi2_final == pytest.approx(case.chi2, rel=case.rel)
-    assert (result.dof, result.iterations <= case.iterations) == (case.dof, True)
+@pytest.mark.parametrize("init", ["file", "odometry"])
+def test_the_default_converges_where_gauss_newton_diverges(init: str, data: Path) -> None:
+    """GOATS 14: chi2 of undamped steps goes to 1e18. A method that is named is not replaced."""
+    graph, values = load(data, "range-only/goats_14.pyfg.gz")
+    start, *_ = nls.initialize(graph, values, init)
+    undamped, default = graph.optimize(start, GaussNewton()), graph.optimize(start)
+    assert (undamped.status, undamped.method, undamped.attempts) == (Status.DIVERGED, "gauss-newton", ())
+    assert (default.status, default.method) == (Status.CONVERGED, "gauss-newton, then dogleg")
+    assert default.chi2_final == pytest.approx(618334.2, rel=2e-6)
+    assert [(attempt.method, attempt.status) for attempt in default.attempts] == [("gauss-newton", Status.DIVERGED)]
+    assert default.attempts[0].iterations < 10 < default.iterations < 25
+    assert "gauss-newton ended as DIVERGED" in str(default)
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=str)

@@ -18,6 +18,7 @@ from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, pose_graph, x
 
 (p,) = kinds("p")
+KEEPING = GaussNewton(reuse=True)
 
 
 def scalar(residual: object, at: list[float], dim: int) -> tuple[FactorGraph, Values]:
@@ -26,11 +27,13 @@ def scalar(residual: object, at: list[float], dim: int) -> tuple[FactorGraph, Va
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
 def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup) -> None:
-    factorizations = steps = 0
+    factorizations = steps = reused = 0
     for seed in range(6):
         sample = pose_graph(group, n=60, seed=seed, start=0.1)
-        kept = sample.graph.optimize(sample.values)
-        full = sample.graph.optimize(sample.values, linear_solver=Pinv())  # which keeps nothing
+        kept = sample.graph.optimize(sample.values, KEEPING)
+        full = sample.graph.optimize(sample.values, GaussNewton())
+        none = sample.graph.optimize(sample.values, KEEPING, linear_solver=Pinv())  # which keeps nothing
+        default = sample.graph.optimize(sample.values)
         assert kept.converged
         assert full.converged
         assert kept.chi2_final == pytest.approx(full.chi2_final, rel=1e-6)
@@ -38,7 +41,13 @@ def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup
         factorizations += sum("factorize" in h.seconds for h in kept.history)
         steps += kept.iterations
         assert sum("factorize" in h.seconds for h in full.history) == full.iterations
+        assert (kept.reused, full.reused, none.reused) == (sum(h.reused for h in kept.history), 0, 0)
+        assert kept.iterations - kept.reused <= sum("factorize" in h.seconds for h in kept.history)
+        assert (default.reused, default.iterations) == (kept.reused, kept.iterations)
+        assert (f"{kept.reused} of {kept.iterations} steps reused" in str(kept)) == (kept.reused > 0)
+        reused += kept.reused
     assert factorizations < steps
+    assert reused > 0
 
 
 def test_a_step_above_the_best_point_is_not_converged() -> None:
@@ -51,7 +60,7 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
         return np.stack([np.where(left, 1 - 0.1 * X, 2.0), np.where(left, 0.0, trap)], axis=1)
 
     graph, start = scalar(residual, [0.0], 2)
-    result = graph.optimize(start)
+    result = graph.optimize(start, KEEPING)
     assert result.status is Status.STALLED
     assert result.chi2_final == graph.chi2(result.values) == 1.0
 
@@ -60,7 +69,7 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
 def test_slow_convergence_is_followed_to_its_end(c: float) -> None:
     """Gauss-Newton shortens x by the factor -c from step to step: many small falls."""
     graph, start = scalar(lambda X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), [0.5], 3)
-    result = graph.optimize(start, GaussNewton(Stop(max_iterations=500)))
+    result = graph.optimize(start, GaussNewton(Stop(max_iterations=500), reuse=True))
     assert result.converged
     assert result.chi2_final - 1 < 2e-6
 
@@ -71,7 +80,7 @@ def test_robust_means_are_followed_to_their_end() -> None:
         z = np.concatenate([rng.normal(size=30), rng.normal(3, 3, size=10)])[:, None]
         graph = FactorGraph([Prior(p[np.zeros(40, dtype=int)], z, Robust(Isotropic(1), GemanMcClure(1.0)))])
         start = Values({p: (R(1), [0.5])})
-        result = graph.optimize(start)
+        result = graph.optimize(start, KEEPING)
         if result.converged:
             best = graph.optimize(result.values, GaussNewton(Stop(chi2_rtol=0, update_tol=1e-10, max_iterations=999)))
             assert result.chi2_final - best.chi2_final < 2e-6 * best.chi2_final
@@ -87,7 +96,7 @@ def test_an_unknown_that_is_let_go_on_the_way_is_not_overlooked(mid: float) -> N
         return np.stack([3 * u, 1000 - 0.8 * 9 * u * u / 2000, 100 + v, hold * v], axis=1)
 
     graph, start = scalar(residual, [40.0, 0.0], 4)
-    result = graph.optimize(start)
+    result = graph.optimize(start, KEEPING)
     assert result.converged
     assert result.values[p[0]][1] == pytest.approx(-100, abs=1e-3)
     assert result.chi2_final == pytest.approx(1e6, rel=2e-6)

@@ -103,7 +103,7 @@ def test_converged_by_the_update() -> None:
     graph, start = circle()
     result = graph.optimize(start, GaussNewton(Stop(update_tol=1e-3, chi2_rtol=0.0, gradient_tol=0.0)))
     assert result.status is Status.CONVERGED
-    assert result.reason.startswith("max|dx| =")
+    assert result.reason.startswith("max|dx| ")
     assert result.history[-1].update < 1e-3 <= result.history[-2].update
     never_worse(graph, start, result)
 
@@ -112,7 +112,7 @@ def test_converged_by_the_decrease_of_chi2() -> None:
     graph, start = circle()
     result = graph.optimize(start, GaussNewton(Stop(update_tol=0.0, chi2_rtol=1e-2, gradient_tol=0.0)))
     assert result.status is Status.CONVERGED
-    assert result.reason.startswith("chi2 fell by")
+    assert result.reason.startswith("relative decrease of chi2")
     last, before, earlier = (it.chi2 for it in reversed(result.history[-3:]))
     assert 0 <= before - last <= 1e-2 * before
     assert earlier - before > 1e-2 * earlier
@@ -190,7 +190,7 @@ def test_interrupted_in_the_callback() -> None:
 
 def test_diverged_by_a_jacobian_of_the_wrong_sign() -> None:
     graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
-    result = graph.optimize(start)
+    result = graph.optimize(start, GaussNewton())
     assert result.status is Status.DIVERGED
     assert np.array_equal(result.values[p[0]], [3.0])
     never_worse(graph, start, result)
@@ -206,7 +206,7 @@ def test_a_wrong_sign_is_never_converged(group: LieGroup) -> None:
     sample = pose_graph(group, anchored=False)
     edges = [Wrong(*f.keys, f.z, f.noise) for f in sample.graph.factors]
     graph = FactorGraph(edges)
-    result = graph.optimize(sample.values)
+    result = graph.optimize(sample.values, GaussNewton())
     assert not result.converged
     never_worse(graph, sample.values, result)
 
@@ -217,7 +217,7 @@ def test_diverged_where_the_residual_is_not_finite() -> None:
             return np.asarray(np.log(X) + 3.0)
 
     graph, start = scalar(residual, 1.0)  # the first step leads to -2
-    result = graph.optimize(start)
+    result = graph.optimize(start, GaussNewton())
     assert result.status is Status.DIVERGED
     assert "residual(p0)" in result.reason
     assert "not finite" in result.reason
@@ -233,12 +233,12 @@ def test_diverged_where_the_geometry_is_singular() -> None:
         return np.array(X + 3.0)
 
     graph, start = scalar(residual, 1.0)
-    assert graph.optimize(start).status is Status.DIVERGED
+    assert graph.optimize(start, GaussNewton()).status is Status.DIVERGED
 
 
 def test_cycling_between_two_points() -> None:
     graph, start = scalar(lambda X: X**3 - 2 * X + 2, 0.0, lambda X: (3 * X**2 - 2)[..., None])
-    result = graph.optimize(start)  # Newton's classical cycle 0, 1, 0, 1, ...
+    result = graph.optimize(start, GaussNewton())  # Newton's classical cycle 0, 1, 0, 1, ...
     assert result.status is Status.CYCLING
     assert result.iterations < 30
     assert result.values[p[0]][0] == pytest.approx(1.0)
@@ -251,7 +251,7 @@ def test_swinging_between_points_of_equal_chi2_is_not_converged() -> None:
     graph, start = scalar(
         lambda X: np.sign(X) * np.sqrt(np.abs(X)), 0.7, lambda X: (0.5 / np.sqrt(np.abs(X)))[..., None]
     )
-    result = graph.optimize(start)
+    result = graph.optimize(start, GaussNewton())
     assert result.status is Status.CYCLING
 
 
@@ -260,7 +260,7 @@ def test_stalled_above_a_lower_point_met_before() -> None:
     graph, start = scalar(
         lambda X: np.concatenate([X - 1.0, np.ones_like(X)], axis=1), 2.0, lambda X: np.ones((1, 2, 1)), dim=2
     )
-    result = graph.optimize(start)
+    result = graph.optimize(start, GaussNewton())
     assert result.status is Status.STALLED
     assert "above the 1 met before, which is returned" in result.reason
     assert result.values[p[0]][0] == pytest.approx(1.0)
@@ -268,7 +268,7 @@ def test_stalled_above_a_lower_point_met_before() -> None:
 
 
 @pytest.mark.parametrize("option", ["update_tol", "chi2_rtol", "gradient_tol", "max_iterations", "max_seconds"])
-@pytest.mark.parametrize("value", [-1, float("nan"), "1e-3", None])
+@pytest.mark.parametrize("value", [-1, float("nan"), "1e-3"])
 def test_thresholds_that_are_none(option: str, value: object) -> None:
     with pytest.raises(OptionError, match=option):
         Stop(**{option: value})  # type: ignore[arg-type]

@@ -169,7 +169,7 @@ def convergence(told: Told) -> Html | None:
     if result is None:
         return None
     alt = f"chi2 falls from {number(result.chi2_initial)} to {number(result.chi2_final)} in {result.iterations} steps"
-    figure = picture(convergence(result), alt, f"{result.status.name}: {result.reason}", len(result.history), MAP)
+    figure = picture(convergence(result), alt, f"{result.status.name}: {result.ending}", len(result.history), MAP)
     rows = [
         (f"{it.number}", f"{it.chi2:.6g}", *(("", "") if it.number == 0 else (f"{it.update:.3g}", f"{it.damping:.3g}")))
         for it in result.history

@@ -27,7 +27,7 @@ def verdict(told: Told) -> Html:
     if result is None:
         word, grade, says = "Not solved", "bad", str(told.outcome)
     elif not result.converged:
-        word, grade, says = "Not converged", "bad", f"{result.status.value}: {result.reason}."
+        word, grade, says = "Not converged", "bad", f"{result.status.value}: {result.ending}."
     elif refuted:
         word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
     elif told.doubts:

@@ -1,0 +1,94 @@
+"""The optimizer of those who name none: Gauss-Newton, and dogleg from its best point where that fails.
+
+    run Gauss-Newton, with the last factorization reused near the optimum
+    if it diverges, cycles, rises or finds no lower point:  run dogleg from the lowest point
+
+Of the two damped methods dogleg is the one with the shorter way from such a point: one factorization an iteration. Who
+names a method gets that method alone. The limits of a `Stop` are those of both together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from models.errors import UnderconstrainedError
+from nls.optimizers import stop
+from nls.optimizers.base import Optimizer
+from nls.optimizers.dogleg import Dogleg
+from nls.optimizers.gauss_newton import GaussNewton
+from nls.optimizers.thresholds import Status
+
+if TYPE_CHECKING:
+    from nls.optimizers.problem import Problem
+    from nls.optimizers.step import Step
+    from nls.optimizers.watch import Watch
+    from nls.system import LinearSystem
+    from nls.values import Values
+
+__all__ = ["Automatic"]
+
+FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED)
+RISE = 1e4  # growth of chi2 over the start; pose graphs that converge rise to 80 times it
+WITHOUT = 10  # steps without a new best; pose graphs that converge take up to 4
+
+
+def chi2_rises(step: Step) -> stop.Verdict | None:
+    """chi2 >= 1e4 chi2 of the start, and not by rounding."""
+    begin = step.watch.history[0].chi2
+    return None if step.chi2 < RISE * begin or step.rounds(step.chi2 - begin) else stop.grown(step)
+
+
+def no_new_best(step: Step) -> stop.Verdict | None:
+    """No new best for 10 steps."""
+    watch = step.watch
+    if watch.since_best < WITHOUT or step.invisible:
+        return None
+    reason = f"no lower chi2 for {watch.since_best} steps; the lowest is {watch.lowest:.6g}, the last {step.chi2:.6g}"
+    return stop.Verdict(Status.CYCLING, reason)
+
+
+@dataclass(frozen=True)
+class Automatic(Optimizer):
+    """Gauss-Newton, and dogleg where that fails.
+
+    Parameters
+    ----------
+    stop : thresholds, and limits of both methods together.
+    callback : called with every `Iteration`; returning True stops.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Factor
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> (p,) = kinds("p")
+    >>> graph = FactorGraph([Factor.from_function(lambda X: np.arctan(X), p[0], dim=1)])
+    >>> result = graph.optimize(Values({p: (R(1), [2.0])}))
+    >>> result.method, result.converged
+    ('gauss-newton, then dogleg', True)
+    """
+
+    name = "auto"
+
+    def follow(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        self.iterate(problem, X, system, watch)  # its methods are followed one by one
+
+    def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
+        watch.after_a_step = (*stop.OUTCOMES, chi2_rises, no_new_best, *stop.LIMITS)
+        refusal = None
+        try:
+            GaussNewton(self.stop, self.callback, reuse=True).follow(problem, X, system, watch)
+        except UnderconstrainedError as error:
+            if not watch.taken:
+                raise
+            watch.end(Status.DIVERGED, f"the linear system of iteration {watch.taken + 1} is singular", "singular")
+            refusal = error
+        if watch.status in FAILED and watch.taken < self.stop.max_iterations:
+            watch.resume()
+            watch.after_a_step = stop.AFTER_A_STEP
+            Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)
+        if refusal and not (watch.status is Status.CONVERGED and watch.free is None):
+            refusal.values = watch.best
+            raise refusal

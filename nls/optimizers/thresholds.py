@@ -1,0 +1,91 @@
+"""What a user sets and reads of the end of an optimization: thresholds and limits, and the status."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+from numbers import Integral, Real
+from typing import NamedTuple
+
+from models.errors import OptionError
+
+__all__ = ["Status", "Stop", "Thresholds"]
+
+
+class Status(Enum):
+    """Why an optimization ended; the value is the sentence shown. Only CONVERGED is success."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "the iteration limit was reached before it converged"
+    MAX_TIME = "the time limit was reached before it converged"
+    STALLED = "no further step lowers chi2 although its gradient is not small"
+    CYCLING = "chi2 goes up and down without falling"
+    DIVERGED = "chi2 or the update grew beyond bounds or is not finite"
+    STOPPED = "stopped by the callback"
+    INTERRUPTED = "interrupted by the user"
+
+
+class Thresholds(NamedTuple):
+    """The thresholds in force; 0 for a rule that is off. These are the ones of a `Stop` to which none is given."""
+
+    update_tol: float = 1e-6
+    chi2_rtol: float = 1e-6
+    gradient_tol: float = 1e-10
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Thresholds and limits that end an optimization; each threshold is documented by its inequality.
+
+    A threshold that is given is the one that stops: the other two are off. Where none is given, all three are in force,
+    with the numbers below. An optimization that has reached the last digits of chi2 ends in any case, see
+    `nls.optimizers.stop`.
+
+    Parameters
+    ----------
+    update_tol : converged when max |dx| < update_tol (meters, radians); 1e-6.
+    chi2_rtol : converged when a step lowers chi2 by no more than chi2_rtol * chi2, promised to lower it by no more than
+        ten times that, and was shorter than the one before; and when the falls, continued as the geometric series of
+        the last two, add up to no more than chi2_rtol * chi2 either; 1e-6.
+    gradient_tol : converged when the largest cosine between b and a column of A is not above it; 1e-10.
+    max_iterations : at most so many steps.
+    max_seconds : no further step after so many seconds.
+
+    Raises
+    ------
+    OptionError
+        A threshold that is negative or not a number.
+
+    Examples
+    --------
+    >>> from nls import Stop
+    >>> Stop(update_tol=1e-12).in_force
+    Thresholds(update_tol=1e-12, chi2_rtol=0.0, gradient_tol=0.0)
+    >>> Stop(max_iterations=20).in_force
+    Thresholds(update_tol=1e-06, chi2_rtol=1e-06, gradient_tol=1e-10)
+    """
+
+    update_tol: float | None = None
+    chi2_rtol: float | None = None
+    gradient_tol: float | None = None
+    max_iterations: int = 100
+    max_seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None and f.name in Thresholds._fields:
+                continue
+            if not isinstance(value, Real) or value != value or value < 0:
+                raise OptionError(f.name, value, "a number of at least 0")
+        if not isinstance(self.max_iterations, Integral):
+            raise OptionError("max_iterations", self.max_iterations, "a whole number")
+
+    @property
+    def in_force(self) -> Thresholds:
+        """Those given, the others off; all three where none is given."""
+        given = self.update_tol, self.chi2_rtol, self.gradient_tol
+        if given == (None, None, None):
+            return Thresholds()
+        return Thresholds(*(threshold or 0.0 for threshold in given))
