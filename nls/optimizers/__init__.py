@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
+from factors.base import Factor
 from nls.optimizers.automatic import Automatic
 from nls.optimizers.base import Optimizer
 from nls.optimizers.dogleg import Dogleg
@@ -13,9 +13,6 @@ from nls.optimizers.levenberg_marquardt import LevenbergMarquardt
 from nls.optimizers.problem import gauss_newton_step
 from nls.optimizers.result import Attempt, Iteration, Result
 from nls.optimizers.thresholds import Status, Stop
-
-if TYPE_CHECKING:
-    from factors.base import Factor
 
 __all__ = [
     "OPTIMIZERS",

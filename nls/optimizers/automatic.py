@@ -10,21 +10,18 @@ names a method gets that method alone. The limits of a `Stop` are those of both 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
 from nls.optimizers.base import Optimizer
 from nls.optimizers.dogleg import Dogleg
 from nls.optimizers.gauss_newton import GaussNewton
+from nls.optimizers.problem import Problem
+from nls.optimizers.step import Step
 from nls.optimizers.thresholds import Status
-
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.step import Step
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.watch import Watch
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["Automatic"]
 

@@ -5,20 +5,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from models.abstract import Abstract
 from models.errors import EvaluationError, OptionError, SingularGeometryError
 from nls.diagnose import underconstrained
 from nls.linear.singular import SingularSystemError
+from nls.optimizers.problem import Problem
 from nls.optimizers.result import Iteration
 from nls.optimizers.thresholds import Status, Stop
 from nls.optimizers.watch import Watch
-
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["Optimizer"]
 

@@ -18,16 +18,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.algebra import Array
 from nls.optimizers.trust_region import TrustRegion
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.undamped import Undamped
-    from nls.system import LinearSystem
+from nls.optimizers.undamped import Undamped
+from nls.system import LinearSystem
 
 __all__ = ["Dogleg"]
 

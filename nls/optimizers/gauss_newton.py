@@ -12,16 +12,13 @@ Graphs for Robot Perception, 2017, section 2.5; the page on least squares in the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from nls.optimizers.base import Optimizer
+from nls.optimizers.problem import Problem
 from nls.optimizers.reuse import reused
-
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.watch import Watch
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["GaussNewton"]
 

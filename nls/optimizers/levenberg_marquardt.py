@@ -26,19 +26,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.algebra import Array
 from models.errors import OptionError
 from models.options import is_number
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.trust_region import TrustRegion
 from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.system import LinearSystem
+from nls.system import LinearSystem
 
 __all__ = ["LevenbergMarquardt"]
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
+from models.algebra import Array
 from nls.optimizers.result import Attempt, Iteration
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.step import Step
-    from nls.optimizers.thresholds import Status
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.thresholds import Status, Stop
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["Record"]
 
@@ -24,26 +22,27 @@ class Record:
 
     Parameters
     ----------
+    settings : thresholds and limits.
     values, chi2, seconds : the start.
 
     Attributes
     ----------
+    stop, tol, began : the settings; the thresholds in force; when it began.
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
     status, reason, rule : None and empty until it is over.
     fall, level_steps : of the last step; steps in a row that ran along a plateau.
-    latest : the last step that was taken.
     free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
     """
 
-    def __init__(self, values: Values, chi2: float, seconds: dict[str, float]) -> None:
+    def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
+        self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest = values, chi2
         self.status: Status | None = None
         self.reason = self.rule = ""
-        self.latest: Step | None = None
         self.free: LinearSystem | None = None
         self._begin()
 
@@ -56,11 +55,6 @@ class Record:
     def taken(self) -> int:
         """Steps so far."""
         return self.history[-1].number
-
-    @property
-    def last_update(self) -> str:
-        """max |dx| of the last step, in words; empty where there was none."""
-        return "" if self.latest is None else self.latest.largest
 
     @property
     def records(self) -> list[Iteration]:
@@ -89,10 +83,9 @@ class Record:
         longest = self.scaled(system)
         return np.where(longest > 0, longest, 1.0)
 
-    def take(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
-        """Record a step, and whether it led to the best point."""
-        number, self.latest = self.taken + 1, step
-        self.history.append(Iteration(number, step.chi2, step.update, damping=damping, seconds=seconds, reused=reused))
+    def take(self, new: Iteration, values: Values) -> None:
+        """Record a step, and whether it led to the best point; its number follows from the record."""
+        self.history.append(replace(new, number=self.taken + 1))
         self.since_best += 1
-        if step.chi2 < self.lowest:
-            self.best, self.lowest, self.since_best = step.values, step.chi2, 0
+        if new.chi2 < self.lowest:
+            self.best, self.lowest, self.since_best = values, new.chi2, 0

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from nls.optimizers.step import Step
 from nls.optimizers.stop import CHECK, LIMITS, PLATEAU, Rule, Verdict, levels_off
 from nls.optimizers.thresholds import Status
-
-if TYPE_CHECKING:
-    from nls.optimizers.step import Step
 
 __all__ = ["AFTER_A_REFUSAL", "NO_STEP_LEFT"]
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from nls.optimizers.thresholds import Status
-
-if TYPE_CHECKING:
-    from nls.values import Values
+from nls.values import Values
 
 __all__ = ["Attempt", "Iteration", "Result"]
 

@@ -8,16 +8,12 @@ where it leads nowhere. The last step is not linearized. The page on optimizers 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from nls.optimizers.problem import Problem
 from nls.optimizers.step import ROUNDING, SHORTER, Step
 from nls.optimizers.stop import ask, relative_decrease
-
-if TYPE_CHECKING:
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.watch import Watch
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["reused"]
 
@@ -67,7 +63,7 @@ def _ends(step: Step, problem: Problem, watch: Watch) -> bool:
     verdict = None if missed else ask((relative_decrease,), step)
     if verdict is None:
         return False
-    watch.take(step, problem.lap(), reused=True)
+    watch.note(step, problem.lap(), reused=True)
     watch.end(verdict.status, verdict.reason, verdict.rule)
     watch.call_back()
     return True

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.algebra import Array
 from models.manifolds.measured import unit
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.undamped import Undamped
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.record import Record
+from nls.optimizers.undamped import Undamped
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["ROUNDING", "SHORTER", "Step"]
 
@@ -44,7 +41,7 @@ class Step:
 
     def __init__(
         self,
-        watch: Watch,
+        watch: Record,
         values: Values,
         system: LinearSystem,
         dx: Array,

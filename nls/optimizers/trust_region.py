@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.algebra import Array
 from nls.optimizers.base import Optimizer
+from nls.optimizers.problem import Problem
 from nls.optimizers.step import ROUNDING, Step
 from nls.optimizers.thresholds import Status
 from nls.optimizers.undamped import FAINT, Undamped
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.problem import Problem
-    from nls.optimizers.watch import Watch
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.watch import Watch
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["TrustRegion"]
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from models.algebra import Array
 from nls.diagnose import weakest
 from nls.linear.singular import NULL, SingularSystemError
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.problem import Problem
-    from nls.system import LinearSystem
+from nls.optimizers.problem import Problem
+from nls.system import LinearSystem
 
 __all__ = ["FAINT", "HOPELESS", "Undamped"]
 

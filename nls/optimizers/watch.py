@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.algebra import Array
 from nls.optimizers import refusal, stop
 from nls.optimizers.record import Record
 from nls.optimizers.result import Iteration
 from nls.optimizers.step import Step
-from nls.optimizers.thresholds import Status
-
-if TYPE_CHECKING:
-    from models.algebra import Array
-    from nls.optimizers.thresholds import Stop
-    from nls.optimizers.undamped import Undamped
-    from nls.system import LinearSystem
-    from nls.values import Values
+from nls.optimizers.thresholds import Status, Stop
+from nls.optimizers.undamped import Undamped
+from nls.system import LinearSystem
+from nls.values import Values
 
 __all__ = ["Watch"]
 
@@ -36,7 +31,7 @@ class Watch(Record):
 
     Attributes
     ----------
-    tol : the thresholds in force.
+    latest : the last step that was taken.
     after_a_step : rules asked after every step that is taken.
     """
 
@@ -48,9 +43,10 @@ class Watch(Record):
         system: LinearSystem,
         seconds: dict[str, float],
     ) -> None:
-        super().__init__(values, system.chi2, seconds)
-        self.stop, self.callback, self.tol, self.began = settings, callback, settings.in_force, perf_counter()
-        self.after_a_step, self._halted = stop.AFTER_A_STEP, False
+        super().__init__(settings, values, system.chi2, seconds)
+        self.callback, self.after_a_step = callback, stop.AFTER_A_STEP
+        self.latest: Step | None = None
+        self._halted = False
         self._ask(stop.LIMITS, Step(self, values, system, np.zeros(0)))
 
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
@@ -80,11 +76,21 @@ class Watch(Record):
         undamped : for methods that shorten their steps.
         """
         step = Step(self, values, system, dx, promised, undamped=undamped)
-        self.take(step, seconds, damping, reused)
+        self.note(step, seconds, damping, reused)
         level = step.ending and step.longer and (undamped is None or not step.short)
         self.level_steps, self.fall = self.level_steps + 1 if level else 0, step.fall
         self._ask(self.after_a_step, step)
         self.call_back()
+
+    def note(self, step: Step, seconds: dict[str, float], damping: float = 0.0, reused: bool = False) -> None:
+        """Record a step that was taken."""
+        self.latest = step
+        self.take(Iteration(0, step.chi2, step.update, damping=damping, seconds=seconds, reused=reused), step.values)
+
+    @property
+    def last_update(self) -> str:
+        """max |dx| of the last step, in words; empty where there was none."""
+        return "" if self.latest is None else self.latest.largest
 
     def call_back(self) -> None:
         """Show the latest step to the callback, which may stop."""
