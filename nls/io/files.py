@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import stat
+import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -20,7 +21,7 @@ import numpy as np
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["made", "read_bytes", "read_stream", "write_bytes", "write_folder"]
+__all__ = ["descriptor", "made", "names_folder", "read_bytes", "read_stream", "write_bytes", "write_folder"]
 
 CHUNK = 1 << 20
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
@@ -28,6 +29,7 @@ SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, 
 GZIP = b"\x1f\x8b"
 CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
 COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
+OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
 BLANK = 0x20  # the largest byte that is one
 
 
@@ -208,14 +210,42 @@ def _words(chunk: bytes) -> int:
 def write_bytes(path: str | Path, data: bytes) -> None:
     """Write a file whole or not at all, gzip-compressed (equal content, equal bytes) where its name ends in ``.gz``.
 
-    A link stays and the file it leads to is replaced, with its permissions; a pipe or device is written to.
+    A symbolic link stays and the file it leads to is replaced, with its permissions; of hard links only this name gets
+    the new content. A pipe or device is written to, and so is an open file of the process, such as ``/dev/stdout``.
 
     Raises
     ------
     GraphFileError
-        It cannot be written.
+        It cannot be written; it is write-protected.
     """
     _write_all({_name(path): data})
+
+
+def descriptor(name: str) -> int | None:
+    """The open file of this process that a name such as ``/dev/stdout`` or ``/dev/fd/3`` stands for; None of others.
+
+    Its content belongs to whoever opened it: such a file is written to where it stands, and never replaced.
+
+    Examples
+    --------
+    >>> descriptor("/dev/null"), descriptor("graph.g2o")
+    (None, None)
+    """
+    for _ in range(40):  # links one by one: the last one leads from the number to the file itself
+        folder, last = os.path.split(name)
+        folder = os.path.realpath(folder)
+        if re.fullmatch(OPEN_FILES.format(os.getpid()), folder) and last.isascii() and last.isdigit():
+            return int(last)
+        name = os.path.join(folder, last)
+        if not os.path.islink(name):
+            return None
+        name = os.path.join(folder, os.readlink(name))
+    return None
+
+
+def names_folder(name: str) -> bool:
+    """Whether a name can only be that of a folder, such as ``solved/``."""
+    return os.path.basename(name) in ("", os.curdir, os.pardir)
 
 
 def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
@@ -274,6 +304,15 @@ def _mode(name: str) -> int | None:
         return None
 
 
+def _append(number: int, data: bytes) -> None:
+    """Write to an open file, behind what the process has printed so far."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    with open(number, "wb", closefd=False) as file:
+        file.write(data)
+
+
 def _write_all(files: Mapping[str, bytes]) -> None:
     """Write all files beside their places, then move them there: a disk that fills up leaves them as they were."""
     moves: list[tuple[str, Path, Path]] = []
@@ -281,11 +320,18 @@ def _write_all(files: Mapping[str, bytes]) -> None:
     try:
         for name, data in files.items():
             content = gzip.compress(data, mtime=0) if name.lower().endswith(".gz") else data
+            if (number := descriptor(name)) is not None:
+                _append(number, content)
+                continue
+            if names_folder(name):
+                raise IsADirectoryError(0, "its name is that of a folder")
             mode = _mode(name)
             if mode is not None and not stat.S_ISREG(mode):
                 with open(name, "wb") as file:
                     file.write(content)
                 continue
+            if mode is not None and not os.access(name, os.W_OK):
+                raise PermissionError(0, "it is write-protected; allow it with chmod, or give another name")
             target = Path(os.path.realpath(name))
             temporary = target.with_name(f"{secrets.token_hex(8)}.part")
             with open(temporary, "xb") as file:
