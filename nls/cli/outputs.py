@@ -110,11 +110,8 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
         if _identity(name) in seen:
-            raise OptionError(
-                "output file",
-                name,
-                "another name: each output needs a file of its own, and only -o may replace the input",
-            )
+            same = "this is the input" if read and _identity(name) in _inputs(read) else "another output has this one"
+            raise OptionError("output file", name, f"another name: {same}")
         special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
         if number is not None:
             if not _writable(number):
