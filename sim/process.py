@@ -11,9 +11,10 @@ def command() -> int:
     """Run the command line of this process; returns the exit status."""
     phase = Phase("nls-sim")
     phase.at_once()
-    try:
+
+    def run() -> int:
         from sim.cli import main
 
         return main(phase=phase)
-    finally:
-        phase.over()
+
+    return phase.process(run)

@@ -28,10 +28,7 @@ def command() -> int:
     startup = process_time()
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    try:
-        return main(startup=startup, phase=phase)
-    finally:
-        phase.over()
+    return phase.process(lambda: main(startup=startup, phase=phase))
 
 
 def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase | None = None) -> int:

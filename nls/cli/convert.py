@@ -13,6 +13,7 @@ def convert(options: argparse.Namespace) -> int:
     """Read, write, say what the file leaves out; returns the exit status."""
     from nls.cli.formats import output_format, read, rendered
     from nls.io.files import write_bytes
+    from nls.io.text import several
 
     refuse_unwritable(options.output)
     form = output_format(options.output, options.to)
@@ -23,7 +24,8 @@ def convert(options: argparse.Namespace) -> int:
     data, notes = rendered(options.output, form, graph, values, report)
     write_bytes(options.output, data)
     options.phase.written.append(options.output)
-    print(f"input       {report.path}: {report.format}, {len(values)} variables, {len(graph)} measurements")
+    holds = f"{several(len(values), 'variable')}, {several(len(graph), 'measurement')}"
+    print(f"input       {report.path}: {report.format}, {holds}")
     print(f"written     {options.output}: {form}")
     for note in [*report.notes, *notes]:
         if note not in report.warnings:

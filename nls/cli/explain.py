@@ -50,6 +50,7 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
     import nls
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
     from nls.explanation.offers import graduates
+    from nls.io.text import several
     from nls.optimizers import default_optimizer
 
     values, how, why = start, "at the start", ""
@@ -65,11 +66,11 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
             why = str(error)
             continue
         if result.converged:
-            how = f"at its optimum ({result.method}, {result.iterations} iterations)"
+            how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
             return nls.explain(graph, result.values), how
         values, why = result.values, f"{result.status.value}: {result.reason}"
-        how = f"at the best values found ({result.method}, {result.iterations} iterations)"
+        how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
     explanation = nls.explain(graph, values)
     says = f"no optimum was found ({why}): what follows is about the values {how}"

@@ -124,6 +124,7 @@ def _trajectory(
 
     from models import SE2, SE3
     from models.errors import GraphError
+    from nls.io.text import several
     from nls.io.trajectory import kitti_text, tum_text
 
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
@@ -140,7 +141,7 @@ def _trajectory(
     if timed and form == "kitti":
         notes.append("a kitti file holds no times")
     if left := len(values) - len(stack):
-        notes.append(f"a trajectory file holds no {left} variables of other kinds")
+        notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
     if len(graph):
-        notes.append(f"a trajectory file holds no measurements: {len(graph)} are not in it")
+        notes.append(f"a trajectory file holds no measurements: {several(len(graph), 'measurement')} left out")
     return data, notes

@@ -89,6 +89,7 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
     OptionError
     """
     from models.errors import OptionError
+    from nls.io.files import descriptor, names_folder
 
     seen: set[object] = set()
     for name in [graph, *names, None if json == "-" else json]:
@@ -100,18 +101,38 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
             raise OptionError("output file", name, "a file; only --json writes to standard output")
         if not name:
             raise OptionError("output file", name, "the name of a file")
-        folder = os.path.dirname(os.path.realpath(name))
-        if os.path.isdir(name):
-            raise OptionError("output file", name, "a file, and this is a folder")
+        if os.path.isdir(name) or names_folder(name):
+            raise OptionError(
+                "output file", name, f"a file, and this {'is' if os.path.isdir(name) else 'names'} a folder"
+            )
+        number = descriptor(name)
+        folder = os.path.dirname(os.path.realpath(name)) if number is None else "/"
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
         if _identity(name) in seen:
-            raise OptionError("output file", name, "a file of its own for every output, and none that is read")
-        special = os.path.exists(name) and not os.path.isfile(name)  # a pipe is written to, a file is replaced
-        if not os.access(name, os.W_OK) if special else not os.access(folder, os.W_OK | os.X_OK):
+            same = "this is the input" if read and _identity(name) in _inputs(read) else "another output has this one"
+            raise OptionError("output file", name, f"another name: {same}")
+        special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
+        if number is not None:
+            if not _writable(number):
+                raise OptionError("output file", name, "a number that is open for writing")
+        elif os.path.exists(name) and not os.access(name, os.W_OK):  # special files are written to, others replaced
+            allowed = "a file that is not write-protected; --overwrite does not help: allow it with chmod, or give "
+            raise OptionError("output file", name, allowed + "another name")
+        elif not special and not os.access(folder, os.W_OK | os.X_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")
         if not special:
             seen.add(_identity(name))
+
+
+def _writable(number: int) -> bool:
+    """Whether an open file of this process takes what is written."""
+    import fcntl  # files have such names only where there is one
+
+    try:
+        return fcntl.fcntl(number, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY
+    except OSError:
+        return False
 
 
 def refuse_loss(options: argparse.Namespace, why: str) -> None:

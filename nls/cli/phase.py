@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
+from collections.abc import Callable
+from typing import Any
 
 __all__ = ["INTERRUPTED", "Phase"]
 
@@ -51,8 +54,27 @@ class Phase:
         if signal.getsignal(signal.SIGINT) in (self._leave, signal.default_int_handler):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
+    def process(self, run: Callable[[], int]) -> int:
+        """The exit status of a command that is a process of its own, whatever else happens to it.
+
+        Ctrl-C between its phases, or a second time, ends it as any other. It goes on where nobody reads its standard
+        output any more (``nls explain graph.g2o | head -1``): files are written, and the status is that of the command.
+        """
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout = _patient(sys.stdout)
+        try:
+            return run()
+        except KeyboardInterrupt:
+            self.over()
+            print(self, file=sys.stderr)
+            return INTERRUPTED
+        finally:
+            self.over()
+
     def flushed(self, status: int) -> int:
         """The exit status, after standard output has taken what was printed; 2 where it does not."""
+        if sys.stdout is None:  # closed by the shell: nothing was printed
+            return status
         try:
             sys.stdout.flush()
         except OSError as error:
@@ -62,11 +84,34 @@ class Phase:
         return status
 
     def unprinted(self, error: OSError) -> int:
-        """One line for an output that cannot be printed, none for a pipe nobody reads any more; the exit status."""
-        if not isinstance(error, BrokenPipeError):
-            print(f"{self.program}: standard output cannot be written: {error.strerror}", file=sys.stderr)
+        """One line for an output that cannot be printed; the exit status."""
+        print(f"{self.program}: standard output cannot be written: {error.strerror}", file=sys.stderr)
         return 2
 
     def _leave(self, *_: object) -> None:
         os.write(2, f"{self}\n".encode(errors="backslashreplace"))  # print may be at work
         os._exit(INTERRUPTED)
+
+
+class _Output(io.FileIO):
+    """A file that takes all there is to write, also when it is a pipe that was closed at its other end."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            with open(os.devnull, "wb") as nothing:
+                os.dup2(nothing.fileno(), self.fileno())
+            return memoryview(data).nbytes
+
+
+def _patient(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    """The same stream, for which a closed pipe is no error."""
+    raw = _Output(stream.fileno(), "wb", closefd=False)
+    return io.TextIOWrapper(
+        raw if isinstance(stream.buffer, io.RawIOBase) else io.BufferedWriter(raw),
+        encoding=stream.encoding,
+        errors=stream.errors,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )

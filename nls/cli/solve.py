@@ -334,6 +334,8 @@ def _optimizer(name: str, graph: FactorGraph, stop: Stop, progress: Progress) ->
 
 
 def _table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:
+    from nls.io.text import several
+
     lines = result.steps if verbose else []
     names = {}
     if "mission" in report:  # which has no start in a file
@@ -345,11 +347,13 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
     lines += [
-        f"input       {report['input']}: {report['variables']} variables, {report['factors']} measurements, "
+        f"input       {report['input']}: {several(report['variables'], 'variable')}, "
+        f"{several(report['factors'], 'measurement')}, "
         f"{report['dimension']}",
         f"start       {names.get(report['init'], report['init'])} (chi2: {start})",
-        f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in {report['iterations']} iterations, "
-        f"{report['dof']} degrees of freedom{ratio}, convention {report['convention']}{robust}",
+        f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
+        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}, "
+        f"convention {report['convention']}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
         f"result      {report['reason']}",

@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import stat
+import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -20,14 +21,17 @@ import numpy as np
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["made", "read_bytes", "read_stream", "write_bytes", "write_folder"]
+__all__ = ["descriptor", "made", "names_folder", "read_bytes", "read_stream", "write_bytes", "write_folder"]
 
 CHUNK = 1 << 20
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
 SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
+WORD = 1 << 22  # bytes of one word
 GZIP = b"\x1f\x8b"
 CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
+BETWEEN = re.compile(rb"[\x00-\x20,]")  # words
 COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
+OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
 BLANK = 0x20  # the largest byte that is one
 
 
@@ -48,7 +52,8 @@ def read_bytes(path: str | Path, limit: float | None = None) -> bytes:
         It cannot be read, or is not text.
     ResourceLimitError
         More memory is needed: `PER_BYTE` for every byte and `PER_WORD` for every word and line. Or there are more
-        blanks and comments than `SLACK` bytes and `SHARE` times all others. No more than that is read.
+        blanks and comments than `SLACK` bytes and `SHARE` times all others, or a word has more than `WORD` bytes. No
+        more than that is read.
     """
     name = _name(path)
     try:
@@ -73,9 +78,11 @@ def read_stream(file: BinaryIO, name: str, limit: float | None = None) -> bytes:
     if first[:2] != GZIP:
         return _content(chain([first], iter(partial(file.read, CHUNK), b"")), _Pieces(f"{name}: has", limit), name)
     try:
-        return _content(_unpacked(first, file), _Pieces(f"{name}: unpacks to", limit), name)
-    except (EOFError, zlib.error) as error:
+        return _content(_unpacked(first, file, name), _Pieces(f"{name}: unpacks to", limit), name)
+    except EOFError as error:
         raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
+    except zlib.error as error:
+        raise GraphFileError(f"is a damaged gzip file: {error}", name) from error
 
 
 def _name(path: object) -> str:
@@ -85,11 +92,13 @@ def _name(path: object) -> str:
     return os.fsdecode(path)
 
 
-def _unpacked(packed: bytes, file: BinaryIO) -> Iterator[bytes]:
+def _unpacked(packed: bytes, file: BinaryIO, name: str) -> Iterator[bytes]:
     """The chunks of a gzip file, of one stream after the other, whose first bytes were read before.
 
     Raises
     ------
+    GraphFileError
+        Something else follows.
     EOFError, zlib.error
         It is cut off; it is damaged.
     """
@@ -101,11 +110,17 @@ def _unpacked(packed: bytes, file: BinaryIO) -> Iterator[bytes]:
             if not (packed or stream.eof or len(chunk) == CHUNK or (packed := file.read(CHUNK))):
                 raise EOFError("it ends within its data")
         packed = (stream.unused_data or file.read(CHUNK)).lstrip(b"\x00")  # zeros fill up what is written in blocks
+        if not GZIP.startswith(packed[:2]):
+            count = len(packed) + len(file.read(CHUNK))
+            more = " or more" * (file.read(1) != b"")
+            raise GraphFileError(f"is complete as a gzip file, and {count:,} bytes{more} that are no gzip follow", name)
 
 
 def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str) -> bytes:
     """The text of a file."""
     first = next(chunks, b"")
+    if first[:4] in (b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"):
+        raise GraphFileError("is UTF-32 text; save it as UTF-8 or ASCII", name)
     if first[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise GraphFileError("is UTF-16 text; save it as UTF-8 or ASCII", name)
     if first.startswith(b"MATLAB 5.0 MAT-file"):
@@ -136,6 +151,7 @@ class _Pieces:
         self.chunks: list[bytes] = []
         self.size = self.words = self.content = 0
         self.weighed = self.counted = 0  # chunks whose content, whose words are counted: only where it can matter
+        self.word = 0  # bytes of the last chunks, where no word ends in them
         self.line = b"\n"  # the last line so far: blanks, a comment ("\n#") or something else ("x")
 
     def add(self, chunk: bytes) -> None:
@@ -147,6 +163,15 @@ class _Pieces:
         """
         self.chunks.append(chunk)
         self.size += len(chunk)
+        self.word = 0 if BETWEEN.search(chunk) else self.word + len(chunk)
+        if self.word > WORD:
+            raise ResourceLimitError(
+                f"{self.what} a word of {self.word:,} bytes or more, the limit is {WORD:,}; expected tags and numbers "
+                "with blanks between them",
+                self.word,
+                WORD,
+                "word",
+            )
         if self.size > SLACK:
             self.content += sum(map(self._content, self.chunks[self.weighed :]))
             self.weighed = len(self.chunks)
@@ -208,14 +233,42 @@ def _words(chunk: bytes) -> int:
 def write_bytes(path: str | Path, data: bytes) -> None:
     """Write a file whole or not at all, gzip-compressed (equal content, equal bytes) where its name ends in ``.gz``.
 
-    A link stays and the file it leads to is replaced, with its permissions; a pipe or device is written to.
+    A symbolic link stays and the file it leads to is replaced, with its permissions; of hard links only this name gets
+    the new content. A pipe or device is written to, and so is an open file of the process, such as ``/dev/stdout``.
 
     Raises
     ------
     GraphFileError
-        It cannot be written.
+        It cannot be written; it is write-protected.
     """
     _write_all({_name(path): data})
+
+
+def descriptor(name: str) -> int | None:
+    """The open file of this process that a name such as ``/dev/stdout`` or ``/dev/fd/3`` stands for; None of others.
+
+    Its content belongs to whoever opened it: such a file is written to where it stands, and never replaced.
+
+    Examples
+    --------
+    >>> descriptor("/dev/null"), descriptor("graph.g2o")
+    (None, None)
+    """
+    for _ in range(40):  # links one by one: the last one leads from the number to the file itself
+        folder, last = os.path.split(name)
+        folder = os.path.realpath(folder)
+        if re.fullmatch(OPEN_FILES.format(os.getpid()), folder) and last.isascii() and last.isdigit():
+            return int(last)
+        name = os.path.join(folder, last)
+        if not os.path.islink(name):
+            return None
+        name = os.path.join(folder, os.readlink(name))
+    return None
+
+
+def names_folder(name: str) -> bool:
+    """Whether a name can only be that of a folder, such as ``solved/``."""
+    return os.path.basename(name) in ("", os.curdir, os.pardir)
 
 
 def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
@@ -274,6 +327,15 @@ def _mode(name: str) -> int | None:
         return None
 
 
+def _append(number: int, data: bytes) -> None:
+    """Write to an open file, behind what the process has printed so far."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    with open(number, "wb", closefd=False) as file:
+        file.write(data)
+
+
 def _write_all(files: Mapping[str, bytes]) -> None:
     """Write all files beside their places, then move them there: a disk that fills up leaves them as they were."""
     moves: list[tuple[str, Path, Path]] = []
@@ -281,11 +343,18 @@ def _write_all(files: Mapping[str, bytes]) -> None:
     try:
         for name, data in files.items():
             content = gzip.compress(data, mtime=0) if name.lower().endswith(".gz") else data
+            if (number := descriptor(name)) is not None:
+                _append(number, content)
+                continue
+            if names_folder(name):
+                raise IsADirectoryError(0, "its name is that of a folder")
             mode = _mode(name)
             if mode is not None and not stat.S_ISREG(mode):
                 with open(name, "wb") as file:
                     file.write(content)
                 continue
+            if mode is not None and not os.access(name, os.W_OK):
+                raise PermissionError(0, "it is write-protected; allow it with chmod, or give another name")
             target = Path(os.path.realpath(name))
             temporary = target.with_name(f"{secrets.token_hex(8)}.part")
             with open(temporary, "xb") as file:

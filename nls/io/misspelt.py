@@ -7,13 +7,16 @@ line the graph has one edge less, or misses a vertex elsewhere.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from unicodedata import name, normalize
 
 from models.algebra import Index
 from nls.io.text import NUMBER, Text, printable, strange
 
 __all__ = ["refuse_misspelt"]
 SIGNS = bytes.maketrans(b"-:", b"__")  # as they are confused in tags
+SEPARATORS = {",": "commas", ";": "semicolons", "|": "bars", "=": "equals signs"}
+QUOTES = "\"'`\u00b4\u00ab\u00bb\u2018\u2019\u201a\u201c\u201d\u201e()[]{}<>"  # around words
 
 
 def refuse_misspelt(
@@ -32,7 +35,8 @@ def refuse_misspelt(
     ------
     GraphFileError
         With the first such line: a blank of another script in its tag; a known tag with a number behind it, without a
-        blank between; one letter from a known tag, and as many words behind it as that one has.
+        blank between; one letter from a known tag, and as many words behind it as that one has; a letter of another
+        script in a known tag; quotes around it; a blank in it; other separators than blanks behind it.
 
     Examples
     --------
@@ -46,20 +50,96 @@ def refuse_misspelt(
     wrong: list[tuple[int, str]] = []
     joined = re.compile(rb"(%s)(%s)" % (b"|".join(sorted(map(re.escape, known), reverse=True)), first.pattern))
     ends = {end for name in known for end in (name[:2], name[-2:])}  # one of the two stays where one letter is wrong
+    forms = {_form(name): name for name in known}
+    beginnings = {form[:k] for form in forms for k in range(1, len(form))}
     for tag, lines in unknown.items():
         if strange(tag):
             wrong.append((int(lines[0]), "expected a tag and a blank behind it"))
         elif glued := joined.fullmatch(tag):
-            name, number = printable(glued[1]), printable(glued[2], 20)
-            wrong.append((int(lines[0]), f"expected {name} and a blank before {number}"))
-        elif ends & {tag[:2].upper(), tag[-2:].upper()}:
+            tagged, number = printable(glued[1]), printable(glued[2], 20)
+            wrong.append((int(lines[0]), f"expected {tagged} and a blank before {number}"))
+        elif expected := _foreign(tag, forms):
+            wrong.append((int(lines[0]), expected))
+        else:
             count = text.first[lines + 1] - text.first[lines] - 1
-            for near in (name for name in known if _near(tag, name)):
-                fitting = lines[count == known[near] if known[near] else count > 0]
-                wrong += [(int(line), f"expected {printable(near)}") for line in fitting[:1]]
+            if ends & {tag[:2].upper(), tag[-2:].upper()}:
+                for near in (name for name in known if _near(tag, name)):
+                    fitting = lines[count == known[near] if known[near] else count > 0]
+                    wrong += [(int(line), f"expected {printable(near)}") for line in fitting[:1]]
+            if (form := _form(tag)) in beginnings:
+                wrong += _split(text, form, lines[count > 0], count[count > 0], forms, known)
     if wrong:
         line, expected = min(wrong)
         raise text.error(f"{printable(text.token(int(text.first[line])), 40)!r} is no tag; {expected}", line)
+
+
+def _form(tag: bytes) -> bytes:
+    """A tag without the differences of capitals and signs between words."""
+    return tag.upper().translate(SIGNS)
+
+
+def _foreign(tag: bytes, forms: Mapping[bytes, bytes]) -> str:
+    """What was expected in place of characters that do not belong to a known tag; empty where this is none.
+
+    Examples
+    --------
+    >>> for word in ("\u0415DGE_SE2", "EDGE_SE2;0;2", "\u201cEDGE_SE2\u201d", "EDGE"):
+    ...     print(_foreign(word.encode(), {b"EDGE_SE2": b"EDGE_SE2"}) or None)
+    expected EDGE_SE2 with a letter of ASCII in the place of cyrillic capital letter ie (U+0415)
+    expected EDGE_SE2 and blanks, not semicolons, between the words
+    expected EDGE_SE2 without left double quotation mark (U+201C)
+    None
+    """
+    word = tag.decode("utf-8", "surrogateescape")
+    bare = word.strip(QUOTES)
+    separator = next((c for c in bare if c in SEPARATORS), "")
+    head = bare.partition(separator)[0].strip(QUOTES) if separator else bare
+    if separator and (known := forms.get(_form(head.encode("utf-8", "surrogateescape")))):
+        return f"expected {printable(known)} and blanks, not {SEPARATORS[separator]}, between the words"
+    if bare != word and (known := forms.get(_form(bare.encode("utf-8", "surrogateescape")))):
+        return f"expected {printable(known)} without {_named(next(c for c in word if c in QUOTES))}"
+    if tag.isascii():
+        return ""
+    plain = normalize("NFKC", word)
+    known = next((forms[form] for form in forms if _alike(plain, form.decode())), None)
+    if known is None:
+        return ""
+    letter = _named(next(c for c in word if not c.isascii()))
+    return f"expected {printable(known)} with a letter of ASCII in the place of {letter}"
+
+
+def _alike(word: str, form: str) -> bool:
+    """Whether a word is a tag but for letters that are not of ASCII, fewer than the others."""
+    ascii_only = "".join(c for c in word if c.isascii())
+    if 2 * len(ascii_only) < len(form):
+        return False
+    same = len(word) == len(form) and all(
+        not a.isascii() or _form(a.encode()) == b.encode() for a, b in zip(word, form, strict=True)
+    )
+    return same or _form(ascii_only.encode()) == form.encode()
+
+
+def _named(character: str) -> str:
+    """A character by its name."""
+    if 0xDC80 <= ord(character) <= 0xDCFF:  # no UTF-8
+        return f"byte {ord(character) - 0xDC00:02X}"
+    return f"{name(character, 'character').lower()} (U+{ord(character):04X})"
+
+
+def _split(
+    text: Text, form: bytes, lines: Index, count: Index, forms: Mapping[bytes, bytes], known: Mapping[bytes, int]
+) -> Iterable[tuple[int, str]]:
+    """Lines whose first two words are one known tag with a blank in it, one for each tag; ``count``: words behind."""
+    width = max(map(len, forms)) + 1
+    second = np.char.upper(text.characters(text.first[lines] + 1, width).view(f"S{width}")[:, 0])
+    for whole, tag in forms.items():
+        rests = [whole[len(form) + gap :] for gap in (0, 1) if whole.startswith(form + b"_" * gap)]
+        rests = [rest for rest in rests if rest]
+        hit = np.isin(second, rests + [rest.replace(b"_", sign) for rest in rests for sign in (b"-", b":")])
+        if any(rest.isdigit() for rest in rests):  # EDGE 2, where 2 may be a vertex
+            hit &= count - 1 == known[tag]
+        if hit.any():
+            yield int(lines[np.argmax(hit)]), f"expected {printable(tag)} without a blank in it"
 
 
 def _near(word: bytes, tag: bytes) -> bool:

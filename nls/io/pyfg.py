@@ -42,6 +42,7 @@ from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.files import write_bytes
 from nls.io.misspelt import refuse_misspelt
+from nls.io.records import at_origin, fixed_offsets
 from nls.io.report import LoadReport
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused import appended, keep_unknown, note_comments
@@ -50,6 +51,7 @@ from nls.values import Values
 
 __all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
 LONGEST = 40  # characters of a name
+DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
 
 
@@ -219,13 +221,13 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     leading_zero = np.take_along_axis(C, np.minimum(head, C.shape[1] - 1)[:, None], axis=1)[:, 0] == ord("0")
     column_of = np.arange(C.shape[1])
     tail = (column_of >= head[:, None]) & (column_of < lengths[:, None])
-    bad = (head < 1) | (digits < 1) | (digits > 18) | (lengths > LONGEST) | (leading_zero & (digits > 1))
+    bad = (head < 1) | (digits < 1) | (digits > DIGITS) | (lengths > LONGEST) | (leading_zero & (digits > 1))
     bad |= (tail & ~digit).any(axis=1)
     if bad.any():
         k = int(np.argmax(bad))
         word = printable(text.token(int(tokens[k])), LONGEST)
         raise text.error(
-            f"name {word!r}: expected letters and a number of at most 18 digits, such as A17", int(lines[k])
+            f"name {word!r}: expected letters and a number of at most {DIGITS} digits, such as A17", int(lines[k])
         )
     number = np.zeros(len(C), dtype=np.int64)
     for k in range(C.shape[1]):
@@ -314,10 +316,9 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         if name is None or not (stack.kind.isascii() and stack.kind.isalpha()):
             raise GraphError(f"{path}: variables {stack.kind} in {stack.manifold} have no line in a PyFactorGraph file")
         numbers = stack.numbers
-        if len(numbers) and numbers.min() < 0:
-            raise GraphError(
-                f"{path}: {stack.kind}{numbers.min()} is no name of a PyFactorGraph file, the number is negative"
-            )
+        if len(wrong := numbers[(numbers < 0) | (numbers >= 10**DIGITS)]):
+            why = "is negative" if wrong[0] < 0 else f"has more than {DIGITS} digits"
+            raise GraphError(f"{path}: {stack.kind}{wrong[0]} is no name of a PyFactorGraph file, the number {why}")
         times = known.vertex_times.get(stack.kind, np.zeros(len(numbers)))
         if len(times) != len(numbers):
             raise GraphError(f"{path}: the report has {len(times)} times for the {len(numbers)} variables {stack.kind}")
@@ -334,7 +335,7 @@ def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]
     """Tag and table (n, columns) of a factor: measured value and covariance."""
     model, _ = values.gather(factor)
     name = next((n for n, t in dialect.items() if t.factor is type(factor) and t.space.size == model.space.size), None)
-    plain = getattr(factor, "components", None) is None and getattr(factor, "offset", None) is None
+    plain = getattr(factor, "components", None) is None and at_origin(fixed_offsets(factor))
     if name is None or not plain or len(factor.keys) != dialect[name].names:
         raise GraphError(f"{path}: {factor!r} has no line in a PyFactorGraph file", factor.keys, factor.name)
     d = model.space.dim

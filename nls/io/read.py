@@ -23,7 +23,7 @@ from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
 from nls.io.start import started
-from nls.io.text import Text, printable
+from nls.io.text import Text, printable, several
 from nls.io.unused import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.stages import stage
@@ -143,7 +143,7 @@ class _Offsets:
         """Keep the parameters no edge names as text: a graph has no place for them."""
         if self.unused.any():
             lines = self.at[self.unused]
-            report.notes.append(f"{len(lines)} parameters that no edge uses")
+            report.notes.append(f"{several(len(lines), 'parameter')} that no edge uses")
             keep(self.text, lines, report)
 
 
@@ -153,9 +153,11 @@ def _matrices(text: Text, part: Lines, format: Format, repair: bool, report: Loa
     if repair:
         M, changed = repaired(M)
         if changed.any():
+            count, tag, line = int(changed.sum()), part.record.tag.decode(), part.at[np.argmax(changed)] + 1
+            matrices, were, ones = ("matrices", "were", "ones") if count > 1 else ("matrix", "was", "one")
             report.warn(
-                f"{int(changed.sum())} information matrices of {part.record.tag.decode()} had negative eigenvalues, "
-                f"first on line {part.at[np.argmax(changed)] + 1}, and were replaced by the nearest semi-definite ones"
+                f"{count} information {matrices} of {tag} had negative eigenvalues, first on line {line}, and {were} "
+                f"replaced by the nearest semi-definite {ones}"
             )
             rows, columns = part.record.places
             part.numbers[:, part.record.element.width :] = M[:, rows, columns]
@@ -214,7 +216,7 @@ def _note_rounded(read: list[Lines], report: LoadReport) -> None:
     rounded = joined([part.rounded for part in read])
     if len(rounded):
         report.warn(
-            f"the length of {len(rounded)} quaternions is off by more than {UNIT_ROUNDED:g}, first on line "
+            f"the length of {several(len(rounded), 'quaternion')} is off by more than {UNIT_ROUNDED:g}, first on line "
             f"{rounded.min() + 1}: kept as written, and used as rotations; write more digits"
         )
 

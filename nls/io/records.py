@@ -19,11 +19,11 @@ from factors.between_sensors import BetweenSensors
 from factors.keys import Keys
 from factors.noise import Noise
 from factors.prior import Prior
-from models import LieGroup, Manifold, R
+from models import SE2, SE3, LieGroup, Manifold, R
 from models.algebra import Array
 from models.manifolds.euler import from_se3, to_se3
 
-__all__ = ["KINDS", "Element", "Format", "Record"]
+__all__ = ["KINDS", "Element", "Format", "Record", "a_file", "at_origin", "fixed_offsets"]
 
 KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by what measurements use them as
 ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
@@ -188,3 +188,27 @@ class Format:
         """The record of parameters."""
         found = [r for r in self.records if r.factor is None and not r.slots and r.group is group]
         return found[0] if found else None
+
+
+def a_file(format: str) -> str:
+    """A file of a format, in words.
+
+    Examples
+    --------
+    >>> a_file("g2o"), a_file("isam")
+    ('a g2o file', 'an isam file')
+    """
+    return f"a{'n' if format.startswith('i') else ''} {format} file"
+
+
+def fixed_offsets(factor: Factor) -> list[Array]:
+    """The fixed offsets of a factor, none, one or two."""
+    offset = getattr(factor, "offset", None)
+    if isinstance(offset, tuple):
+        return list(offset)
+    return [offset] if isinstance(offset, np.ndarray) else []
+
+
+def at_origin(offsets: list[Array]) -> bool:
+    """Whether fixed offsets say that the sensors are at the origin of the vehicle: the same as no offset."""
+    return all(bool((np.abs(O) == (SE3 if O.shape[-1] == SE3.size else SE2).identity()).all()) for O in offsets)

@@ -10,6 +10,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from models import SE2, SE3, R
 from nls.graph import FactorGraph
+from nls.io.lines import Numbers
 from nls.io.records import KINDS
 from nls.values import Values
 
@@ -21,8 +22,9 @@ POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 def renamed(graph: FactorGraph, values: Values, apart: bool = False) -> tuple[FactorGraph, Values, list[str]]:
     """The graph with its only kind of poses called x and its only kind of points l, and what was changed, in words.
 
-    Points whose numbers poses have, too, get the numbers after the largest, unless points are numbered ``apart``. A
-    graph with more kinds, or with others, is given back as it is, as is one in which nothing has to change.
+    Points whose numbers poses have, too, get the numbers after the largest, or free ones where these are too large,
+    unless points are numbered ``apart``. A graph with more kinds, or with others, is given back as it is, as is one in
+    which nothing has to change.
 
     Examples
     --------
@@ -49,9 +51,9 @@ the points had the number of a pose: they are numbered from 3'])
     )
     both = np.isin(points[0].numbers, poses[0].numbers) if points and not apart else np.zeros(0, dtype=bool)
     if both.any():
-        first = int(max(stack.numbers.max() for stack in poses + points)) + 1
-        new[points[0].kind][both] = first + np.arange(both.sum())
-        said += f"; {both.sum()} of the points had the number of a pose: they are numbered from {first}"
+        numbers = _free(np.concatenate([stack.numbers for stack in poses + points]), int(both.sum()))
+        new[points[0].kind][both] = numbers
+        said += f"; {both.sum()} of the points had the number of a pose: they are numbered from {numbers[0]}"
     if not said:
         return graph, values, []
 
@@ -63,6 +65,21 @@ the points had the number of a pose: they are numbered from 3'])
         other.fix(key(keys))
     stacks = values.stacks.values()
     return other, Values({names[s.kind]: (s.manifold, s.X, new[s.kind]) for s in stacks}), [said.removeprefix("; ")]
+
+
+def _free(numbers: Numbers, count: int) -> Numbers:
+    """So many numbers that nothing has: those after the largest, where they are below 2^63, else the first from 0.
+
+    Examples
+    --------
+    >>> _free(np.array([0, 7]), 2), _free(np.array([0, 2**63 - 1]), 2)
+    (array([8, 9]), array([1, 2]))
+    """
+    largest = int(numbers.max())
+    if largest + count < 2**63:
+        return largest + 1 + np.arange(count)
+    free: Numbers = np.setdiff1d(np.arange(len(numbers) + count), numbers)[:count]
+    return free
 
 
 def _with_keys(factor: Factor, keys: tuple[Keys, ...]) -> Factor:

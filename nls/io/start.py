@@ -17,7 +17,7 @@ from nls.io.lines import Lines
 from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
-from nls.io.text import Text
+from nls.io.text import Text, several
 from nls.starts.chain import chain
 from nls.starts.landmarks import locate_points
 from nls.values import Values
@@ -46,14 +46,17 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
             )
     if len(roles.poses):
         values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
-        report.notes.append(f"no vertices in the file: {len(roles.poses)} poses chained along the edges")
+        report.notes.append(f"no vertices in the file: {several(len(roles.poses), 'pose')} chained along the edges")
     if len(roles.points):
         values = _placed(text, bound, roles, values)
-        report.notes.append(f"no vertices in the file: {len(roles.points)} points placed where they were seen")
-    if len(roles.mounts):
         report.notes.append(
-            f"no vertices in the file: {len(roles.mounts)} places of sensors begin at the vehicle's own"
+            f"no vertices in the file: {several(len(roles.points), 'point')} placed by the measurements"
         )
+    if len(roles.mounts):
+        places = (
+            "1 place of a sensor begins" if len(roles.mounts) == 1 else f"{len(roles.mounts)} places of sensors begin"
+        )
+        report.notes.append(f"no vertices in the file: {places} at the vehicle's own")
     if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
         line = int(min(part.at.min() for _, part in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)

@@ -8,8 +8,9 @@ from collections.abc import Collection
 import numpy as np
 
 from models.algebra import Index
+from nls.io.records import a_file
 from nls.io.report import LoadReport
-from nls.io.text import Text, printable
+from nls.io.text import Text, printable, several
 
 __all__ = ["appended", "keep", "keep_unknown", "left_out", "note_comments"]
 NAMED = 9  # tags in a sentence
@@ -33,7 +34,7 @@ def keep_unknown(text: Text, unknown: dict[bytes, Index], report: LoadReport, kn
 def note_comments(report: LoadReport, count: int) -> None:
     """Say how many comments there were: they are never written."""
     if count:
-        report.notes.append(f"{count} comment lines")
+        report.notes.append(several(count, "comment line"))
 
 
 def appended(report: LoadReport | None, format: str) -> list[str]:
@@ -47,8 +48,9 @@ def left_out(report: LoadReport | None, format: str) -> list[str]:
         return []
     tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)
     named = _listed([f"{printable(tag, 30)} ({count})" for tag, count in tags.items()])
-    said = f"{len(report.ignored)} lines that were not used are left out"
-    return [f"{said}, only a {report.format} file gets them back: {named}"]
+    count = len(report.ignored)
+    said = f"{count} lines that were not used are left out" if count > 1 else "1 line that was not used is left out"
+    return [f"{said}, only {a_file(report.format)} gets them back: {named}"]
 
 
 def _listed(named: list[str]) -> str:

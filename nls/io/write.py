@@ -7,6 +7,7 @@ widely used readers lose a file's edges over one.
 from __future__ import annotations
 
 import re
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,8 @@ from models.errors import GraphError, SingularGeometryError
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.lines import Numbers
-from nls.io.records import KINDS, Format, Record
-from nls.io.text import rows
+from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
+from nls.io.text import rows, several
 from nls.io.weights import AsRead, entries
 from nls.values import Values
 
@@ -60,7 +61,7 @@ def graph_text(
     for table in content.edges:
         out += _lines(*table)
     left = content.unwritten
-    only = f"{format.name} files hold measurements only: the values of {left} variables are not in it"
+    only = f"{format.name} files hold measurements only: the values of {several(left, 'variable')} are not in it"
     text = "\n".join([*out, *ignored]) + "\n"
     return text.encode("utf-8", "surrogateescape"), [only] if left else []
 
@@ -119,17 +120,17 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
         if wanted.get(kind) is not manifold:
             said = ", ".join(f"{k} in {space}" for k, space in wanted.items())
             raise GraphError(
-                f"{path}: variables {kind} in {manifold} have no line in a {format.name} file, which holds poses, "
+                f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
                 f"points and places of sensors of one dimension: here {said}; build the graph with these kinds, "
                 "or let `nls convert` rename them, which takes one kind of poses and one of points"
             )
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
-    unique, count = np.unique(numbers, return_counts=True)
-    if (count > 1).any() and not format.apart:
-        number = int(unique[np.argmax(count > 1)])
+    unique, times = np.unique(numbers, return_counts=True)
+    if (times > 1).any() and not format.apart:
+        number = int(unique[np.argmax(times > 1)])
         both = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
         raise GraphError(
-            f"{path}: {both[0]!r} and {both[1]!r} have one number, the vertices of a {format.name} file share one "
+            f"{path}: {both[0]!r} and {both[1]!r} have one number, the vertices of {a_file(format.name)} share one "
             "numbering; give points numbers of their own, such as those of the poses and above: "
             "`nls convert` does",
             both,
@@ -143,7 +144,7 @@ def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.
     fixed = fixed_variables(graph.fixed, values)
     if fixed.any() and not format.fix:
         held = [keys for keys in graph.fixed if len(keys)]
-        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a {format.name} file has no line for", held)
+        raise GraphError(f"{path}: {held[0]!r} is held fixed, which {a_file(format.name)} has no line for", held)
     return fixed
 
 
@@ -199,6 +200,8 @@ class _Offsets:
         self.rows[number] = row
         self.known.setdefault(row, number)
         self.free = max(self.free, number + 1)
+        if self.free == 2**63:  # no id: the first that is left
+            self.free = next(k for k in count() if k not in self.rows and k not in self.taken)
         return number
 
     def lines(self, format: Format) -> list[str]:
@@ -216,11 +219,15 @@ def _edges(
 ) -> tuple[bytes, list[Numbers], Array]:
     """The tag, ids and numbers of the lines of one factor."""
     model, _ = values.gather(factor)
-    fixed = _fixed_offsets(factor)
+    fixed = fixed_offsets(factor)
     n, any_ = len(factor), [group.identity()]
     record = _record(factor, model.manifolds, format, fixed)
     if record is None:
-        raise GraphError(f"{path}: {factor!r} cannot be written to a {format.name} file", factor.keys, factor.name)
+        why = ""
+        if fixed and _record(factor, model.manifolds, format, []):
+            why = ": its sensor is not at the origin of the vehicle, and no line of this format has an offset"
+        message = f"{path}: {factor!r} cannot be written to {a_file(format.name)}{why}"
+        raise GraphError(message, factor.keys, factor.name)
     noise = factor.noise
     known = noise.numbers_of(factor, format.name, record.tag) if isinstance(noise, AsRead) else None
     if known is not None:
@@ -244,18 +251,10 @@ def _edges(
     return record.tag, ids, numbers
 
 
-def _fixed_offsets(factor: Factor) -> list[Array]:
-    """The fixed offsets of a factor, none, one or two."""
-    offset = getattr(factor, "offset", None)
-    if isinstance(offset, tuple):
-        return list(offset)
-    return [offset] if isinstance(offset, np.ndarray) else []
-
-
 def _record(factor: Factor, manifolds: tuple[object, ...], format: Format, fixed: list[Array]) -> Record | None:
-    """The record whose lines can say this factor; one with a parameter where it has no offset, if that is the only."""
+    """The record whose lines can say this factor, offsets of nothing with a parameter or without."""
     kinds = [keys.kind for keys in factor.keys]
-    for offsets in (len(fixed), 1 if not fixed else -1):
+    for offsets in (len(fixed), 1 if not fixed else 0 if at_origin(fixed) else -1):
         for record in format.records:
             if record.holds(factor, manifolds, offsets) and all(  # type: ignore[arg-type]
                 ROLES[kind] in (("pose", "mount") if slot == "either" else (slot,))

@@ -15,7 +15,7 @@ from nls.cli import main
 from nls.io.renamed import renamed
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
 from tests.nls.g2o_files import PLANE, SPACE, write
-from tests.nls.io_files import ISAM_APART_2, TORO_2
+from tests.nls.io_files import FILES, ISAM_APART_2, TORO_2
 
 Captured = pytest.CaptureFixture[str]
 PYFG = """VERTEX_SE2 5.5 A0 1 2 0.1
@@ -55,7 +55,7 @@ def test_trajectories_of_graphs(tmp_path: Path, capsys: Captured) -> None:
     assert main(["convert", str(file), str(tmp_path / "a.tum")]) == 0
     out = capsys.readouterr().out
     assert "note        the file has no times: the numbers of the poses stand for them" in out
-    assert "note        a trajectory file holds no measurements: 4 are not in it" in out
+    assert "note        a trajectory file holds no measurements: 4 measurements left out" in out
     times, X = read_tum(tmp_path / "a.tum")
     assert times.tolist() == [0, 1, 2, 3]
     assert np.array_equal(X, lifted(values[nls.Kind("x")]))
@@ -65,7 +65,9 @@ def test_trajectories_of_graphs(tmp_path: Path, capsys: Captured) -> None:
 
 def test_a_trajectory_takes_the_times_of_its_file(tmp_path: Path, capsys: Captured) -> None:
     assert main(["convert", str(write(tmp_path, PYFG, "a.pyfg")), str(tmp_path / "a.tum")]) == 0
-    assert "note        a trajectory file holds no 1 variables of other kinds" in capsys.readouterr().out
+    assert (
+        "note        a trajectory file holds poses only: 1 variable of other kinds left out" in capsys.readouterr().out
+    )
     times, X = read_tum(tmp_path / "a.tum")
     assert times.tolist() == [4.5, 5.5]
     assert X[:, :2].tolist() == [[2, 2.5], [1, 2]]
@@ -184,7 +186,8 @@ def test_unused_lines_do_not_come_to_life(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", nls.GraphWarning)
         assert main(["convert", str(file), str(tmp_path / out), "--dialect", dialect]) == 0
-    said = f"{count} lines that were not used are left out, only a {dialect} file gets them back: {tags}"
+    lines = "1 line that was" if count == 1 else f"{count} lines that were"
+    said = f"{lines} not used {'is' if count == 1 else 'are'} left out, only a {dialect} file gets them back: {tags}"
     printed = capsys.readouterr().out
     assert f"note        {said}" in printed
     assert "kept" not in printed
@@ -256,6 +259,33 @@ def test_points_numbered_apart_go_to_g2o_and_back(tmp_path: Path, capsys: Captur
         ["LANDMARK", "1", "1"],
         ["LANDMARK", "2", "7"],
     ]
+
+
+def test_landmarks_of_space_go_to_g2o_and_back(tmp_path: Path, capsys: Captured) -> None:
+    """A g2o file names an offset for each; where it is none, other formats need no place for it."""
+    dialect, text = FILES["isam, space"]
+    largest = text.replace("POINT3 1 10", f"POINT3 1 {2**63 - 1}").replace("POINT3 2 10", "POINT3 2 1")
+    for k, source in enumerate((text, largest)):
+        first, middle = write(tmp_path, source, f"a{k}.isam"), tmp_path / f"b{k}.g2o"
+        graph, values, _ = nls.load(first, dialect=dialect)
+        assert main(["convert", str(first), str(middle)]) == 0
+        for name in ("c.isam", "d.pyfg")[: 2 - k]:
+            last = tmp_path / name
+            assert main(["convert", str(middle), str(last)]) == 0
+            again, moved, _ = nls.load(last)
+            assert len(again) == len(graph)
+            assert again.chi2(moved) == pytest.approx(graph.chi2(values), rel=1e-9)
+    assert nls.load(middle)[1].stacks["l"].numbers.tolist() == [3, 2**63 - 1]
+    capsys.readouterr()
+    assert main(["convert", str(middle), str(tmp_path / "d.pyfg")]) == 2
+    assert (
+        "l9223372036854775807 is no name of a PyFactorGraph file, the number has more than" in capsys.readouterr().err
+    )
+    offset = middle.read_text().replace("OFFSET 0 0 0 0", "OFFSET 0 0.5 0 0")
+    assert main(["convert", str(write(tmp_path, offset, "e.g2o")), str(tmp_path / "f.isam")]) == 2
+    assert (
+        "cannot be written to an isam file: its sensor is not at the origin of the vehicle" in capsys.readouterr().err
+    )
 
 
 def test_more_kinds_of_poses_are_refused_with_a_cure(tmp_path: Path, capsys: Captured) -> None:

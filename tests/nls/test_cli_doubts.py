@@ -122,7 +122,7 @@ def test_what_is_read_is_replaced_by_the_graph_alone(option: str, tmp_path: Path
     path = write(tmp_path, PLANE)
     for command in ["solve", "explain"] if option == "--json" else ["solve"]:
         assert main([command, str(path), option, str(path)]) == 2
-        assert "and none that is read" in capsys.readouterr().err
+        assert "another name: this is the input" in capsys.readouterr().err
         assert path.read_text() == PLANE
     assert main(["solve", str(path), "-o", str(path), "--quiet"]) == 0
     assert path.read_text() != PLANE

@@ -123,9 +123,11 @@ def test_no_other_output_replaces_what_is_read(tmp_path: Path, capsys: Captured)
             ["plot", str(file), str(tmp_path / name)],
             ["solve", str(file), "--plot", str(tmp_path / name)],
         ):
-            assert "none that is read" in refused(arguments, capsys)
+            assert "another name: this is the input" in refused(arguments, capsys)
     for option in ("--json", "--covariance"):
-        assert "none that is read" in refused(["solve", str(file), option, str(tmp_path / "hard.png")], capsys)
+        assert "another name: this is the input" in refused(
+            ["solve", str(file), option, str(tmp_path / "hard.png")], capsys
+        )
     assert file.read_text() == PLANE
 
 
@@ -133,7 +135,9 @@ def test_no_output_replaces_a_table_of_the_mission_that_is_read(tmp_path: Path, 
     place = folder(tmp_path)
     before = {path.name: path.read_bytes() for path in place.iterdir()}
     for command, option in (("solve", "--covariance"), ("solve", "--json"), ("info", "--json"), ("explain", "--json")):
-        assert "none that is read" in refused([command, str(place), option, str(place / "zpr.csv")], capsys)
+        assert "another name: this is the input" in refused(
+            [command, str(place), option, str(place / "zpr.csv")], capsys
+        )
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
     assert main(["solve", str(place), "--quiet", "--covariance", str(place / "sigmas.csv")]) == 0
 

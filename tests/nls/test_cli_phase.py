@@ -125,6 +125,17 @@ def test_the_line_of_other_commands(
     assert capsys.readouterr() == ("", f"nls: interrupted {doing.format(file=file)}; nothing was written\n")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="os.kill sends no Ctrl-C there")
+def test_ctrl_c_between_the_phases() -> None:
+    """Outside of what `main` looks after, such as a second one while the line is printed."""
+    late = "import os, signal, sys\nimport nls.cli\nfrom nls.cli.phase import Phase\n"
+    late += "def main(phase, **_):\n    phase.now('while writing a.png')\n    os.kill(os.getpid(), signal.SIGINT)\n"
+    late += "signal.signal(signal.SIGINT, signal.default_int_handler)\nnls.cli.main = main\nsys.exit(nls.cli.command())"
+    done = run(late)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "nls: interrupted while writing a.png; nothing was written\n"
+
+
 def interrupted(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
@@ -146,3 +157,32 @@ def test_standard_output_that_is_full(place: str, argv: list[str], unbuffered: b
         os.close(full)
     assert done.returncode == 2
     assert done.stderr == f"{argv[0]}: standard output cannot be written: No space left on device\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other errors there")
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize(
+    ("place", "argv"),
+    [("nls.cli", ["nls", "solve", "{file}", "--json", "-", "-o", "{file}.g2o"]), ("sim.process", ["nls-sim", "ring"])],
+)
+def test_standard_output_that_nobody_reads(place: str, argv: list[str], unbuffered: bool, tmp_path: Path) -> None:
+    """As before ``| head -1``: no word, no other status, and files are written."""
+    argv = [word.format(file=write(tmp_path, PLANE)) for word in argv]
+    program = f"import sys\nfrom {place} import command\nsys.argv = {argv!r}\n"
+    program += "sys.stdout.reconfigure(write_through=True)\n" * unbuffered + "sys.exit(command())"
+    read, pipe = os.pipe()
+    os.close(read)
+    try:
+        done = run(program, pipe)
+    finally:
+        os.close(pipe)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Path(argv[-1]).exists() == ("-o" in argv)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other processes there")
+def test_standard_output_that_is_closed(tmp_path: Path) -> None:
+    file = write(tmp_path, PLANE)
+    program = "import os, sys\nos.close(1)\nos.execv(sys.executable, [sys.executable, '-m', 'nls', 'info', {!r}])"
+    done = run(program.format(str(file)))
+    assert (done.returncode, done.stderr) == (0, "")

@@ -45,6 +45,61 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
     assert link.is_symlink()
     assert gzip.decompress(file.read_bytes()) == b"newer"
     assert file.stat().st_mode & 0o777 == 0o640
+    hard = tmp_path / "hard"
+    os.link(file, hard)
+    write_bytes(hard, b"newest")
+    assert (hard.read_bytes(), gzip.decompress(file.read_bytes())) == (b"newest", b"newer")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="open files have no names here")
+def test_an_open_file_is_written_to_where_it_stands(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """As the shell does with a command among others whose output goes to one file: nothing is replaced."""
+    log, link = tmp_path / "log", tmp_path / "link"
+    log.write_bytes(b"header\n")
+    with open(log, "ab") as file:
+        names = [f"/dev/fd/{file.fileno()}", f"/proc/self/fd/{file.fileno()}", str(link)]
+        link.symlink_to(names[0])
+        for name in names:
+            write_bytes(name, b"line\n")
+        file.write(b"footer\n")
+    assert log.read_bytes() == b"header\n" + 3 * b"line\n" + b"footer\n"
+    graph = write(tmp_path, PLANE)
+    print("before")
+    assert main(["convert", str(graph), "/dev/stdout", "--to", "isam"]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[0] == "before"
+    assert lines[1].startswith("EDGE2 0 1 ")
+    with open(graph, "rb") as file:
+        assert main(["convert", str(graph), f"/dev/fd/{file.fileno()}", "--to", "isam"]) == 2
+    assert capfd.readouterr().err.endswith("is not possible; expected a number that is open for writing\n")
+
+
+def test_a_write_protected_file_stays(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the folder may be written to: as in a shell."""
+    file, out, access = write(tmp_path, PLANE), tmp_path / "out.g2o", os.access
+    out.write_bytes(b"older")
+    out.chmod(0o444)
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != str(out) and access(path, mode))  # of root, too
+    for options in ([], ["--overwrite"]):
+        assert main(["solve", str(file), "-o", str(out), *options]) == 2
+        err = capsys.readouterr().err
+        assert f"{str(out)!r} is not possible; expected a file that is not write-protected; --overwrite does not" in err
+    with pytest.raises(
+        GraphFileError, match=r"out\.g2o: cannot be written: it is write-protected; allow it with chmod"
+    ):
+        write_folder(tmp_path, {"other": b"x", "out.g2o": b"newer"})
+    assert sorted(os.listdir(tmp_path)) == sorted([file.name, out.name])
+    assert out.read_bytes() == b"older"
+
+
+@pytest.mark.parametrize("name", ["new.g2o/", "new.g2o/."])
+def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Captured) -> None:
+    file, out = write(tmp_path, PLANE), f"{tmp_path}/{name}"
+    assert main(["solve", str(file), "-o", out]) == 2
+    assert f"{out!r} is not possible; expected a file, and this names a folder" in capsys.readouterr().err
+    with pytest.raises(GraphFileError, match="cannot be written: its name is that of a folder"):
+        write_bytes(out, b"x")
+    assert os.listdir(tmp_path) == [file.name]
 
 
 @pytest.mark.parametrize("older", [True, False])

@@ -210,6 +210,17 @@ def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
         assert Text(data).tags
 
 
+def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused while it is unpacked: one of 2 GB is a file of 2 MB."""
+    monkeypatch.setattr(files, "WORD", 4 * CHUNK)
+    for data in (b"x" * (1 << 20), gzip.compress(b"x" * (1 << 20)), PLANE.encode() + b"1" * (1 << 20)):
+        file.write_bytes(data)
+        for read in READERS.values():
+            used, message = peak(read, file)
+            assert f"a word of {5 * CHUNK:,} bytes or more, the limit is {4 * CHUNK:,}" in message
+            assert used < 16 * CHUNK + BASE
+
+
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
 def test_a_device_without_end() -> None:
     for read in READERS.values():

@@ -44,6 +44,19 @@ SPACES = {
             f"EDGE_SE20 3 1.05 2.05 3.1 {INFORMATION_2}",
             "'EDGE_SE20' is no tag; expected EDGE_SE2 and a blank before 0",
         ),
+        (8, f"\u0415DGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* cyrillic .* ie \(U\+0415\)"),
+        (8, f"EDG\u00c9_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* e with acute \(U\+00C9\)"),
+        (8, f"EDGE\u00ad_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* soft hyphen \(U\+00AD\)"),
+        (8, f"\uff25DGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* letter e \(U\+FF25\)"),
+        (8, "EDGE_SE2,0,3,1.05,2.05,3.1,1,0,0,1,0,1", "expected EDGE_SE2 and blanks, not commas"),
+        (8, f"EDGE_SE2, 0, 3, 1.05 2.05 3.1 {INFORMATION_2}", "expected EDGE_SE2 and blanks, not commas"),
+        (8, "EDGE_SE2;0;3;1.05;2.05;3.1;1;0;0;1;0;1", "expected EDGE_SE2 and blanks, not semicolons"),
+        (8, '"EDGE_SE2",0,3,1.05,2.05,3.1,1,0,0,1,0,1', "expected EDGE_SE2 and blanks, not commas"),
+        (8, f'"EDGE_SE2" 0 3 1.05 2.05 3.1 {INFORMATION_2}', r"EDGE_SE2 without quotation mark \(U\+0022\)"),
+        (8, f'"EDGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}"', r"EDGE_SE2 without quotation mark \(U\+0022\)"),
+        (8, f"EDGE _SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'EDGE' is no tag; expected EDGE_SE2 without a blank"),
+        (8, f"edge_ se2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'edge_' is no tag; expected EDGE_SE2 without a blank"),
+        (8, f"EDGE SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'EDGE' is no tag; expected EDGE_SE2 without a blank"),
         (9, "fix 0 1", "'fix' is no tag; expected FIX "),
         (9, "FIX0", "'FIX0' is no tag; expected FIX and a blank before 0"),
     ],
@@ -71,6 +84,8 @@ def test_every_tag_of_every_format_may_lack_its_blank(name: str) -> None:
 def test_a_tag_of_another_program_is_not_taken_for_a_mistake() -> None:
     """A tag that is near, with another count of words; one that is far."""
     for line in ("VERTEX_XYZ 9 1 2 3", "EDGE_SE2_XYZ 0 9 1 2 3", "EDGE_SE2_SWITCHABLE 0 1 1 0 0.05", "VERTEX_SE2_OLD"):
+        assert read(PLANE + line + "\n")[2].ignored == [line]
+    for line in ("EDGE SE2_X 0 1", "\u0415\u0414\u0413 0 1", "\u00e9tat 3", "NAME=EDGE_SE2", "EDGE 2 1 0.5"):
         assert read(PLANE + line + "\n")[2].ignored == [line]
     assert read(TORO_2 + "EDGE 0 1 1 0 0\n")[2].ignored == ["EDGE 0 1 1 0 0"]
     assert read("EDGE3_TRUE 0 1 1 0 0 0 0 0\n" + FILES["isam, space"][1])[2].ignored[0].startswith("EDGE3_TRUE")

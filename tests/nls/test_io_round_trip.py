@@ -179,6 +179,17 @@ def test_in_space_a_factor_without_offset_is_written_with_one_of_nothing(tmp_pat
     assert back.chi2(found) == pytest.approx(graph.chi2(values), rel=1e-12)
 
 
+def test_the_largest_id_of_a_parameter_leaves_others_free(tmp_path: Path) -> None:
+    """A new offset gets the first id that is left."""
+    most = 2**63 - 1
+    seen = f"PARAMS_SE3OFFSET {most} 0.5 0 0 0 0 0 1\nEDGE_SE3_TRACKXYZ 0 10 {most} 3 1 0 1 0 0 1 0 1\n"
+    graph, values, _ = read(seen)
+    new = Landmark(x[0], l[10], [3.1, 0.9, 0.4], Isotropic(1), offset=SE3.exp([1.0, 0, 0, 0, 0, 0]))
+    save(tmp_path / "out.g2o", FactorGraph([*graph.factors, new], graph.fixed), values)
+    ids = [line.split()[1] for line in (tmp_path / "out.g2o").read_text().splitlines() if line.startswith("PARAMS")]
+    assert ids == [str(most), "0"]
+
+
 # ---- what a dialect cannot say
 
 
@@ -199,7 +210,7 @@ def test_values_a_file_would_say_otherwise(values: Values, message: str, tmp_pat
 def test_what_a_dialect_has_no_line_for(tmp_path: Path) -> None:
     graph, values, _ = read(SENSORS_2)
     for dialect in ("toro", "isam", "graph", "isam-covariance"):
-        with pytest.raises(GraphError, match=f"x0 is held fixed, which a {dialect} file has no line for"):
+        with pytest.raises(GraphError, match=f"x0 is held fixed, which an? {dialect} file has no line for"):
             save(tmp_path / "out", graph, values, dialect=dialect)
     graph.fixed = []
     with pytest.raises(GraphError, match=r"Landmark.* cannot be written to a toro file"):

@@ -230,8 +230,8 @@ def test_without_vertices_everything_has_a_start(text: str, group: LieGroup) -> 
     assert not report.vertices_given
     assert [note.split(": ")[1] for note in report.notes if note.startswith("no vertices")] == [
         "3 poses chained along the edges",
-        "2 points placed where they were seen",
-        "1 places of sensors begin at the vehicle's own",
+        "2 points placed by the measurements",
+        "1 place of a sensor begins at the vehicle's own",
     ]
     assert [str(stack.manifold) for stack in values.stacks.values()] == [
         str(group),

@@ -268,14 +268,27 @@ def test_a_truncated_gzip_file(tmp_path: Path, cut: int) -> None:
 def test_a_damaged_gzip_file(tmp_path: Path) -> None:
     data = bytearray(gzip.compress(CONTENT * 20))
     data[len(data) // 2] ^= 0xFF
-    with pytest.raises(GraphFileError, match="is not a complete gzip file"):
+    with pytest.raises(GraphFileError, match="is a damaged gzip file"):
         read_bytes(write(tmp_path, bytes(data)))
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_utf16(tmp_path: Path, encoding: str) -> None:
-    with pytest.raises(GraphFileError, match=r"UTF-16|binary"):
-        read_bytes(write(tmp_path, CONTENT.decode().encode(encoding)))
+def test_what_follows_a_gzip_file(tmp_path: Path) -> None:
+    """Another one and zeros belong to it."""
+    packed = gzip.compress(CONTENT)
+    assert read_bytes(write(tmp_path, packed + bytes(100) + packed + bytes(9))) == 2 * CONTENT
+    with pytest.raises(
+        GraphFileError, match=r"f\.g2o: is complete as a gzip file, and 7 bytes that are no gzip follow"
+    ):
+        read_bytes(write(tmp_path, packed + b"garbage"))
+
+
+@pytest.mark.parametrize("size", [16, 32])
+@pytest.mark.parametrize("order", ["le", "be"])
+def test_wide_characters(tmp_path: Path, size: int, order: str) -> None:
+    with pytest.raises(GraphFileError, match=f"is UTF-{size} text"):
+        read_bytes(write(tmp_path, f"\ufeff{CONTENT.decode()}".encode(f"utf-{size}-{order}")))
+    with pytest.raises(GraphFileError, match="binary"):
+        read_bytes(write(tmp_path, CONTENT.decode().encode(f"utf-{size}-{order}")))
 
 
 def test_a_binary_file_has_its_line(tmp_path: Path) -> None:
