@@ -10,6 +10,8 @@ import re
 from collections.abc import Iterable, Mapping
 from unicodedata import name, normalize
 
+import numpy as np
+
 from models.algebra import Index
 from nls.io.text import NUMBER, Text, printable, strange
 
