@@ -8,17 +8,16 @@ from typing import Protocol
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.differences import EPS, FIRST, derivative, sizes
+from factors.differences import EPS, FIRST, SAFE, derivative, sizes
 from factors.noise import whiten
 from models.algebra import Array
 from models.errors import GraphWarning, JacobianError
 
 __all__ = ["check_jacobians"]
 
-SAFE = 4.0  # times the error estimate of a difference is its uncertainty
 VAGUE = 1e-3  # uncertainty of a column, relative to its largest entry, that is worth a warning
-DUST = 1e-6  # a column below this part of the largest of its measurement, each times the size of its variable, is 0
-ROUNDING = 16 * EPS  # of A, relative to the same
+ROUNDING = 16 * EPS  # of A, relative to the largest column of its measurement, each times the size of its variable
+DUST = 1e-6  # a difference below this part of the same, and of the residual, may be noise where A is 0
 OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first happens to hide, it shows
 
 
@@ -51,7 +50,8 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     Warns
     -----
     GraphWarning
-        A column with too few digits in its differences: they agree, but would not show a mistake of a thousandth.
+        A column with too few digits in its differences, or with none at any step: a mistake of a thousandth would not
+        show. A column lost in the rounding of the others of its measurement counts as 0.
 
     Examples
     --------
@@ -67,10 +67,10 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     A, b = model.linearize(*X)
     h = factor.predict(model.manifolds, *X)[0]
     rounding = EPS * (whiten(np.abs(model.W), sizes(model.space, h)[:, model.rows]) + np.abs(b))
-    extent = [np.where((s := sizes(m, Y)) > EPS, s, 1.0)[:, None, :] for m, Y in zip(model.manifolds, X, strict=True)]
+    extents = [sizes(m, Y)[:, None, :] for m, Y in zip(model.manifolds, X, strict=True)]
     largest = np.max(
-        [np.abs(A_k * s).max(axis=(1, 2), keepdims=True) for A_k, s in zip(A, extent, strict=True)], axis=0
-    )
+        [np.abs(A_k * s).max(axis=(1, 2), keepdims=True) for A_k, s in zip(A, extents, strict=True)], axis=0
+    )  # a variable at 0 adds nothing to the terms of the others
     worst = 0.0
     for slot, (A_k, manifold) in enumerate(zip(A, model.manifolds, strict=True)):
 
@@ -79,10 +79,14 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
 
         numeric, error = derivative(change, manifold, X[slot], rounding)
         again, _ = derivative(change, manifold, X[slot], rounding, OTHER)
-        error = SAFE * (error + np.abs(numeric - again)) + ROUNDING * largest / extent[slot]
-        excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)
         column = np.abs(A_k).max(axis=1, keepdims=True)
-        size = np.fmax(column, np.abs(numeric).max(axis=1, keepdims=True))
+        extent = np.where(extents[slot] > EPS, extents[slot], 1.0)
+        most = np.maximum(largest / extent, column)
+        floor = ROUNDING * most
+        error = SAFE * (error + np.abs(numeric - again)) + floor
+        excess = np.where(np.isfinite(error), np.maximum(np.abs(A_k - numeric) - error, 0.0), 0.0)
+        slope = np.abs(numeric).max(axis=1, keepdims=True)
+        size = np.fmax(column, slope)
         relative = excess / np.where(size > 0, size, 1.0)
         found = float(relative.max(initial=0.0))
         if found > rtol:
@@ -99,13 +103,17 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
             )
         worst = max(worst, found)
         error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
-        vague = np.where(column * extent[slot] > DUST * largest, error / np.where(column > 0, column, 1.0), 0.0)
+        most = np.maximum(most, rounding.max(axis=1)[:, None, None] / (EPS * extent))
+        matters = (column > floor) | (slope > DUST * most) | np.isinf(error)
+        vague = np.where(matters, error / np.where(size > 0, size, 1.0), 0.0)
         if (vague > VAGUE).any():
             n, _, d = (int(i) for i in np.unravel_index(np.argmax(vague), vague.shape))
+            doubt = f"is uncertain by {vague[n, 0, d]:.1g} of the largest entry of its column, so smaller mistakes"
+            if not vague[n, 0, d] < 1:
+                doubt = "is uncertain by more than the column itself, at every step, so mistakes"
             warnings.warn(
                 f"{factor.describe(n)}: component {manifold.components[d]} of {factor.keys[slot][[n]]}: the central "
-                f"difference is uncertain by {vague[n, 0, d]:.1g} of the largest entry of its column, so smaller "
-                "mistakes do not show; check at other values, or with the variable in another unit",
+                f"difference {doubt} do not show; check at other values, or with the variable in another unit",
                 GraphWarning,
                 stacklevel=2,
             )

@@ -159,11 +159,18 @@ class MissingSolverError(LeadlineError, ImportError):
 
 
 class OptionError(LeadlineError, ValueError):
-    """An option with a value it cannot have."""
+    """An option with a value it cannot have.
 
-    def __init__(self, option: str, value: Any, allowed: str) -> None:
+    Parameters
+    ----------
+    option : its name; or, alone, the whole message.
+    value : the value that was given.
+    allowed : the values it can have; empty where the option itself is the mistake.
+    """
+
+    def __init__(self, option: str, value: Any = None, allowed: str = "") -> None:
         self.option, self.value, self.allowed = option, value, allowed
-        super().__init__(f"{option}: {value!r} is not possible; expected {allowed}")
+        super().__init__(f"{option}: {value!r} is not possible; expected {allowed}" if allowed else option)
 
 
 class GraphWarning(UserWarning):

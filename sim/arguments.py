@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 __all__ = ["Parser", "add_parameters", "command", "flag", "parameters", "seed_number", "values_of", "whole_number"]
 
+DIGITS = 18  # of a whole number: below 2^63
 FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
 
 
@@ -75,8 +76,10 @@ def flag(option: str) -> str:
 
 def whole_number(text: str) -> int:
     """An int, or the sentence argparse prints."""
-    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+    if not re.fullmatch(r"[+-]?[0-9]+", text):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    if len(text.lstrip("+-")) > DIGITS:
+        raise argparse.ArgumentTypeError(f"{text!r} is too large; a whole number has at most {DIGITS} digits here")
     return int(text)
 
 

@@ -101,7 +101,8 @@ def _main(argv: Sequence[str] | None, phase: Phase) -> int:
             table.append(("written", ", ".join(phase.written)))
         print(aligned(table))
     except OptionError as error:
-        return complain(f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}")
+        wrong = f"{flag(error.option)}: {error.value!r} is not possible; give {error.allowed}"
+        return complain(wrong if error.allowed else str(error))
     except OSError as error:
         return phase.unprinted(error)  # every file has an error of its own
     except LeadlineError as error:

@@ -111,7 +111,7 @@ def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> Es
     if kept is not None and (count is None or not kept):
         raise OptionError("resume", kept, "the name of a file, together with --runs")
     if memory and count is not None:
-        raise OptionError("memory", memory, "it without --runs")
+        raise OptionError("--memory and --runs do not go together; leave one out")
     world = SCENES[scene](np.random.default_rng(seed), **options)
     for each in names:
         estimator(world, each, **settings)  # refused here, not in the processes that run it
@@ -197,8 +197,7 @@ def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[
     names = options.pop("estimators", list(SCALED))
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
     if options:
-        option, value = next(iter(options.items()))
-        raise OptionError(option, value, "it without --scaling, which has rings of its own")
+        raise OptionError(f"{flag(next(iter(options)))} does not go with --scaling, which has rings of its own")
     _refuse("", names, {}, settings)
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
@@ -270,13 +269,16 @@ def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dic
     """What was given twice, or would do nothing."""
     if len(set(names)) < len(names):
         raise OptionError("estimators", " ".join(names), "every one once")
-    for option, value in options.items():
+    for option in options:
         if option not in parameters(SCENES[scene]):
-            raise OptionError(option, value, f"it to another world; {scene} has no {flag(option)}")
-    for setting, value in settings.items():
+            raise OptionError(
+                f"{flag(option)} is no option of the world {scene}; leave it out, or choose another world"
+            )
+    for setting in settings:
         users = SETTINGS[setting][0]
         if not set(users) & set(names):
-            raise OptionError(setting, value, f"it to {' or '.join(users)}")
+            belongs = f"{flag(setting)} belongs to {' or '.join(users)}, not to {' or '.join(names)}"
+            raise OptionError(f"{belongs}; leave it out, or choose another estimator")
 
 
 def _add_settings(sub: argparse.ArgumentParser) -> None:

@@ -76,18 +76,21 @@ class Trial:
 
 
 def tasks(seeds: int, large: int) -> list[Task]:
-    """Clean graphs, small ones, large ones with the first seed, the protocol, then the rest: what ends early has most.
+    """Clean graphs, small ones, large ones half wrong, the protocol, then the rest: what ends early has most of it.
 
     Parameters
     ----------
     seeds, large : of small graphs; of large ones, and of those with few closures.
     """
     small = [name for name in SETS if name not in (*LARGE, LARGEST)]
+    first = _kinds(LARGE, 0) if large else []
     return [
         *(Task("clean", name, "none", 0.0, 0) for name in SETS),
         *(task for seed in range(seeds) for task in _kinds(small, seed)),
-        *(task for seed in range(min(large, 1)) for task in _kinds(LARGE, seed)),
-        *(task for names in (small, LARGE) for seed in range(RUNS) for task in _protocol(names, seed)),
+        *(task for task in first if task.amount == 0.5),
+        *(task for seed in range(RUNS) for task in _protocol(small, seed)),
+        *(task for task in first if task.amount != 0.5),
+        *(task for seed in range(RUNS) for task in _protocol(LARGE, seed)),
         *(task for seed in range(large) for task in (*_few(seed), *(_kinds(LARGE, seed) if seed else ()))),
     ]
 

@@ -99,8 +99,9 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
         kind, late = edges.kinds[0], int(np.flatnonzero(~joined[1:])[0]) + 1
         a, b = values.stacks[kind].numbers[edges.order[[late - 1, late]]]
         raise GraphError(
-            f"loop closures are judged by the odometry around them, and none joins {kind}{a} to {kind}{b}; "
-            "use preselect=False"
+            f"no odometry joins {kind}{a} to {kind}{b}: the graph has {int((~joined[1:]).sum()) + 1} sessions, and "
+            "loop closures are judged along one; join the sessions by odometry, or use a robust kernel, "
+            "graph.robust(Cauchy(1)); use preselect=False"
         )
     return edges, links, odometry
 

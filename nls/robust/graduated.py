@@ -171,7 +171,10 @@ def gnc(
     masks = loop_closures(graph, values) if doubted is None else _named(graph, doubted)
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
-        raise GraphError("nothing in this graph can be doubted: no loop closures; name factors with doubted=[...]")
+        raise GraphError(
+            "this graph has no loop closures, and sightings of landmarks and other measurements are not judged: use "
+            "a robust kernel for them, graph.robust(Cauchy(1)); name factors with doubted=[...]"
+        )
     problem = Truncated(graph, masks, [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors])
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)

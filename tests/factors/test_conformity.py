@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
+import warnings
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import SE2, SE3, SO2, SO3, LieGroup, R
 from models.algebra import wrap
+from models.errors import GraphWarning
 from nls import Values, kinds
 from tests.factors.samples import (
     CASES,
@@ -102,7 +104,11 @@ def test_b_alone_is_b_and_A_is_minus_its_derivative(sample: Sample, case: str, n
         plus, minus = many_model.error(*stacks).reshape(2, manifold.dim, n, sample.dim)
         derivative = np.moveaxis((plus - minus) / (2 * STEP), 0, -1)
         np.testing.assert_allclose(A_k, -derivative, rtol=1e-6, atol=2e-8)
-    assert n == 1 or check_jacobians(factor, values) < 1e-6
+    if n > 1:
+        with warnings.catch_warnings():
+            if case == "near identity":  # columns of 1e-9 beside 1: the differences have few digits of them
+                warnings.simplefilter("ignore", GraphWarning)
+            assert check_jacobians(factor, values) < 1e-6
 
 
 @every_sample

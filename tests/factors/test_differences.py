@@ -87,6 +87,154 @@ def test_check_refuses_the_wrong_and_never_the_exact(name: str, decade: int, u: 
         assert not doubts
 
 
+# f and f' of u = length * (x - origin), bounded or not: of no size that x knows of
+SHAPES: dict[str, tuple[Function, Function]] = {
+    "sine": (np.sin, np.cos),
+    "cosine": (np.cos, lambda u: -np.sin(u)),
+    "peaks": (lambda u: np.tan(1.2 * np.sin(u)), lambda u: 1.2 * np.cos(u) / np.cos(1.2 * np.sin(u)) ** 2),
+    "steps": (lambda u: np.tanh(3 * np.sin(u)), lambda u: 3 * np.cos(u) / np.cosh(3 * np.sin(u)) ** 2),
+    "tangent": (np.tan, lambda u: np.cos(u) ** -2),
+    "exponential": (np.exp, np.exp),
+    "polynomial": (lambda u: u**3 - 2 * u, lambda u: 3 * u**2 - 2),
+}
+PERIODIC = ("sine", "cosine", "peaks", "steps")
+
+
+def outcome(residual: Function, jacobian: Function, x: object, factors: object) -> str:
+    """How `check_jacobians` takes a Jacobian with its columns times these factors: refused, doubted or passed."""
+    X = np.atleast_2d(np.asarray(x, dtype=float))
+    factor = Factor.from_function(
+        residual, p[0], residual(X).shape[1], jacobians=lambda X: [jacobian(X) * np.array(factors)]
+    )
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        try:
+            check_jacobians(factor, Values({p: (R(X.shape[1]), X)}))
+        except JacobianError:
+            return "refused"
+    assert all(issubclass(doubt.category, GraphWarning) for doubt in doubts)
+    return "doubted" if doubts else "passed"
+
+
+def verdict(residual: Function, jacobian: Function, x: object) -> str:
+    """The exact Jacobian is not refused; a wrong one is, or doubted."""
+    X = np.atleast_2d(np.asarray(x, dtype=float))
+    n = X.shape[1]
+    for k in range(n):
+        for wrong in (1.01, 0.0, -1.0):
+            factors = [wrong if d == k else 1.0 for d in range(n)]
+            assert outcome(residual, jacobian, X, factors) != "passed", (k, wrong)
+    right = outcome(residual, jacobian, X, np.ones(n))
+    assert right != "refused"
+    return right
+
+
+@given(
+    name=st.sampled_from(sorted(SHAPES)),
+    decade=st.floats(-12, 12),
+    digits=st.floats(3, 15),
+    whole=st.booleans(),
+    negative=st.booleans(),
+    absolute=st.booleans(),
+    phases=st.lists(st.floats(0.1, 1.2), min_size=1, max_size=3),
+)
+def test_a_function_as_fine_as_rounding_resolves(
+    name: str, decade: float, digits: float, whole: bool, negative: bool, absolute: bool, phases: list[float]
+) -> None:
+    """Rounding of x is 1e-3 to 1e-15 of the length over which f changes, so x may be 1e12 periods from 0."""
+    x = (-1 if negative else 1) * 10.0**decade
+    length = 10.0**-digits / (EPS * abs(x))
+    if whole:  # round numbers of periods, so that round steps fall on them
+        length = 2 * np.pi * (float(f"{length:.2g}") if length < 100 else round(length, -1))
+    origin = 0.0 if absolute and name in PERIODIC else x
+    f, df = SHAPES[name]
+
+    def residual(X: Array) -> Array:
+        return np.asarray(f(length * (X - origin) + phases))
+
+    def jacobian(X: Array) -> Array:
+        return np.asarray(length * df(length * (X - origin) + phases))[..., None]
+
+    X = np.array([[x]])
+    exact = jacobian(X)[0, :, 0]
+    assume(np.abs(exact).max() > 0.01 * length)
+    right = verdict(residual, jacobian, x)
+    assert right == "passed" or digits < 7
+    (A,), _ = linearized(Factor.from_function(residual, p[0], len(phases)), R(1), [x])
+    assert np.abs(A[0, :, 0] - exact).max() < (1e-7 + 100 * 10.0**-digits) * np.abs(exact).max() or right == "doubted"
+
+
+@pytest.mark.parametrize("frequency", [0.37, 1.0, 10.0, 50.0])
+@pytest.mark.parametrize("seconds", [1e3, 1e6, 1e9, 1.7e9, 1763800000.0])
+def test_a_clock_of_unix_seconds(seconds: float, frequency: float) -> None:
+    """A phase repeats at every step that is a whole number of periods; a step between them tells."""
+    s, w = np.linspace(0, 3, 7), 2 * np.pi * frequency
+
+    def residual(X: Array) -> Array:
+        return np.sin(w * (X - seconds + s)) - np.sin(w * (0.1 + 0.01 / frequency + s))
+
+    def jacobian(X: Array) -> Array:
+        return np.asarray(w * np.cos(w * (X - seconds + s)))[..., None]
+
+    x = seconds + 0.1
+    verdict(residual, jacobian, x)
+    (A,), _ = linearized(Factor.from_function(residual, p[0], 7), R(1), [x])
+    exact = jacobian(np.array([[x]]))
+    assert np.abs(A - exact).max() < 1e-3 * np.abs(exact).max()
+    result = FactorGraph([Factor.from_function(residual, p[0], 7)]).optimize(Values({p: (R(1), [x])}))
+    assert result.converged
+    assert result.values[p][0, 0] - seconds == pytest.approx(0.1 + 0.01 / frequency, abs=1e-9 + 2 * EPS * seconds)
+
+
+def test_a_fine_structure_on_a_slope_is_resolved_where_larger_steps_see_the_slope_alone() -> None:
+    def residual(X: Array) -> Array:
+        return np.asarray(0.1 * X + np.sin(1e4 * X) * [1.0, 2.0, 0.5])
+
+    def jacobian(X: Array) -> Array:
+        return np.asarray(0.1 + 1e4 * np.cos(1e4 * X) * [1.0, 2.0, 0.5])[..., None]
+
+    for x in (0.3, 1e3, 1e6):
+        verdict(residual, jacobian, x)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-17, 1e-12, 1e-3, 1.0])
+def test_columns_of_extremely_different_size_have_their_own_tolerance(x: float) -> None:
+    """1e16 beside 5e-9; a variable at 0 brings no rounding into the column of another."""
+    t = np.linspace(0.1, 5, 6)
+
+    def residual(X: Array) -> Array:
+        return 1e7 * X[:, :1] * X[:, 1:] + X[:, 1:] / 1e9 * t + 1e7 * X[:, :1]
+
+    def jacobian(X: Array) -> Array:
+        return np.stack([1e7 * X[:, 1:] + 1e7 + 0 * t, 1e7 * X[:, :1] + t / 1e9], axis=-1)
+
+    assert verdict(residual, jacobian, [x, 1e9]) == "passed"
+
+
+@pytest.mark.parametrize("large", [1e4, 1e8, 1e10, 1e12, 1e14])
+def test_a_column_lost_in_the_rounding_of_another_is_doubted(large: float) -> None:
+    def residual(X: Array) -> Array:
+        return large * X[:, :1] + X[:, 1:] * [1.0, 2.0]
+
+    def jacobian(X: Array) -> Array:
+        return np.stack([large + 0 * X, [1.0, 2.0] + 0 * X], axis=-1)
+
+    assert verdict(residual, jacobian, [1.0, 1.0]) == ("passed" if large < 1e12 else "doubted")
+
+
+def test_check_warns_where_no_step_can_be_trusted() -> None:
+    """Functions that change within the rounding of their variable."""
+    fine: list[Function] = [
+        lambda X: np.sin(1e20 * X),
+        lambda X: np.sin(1e20 * X + np.arange(3.0)),
+        lambda X: np.sin(1e7 * X**5),
+    ]
+    for f in fine:
+        J = np.ones((1, f(np.ones((1, 1))).shape[1], 1))
+        for wrong in (0.0, 1.0):
+            assert outcome(f, lambda X, J=J: J, 1e3, [wrong]) == "doubted"  # type: ignore[misc]
+
+
 @pytest.mark.parametrize("x", [0.0, 1e-17, 1e-9, 1.0])
 @pytest.mark.parametrize("s", [1e-9, 1e-4, 1.0, 100.0])
 def test_a_variable_at_0_says_nothing_about_its_scale(x: float, s: float) -> None:
@@ -171,7 +319,7 @@ def test_elements_near_and_far_from_the_origin(manifold: Manifold, X: list[float
     assert np.abs(A[0] - np.eye(manifold.dim)).max() < 1e-10 + 100 * EPS * far
 
 
-def test_columns_of_poses_take_four_evaluations_or_little_more() -> None:
+def test_columns_of_poses_take_five_evaluations_or_little_more() -> None:
     rng = np.random.default_rng(0)
     points, calls = rng.uniform(-50, 50, size=(200, 2)), []
 
@@ -180,7 +328,7 @@ def test_columns_of_poses_take_four_evaluations_or_little_more() -> None:
         return Range(p[0], p[1], [1.0], Isotropic()).predict((SE2, R(2)), X, points)[0]
 
     linearized(Factor.from_function(residual, p[0:200], 1), SE2, rng.uniform(-50, 50, size=(200, 3)))
-    assert len(calls) <= 1 + 3 * 8
+    assert len(calls) <= 1 + 5 + 5 + 2 * 5 + 5  # where one pose of 200 needs another step, the batch takes it
 
 
 MISRA = np.array(

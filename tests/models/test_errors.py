@@ -79,6 +79,11 @@ def test_option_error_says_what_was_expected() -> None:
     assert (error.option, error.value, error.allowed) == ("gauge", "frist", "one of first, prior")
 
 
+@pytest.mark.parametrize("name", [name for name in errors.__all__ if name.endswith("Error")])
+def test_an_error_can_be_made_of_its_message_alone(name: str) -> None:
+    assert str(getattr(errors, name)("hello")).endswith("hello")
+
+
 def test_attributes() -> None:
     graph = errors.GraphError("m", ["x0", "x1"], "Between")
     assert (graph.keys, graph.factor) == (("x0", "x1"), "Between")

@@ -186,8 +186,10 @@ def test_unused_lines_do_not_come_to_life(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", nls.GraphWarning)
         assert main(["convert", str(file), str(tmp_path / out), "--dialect", dialect]) == 0
-    lines = "1 line that was" if count == 1 else f"{count} lines that were"
-    said = f"{lines} not used {'is' if count == 1 else 'are'} left out, only a {dialect} file gets them back: {tags}"
+    lines, them = (
+        ("1 line that was not used is", "it") if count == 1 else (f"{count} lines that were not used are", "them")
+    )
+    said = f"{lines} left out, only a {dialect} file gets {them} back: {tags}"
     printed = capsys.readouterr().out
     assert f"note        {said}" in printed
     assert "kept" not in printed

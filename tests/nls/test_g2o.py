@@ -65,7 +65,7 @@ FIX 900 -4
     assert graph.factors[0].keys[0].numbers.tolist() == [900, 7]
     assert sorted(n for keys in graph.fixed for n in keys.numbers.tolist()) == [-4, 7, 900]
     assert report.ignored == ["EDGE_WHATEVER ünïcode 1 2   three", "PARAMS_SE2OFFSET 0 0 0 0"]
-    assert "1 parameters that no edge uses" in report.notes
+    assert "1 parameter that no edge uses" in report.notes
     assert report.tags == {"EDGE_SE2": 2, "VERTEX_SE2": 4, "FIX": 2, "PARAMS_SE2OFFSET": 1, "EDGE_WHATEVER": 1}
     assert "2 comment lines" in report.notes
     same(loaded, again(loaded, tmp_path))

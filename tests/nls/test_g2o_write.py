@@ -48,7 +48,7 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
         save(tmp_path / "out.g2o", FactorGraph(), Values({x: (R(2), [[0.0, 0.0]])}))
     assert list(tmp_path.iterdir()) == []
     z = [0.0, 0.0, 0.0]
-    partial, offset = Prior(x[0], z, Isotropic(1), ("x", "y")), Prior(x[0], z, Isotropic(1), offset=z)
+    partial, offset = Prior(x[0], z, Isotropic(1), ("x", "y")), Prior(x[0], z, Isotropic(1), offset=[1.0, 0.0, 0.0])
     robust = Prior(x[0], z, Robust(Isotropic(1), Huber(1.0)))
     for factor, said in ((partial, "cannot be written"), (offset, "cannot be written"), (robust, "robust kernel")):
         with pytest.raises(GraphError, match=rf"out\.g2o: Prior\(x0\) .*{said}"):

@@ -80,6 +80,10 @@ def test_the_command_in_the_readme_makes_the_same_files(tmp_path: Path, capsys: 
         (["sphere", "--ring", "30"], "--ring is no option of sphere"),
         (["sphere", "--rings"], "expected one argument"),
         (["sphere", "--rings", "many"], "'many' is not a whole number"),
+        (
+            ["ring", "--seed", "9223372036854775808"],
+            "'9223372036854775808' is too large; a whole number has at most 18",
+        ),
         (["sphere", "--rings", "1_0"], "'1_0' is not a whole number"),
         (["sphere", "--rings", "1"], "--rings: 1 is not possible; give a whole number from 2"),
         (["manhattan", "--poses", "2"], "--poses: 2 is not possible; give a whole number from 3"),

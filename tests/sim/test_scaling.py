@@ -146,13 +146,13 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--runs", "2"], "--runs: 2 is not possible; give it without --scaling"),
-        (["--world", "lines"], "--world: 'lines' is not possible; give it without --scaling"),
-        (["--memory"], "--memory: True is not possible; give it without --scaling"),
-        (["--laps", "3"], "--laps: 3 is not possible; give it without --scaling"),
-        (["--laps", "0"], "--laps: 0 is not possible; give it without --scaling"),
-        (["--particles", "0"], "--particles: 0 is not possible; give it to fastslam1 or fastslam2"),
-        (["--particles", "9"], "--particles: 9 is not possible; give it to fastslam1 or fastslam2"),
+        (["--runs", "2"], "--runs does not go with --scaling, which has rings"),
+        (["--world", "lines"], "--world does not go with --scaling, which has rings"),
+        (["--memory"], "--memory does not go with --scaling, which has rings"),
+        (["--laps", "3"], "--laps does not go with --scaling, which has rings"),
+        (["--laps", "0"], "--laps does not go with --scaling, which has rings"),
+        (["--particles", "0"], "--particles belongs to fastslam1 or fastslam2, not to "),
+        (["--particles", "9"], "--particles belongs to fastslam1 or fastslam2, not to "),
         (["--estimators", "ekf", "ekf"], "--estimators: 'ekf ekf' is not possible; give every one once"),
     ],
 )
