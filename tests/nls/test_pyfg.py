@@ -144,7 +144,7 @@ def test_unknown_lines_are_kept(tmp_path: Path) -> None:
         before = load(path)
     assert [warning.filename for warning in caught] == [__file__]
     assert before[2].warnings == [said]
-    assert before[2].notes == [said, "1 comment lines"]
+    assert before[2].notes == [said, "1 comment line"]
     assert before[2].ignored == ["EDGE_BEARING 1 A0 L3 0.5 0.1", "EDGE_BEARING x"]
     assert again(before, tmp_path)[2].ignored == before[2].ignored
 
@@ -230,7 +230,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
 
     zero = [0.0, 0.0, 0.0]
     refused(Prior(A[0], zero, Isotropic(1), components=["x"]), r"Prior\(A0\) has no line")
-    refused(Range(A[0], L[0], [1.0], Isotropic(1), offset=zero), r"Range\(A0, L0\) has no line")
+    refused(Range(A[0], L[0], [1.0], Isotropic(1), offset=[1.0, 0.0, 0.0]), r"Range\(A0, L0\) has no line")
     refused(Between(L[0], L[1], [0.0, 0.0], Isotropic(1)), "has no line",
             Values({L: (R(2), [[0.0, 0.0], [1.0, 1.0]])}))  # fmt: skip
     refused(Between(A[0], A[1], zero, Information(np.diag([1.0, 1, 0]))), "measures nothing in some direction")
