@@ -18,7 +18,9 @@ import numpy as np
 
 from models.algebra import Array
 
-__all__ = ["Iterated", "conjugate"]
+__all__ = ["SURE", "Iterated", "conjugate"]
+
+SURE = 0.01  # of the deviation of a random right side along any direction: what is left of it where it is solved
 
 Look = Callable[[Array, Array], None]
 

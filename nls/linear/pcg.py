@@ -38,7 +38,7 @@ from models.errors import OptionError
 from models.options import is_number, is_whole
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
-from nls.linear.conjugate import conjugate
+from nls.linear.conjugate import SURE, conjugate
 from nls.linear.factorization import Factorization
 from nls.linear.normal import NormalAnalysis
 from nls.sparse.pattern import Pattern
@@ -47,7 +47,6 @@ from nls.system import LinearSystem
 
 __all__ = ["CholeskyPCG", "KeptFactorization"]
 
-SURE = 0.01  # of the deviation of h along any direction: what is left of it in an accepted step
 SOFT = 1e-3  # part of M that H keeps in every direction; below, its own pivots have to speak
 TRIED = 1  # steps before their rate is believed: a poor M shows in the first one, which costs a fifth of H = L L'
 

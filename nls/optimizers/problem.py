@@ -19,7 +19,7 @@ from nls.values import Values
 
 __all__ = ["Problem", "gauss_newton_step"]
 
-T = TypeVar("T")
+U = TypeVar("U")
 
 
 class Problem:
@@ -73,7 +73,7 @@ class Problem:
         moved, chi2, _ = self._reached(values, dx, lambda there: self._timed("linearize", lambda: evaluate(there)))
         return moved, math.inf if chi2 is None else chi2
 
-    def _reached(self, values: Values, dx: Array, evaluate: Callable[[Values], T]) -> tuple[Values, T | None, str]:
+    def _reached(self, values: Values, dx: Array, evaluate: Callable[[Values], U]) -> tuple[Values, U | None, str]:
         """Values moved and evaluated; as they were, None and the reason where that cannot be done."""
         try:
             moved = self.retract(values, dx)
@@ -88,7 +88,7 @@ class Problem:
         lap, self._lap = self._lap, {}
         return lap
 
-    def _timed(self, part: str, work: Callable[[], T]) -> T:
+    def _timed(self, part: str, work: Callable[[], U]) -> U:
         start = perf_counter()
         done = work()
         self._add(part, perf_counter() - start)

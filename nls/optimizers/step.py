@@ -108,10 +108,11 @@ class Step:
         return self.rounds(self.promised)
 
     def rounds(self, change: float) -> bool:
-        """Whether rounding may change chi2 by as much: an error is a difference of numbers as large as |A_k| |x_k|."""
+        """Whether rounding may change chi2 by as much: b is a difference of numbers as large as |A_k| |x_k|, |W z|."""
         system = self.system
         b, x = math.sqrt(system.chi2), np.abs(system.pattern.restrict(self.values.coordinates))
-        error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
+        largest = max(float((system.column_norms * x).max(initial=0.0)), system.pattern.largest_measurement)
+        error = EPS * max(b, largest)
         return change <= (2 * b + error) * error
 
     @cached_property

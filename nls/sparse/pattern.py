@@ -136,6 +136,16 @@ class Pattern:
             total += float(squares.sum() if kernel is None else kernel.rho(squares.sum(axis=1)).sum())
         return total
 
+    @cached_property
+    def largest_measurement(self) -> float:
+        """The largest number of a measurement times the largest of its whitener: rounding of b is a part of that."""
+        sizes = [0.0]
+        for batch in self.batches:
+            W, z = np.abs(batch.model.W), np.abs(batch.model.z)
+            weight = W.max(axis=tuple(range(1, W.ndim)), initial=0.0)
+            sizes.append(float((weight * z.max(axis=1, initial=0.0)).max(initial=0.0)))
+        return max(sizes)
+
     @property
     def numbers_in_A(self) -> int:
         """Numbers in all Jacobian blocks, those of held variables too."""

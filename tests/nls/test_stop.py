@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Isotropic, Prior
+from factors import Between, Information, Isotropic, Prior
 from models import SE2, SE3, R
 from nls import Dogleg, FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Optimizer, Status, Stop, Values
 from nls.cli import main
@@ -223,6 +223,19 @@ def test_the_noise_floor_is_no_excuse_for_a_slope(name: str) -> None:
     """|x| + 1: no step lowers chi2, but the gradient does not vanish."""
     graph, start = scalar(lambda X: np.abs(X) + 1.0, 0.7, lambda X: np.sign(X)[..., None])
     assert not graph.optimize(start, OPTIMIZERS[name](Stop(update_tol=1e-9))).converged
+
+
+@pytest.mark.parametrize("optimizer", [None, GaussNewton(), LevenbergMarquardt(), Dogleg()])
+def test_rounding_of_large_measurements_is_no_rise_of_chi2(optimizer: Optimizer | None) -> None:
+    """Angles of 90 rad, degrees taken for radians: errors of a perfect fit are 90 times the rounding of a radian."""
+    x = nls.Kind("x")
+    for k in range(20):
+        z = [[1.0, 0.0, 90.0 + k]] * 2
+        graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], z, Information(np.diag([100.0, 100.0, 400.0])))])
+        start = nls.initialize(graph, Values({x: (SE2, np.zeros((3, 3)))}), "odometry")[0]
+        result = graph.optimize(start, optimizer)
+        assert result.converged, result.reason
+        assert result.chi2_final < 1e-20
 
 
 def test_the_command_line_gives_thresholds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,7 @@ from models.algebra import Array
 from models.errors import OptionError
 from models.options import is_number, is_whole
 from nls.linear.base import LinearSolver
-from nls.linear.conjugate import Iterated, conjugate
+from nls.linear.conjugate import SURE, Iterated, conjugate
 from nls.linear.factorization import Factorization
 from nls.linear.normal import NormalAnalysis
 from nls.linear.schur.complement import Complement
@@ -50,7 +50,6 @@ from nls.system import LinearSystem
 
 __all__ = ["PCG", "PCGDecomposition"]
 
-SURE = 0.01  # of the deviation of h along any direction: what is left of it where nothing is free
 GROWN = 1e4  # times r'M^-1 r at the start, and then times what it was when A was asked last: a free direction, perhaps
 EXACT = 1e-6  # a larger tolerance is an inexact solver
 
@@ -190,8 +189,7 @@ class PCGAnalysis(NormalAnalysis):
 class PCG(LinearSolver):
     """A'A dx = A'b by conjugate gradients on the Schur complement of the landmarks, preconditioned with its diagonal.
 
-    For the largest bundle problems: memory is that of A'A, whatever sees what. Which variables are eliminated is found
-    as by `Schur`, and as there single ones are where no whole kind will do.
+    For the largest bundle problems: memory is that of A'A. The variables that are eliminated are those of `Schur`.
 
     Parameters
     ----------
@@ -245,8 +243,8 @@ class PCG(LinearSolver):
         elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         complement = Complement(blocks, elimination, len(first), hessian, group[others], diagonal=True)
-        decomposition = PCGDecomposition(complement, self.tol, self.max_steps)
-        return PCGAnalysis(PCGFactorization(hessian, decomposition), decomposition, eliminated)
+        made = PCGDecomposition(complement, self.tol, self.max_steps)
+        return PCGAnalysis(PCGFactorization(hessian, made), made, eliminated)
 
     def __repr__(self) -> str:
         return f"PCG(tol={self.tol:g}, max_steps={self.max_steps})"
