@@ -7,7 +7,10 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 __all__ = ["INTERRUPTED", "Phase"]
 

@@ -14,7 +14,10 @@ __all__ = ["FAINT", "HOPELESS", "Undamped"]
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
 LARGEST = 1e-8  # that a system which follows keeps
-UNSEEN = 1e-13  # of a column of A: what a direction changes by no more is rounding, and says nothing of chi2
+# A'A squares the condition of A: a direction that A sees with 1e-8 of a column is lost in it. Up to so many unknowns
+# the weakest directions of A are looked at, those it sees by more than so much of a column, and followed where they
+# promise to lower chi2 by more than so much of itself. A bundle has dozens of them, and little to gain.
+SMALL, UNSEEN, WORTH = 300, 1e-10, 0.02
 HOPELESS = 1e16  # lambda at which no step is left to try
 
 
@@ -56,22 +59,22 @@ class Undamped:
         return self._solved[strict][1]
 
     def _exact(self, system: LinearSystem, D: Array) -> Array:
-        """The step without damping; where A'A is singular but A is not, along its weakest directions by A itself.
-
-        A'A squares the condition of A. A direction that A sees with 1e-8 of a column is lost in it, and chi2 may fall
-        a long way along it.
-        """
+        """The step without damping; where A'A is singular, the faint one, or by A itself where that promises more."""
         try:
             dx, self.free = self.problem.solve(system), None
             return dx
         except SingularSystemError:
-            dx = self._faint(system, D)
+            dx, self.free = self._faint(system, D), system
+        if len(dx) > SMALL or self.problem.solver.seen(system) is not system:
+            return dx
         s, N = weakest(system)
-        self.free = system if (s <= NULL).any() else None
+        if not (s <= NULL).any():
+            self.free = None
         N = N[:, s > UNSEEN]
         A_N, rest = system.A @ N, system.b - system.times(dx)
         lengths = np.linalg.norm(A_N, axis=0)
-        return np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, rest)[0])
+        farther = np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, rest)[0])
+        return farther if system.promised(farther) - system.promised(dx) > WORTH * system.chi2 else dx
 
     def _faint(self, system: LinearSystem, D: Array) -> Array:
         self.damping = max(self.damping / 10, self._least)

@@ -134,12 +134,13 @@ def test_what_is_counted(
 
 
 def test_what_is_tried(trials: Any) -> None:
-    """Every task once; clean graphs first, large ones last."""
+    """Every task once; clean graphs first, then small ones."""
     wanted = trials.tasks(3, 1)
     small, large, shares = 7, 6, 4 * 6
-    assert len(wanted) == len(set(wanted)) == 14 + 3 * small * shares + large * shares + 3 * 8 * 3 * 6 + 10 * 7 * 10
+    assert len(wanted) == len(set(wanted)) == 14 + 3 * small * shares + large * shares + 8 * 3 * 6 + 10 * 7 * 10
     assert [task.table for task in wanted[:15]] == ["clean"] * 14 + ["kinds"]
-    assert wanted[-1].name in trials.LARGE
+    assert {task.name for task in wanted[15 : 14 + 3 * small * shares]}.isdisjoint(trials.LARGE)
+    assert {task.amount for task in wanted if task.table == "kinds" and task.name in trials.LARGE} == set(trials.SHARES)
 
 
 def test_tables(evidence: Any, trials: Any) -> None:

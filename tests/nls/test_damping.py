@@ -158,7 +158,7 @@ def test_the_first_damping_falls_tenfold_from_system_to_system() -> None:
     assert used == pytest.approx([max(10.0**-k, FAINT) for k in range(3, 17)], rel=1e-9)
 
 
-@pytest.mark.parametrize(("angle", "free", "keeps"), [(1e-8, False, True), (1e-10, True, True), (0.0, True, False)])
+@pytest.mark.parametrize(("angle", "free", "keeps"), [(1e-8, False, True), (1e-9, True, True), (0.0, True, False)])
 def test_the_exact_step_keeps_a_direction_that_only_A_sees(angle: float, free: bool, keeps: bool) -> None:
     """Two columns at an angle whose square is lost in A'A; chi2 falls by 1 along one column, by 1 between them."""
     A = np.array([[1.0, 1.0], [0.0, angle], [0.0, 0.0]])

@@ -33,7 +33,7 @@ SOLVED = {
     ("levenberg-marquardt", 10): 25,
     ("levenberg-marquardt", 100): 22,
     ("dogleg", 1): 35,
-    ("dogleg", 10): 24,
+    ("dogleg", 10): 23,  # biggs_exp6 arrives, but A'A is singular there and A promises more: it cannot tell
     ("dogleg", 100): 23,
 }
 CASES = [(q, m) for q in PROBLEMS for m in MULTIPLES if m == 1 or any(q.start)]
