@@ -337,12 +337,8 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
     from nls.io.text import several
 
     lines = result.steps if verbose else []
-    names = {}
-    if "mission" in report:  # which has no start in a file
-        from nls.starts.candidates import AFTER_STEPS
-
-        names = {f"file{steps}": f"dead reckoning{steps}" for steps in ("", AFTER_STEPS)}
-    start = ", ".join(f"{names.get(name, name)} {chi2:.6g}" for name, chi2 in report["starts"].items())
+    file = "dead reckoning" if "mission" in report else "file"  # a mission has no start in a file
+    start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
     ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
@@ -350,7 +346,7 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
         f"input       {report['input']}: {several(report['variables'], 'variable')}, "
         f"{several(report['factors'], 'measurement')}, "
         f"{report['dimension']}",
-        f"start       {names.get(report['init'], report['init'])} (chi2: {start})",
+        f"start       {report['init'].replace('file', file)} (chi2: {start})",
         f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
         f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}, "
         f"convention {report['convention']}{robust}",

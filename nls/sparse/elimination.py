@@ -26,7 +26,7 @@ class Elimination:
     ----------
     u, v : (P,) pairs of variables, u != v, in any orientation, repeats allowed.
     V : variables.
-    order : gives the elimination order; None keeps the given order.
+    order : the elimination order (V,), or a function that gives it; None keeps the given order.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Elimination:
     again, twin : the other pairs (P - B,), and which of `blocks` each repeats.
     """
 
-    def __init__(self, u: Index, v: Index, V: int, order: Order | None) -> None:
+    def __init__(self, u: Index, v: Index, V: int, order: Order | Index | None) -> None:
         self.u, self.v, self.V, self.order = u, v, V, order
         position = np.arange(V)
         self.variables = position
@@ -45,7 +45,7 @@ class Elimination:
             pairs = np.minimum(u, v) * V + np.maximum(u, v)
             pairs.sort()
             low, high = np.divmod(pairs[_first_of_equals(pairs)], max(V, 1))
-            self.variables = order(high, low, V)
+            self.variables = order if isinstance(order, np.ndarray) else order(high, low, V)
             position = np.empty(V, dtype=np.intp)
             position[self.variables] = np.arange(V)
         a, b = position[u], position[v]

@@ -13,7 +13,7 @@ import sim
 from factors import BearingRange, Between, Factor, Isotropic, Prior, Range
 from models import SE2, R
 from models.algebra import Array
-from nls import FactorGraph, Values, initialize, kinds
+from nls import FactorGraph, GaussNewton, Values, initialize, kinds
 from nls.metrics import ate
 from nls.optimizers import LevenbergMarquardt, Result, Status
 from nls.starts import STARTS
@@ -150,4 +150,4 @@ def test_charted_points_and_poor_headings(data: Path) -> None:
     assert (result.converged, result.dof) == (True, 56)
     assert result.chi2_final == pytest.approx(64.624, abs=1e-3)
     assert ate(result.values[kinds("A")[0]], values[kinds("A")[0]]).rmse < 5.0
-    assert not graph.optimize(result.values).converged
+    assert not graph.optimize(result.values, GaussNewton()).converged

@@ -240,7 +240,7 @@ class PCG(LinearSolver):
         first, group = np.flatnonzero(gone), twins(pattern, blocks, gone)
         others = together(np.flatnonzero(~gone), group)
         order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others])
-        elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
+        elimination = Elimination(blocks.u, blocks.v, len(gone), order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         complement = Complement(blocks, elimination, len(first), hessian, group[others], diagonal=True)
         made = PCGDecomposition(complement, self.tol, self.max_steps)

@@ -182,7 +182,7 @@ class Schur(NormalEquations):
         gone, eliminated = independent(pattern, blocks)
         group = twins(pattern, blocks, gone)
         order = self._order(blocks, gone, group, limit)
-        elimination = Elimination(blocks.u, blocks.v, len(gone), lambda u, v, V: order)
+        elimination = Elimination(blocks.u, blocks.v, len(gone), order)
         hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
         refuse_above(limit, max(self.per_number, default_solver().per_number), hessian, self.name)
         count = int(gone.sum())

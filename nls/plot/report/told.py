@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from models.errors import UnderconstrainedError
 from nls.gauge import choose_gauge, fixed_variables
+from nls.system import LinearSystem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
-    from nls.system import LinearSystem
     from nls.values import Values
 
 __all__ = ["Rejected", "Told"]
