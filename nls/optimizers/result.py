@@ -158,14 +158,12 @@ class Result:
         return lines
 
     def __str__(self) -> str:
-        lines = self.steps
-        lines.append(f"{self.status.name}: {self.ending}")
+        lines = [*self.steps, *self.remarks, f"{self.status.name}: {self.ending}"]
         lines.append(
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
         )
-        lines += self.remarks
         if (rises := self.rises) and not self.attempts:
             lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
