@@ -108,12 +108,14 @@ class Step:
         return self.rounds(self.promised)
 
     def rounds(self, change: float) -> bool:
-        """Whether rounding may change chi2 by as much: b is a difference of numbers as large as |A_k| |x_k|, |W z|."""
+        """Whether rounding may change chi2 by as much: b is a difference of numbers as large as |A_k| |x_k|.
+
+        Where the fit is perfect b is rounding alone, of numbers as large as |W z|.
+        """
         system = self.system
         b, x = math.sqrt(system.chi2), np.abs(system.pattern.restrict(self.values.coordinates))
-        largest = max(float((system.column_norms * x).max(initial=0.0)), system.pattern.largest_measurement)
-        error = EPS * max(b, largest)
-        return change <= (2 * b + error) * error
+        error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
+        return change <= max((2 * b + error) * error, (EPS * system.pattern.largest_measurement) ** 2)
 
     @cached_property
     def short(self) -> bool:
