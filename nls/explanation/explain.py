@@ -11,6 +11,7 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, SingularGeometryError
+from models.manifolds.measured import unit
 from nls.chi_squared import chi2_interval, chi2_tail
 from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
@@ -22,7 +23,6 @@ from nls.explanation.suspects import Suspects, suspects
 from nls.explanation.twins import twins
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
-from nls.observability.report import ANGULAR, LENGTHS
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.values import Values
@@ -287,6 +287,5 @@ def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tup
         sigma = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
         for c, component in enumerate(names):
             k = int(np.argmax(sigma[:, c]))
-            unit = "rad" if component in ANGULAR else "m" if component in LENGTHS else ""
-            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit))
+            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit(component)))
     return tuple(out)

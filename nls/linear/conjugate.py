@@ -17,8 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from models.algebra import Array
+from models.errors import OptionError
+from models.options import is_number, is_whole
 
-__all__ = ["SURE", "Iterated", "conjugate"]
+__all__ = ["SURE", "Iterated", "checked_settings", "conjugate"]
 
 SURE = 0.01  # of the deviation of a random right side along any direction: what is left of it where it is solved
 
@@ -42,6 +44,21 @@ class Iterated(NamedTuple):
     there: bool
     coefficients: list[list[tuple[float, float]]]
     flat: Array | None = None
+
+
+def checked_settings(tol: float, max_steps: int) -> tuple[float, int]:
+    """The tolerance and the most steps of a solver.
+
+    Raises
+    ------
+    OptionError
+        A tolerance that is not between 0 and 1, or steps that are no whole number above 0.
+    """
+    if not is_number(tol) or not 0 < tol < 1:
+        raise OptionError("tol", tol, "a number above 0 and below 1")
+    if not is_whole(max_steps) or not max_steps > 0:
+        raise OptionError("max_steps", max_steps, "a whole number above 0")
+    return float(tol), int(max_steps)
 
 
 def conjugate(

@@ -34,11 +34,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, Index
-from models.errors import OptionError
-from models.options import is_number, is_whole
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
-from nls.linear.conjugate import SURE, conjugate
+from nls.linear.conjugate import SURE, checked_settings, conjugate
 from nls.linear.factorization import Factorization
 from nls.linear.normal import NormalAnalysis
 from nls.sparse.pattern import Pattern
@@ -189,12 +187,7 @@ class CholeskyPCG(Cholesky):
 
     def __init__(self, tol: float = 1e-8, max_steps: int = 6, memory_limit: float | None = None) -> None:
         super().__init__(memory_limit)
-        if not is_number(tol) or not 0 < tol < 1:
-            raise OptionError("tol", tol, "a number above 0 and below 1")
-        if not is_whole(max_steps) or not max_steps > 0:
-            raise OptionError("max_steps", max_steps, "a whole number above 0")
-        self.tol: float = float(tol)
-        self.max_steps: int = int(max_steps)
+        self.tol, self.max_steps = checked_settings(tol, max_steps)
 
     def analyze(self, pattern: Pattern) -> KeptAnalysis:
         made = self.prepared(pattern)

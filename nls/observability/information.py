@@ -24,12 +24,13 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import GraphError, OptionError, UnderconstrainedError
+from models.manifolds.measured import ANGLES, LENGTHS
 from models.options import is_number
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.linear import default_solver
 from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
-from nls.observability.report import ANGULAR, FREE, LENGTHS, Observability
+from nls.observability.report import FREE, Observability
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
@@ -219,7 +220,7 @@ def _weights(components: tuple[str, ...], norms: Array, length: float) -> Array:
     Scaled so that A_k / w has columns of length 1 in the mean: |E n| for n = w dx of length 1 then is the part of the
     information that is left.
     """
-    unit = np.array([1.0 if c in LENGTHS else length if c in ANGULAR else 0.0 for c in components])
+    unit = np.array([1.0 if c in LENGTHS else length if c in ANGLES else 0.0 for c in components])
     if (known := unit > 0).any():
         unit[known] *= np.sqrt(np.mean(np.square(norms[known] / unit[known])))
     unit[~known] = norms[~known]

@@ -11,14 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.manifolds.measured import ANGLES, LENGTHS
+from models.manifolds.measured import unit
 
 if TYPE_CHECKING:
     from factors.keys import Keys
 
-__all__ = ["ANGULAR", "FREE", "LENGTHS", "Observability", "shown"]
+__all__ = ["FREE", "Observability", "shown"]
 
-ANGULAR = ANGLES
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
 CORRELATED = 0.9  # correlations at least this high are printed
@@ -164,12 +163,13 @@ def _finite(numbers: Array) -> list[float | None]:
 
 
 def _unit(name: str) -> str:
-    return "deg" if name in ANGULAR else "m" if name in LENGTHS else ""
+    """The unit of a component as it is printed: angles in degrees."""
+    return unit(name).replace("rad", "deg")
 
 
 def shown(number: float, name: str, infinite: str = "") -> str:
     """With three digits and the unit of a component, angles in degrees; a word where it is infinite."""
     if np.isinf(number):
         return infinite
-    unit = _unit(name)
-    return f"{degrees(number) if unit == 'deg' else number:.3g} {unit}".rstrip()
+    printed = _unit(name)
+    return f"{degrees(number) if printed == 'deg' else number:.3g} {printed}".rstrip()

@@ -124,7 +124,7 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on how the methods went: which one failed and which continued, where chi2 rose, what was reused."""
+        """Sentences on how the methods went: which one failed and which continued, what was reused."""
         remarks = [
             f"{attempt.method} ended as {attempt.status.name} after {attempt.iterations} iterations: {attempt.reason}; "
             f"{self.method.rpartition('then ')[2]} continued from the lowest point"

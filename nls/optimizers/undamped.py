@@ -17,7 +17,7 @@ LARGEST = 1e-8  # that a system which follows keeps
 # A'A squares the condition of A: a direction that A sees with 1e-8 of a column is lost in it. Up to so many unknowns
 # the weakest directions of A are looked at, those it sees by more than so much of a column, and followed where they
 # promise to lower chi2 by more than so much of itself. A bundle has dozens of them, and little to gain.
-SMALL, UNSEEN, WORTH = 300, 1e-10, 0.02
+SMALL, UNSEEN, GAIN = 300, 1e-10, 0.02
 HOPELESS = 1e16  # lambda at which no step is left to try
 
 
@@ -74,7 +74,7 @@ class Undamped:
         A_N, rest = system.A @ N, system.b - system.times(dx)
         lengths = np.linalg.norm(A_N, axis=0)
         farther = np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, rest)[0])
-        return farther if system.promised(farther) - system.promised(dx) > WORTH * system.chi2 else dx
+        return farther if system.promised(farther) - system.promised(dx) > GAIN * system.chi2 else dx
 
     def _faint(self, system: LinearSystem, D: Array) -> Array:
         self.damping = max(self.damping / 10, self._least)

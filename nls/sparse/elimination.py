@@ -41,13 +41,14 @@ class Elimination:
         self.u, self.v, self.V, self.order = u, v, V, order
         position = np.arange(V)
         self.variables = position
-        if order is not None:
+        if callable(order):
             pairs = np.minimum(u, v) * V + np.maximum(u, v)
             pairs.sort()
             low, high = np.divmod(pairs[_first_of_equals(pairs)], max(V, 1))
-            self.variables = order if isinstance(order, np.ndarray) else order(high, low, V)
-            position = np.empty(V, dtype=np.intp)
-            position[self.variables] = np.arange(V)
+            order = order(high, low, V)
+        if order is not None:
+            self.variables, position = order, np.empty(V, dtype=np.intp)
+            position[order] = np.arange(V)
         a, b = position[u], position[v]
         self.row, self.column, self.turned = np.maximum(a, b), np.minimum(a, b), a < b
         place = self.column * V + self.row
@@ -78,8 +79,10 @@ class Eliminations:
     def __init__(self) -> None:
         self._latest: Elimination | None = None
 
-    def of(self, u: Index, v: Index, V: int, order: Order | None) -> Elimination:
-        """The `Elimination` of these pairs."""
+    def of(self, u: Index, v: Index, V: int, order: Order | Index | None) -> Elimination:
+        """The `Elimination` of these pairs; one whose order is given costs little, and is not kept."""
+        if not callable(order):
+            return Elimination(u, v, V, order)
         if self._latest is None or not self._latest.serves(u, v, V, order):
             self._latest = Elimination(u, v, V, order)
         return self._latest

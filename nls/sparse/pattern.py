@@ -171,8 +171,8 @@ class Pattern:
         """The blocks of A'A over the free variables."""
         return Blocks(self.dims, self.held, [batch.slots for batch in self.batches])
 
-    def hessian(self, order: Order | None = None) -> Hessian:
-        """Structure of A'A over the free variables, eliminated in an order; None keeps theirs."""
+    def hessian(self, order: Order | Index | None = None) -> Hessian:
+        """Structure of A'A over the free variables, eliminated in an order as for `Elimination`."""
         blocks = self.blocks
         elimination = self.eliminations.of(blocks.u, blocks.v, len(blocks.dims), order)
         return Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)

@@ -26,7 +26,6 @@ import scipy.sparse as sp
 from models.algebra import Array, Index
 from nls.linear.schur.pairs import Pairs, Products, changes
 from nls.linear.schur.roots import BlockInverse, cholesky_root, inverse_root
-from nls.sparse.blocks import Blocks
 from nls.sparse.elimination import Elimination
 from nls.sparse.hessian import Hessian, triangle
 
@@ -72,10 +71,8 @@ class Complement:
 
     Parameters
     ----------
-    blocks : the variables, and which of them share a factor.
-    elimination : the order of all variables, the eliminated ones first, by dimension.
+    hessian : structure of H, in its order the eliminated variables first, by dimension.
     gone : how many variables are eliminated.
-    hessian : structure of H in that order.
     block_inverse : None for the exact inverse.
     group : (kept,) a number for every variable that is kept, equal ones next to each other: those that see the same
         eliminated ones, whose columns make one block of S.
@@ -89,16 +86,14 @@ class Complement:
 
     def __init__(
         self,
-        blocks: Blocks,
-        elimination: Elimination,
-        gone: int,
         hessian: Hessian,
+        gone: int,
         group: Index,
         block_inverse: BlockInverse | None = None,
         diagonal: bool = False,
     ) -> None:
-        e, self._block_inverse, self._whole = elimination, block_inverse, hessian
-        widths = blocks.dims[e.variables]
+        e, self._block_inverse, self._whole = hessian.elimination, block_inverse, hessian
+        widths = hessian.dims[e.variables]
         self.n = int(widths[:gone].sum())
         member = np.cumsum(changes(group)) - 1  # group of every variable that is kept, in their order
         dims = np.bincount(member, weights=widths[gone:]).astype(np.intp)

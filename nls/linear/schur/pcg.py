@@ -32,18 +32,14 @@ from collections.abc import Callable
 import numpy as np
 
 from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_number, is_whole
 from nls.linear.base import LinearSolver
-from nls.linear.conjugate import SURE, Iterated, conjugate
+from nls.linear.conjugate import SURE, Iterated, checked_settings, conjugate
 from nls.linear.factorization import Factorization
 from nls.linear.normal import NormalAnalysis
 from nls.linear.schur.complement import Complement
 from nls.linear.schur.independent import independent, together, twins
 from nls.linear.schur.solver import SchurDecomposition
 from nls.linear.singular import SINGULAR, SingularSystemError, UnsolvedSystemError
-from nls.sparse.elimination import Elimination
-from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
@@ -168,18 +164,20 @@ class PCGAnalysis(NormalAnalysis):
 
     Parameters
     ----------
-    factorization, decomposition : of H, and how it is made.
+    factorization : of H.
     eliminated : which variables, in words.
     """
 
-    def __init__(self, factorization: Factorization, decomposition: PCGDecomposition, eliminated: str) -> None:
+    factorization: PCGFactorization
+
+    def __init__(self, factorization: PCGFactorization, eliminated: str) -> None:
         super().__init__(PCG.name, factorization)
-        self._decomposition, self._eliminated = decomposition, eliminated
+        self._eliminated = eliminated
 
     @property
     def description(self) -> str:
         """Name, what is eliminated, and the steps of conjugate gradients since `analyze`, in words."""
-        steps = self._decomposition.steps
+        steps = self.factorization.decomposition.steps
         return f"{self.name}, {self._eliminated}, {steps:,} CG step{'' if steps == 1 else 's'}"
 
     def again(self, system: LinearSystem) -> None:
@@ -227,11 +225,7 @@ class PCG(LinearSolver):
     name = "pcg"
 
     def __init__(self, tol: float = 1e-10, max_steps: int = 2000) -> None:
-        if not is_number(tol) or not 0 < tol < 1:
-            raise OptionError("tol", tol, "a number above 0 and below 1")
-        if not is_whole(max_steps) or not max_steps > 0:
-            raise OptionError("max_steps", max_steps, "a whole number above 0")
-        self.tol, self.max_steps = float(tol), int(max_steps)
+        self.tol, self.max_steps = checked_settings(tol, max_steps)
         self.exact = self.tol <= EXACT
 
     def analyze(self, pattern: Pattern) -> PCGAnalysis:
@@ -240,11 +234,10 @@ class PCG(LinearSolver):
         first, group = np.flatnonzero(gone), twins(pattern, blocks, gone)
         others = together(np.flatnonzero(~gone), group)
         order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others])
-        elimination = Elimination(blocks.u, blocks.v, len(gone), order)
-        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
-        complement = Complement(blocks, elimination, len(first), hessian, group[others], diagonal=True)
-        made = PCGDecomposition(complement, self.tol, self.max_steps)
-        return PCGAnalysis(PCGFactorization(hessian, made), made, eliminated)
+        hessian = pattern.hessian(order)
+        complement = Complement(hessian, len(first), group[others], diagonal=True)
+        decomposition = PCGDecomposition(complement, self.tol, self.max_steps)
+        return PCGAnalysis(PCGFactorization(hessian, decomposition), eliminated)
 
     def __repr__(self) -> str:
         return f"PCG(tol={self.tol:g}, max_steps={self.max_steps})"

@@ -34,7 +34,6 @@ from nls.linear.schur.independent import independent, together, twins
 from nls.linear.schur.roots import BlockInverse, missing_directions
 from nls.sparse.blocks import Blocks
 from nls.sparse.elimination import Elimination
-from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
@@ -182,11 +181,10 @@ class Schur(NormalEquations):
         gone, eliminated = independent(pattern, blocks)
         group = twins(pattern, blocks, gone)
         order = self._order(blocks, gone, group, limit)
-        elimination = Elimination(blocks.u, blocks.v, len(gone), order)
-        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
+        hessian = pattern.hessian(order)
         refuse_above(limit, max(self.per_number, default_solver().per_number), hessian, self.name)
         count = int(gone.sum())
-        complement = Complement(blocks, elimination, count, hessian, group[order[count:]], self.block_inverse)
+        complement = Complement(hessian, count, group[order[count:]], self.block_inverse)
         decomposition = SchurDecomposition(complement, self.exact)
         return SchurAnalysis(Factorization(hessian, decomposition), decomposition, eliminated, self.exact)
 
