@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 
 from nls.chi_squared import chi2_gate
-from nls.optimizers import Result
+from nls.optimizers import Automatic, Iteration, Result
 from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.closures import Mask
@@ -17,6 +17,8 @@ from nls.robust.groups import Witness, misfits, witnesses
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.verdict import Doubt, DoubtKind
+from nls.sparse.pattern import measured_rows
+from nls.starts import chordal
 
 __all__ = ["Preselection"]
 
@@ -32,6 +34,7 @@ QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these a
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
+SETTLED, HOPELESS = 3, 10.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 1
 TURNS = 3  # of giving up contradicted groups
 
 
@@ -108,7 +111,12 @@ class Preselection:
         loops, graph = self.loops, self.loops.graph
         if loops.neighbors.passing < MOST or self._dearer(DEARER):
             return None
-        first = lowest(graph, loops.values)
+        rows = measured_rows(graph.pattern(loops.values))
+
+        def hopeless(step: Iteration) -> bool:
+            return step.number >= SETTLED and step.chi2 > HOPELESS * rows
+
+        first = graph.optimize(chordal(graph, loops.values), Automatic(callback=hopeless))
         noise = _noise(first)
         if not first.converged or first.dof < 1 or first.chi2_final > chi2_gate(first.dof, 1 - UNLIKELY):
             return None
