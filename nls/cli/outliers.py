@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import typed
-
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -73,7 +71,7 @@ def record(found: Robustified) -> dict[str, Any]:
 
 def rows(found: Robustified) -> list[str]:
     """For the table."""
-    first, *others = map(typed, found.report(SHOWN))
+    first, *others = found.report(SHOWN)
     return [f"rejected    {first}", *(f"          {line}" for line in others)]
 
 

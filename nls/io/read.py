@@ -12,6 +12,7 @@ from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
 from models import LieGroup, R
+from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
@@ -192,9 +193,8 @@ def _factor(
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
     except NoiseModelError as error:
         said = str(error).split(": ", 1)[-1]
-        if error.matrix == "information":  # has a negative eigenvalue
-            said += "; for the nearest matrix that is one: repair_information=True"
-        raise text.error(said, int(at[error.index])) from error
+        advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
+        raise text.error(said, int(at[error.index]), advice) from error
     except GraphError as error:
         raise text.error(str(error), int(at[error.index])) from error
     return factor
