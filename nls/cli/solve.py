@@ -80,7 +80,7 @@ def solve(options: argparse.Namespace) -> int:
             start, init, tried = nls.initialize(graph, values, options.init)
         else:
             graph, start, init = found.graph, found.result.values, options.robust
-            as_read = outliers.kept(as_read, found, report)
+            as_read, report = outliers.kept(as_read, found, report)
             report.notes += outliers.left_out(found, options.output)
             tried = {init: found.result.chi2_final}
         chi2_read = _chi2_read(graph, values, tried)

@@ -21,7 +21,7 @@ from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.misspelt import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
-from nls.io.report import LoadReport
+from nls.io.report import LoadReport, Source
 from nls.io.roles import Roles
 from nls.io.start import started
 from nls.io.text import Text, printable, several
@@ -89,6 +89,7 @@ def read_graph(
             noises = _matrices(text, part, format, repair_information, report)
             for mine in roles.kinds_of(part):
                 bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
+                report.sources.append(Source(path, part.at[mine] + 1))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.given):
         values = _given(vertices, roles, group)
