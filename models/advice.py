@@ -20,7 +20,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "certify": ("prove whether there is a lower minimum", "nls.certify(graph, values)", "nls solve --certify"),
     "damp": ("damp the steps", "nls.LevenbergMarquardt()", "--method levenberg-marquardt"),
     "qr": ("keep twice the digits", "linear_solver=nls.QR()", "--linear-solver qr"),
-    "truncate": ("damp landmarks alone", "nls.Schur(block_inverse=nls.degeneracy.truncated_inverse)", None),
+    "truncate": ("damp landmarks alone", "nls.Schur(block_inverse=nls.linear.truncated_inverse)", None),
     "explain": ("see", "nls.explain(graph, values)", "{0}"),
     "written": "written: {0}",
     # what is held or added

@@ -13,10 +13,10 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.robust import Kernel
 from models.errors import GraphError, OptionError
-from nls.diagnose import directions, underconstrained
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
 from nls.linear.free_gauge import FreeGauge
+from nls.linear.underconstrained import directions, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion

@@ -24,7 +24,7 @@ from factors.keys import kinds
 from factors.robust import Kernel
 from models import LINE, SE2, SE3, SO2, SO3, Manifold, Measured, R
 from models.errors import GraphError
-from nls import FactorGraph, LinearSolver, Optimizer, Values, filters, observability
+from nls import FactorGraph, LinearSolver, Optimizer, Values, analysis, filters
 from nls.filters import Filter
 from tests.factors.test_conformity import ELIMINATING_SAMPLES, SAMPLES, situation
 from tests.sent import contents, distance, received, things
@@ -70,9 +70,7 @@ def subclasses(of: type) -> set[type]:
 def test_every_class_has_an_object(objects: dict[str, Any]) -> None:
     made = set(parts(objects, {}))
     public = {
-        getattr(module, name)
-        for module in (models, factors, nls, sim, filters, observability)
-        for name in module.__all__
+        getattr(module, name) for module in (models, factors, nls, sim, filters, analysis) for name in module.__all__
     }
     bases = (Manifold, Noise, Kernel, Exception, LinearSolver, Optimizer, Filter)
     wanted = {c for c in public if isinstance(c, type)}.union(*map(subclasses, bases))

@@ -25,8 +25,8 @@ import sim
 from factors import RangeAzimuth, sonar_factors
 from models import SE3
 from nls import FactorGraph, GaussNewton, LevenbergMarquardt, Marginals, UnderconstrainedError, Values, kinds
-from nls.chi_squared import chi2_gate
-from nls.degeneracy import landmark_information
+from nls.analysis import landmark_information
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters.consistency import nees_bounds
 from nls.optimizers import Optimizer
 from sim.mission import rebuilt

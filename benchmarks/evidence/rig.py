@@ -21,8 +21,8 @@ import numpy.typing as npt
 import sim
 from models import SE3
 from nls import GaussNewton, LevenbergMarquardt, UnderconstrainedError, Values, kinds
+from nls.analysis import Motions, Observability, helpful_motions, observability
 from nls.filters.consistency import nees_bounds
-from nls.observability import Motions, Observability, helpful_motions, observability
 from nls.optimizers import Optimizer
 from nls.starts import rig as start_of
 from sim.camera_sonar import Rig
@@ -197,7 +197,8 @@ def consistency(seeds: int) -> list[str]:
     return [
         *consistency_table([f.told for f in found], np.array([f.e for f in found])),
         "",
-        "In axes of the sonar (x forward, y right, z down). Predicted: the Cramer-Rao bound of `nls.observability`, "
+        "In axes of the sonar (x forward, y right, z down). Predicted: the Cramer-Rao bound of "
+        "`nls.analysis.observability`, "
         f"mean over the scenes. An rms of {seeds} errors is itself known to {100 / np.sqrt(2 * seeds):.0f} %.",
         "",
         f"NEES of the six numbers: mean {np.mean([f.nees for f in found]):.2f}, expected 6, in {low:.2f}-{high:.2f} "

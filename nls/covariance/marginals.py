@@ -20,10 +20,10 @@ from models.errors import GraphError, OptionError, ResourceLimitError, Undercons
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
-from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
+from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
 from nls.values import Values
 

@@ -10,14 +10,14 @@ from factors import Between, BetweenSensors, Cauchy, Huber
 from factors.base import Factor
 from factors.function import FunctionFactor
 from models.advice import Advice
-from nls.chi_squared import chi2_tail
+from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.leave_one_out import Tested, measuring
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.explanation.offers import certifies, graduates
-from nls.explanation.statistics import Tested, measuring
 from nls.track import closures
 
 if TYPE_CHECKING:
-    from nls.explanation.suspects import Suspects
+    from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
     from nls.sparse.pattern import Pattern
     from nls.values import Values

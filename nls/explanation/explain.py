@@ -13,14 +13,14 @@ from models.advice import Advice
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from models.manifolds.measured import unit
-from nls.chi_squared import chi2_interval, chi2_tail
+from nls.analysis.chi_squared import chi2_interval, chi2_tail
+from nls.analysis.freedom import Freedom, freedom
+from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
+from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
-from nls.explanation.free import Freedom, freedom
 from nls.explanation.naming import named_directions
-from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
-from nls.explanation.suspects import Suspects, suspects
 from nls.explanation.twins import twins
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph

@@ -11,14 +11,14 @@ import numpy.typing as npt
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array
+from nls.analysis.sightings import Sight, named, sights
+from nls.analysis.world_motions import AXES, Motion, generators, motions, places, said
 from nls.explanation.findings import Finding, FindingKind
-from nls.explanation.motions import AXES, Motion, generators, motions, places, said
-from nls.explanation.sights import Sight, named, sights
 from nls.gauge import component_labels
 
 if TYPE_CHECKING:
     from models.algebra import Index
-    from nls.explanation.free import Freedom
+    from nls.analysis.freedom import Freedom
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 

@@ -13,12 +13,12 @@ from factors import Seen
 from factors.keys import Keys
 from models import R
 from models.advice import Advice
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.explanation.findings import Finding, FindingKind
 
 if TYPE_CHECKING:
     from models.algebra import Index
-    from nls.explanation.linear import Checked
+    from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 

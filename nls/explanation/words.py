@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
+from nls.analysis.observable import shown
 from nls.explanation.findings import FindingKind, number, some
-from nls.observability.report import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

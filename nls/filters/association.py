@@ -32,7 +32,7 @@ from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
 from models.options import is_number
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 
 if TYPE_CHECKING:
     from models.algebra import Index

@@ -18,7 +18,7 @@ from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array
 from models.errors import UnderconstrainedError
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 
 __all__ = ["nees", "nees_bounds", "regular"]
 

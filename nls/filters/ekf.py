@@ -30,7 +30,7 @@ from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
 from models.options import is_number, is_whole
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
 from nls.filters.map_state import MapState

@@ -11,7 +11,7 @@ from factors.base import Factor, Model
 from factors.seen import Seen
 from models import Manifold
 from models.algebra import Array, Index
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState

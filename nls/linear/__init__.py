@@ -11,7 +11,7 @@ from nls.linear.lu import LU
 from nls.linear.normal import NormalEquations
 from nls.linear.pcg import CholeskyPCG
 from nls.linear.qr import QR
-from nls.linear.schur import PCG, Schur
+from nls.linear.schur import PCG, Schur, truncated_inverse
 
 __all__ = [
     "LU",
@@ -33,6 +33,7 @@ __all__ = [
     "best_decomposition",
     "default_solver",
     "factorize",
+    "truncated_inverse",
 ]
 
 SOLVERS: dict[str, type[LinearSolver]] = {

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 from models.abstract import Abstract
 from models.errors import EvaluationError, OptionError, SingularGeometryError
-from nls.diagnose import underconstrained
 from nls.linear.singular import SingularSystemError
+from nls.linear.underconstrained import underconstrained
 from nls.optimizers.problem import Problem
 from nls.optimizers.result import Iteration
 from nls.optimizers.thresholds import Status, Stop

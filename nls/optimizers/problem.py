@@ -9,10 +9,10 @@ from typing import TypeVar
 
 from models.algebra import Array
 from models.errors import EvaluationError, OptionError, SingularGeometryError
-from nls.diagnose import underconstrained
 from nls.linear.base import LinearSolution, LinearSolver
 from nls.linear.default import default_solver
 from nls.linear.singular import SingularSystemError
+from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values

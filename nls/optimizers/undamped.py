@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array
-from nls.diagnose import weakest
+from nls.linear.null_space import weakest
 from nls.linear.singular import NULL, SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.system import LinearSystem

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from models import SE3
 from models.errors import OptionError
 from models.sensors import cartesian
-from nls.degeneracy.elevation import elevation_information
+from nls.sonar.elevation import elevation_information
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

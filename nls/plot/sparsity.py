@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
-from nls.diagnose import underconstrained
 from nls.linear import factorize
 from nls.linear.singular import SingularSystemError
+from nls.linear.underconstrained import underconstrained
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array, Index
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.covariance.frames import turned
 from nls.robust.closures import Links
 from nls.sparse.components import connected

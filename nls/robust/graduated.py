@@ -40,7 +40,7 @@ from models.advice import Advice
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.robust import verdict

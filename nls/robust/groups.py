@@ -29,7 +29,7 @@ import numpy as np
 
 from factors.keys import Keys
 from models.algebra import Array, Index
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.optimizers import Result
 from nls.robust.closures import Mask

@@ -28,7 +28,7 @@ from math import ceil
 import numpy as np
 
 from models.algebra import Array, Index
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
 from nls.robust.closures import Links, Mask

@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration, Result
 from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from models.algebra import Array
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Result
 from nls.robust.loop_graph import LoopGraph
 from nls.values import Values

@@ -10,7 +10,7 @@ import pytest
 
 import nls
 from factors import Cauchy
-from nls.chi_squared import chi2_interval
+from nls.analysis.chi_squared import chi2_interval
 from nls.cli import main
 from nls.cli.hint import asking, doubts
 from nls.cli.parser import parser

@@ -79,7 +79,7 @@ def test_a_job_that_ignores_ctrl_c_goes_on() -> None:
         ("nls.certify", "while certifying the optimum", ["", ".csv", ".png"]),
         ("nls.cli.report._facts", "while writing {out}.html", ["", ".csv", ".png"]),
         ("nls.cli.solve.write_json", "while writing the report", ["", ".csv", ".png", ".html"]),
-        ("nls.cli.solve._table", "while writing the report", ["", ".csv", ".png", ".html", ".json"]),
+        ("nls.cli.solve_report.table", "while writing the report", ["", ".csv", ".png", ".html", ".json"]),
     ],
 )
 def test_the_line_is_true_in_every_phase_of_solve(

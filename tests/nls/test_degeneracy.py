@@ -26,8 +26,8 @@ from nls import (
     UnderconstrainedError,
     Values,
 )
-from nls.degeneracy import landmark_information, truncated_inverse
-from nls.linear import LU, LinearSolver
+from nls.analysis import landmark_information
+from nls.linear import LU, LinearSolver, truncated_inverse
 from tests.nls.planar import l, mission, x
 
 SOLVERS = [solver for solver in (LU, Cholesky) if solver.missing() is None]

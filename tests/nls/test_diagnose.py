@@ -12,9 +12,8 @@ from factors import Between, Diagonal, Factor, Information, Isotropic, Prior, Sq
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
-from nls.diagnose import null_space
-from nls.directions import single_directions
 from nls.linear import SOLVERS
+from nls.linear.null_space import null_space, single_directions
 from nls.plot.sparsity import spy
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
 

@@ -8,7 +8,7 @@ import pytest
 from factors import Between, Isotropic, Prior
 from models import SE2
 from nls import FactorGraph, Values
-from nls.diagnose import null_space
+from nls.linear.null_space import null_space
 from tests.nls.graphs import x
 from tests.nls.test_diagnose import names, refused
 

@@ -13,9 +13,9 @@ from models import SE3, R
 from models.errors import GraphError, OptionError
 from models.sensors import DIDSON_HIGH, cartesian, elevation
 from nls import FactorGraph, Marginals, SingularGeometryError, Values, kinds
-from nls.degeneracy import elevation_information
 from nls.plot.elevation_map import elevation_map, motions
 from nls.plot.picture import write_picture
+from nls.sonar import elevation_information
 
 x, l = kinds("x", "l")
 SIGMAS = np.array([0.01, np.radians(0.25)])

@@ -15,11 +15,11 @@ import nls
 from factors import Between, Cauchy, Factor, Isotropic, Landmark, Prior
 from models import SE2, R
 from models.advice import Advice
+from nls.analysis.suspects import Suspects
 from nls.explanation import Finding, FindingKind, Measurement
 from nls.explanation.doubts import of_suspects
 from nls.explanation.naming import _loose
 from nls.explanation.offers import certifies, graduates
-from nls.explanation.suspects import Suspects
 from nls.explanation.words import together
 from nls.plot import report as page
 from tests.nls.sentences import SNAPSHOT, sentences

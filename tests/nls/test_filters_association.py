@@ -13,7 +13,7 @@ from models import SE2, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
 from nls import FactorGraph, Values, kinds
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters import association
 from nls.filters.association import (
     Assignment,

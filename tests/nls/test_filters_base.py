@@ -11,7 +11,7 @@ from factors import Between, Heading, Isotropic, Landmark, Prior
 from models import SE2, R
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters.base import Step, Track, steps
 from nls.filters.consistency import nees, nees_bounds, regular
 from nls.filters.ekf import EKF

@@ -9,7 +9,7 @@ from factors import Between, BetweenSensors, Diagonal, ElevationHinge, EpipolarA
 from factors.predicted import predicted
 from models import SE2, SE3, R
 from nls import FactorGraph, GraphError, Marginals, OptionError, SingularGeometryError, Values
-from nls.observability import helpful_motions, observability
+from nls.analysis import helpful_motions, observability
 from tests.nls.rigs import FLAT, SONAR, a, antenna, l, odometers, rig, s, x
 
 

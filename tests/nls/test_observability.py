@@ -28,7 +28,7 @@ from nls import (
     Values,
     kinds,
 )
-from nls.observability import Observability, observability
+from nls.analysis import Observability, observability
 from tests.nls.rigs import (
     FLAT,
     SONAR,

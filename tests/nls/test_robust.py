@@ -13,7 +13,7 @@ from factors import Between, Diagonal, Factor, GemanMcClure, Information, Isotro
 from models import SE2, SE3, R
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import Neighbors, Odometry, neighbors

@@ -11,7 +11,7 @@ from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow
 from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import LOW, neighbors

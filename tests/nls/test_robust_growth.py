@@ -12,7 +12,7 @@ import nls
 from factors import Between, Diagonal
 from models import SE2
 from nls import FactorGraph, Values, kinds
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.robust import growth
 from nls.robust import paths as paths_module
 from nls.robust.closures import Links, chained

@@ -26,12 +26,12 @@ from nls import (
     Stop,
     Values,
 )
-from nls.diagnose import underconstrained
 from nls.linear.conjugate import conjugate
 from nls.linear.schur.independent import independent, twins
 from nls.linear.schur.pcg import PCGDecomposition
 from nls.linear.schur.solver import SchurDecomposition
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
+from nls.linear.underconstrained import underconstrained
 from tests.nls.graphs import SAMPLES, Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, reference, seen_by_range, step, two_kinds, x
 

@@ -25,8 +25,8 @@ from nls import (
     Values,
     kinds,
 )
-from nls.degeneracy import TwoView, two_views
-from nls.degeneracy.arcs import search
+from nls.sonar import TwoView, two_views
+from nls.sonar.arcs import search
 
 x, l = kinds("x", "l")
 SIGMA = np.array([0.01, np.radians(0.25)])

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 import sim
 from models import SE3
 from nls import LevenbergMarquardt, Marginals, Result, Values, kinds
-from nls.degeneracy import landmark_information
+from nls.analysis import landmark_information
 
 SEEDS = range(10)
 SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}

@@ -33,8 +33,8 @@ from models import SE3, R
 from models.algebra import Array, dot
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
+from nls.analysis import landmark_information
 from nls.covariance import Marginals
-from nls.degeneracy import landmark_information
 from nls.graph import FactorGraph
 from nls.io.mission.report import MissionReport
 from nls.linear import LinearSolver

@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from nls.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate
 from nls.track import closures
 
 if TYPE_CHECKING:
     from factors.base import Model
     from models.algebra import Index
-    from nls.explanation.linear import Checked
+    from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 
 __all__ = ["Tested", "checks", "kinds_of", "measuring", "spoiled", "tested"]

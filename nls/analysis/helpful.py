@@ -22,8 +22,8 @@ from factors.predicted import predicted
 from models import LieGroup
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from nls.observability.information import check_one, observability
-from nls.observability.report import Observability, shown
+from nls.analysis.observable import Observability, shown
+from nls.analysis.variable import check_one, observability
 from nls.values import Values
 
 if TYPE_CHECKING:

@@ -26,11 +26,11 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.manifolds.measured import ANGLES, LENGTHS
 from models.options import is_number
+from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.linear import default_solver
 from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
-from nls.observability.report import FREE, Observability
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:

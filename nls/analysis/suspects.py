@@ -13,9 +13,9 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
-from nls.chi_squared import chi2_tail
-from nls.explanation.linear import Checked, Linearization
-from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
+from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
+from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop

@@ -3,7 +3,7 @@ r"""The relative pose of two sonar views as a least-squares problem, every point
     S = sum A_T' N A_T - A_T' N A_l (A_l' N A_l)^+ A_l' N A_T,      g likewise with b       the sonar
     H = S + J' Lambda J,   gradient = g + J' Lambda e,   e = start [-] T                     and the odometry
 
-See `nls.degeneracy.two_view` for A, N and what they are for.
+See `nls.sonar.two_view` for A, N and what they are for.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from models import SE3
 from models.algebra import Array, apply, dot, product
 from models.sensors.arcs import Contacts, least_information
-from nls.degeneracy.arcs import Arcs, search
-from nls.degeneracy.truncated import truncated_inverse
+from nls.linear.schur.truncated import truncated_inverse
+from nls.sonar.arcs import Arcs, search
 
 __all__ = ["RelativePose", "Sonar", "descended"]
 

@@ -16,9 +16,8 @@ import scipy.sparse as sp
 from factors import Isotropic, Prior
 from factors.keys import Keys
 from models.algebra import Array
-from nls.diagnose import null_space
-from nls.directions import separated, single_directions
-from nls.explanation.linear import Checked, Linearization
+from nls.analysis.linearization import Checked, Linearization
+from nls.linear.null_space import null_space, separated, single_directions
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem

@@ -41,7 +41,7 @@ from models.algebra import Array
 from models.errors import EvaluationError, GraphError, OptionError
 from models.options import is_number
 from models.sensors.arcs import Contacts
-from nls.degeneracy.relative_pose import RelativePose, descended
+from nls.sonar.relative_pose import RelativePose, descended
 
 __all__ = ["TwoView", "two_views"]
 

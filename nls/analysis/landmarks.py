@@ -31,11 +31,11 @@ from models import SE3, R
 from models.algebra import Array, apply, dot, gram
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
-from nls.degeneracy.truncated import truncated_inverse
-from nls.diagnose import underconstrained
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear.default import default_solver
+from nls.linear.schur.truncated import truncated_inverse
 from nls.linear.singular import SINGULAR, SingularSystemError
+from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def landmark_information(
     >>> from factors import Diagonal, RangeAzimuth
     >>> from models import SE3, R
     >>> from nls import FactorGraph, Values, kinds
-    >>> from nls.degeneracy import landmark_information
+    >>> from nls.analysis import landmark_information
     >>> x, l = kinds("x", "l")
     >>> values = Values({x: (SE3, np.array([[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]])), l: (R(3), [4, 1, 0])})
     >>> seen = RangeAzimuth(x[[0, 1]], l[0], [[4.123, 0.245], [3.162, 0.322]], Diagonal([0.01, 0.005]))

@@ -1,0 +1,20 @@
+"""Numbers about a graph: what is free, which measurements are doubtful, what is known of one variable. No sentences.
+
+`observability` tells what a data set determines of one variable, such as a mounting, `helpful_motions` which motion of
+the vehicle would help, `landmark_information` what is known of every landmark.
+"""
+
+from nls.analysis.helpful import Motion, Motions, helpful_motions
+from nls.analysis.landmarks import LandmarkInformation, landmark_information
+from nls.analysis.observable import Observability
+from nls.analysis.variable import observability
+
+__all__ = [
+    "LandmarkInformation",
+    "Motion",
+    "Motions",
+    "Observability",
+    "helpful_motions",
+    "landmark_information",
+    "observability",
+]

@@ -1,0 +1,78 @@
+"""One run of ``nls solve``: the record that its stages pass on, each adding what it knows."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from models.errors import LeadlineError
+    from nls.certificate import Certificate
+    from nls.cli.mission import Solved
+    from nls.cli.timing import Clock
+    from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.linear import LinearSolver
+    from nls.optimizers import Result, Stop
+    from nls.robust import Robustified
+    from nls.values import Values
+
+__all__ = ["Job"]
+
+
+@dataclass
+class Job:
+    """What a run knows so far.
+
+    Attributes
+    ----------
+    options, clock, solver, stop : of the command.
+    form : format of the output; empty where none is written, or a mission.
+    as_read, values, report : of the file; without what was rejected.
+    graph : under kernels, with kinds held.
+    choice : of `nls.gnc`; None where it was not asked for.
+    start, init, starts : values to begin with, the name of the start, and chi2 of all that were tried.
+    chi2_read : chi2 of the values as read; None where it does not exist.
+    stages : seconds that the library counts inside reading and starting.
+    result, solved, certificate : of the optimization, of a mission, of ``--certify``.
+    failed : outputs that could not be written.
+    """
+
+    options: argparse.Namespace
+    clock: Clock
+    solver: LinearSolver
+    stop: Stop
+    form: str = ""
+    as_read: FactorGraph = field(init=False)
+    values: Values = field(init=False)
+    report: LoadReport = field(init=False)
+    graph: FactorGraph = field(init=False)
+    choice: Robustified | None = None
+    start: Values = field(init=False)
+    init: str = ""
+    starts: dict[str, float] = field(default_factory=dict)
+    chi2_read: float | None = None
+    stages: dict[str, float] = field(default_factory=dict)
+    result: Result = field(init=False)
+    solved: Solved | None = None
+    certificate: Certificate | None = None
+    failed: list[LeadlineError] = field(default_factory=list)
+
+    @property
+    def before(self) -> Values:
+        """The values as read, or the start where these have no chi2: what a picture can show."""
+        return self.start if self.chi2_read is None else self.values
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Seconds by stage so far."""
+        return self.clock.timings(self.result.timings, self.stages)
+
+    def told(self) -> dict[str, Any]:
+        """What a mission, a choice and a certificate add to the report for programs."""
+        from nls.cli import certified, outliers
+
+        record: dict[str, Any] = {} if self.solved is None else {"mission": self.solved.record()}
+        record |= {} if self.choice is None else outliers.record(self.choice)
+        return record | ({} if self.certificate is None else {"certificate": certified.record(self.certificate)})

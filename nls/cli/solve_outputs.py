@@ -1,0 +1,128 @@
+"""What ``nls solve`` writes: no outcome is lost where one of the outputs fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nls.cli.outputs import complain, write_json
+
+if TYPE_CHECKING:
+    from models.errors import UnderconstrainedError
+    from nls.cli.job import Job
+    from nls.optimizers import Result
+
+__all__ = ["attempt", "page", "write_free", "write_outputs"]
+
+Output = tuple[Callable[[str], None], str | None]
+
+
+def write_outputs(job: Job) -> None:
+    """Write every output but the reports."""
+    from models.errors import GraphFileError
+    from nls.io.files import made
+
+    options = job.options
+    outputs: list[Output] = [(lambda path: _covariance(job, path), options.covariance)]
+    if options.covariance and not job.result.converged:
+        job.report.notes.append(f"no covariances were written to {options.covariance}: this is no optimum")
+        outputs = []
+    outputs.append((lambda path: _plot(job, path), options.plot))
+    if job.solved is None or not options.output:
+        optimum = None if job.solved else options.output
+        attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
+        return
+    try:
+        with made(options.output):
+            attempt(job, job.solved.outputs(options.output))
+    except GraphFileError as error:  # no folder, no files in it
+        job.failed.append(error)
+    attempt(job, outputs)
+
+
+def _optimum(job: Job, path: str) -> None:
+    from nls.cli.formats import rendered
+    from nls.io.files import write_bytes
+
+    data, notes = rendered(path, job.form, job.as_read, job.result.values, job.report)
+    write_bytes(path, data)
+    job.report.notes += notes
+
+
+def _covariance(job: Job, path: str) -> None:
+    from nls import Marginals
+    from nls.io.covariance_csv import write_covariances
+
+    if job.solved is not None and job.solved.marginals is not None:
+        write_covariances(path, job.solved.marginals, free=[job.solved.free])
+    else:
+        write_covariances(path, Marginals(job.graph, job.result.values, job.solver, job.options.gauge))
+
+
+def _plot(job: Job, path: str) -> None:
+    from nls.plot import before_after
+    from nls.plot.picture import write_picture
+
+    write_picture(path, before_after(job.graph, job.before, job.result, title=Path(job.report.path).name))
+
+
+def page(job: Job, result: Result | UnderconstrainedError, path: str) -> None:
+    """Write the page of a result, or of the error in its place."""
+    from nls.cli.report import write_report
+    from nls.optimizers import Result
+
+    rejected = () if job.choice is None else job.choice.rejected
+    doubts = () if job.choice is None else job.choice.doubts
+    starts, seconds = (job.init, job.starts), job.timings if isinstance(result, Result) else {}
+    parts = job.solved, job.certificate, path, rejected, doubts
+    write_report(job.options, job.graph, job.before, job.report, starts, result, seconds, *parts)
+
+
+def attempt(job: Job, outputs: Sequence[Output]) -> None:
+    """Write what is asked for, whether or not another can be; names of those written and errors are added."""
+    from models.errors import GraphFileError, LeadlineError
+
+    for write, path in outputs:
+        try:
+            if path:
+                job.options.phase.now(f"while writing {path}")
+                write(path)
+                job.options.phase.written.append(path)
+        except GraphFileError as error:  # names the file itself
+            job.failed.append(error)
+        except (LeadlineError, OSError, MemoryError) as error:
+            message, advice = (error.message, error.advice) if isinstance(error, LeadlineError) else (str(error), ())
+            job.failed.append(LeadlineError(f"{path} was not written: {message}", advice))
+
+
+def write_free(job: Job, error: UnderconstrainedError) -> None:
+    """Write the outputs that can say what is free, and name in the error these and what explains it."""
+    from models.advice import Advice
+    from nls.cli.hint import asking
+
+    options, written = job.options, job.options.phase.written
+    attempt(job, [(lambda path: page(job, error, path), options.report)])
+    attempt(job, [(lambda path: _free(job, error, path), options.json)])
+    for failure in job.failed:
+        complain(failure)
+    names = ", ".join(name for name in written if name != "-")
+    error.advice = (*error.advice, Advice("explain", (asking(options),)), *(Advice("written", (names,)),) * bool(names))
+
+
+def _free(job: Job, error: UnderconstrainedError, where: str) -> None:
+    """The report for programs on a graph that leaves something free."""
+    from models.advice import listed
+
+    record = {
+        "input": job.report.path,
+        "format": job.report.format,
+        "converged": False,
+        "status": "UNDERCONSTRAINED",
+        "reason": error.message,
+        "advice": listed(error.advice, shell=True),
+        "underconstrained": list(error.components),
+        "written": [*job.options.phase.written, *([where] if where != "-" else [])],
+        "notes": job.report.notes,
+    }
+    write_json(record, where)

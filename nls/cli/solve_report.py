@@ -1,0 +1,134 @@
+"""What ``nls solve`` tells: the report for programs, and the table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nls.cli.job import Job
+    from nls.optimizers import Iteration, Result
+
+__all__ = ["advice", "record_of", "table"]
+
+SHOWN = 12  # free directions in the table
+
+
+def record_of(job: Job) -> dict[str, Any]:
+    """The report for programs, without the names of the files that are written."""
+    import nls
+    from nls.cli.hint import doubts
+    from nls.cli.timing import peak_rss_mb
+
+    options, result, report, told = job.options, job.result, job.report, job.told()
+    return {
+        "input": report.path,
+        "format": report.format,
+        "dimension": report.dimension,
+        "variables": len(job.values),
+        "factors": len(job.graph) + len(told.get("rejected", ())),
+        "convention": report.convention,
+        "robust": options.robust,
+        "held": options.hold,
+        "init": job.init,
+        "starts": job.starts,
+        "method": result.method,
+        "linear_solver": result.linear_solver,
+        "chi2_file": job.chi2_read if report.vertices_given else None,
+        "chi2_initial": result.chi2_initial,
+        "chi2_final": result.chi2_final,
+        "gauge": result.gauge,
+        "dof": result.dof,
+        "iterations": result.iterations,
+        "converged": result.converged,
+        "status": result.status.name,
+        "reason": f"{result.status.value}: {result.ending}",
+        "rule": result.rule,
+        "reused": result.reused,
+        "attempts": [vars(attempt) | {"status": attempt.status.name} for attempt in result.attempts],
+        **told,
+        "history": [_record(iteration) for iteration in result.history],
+        "timings": job.timings,
+        "underconstrained": list(result.underconstrained),
+        "written": options.phase.written,
+        "unwritten": [error.message for error in job.failed],
+        "notes": report.notes + doubts(result, options, options.phase.written),
+        "peak_rss_mb": peak_rss_mb(),
+        "version": nls.__version__,
+    }
+
+
+def _record(iteration: Iteration) -> dict[str, Any]:
+    """One iteration for programs."""
+    return {
+        "iteration": iteration.number,
+        "chi2": iteration.chi2,
+        "update": iteration.update,
+        "gradient": iteration.gradient,
+        "lambda": iteration.damping,
+        "seconds": iteration.seconds,
+        "reused": iteration.reused,
+    }
+
+
+def table(report: dict[str, Any], result: Result, findings: list[str], warned: list[str], verbose: bool) -> str:
+    """The table of a run, from its report for programs.
+
+    Parameters
+    ----------
+    report, result : of the run.
+    findings : rows of a choice and of a certificate.
+    warned : notes that were printed already.
+    verbose : whether iterations and seconds follow.
+    """
+    from nls.io.text import several
+
+    lines = result.steps if verbose else []
+    file = "dead reckoning" if "mission" in report else "file"  # a mission has no start in a file
+    start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
+    seconds = report["timings"]
+    robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
+    ratio = f" (ratio {result.chi2_final / result.dof:.3g}, 1 expected)" if result.dof > 0 and not result.robust else ""
+    lines += [
+        f"input       {report['input']}: {several(report['variables'], 'variable')}, "
+        f"{several(report['factors'], 'measurement')}, "
+        f"{report['dimension']}",
+        f"start       {report['init'].replace('file', file)} (chi2: {start})",
+        f"chi2        {report['chi2_initial']:.6g} -> {report['chi2_final']:.9g} in "
+        f"{several(report['iterations'], 'iteration')}, {report['dof']} degrees of freedom{ratio}, "
+        f"convention {report['convention']}{robust}",
+        f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
+        f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
+        f"result      {report['reason']}",
+        *(f"method      {remark}" for remark in result.remarks),
+        *findings,
+    ]
+    if "mission" in report:
+        from nls.cli.mission import lines as worth
+
+        lines += worth(report["mission"])
+    lines += [f"held        all {kind}" for kind in report["held"]]
+    lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
+    if (more := len(report["underconstrained"]) - SHOWN) > 0:
+        lines.append(f"free        and {more} more directions")
+    lines += [f"written     {name}" for name in report["written"]]
+    lines += [f"note        {note}" for note in report["notes"] if note not in warned]
+    if verbose:
+        from nls.cli.timing import iterations
+        from nls.cli.timing import table as timing_table
+
+        lines += [*iterations(result.history), *timing_table(seconds)]
+    return "\n".join(lines)
+
+
+def advice(result: Result, allowed: bool) -> str:
+    """What to try next, by status; an estimate that has not converged may be `allowed` already."""
+    name = result.status.name
+    if result.rises and not result.attempts:
+        return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"
+    if name in ("MAX_ITERATIONS", "MAX_TIME"):
+        return "allow more with --max-iterations" + (
+            "" if allowed else ", or take the estimate with --allow-unconverged"
+        )
+    if name in ("STOPPED", "INTERRUPTED"):
+        return "the best estimate so far was kept"
+    return "the best estimate so far was kept; try another --init"
