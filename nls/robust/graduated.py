@@ -31,7 +31,8 @@ Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from factors.base import Factor
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
+from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import Result
@@ -97,15 +99,28 @@ class Robustified:
         """
         return float(np.sqrt(self.result.chi2_final / max(self.result.dof, 1))) / self.local
 
+    @cached_property
+    def unverified(self) -> tuple[Unverified, ...]:
+        """Accepted groups of closures that carry the map and that nothing verifies; computed at the first access.
+
+        The others that were kept are the judges, so a group whose contradictions were rejected is listed. Factors and
+        measurements are numbered as in the given graph.
+        """
+        factors = [number for number, w in enumerate(self.weights) if w.any()]
+        indices = [np.flatnonzero(self.weights[number]).tolist() for number in factors]
+        groups = unverified_groups(self.graph, self.result.values)
+        return tuple(replace(g, closures=tuple((factors[f], indices[f][k]) for f, k in g.closures)) for g in groups)
+
     def __repr__(self) -> str:
         return f"Robustified({len(self.rejected)} of {self.doubted} rejected, {self.result!r})"
 
     def report(self, most: int = 10) -> list[str]:
-        """Lines: how many were rejected at which threshold, and the first of them."""
+        """Lines: how many were rejected at which threshold, doubts, unverified groups, and the first rejected ones."""
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
         times = f"{self.sigma0:.3g}"
         lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
+        lines += [f"accepted, not verified: {_sentence(group)}" for group in self.unverified]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + (
             [f"  and {len(self.rejected) - most} more (`rejected` has them)"] if len(self.rejected) > most else []
@@ -200,6 +215,15 @@ def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:
         if not any(factor is f for f in graph.factors):
             raise GraphError(f"gnc: {factor!r:.80} is doubted, and not in this graph")
     return [np.full(len(f), any(f is d for d in doubted)) for f in graph.factors]
+
+
+def _sentence(group: Unverified) -> str:
+    """A group and its numbers."""
+    name = group.names[0] + (f" and {len(group.names) - 1} more" if len(group.names) > 1 else "")
+    motion = f"the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas)"
+    if not np.isfinite(group.meters):
+        motion = "the graph falls apart"
+    return f"{name}: redundancy {group.redundancy:.2f}, {motion} without it"
 
 
 def _numbers(factor: Factor, values: Values) -> int:
