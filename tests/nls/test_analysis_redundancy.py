@@ -15,7 +15,6 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
 from nls.analysis.closure_groups import closure_groups
 from nls.analysis.redundancy import Common, _common
-from nls.linear import factorize
 
 x, y, p = kinds("x", "y", "p")
 SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
@@ -37,8 +36,7 @@ def early(count: int = 10) -> Between:
 def common(graph: FactorGraph, values: Values) -> list[Common]:
     """The common error of every group of a graph in which a variable is fixed."""
     system = graph.linearize(values)
-    factorization = factorize(system)
-    return [_common(values, system, factorization, group) for group in closure_groups(system.pattern)]
+    return list(_common(values, system, list(closure_groups(system.pattern))))
 
 
 # --- against the definition ---
