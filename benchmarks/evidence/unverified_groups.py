@@ -41,15 +41,15 @@ def row(data: Path, name: str, ends: str, size: int, share: float, seed: int) ->
     KINDS[kind] = ends, size
     wrong = round(share / (1 - share) * int(right.loops.sum()))
     rng = np.random.default_rng([seed, ENDS.index(ends), size, round(100 * share)])
-    found = nls.gnc(nls.FactorGraph([right.edges, spoiled(right, wrong, kind, rng)]), right.start)
-    off = right.off(found.result.values)
+    choice = nls.gnc(nls.FactorGraph([right.edges, spoiled(right, wrong, kind, rng)]), right.start)
+    off = right.off(choice.result.values)
     lists = [
         f"{sum(factor > 0 for factor, _ in group.closures)} of {len(group.closures)} wrong, redundancy "
         f"{group.redundancy:.0e}, {group.meters:.3g} m, {group.sigmas:.2g} sigmas"
-        for group in found.unverified
+        for group in choice.unverified
     ]
-    doubts = ", ".join(doubt.kind.name for doubt in found.doubts)
-    accepted = int(found.weights[1].sum())
+    doubts = ", ".join(doubt.kind.name for doubt in choice.doubts)
+    accepted = int(choice.weights[1].sum())
     numbers = f"{100 * off:.2f} % | {'' if off < FINE else 'failure'} | {accepted} of {wrong} | {doubts}"
     return f"| {name} | {kind} | {share:.0%} | {seed} | {numbers} | {'; '.join(lists)} |"
 

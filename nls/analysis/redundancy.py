@@ -133,9 +133,8 @@ def unverified_groups(graph: FactorGraph, values: Values) -> tuple[Unverified, .
     pattern = whole.holding(choose_gauge("first", whole, values, fixed | ~touched_variables(whole)).held)
     system = LinearSystem.at(pattern, values)
     groups = list(closure_groups(pattern))
-    judged = (
-        _judged(graph, values, pattern, *each) for each in zip(groups, _common(values, system, groups), strict=True)
-    )
+    pairs = zip(groups, _common(values, system, groups), strict=True)
+    judged = (_judged(graph, values, pattern, group, common) for group, common in pairs)
     return tuple(sorted((group for group in judged if group is not None), key=lambda group: -group.meters))
 
 
@@ -185,8 +184,8 @@ def _model(values: Values, system: LinearSystem, group: ClosureGroup) -> tuple[I
     """The rows (m,) of a group and its C there, (m, d)."""
     rows, blocks, T_r = [], [], None
     for number in np.unique(group.batch):
-        here, batch = group.batch == number, system.pattern.batches[number]
-        index, late, space = group.index[here], group.late[here], batch.model.manifolds[0]
+        members, batch = group.batch == number, system.pattern.batches[number]
+        index, late, space = group.index[members], group.late[members], batch.model.manifolds[0]
         assert isinstance(space, LieGroup)
         X, A = batch.gather(values), system.blocks[number]
         T_j, A_j = (np.where(late.reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][index], Y[0][index]) for Y in (X, A))
@@ -236,12 +235,12 @@ def _rest(graph: FactorGraph, values: Values, group: ClosureGroup) -> tuple[Valu
     for number in np.unique(group.batch):
         masks[number][group.index[group.batch == number]] = False
     rest = graph.only(masks)
-    parts = (component_labels(each.pattern(values)) for each in (graph, rest))
-    if len(np.unique(next(parts))) < len(np.unique(next(parts))):
+    parts, fewer = (len(np.unique(component_labels(g.pattern(values)))) for g in (rest, graph))
+    if parts > fewer:
         return None
-    start = chordal(rest, values)
+    other = chordal(rest, values)
     try:
-        results = [rest.optimize(each) for each in ([values] if start is values else [values, start])]
+        results = [rest.optimize(start) for start in ([values] if other is values else [values, other])]
         optimum = min(results, key=lambda result: result.chi2_final).values
         marginals = Marginals(rest, optimum)
     except UnderconstrainedError:

@@ -101,13 +101,13 @@ def test_a_loop_of_vectors_has_the_redundancy_and_the_motion_of_the_closed_form(
 
 def test_a_wrong_group_that_carries_the_map_is_listed_and_a_right_one_is_not(laps: sim.World) -> None:
     odometry, closures = laps.graph.factors
-    for group, listed in ((early(), True), (closures[:10], False)):
-        graph = FactorGraph([odometry, group])
-        found = unverified_groups(graph, graph.optimize(laps.start).values)
-        assert [len(each.closures) for each in found] == [10] * listed
+    for ten, listed in ((early(), True), (closures[:10], False)):
+        graph = FactorGraph([odometry, ten])
+        groups = unverified_groups(graph, graph.optimize(laps.start).values)
+        assert [len(group.closures) for group in groups] == [10] * listed
 
 
-def test_what_is_said_of_a_group_is_what_a_map_without_it_shows(laps: sim.World) -> None:
+def test_motion_and_sigmas_are_those_of_a_map_that_never_had_the_group(laps: sim.World) -> None:
     odometry, closures = laps.graph.factors
     graph = FactorGraph([odometry, closures[25:], early()])
     values = graph.optimize(laps.start).values
@@ -132,7 +132,7 @@ def test_the_redundancy_of_a_closure_rises_with_others_that_check_it(laps: sim.W
         closures = Between(x[np.array(k)], x[np.array(k) + 60], SE2.between(T[k], T[np.array(k) + 60]), SIGMAS)
         graph = FactorGraph([odometry, closures])
         graph.fix(x[0])
-        return [each.redundancy for each in common(graph, laps.truth)]
+        return [error.redundancy for error in common(graph, laps.truth)]
 
     alone, (_, checked, _) = redundancies([30]), redundancies([5, 30, 55])
     assert 0 < 2 * alone[0] < checked < 1
@@ -151,7 +151,7 @@ def test_two_sessions_that_one_group_joins_fall_apart_without_it() -> None:
     assert group.meters == group.rms == group.sigmas == np.inf
 
 
-def test_what_is_no_closure_of_a_track_is_not_judged(laps: sim.World) -> None:
+def test_measurements_that_close_no_track_are_not_judged(laps: sim.World) -> None:
     """Objects with a pose, positions by a prior, rotations alone."""
     graph = FactorGraph([laps.graph.factors[0], Prior(x[0], laps.truth[x][0], SIGMAS)])
     graph.add(Between(x[[3, 40]], p[[0, 1]], [[1.0, 2.0, 0.0]] * 2, SIGMAS))
@@ -168,7 +168,7 @@ def test_a_group_that_a_kernel_has_let_go_says_nothing(laps: sim.World) -> None:
     graph = FactorGraph([odometry, closures[20:], early(3).robust(Tukey(1.0))])
     graph.fix(x[0])
     values = graph.optimize(laps.truth).values
-    assert [each.redundancy for each in common(graph, values)][-1] == 1.0
+    assert [error.redundancy for error in common(graph, values)][-1] == 1.0
     assert unverified_groups(graph, values) == ()
 
 

@@ -40,8 +40,8 @@ def test_groups_are_numbered_as_in_the_given_graph(carried: Robustified) -> None
 
 def test_the_report_has_both_numbers(carried: Robustified) -> None:
     (group,) = carried.unverified
-    said = f"redundancy 0.00, the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas) without it"
-    assert f"accepted, not verified: Between(x0, x50) and 9 more: {said}" in carried.report()
+    numbers = f"redundancy 0.00, the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas) without it"
+    assert f"accepted, not verified: Between(x0, x50) and 9 more: {numbers}" in carried.report()
 
 
 def test_the_record_has_every_closure(carried: Robustified) -> None:
@@ -54,7 +54,7 @@ def test_the_record_has_every_closure(carried: Robustified) -> None:
 
 def test_a_choice_of_right_closures_has_none() -> None:
     world = sim.ring(np.random.default_rng(0), laps=2, per_lap=60)
-    found = nls.gnc(world.graph, world.truth)
-    assert found.unverified == ()
-    assert record(found)["unverified"] == []
-    assert not any("not verified" in line for line in found.report())
+    choice = nls.gnc(world.graph, world.truth)
+    assert choice.unverified == ()
+    assert record(choice)["unverified"] == []
+    assert not any("not verified" in line for line in choice.report())
