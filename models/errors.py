@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from models.advice import Advice, listed
+
 __all__ = [
     "EvaluationError",
     "GraphError",
@@ -28,7 +30,21 @@ __all__ = [
 
 
 class LeadlineError(Exception):
-    """Base class of every error this library raises. Its copy from another process is the same, built as it was."""
+    """Base class of every error this library raises. Its copy from another process is the same, built as it was.
+
+    Parameters
+    ----------
+    message : what is wrong, with the name of the thing and its number.
+    advice : what helps; ``str()`` has it as Python writes it, one a line.
+    """
+
+    def __init__(self, message: str = "", advice: Sequence[Advice] = ()) -> None:
+        self.message, self.advice = message, tuple(advice)
+        super().__init__("\n".join(self.lines()))
+
+    def lines(self, shell: bool = False) -> list[str]:
+        """The message, and what helps as Python or as the command line writes it."""
+        return [self.message, *(f"  -> {words}" for words in listed(self.advice, shell))]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _as_it_was, (type(self), self.args), vars(self)
@@ -49,20 +65,35 @@ class GraphFileError(LeadlineError, ValueError):
     path : the file.
     line : its line, counted from 1; None when the whole file is meant.
     text : the offending line, cut to 80 characters.
+    advice : what helps.
     """
 
-    def __init__(self, message: str, path: str = "<text>", line: int | None = None, text: str = "") -> None:
+    def __init__(
+        self,
+        message: str,
+        path: str = "<text>",
+        line: int | None = None,
+        text: str = "",
+        advice: Sequence[Advice] = (),
+    ) -> None:
         self.path, self.line, self.text = path, line, text[:80]
         where = path if line is None else f"{path}:{line}"
-        super().__init__(f"{where}: {message}" + (f" [{self.text}]" if text else ""))
+        super().__init__(f"{where}: {message}" + (f" [{self.text}]" if text else ""), advice)
 
 
 class GraphError(LeadlineError, ValueError):
     """A graph, factor or set of values that cannot be built: keys, dimensions, types; `index`: of which measurement."""
 
-    def __init__(self, message: str, keys: Sequence[Any] = (), factor: str = "", index: int = 0) -> None:
+    def __init__(
+        self,
+        message: str,
+        keys: Sequence[Any] = (),
+        factor: str = "",
+        index: int = 0,
+        advice: Sequence[Advice] = (),
+    ) -> None:
         self.keys, self.factor, self.index = tuple(keys), factor, index
-        super().__init__(message)
+        super().__init__(message, advice)
 
 
 class NoiseModelError(GraphError):
@@ -119,11 +150,12 @@ class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
 
     Parameters
     ----------
-    message : the free variables and directions, and the usual cures.
+    message : the free variables and directions.
     keys : the variables that can move without any measurement noticing.
     nullity : how many independent directions are free.
     components : one text per free direction, e.g. ``"x3: yaw"``.
     values : the best values reached before the singular system was met.
+    advice : the usual cures.
     """
 
     def __init__(
@@ -133,9 +165,10 @@ class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
         nullity: int = 0,
         components: Sequence[str] = (),
         values: Any = None,
+        advice: Sequence[Advice] = (),
     ) -> None:
         self.keys, self.nullity, self.components, self.values = tuple(keys), nullity, tuple(components), values
-        super().__init__(message)
+        super().__init__(message, advice)
 
 
 class ResourceLimitError(LeadlineError, MemoryError):
@@ -170,7 +203,15 @@ class OptionError(LeadlineError, ValueError):
 
     def __init__(self, option: str, value: Any = None, allowed: str = "") -> None:
         self.option, self.value, self.allowed = option, value, allowed
-        super().__init__(f"{option}: {value!r} is not possible; expected {allowed}" if allowed else option)
+        super().__init__(self._sentence(option))
+
+    def _sentence(self, name: str) -> str:
+        return f"{name}: {self.value!r} is not possible; expected {self.allowed}" if self.allowed else name
+
+    def lines(self, shell: bool = False) -> list[str]:
+        """The message; on the command line with the name of its option there."""
+        given = shell and self.option.isidentifier()
+        return [self._sentence(f"--{self.option.replace('_', '-')}" if given else self.option)]
 
 
 class GraphWarning(UserWarning):

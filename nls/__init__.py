@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nls import plot
     from nls.certificate import Certificate, certify
     from nls.covariance import Marginals
-    from nls.explanation import Explanation, Finding, explain
+    from nls.explanation import Explanation, Finding, FindingKind, explain
     from nls.graph import FactorGraph
     from nls.io import LoadReport, load, save
     from nls.linear import (
@@ -66,7 +66,7 @@ _WHERE = {
     "MissingSolverError NoiseModelError OptionError ResourceLimitError SingularGeometryError UnderconstrainedError",
     "nls.certificate": "Certificate certify",
     "nls.covariance": "Marginals",
-    "nls.explanation": "Explanation Finding explain",
+    "nls.explanation": "Explanation Finding FindingKind explain",
     "nls.graph": "FactorGraph",
     "nls.io": "LoadReport load save",
     "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends factorize",
@@ -100,6 +100,7 @@ __all__ = [
     "Explanation",
     "FactorGraph",
     "Finding",
+    "FindingKind",
     "GaussNewton",
     "GraphError",
     "GraphFileError",

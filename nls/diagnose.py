@@ -7,6 +7,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from factors.keys import Keys
+from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.directions import carriers_of_singles, separated, single_directions
@@ -65,14 +66,15 @@ def underconstrained(
     any_of_them = np.unique(np.concatenate(moved))
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
     keys = [key for key, _ in named]
-    where, cure = _where(pattern, np.unique(owner[any_of_them]), named)
+    where, advice = _where(pattern, np.unique(owner[any_of_them]), named)
     count = directions(len(moved), len(s[null]))
     return UnderconstrainedError(
-        f"the measurements leave {count} free: {where}. {cure}",
+        f"the measurements leave {count} free: {where}",
         keys,
         len(moved),
         [_listed(_by_variable(pattern, owner[each], component[each])) for each in moved],
         values,
+        advice,
     )
 
 
@@ -95,7 +97,7 @@ def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedErro
         norms = system.column_norms
     if not np.isfinite(norms).all():
         raise system.overflow()
-    batch, index, row, spread, said, cure = _extreme(system)
+    batch, index, row, spread, size, advice = _extreme(system)
     keys, where = [key[[index]] for key in pattern.batches[batch].model.factor.keys], ""
     if spread < RESOLVED and (norms > 0).all():
         owner, component = pattern.column_owner()
@@ -103,21 +105,19 @@ def _unlike(system: LinearSystem, values: Values | None) -> UnderconstrainedErro
         moved = np.flatnonzero(_carriers(N[:, [np.argmin(s)]], norms, _component_ids(pattern, owner, component))[:, 0])
         named = _by_variable(pattern, owner[moved], component[moved])
         keys = [key for key, _ in named]
-        where = f" The weakest direction: {_where(pattern, np.unique(owner[moved]), named)[0]}."
-        cure += (
-            ". Use linear solver 'qr' (it keeps twice the digits), tighten the prior there, or fix a variable instead"
-        )
+        where = f". The weakest direction: {_where(pattern, np.unique(owner[moved]), named)[0]}"
+        advice += [Advice("qr"), Advice("tighten"), Advice("fix", ("a variable instead",))]
     return UnderconstrainedError(
         "the measurements determine every unknown, but their weights or scales differ too much for A'A, which keeps "
-        f"13 digits. Most unlike the others: {system.scale(batch, index, row)}; {said}.{where} {cure}; check sigmas "
-        "and units.",
+        f"13 digits. Most unlike the others: {system.scale(batch, index, row)}; {size}{where}",
         keys,
         values=values,
+        advice=[*advice, Advice("units")],
     )
 
 
-def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, str]:
-    """The row of A most unlike the others: batch, measurement and row, how far from the median, why, and a cure.
+def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advice]]:
+    """The row of A most unlike the others: batch, measurement and row, how far from the median, its size, and advice.
 
     Where a Jacobian is beyond `FAR` it is the row of that kind with the largest measurement: distances enter the
     Jacobians of other measurements, too.
@@ -132,20 +132,20 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, str]:
         batch = int(np.argmax([z.max(initial=-1.0) for z in values]))
         index = int(np.argmax(values[batch]))
         row = int(np.argmax(sizes[batch][index]))
-        said = f"its measurement is {system.pattern.batches[batch].model.z[index].tolist()}"
-        return batch, index, row, np.inf, said, "Check that measurement and the start values"
+        size = f"its measurement is {system.pattern.batches[batch].model.z[index].tolist()}"
+        return batch, index, row, np.inf, size, [Advice("inspect", ("that measurement and the start values",))]
     heavy = measured.max() / middle >= middle / measured.min()
     extreme = measured.max() if heavy else measured.min()
     batch = next(k for k, size in enumerate(sizes) if (size == extreme).any())
     index, row = (int(k) for k in np.argwhere(sizes[batch] == extreme)[0])
     times = float(extreme) / middle
-    cure = "Give it a larger sigma, or leave it out" if heavy else "Give it a smaller sigma, or leave it out"
-    said = f"its row of A is {times:.3g} times the median"
+    advice = [Advice("larger sigma" if heavy else "smaller sigma"), Advice("remove", ("it",))]
+    size = f"its row of A is {times:.3g} times the median"
     alike = int(((measured > extreme / ALIKE) & (measured < extreme * ALIKE)).sum())
     if alike > system.pattern.batches[batch].model.dim:
-        said += f", and there are {alike:,} rows of about that size"
-        cure = "Compare their sigmas with those of the other rows"
-    return batch, index, row, max(times, 1 / times), said, cure
+        size += f", and there are {alike:,} rows of about that size"
+        advice = [Advice("compare sigmas")]
+    return batch, index, row, max(times, 1 / times), size, advice
 
 
 def directions(count: int, found: int | None = None) -> str:
@@ -158,29 +158,23 @@ def _unmeasured(pattern: Pattern, zero: npt.NDArray[np.bool_], values: Values | 
     """The error for columns of zeros (n,): nothing touches their variable, or what touches it does not react."""
     owner, component = pattern.column_owner()
     touched = touched_variables(pattern)[owner]
-    sentences = []
-    for unknowns, what, cure in (
-        (
-            zero & ~touched,
-            "no measurement at all",
-            "No factor touches that: remove the variable, add the factors that are missing, or fix it.",
-        ),
-        (
-            zero & touched,
-            "factors that do not react to a change here",
-            "Either these factors never measure that component (add one that does), or their Jacobian is zero at these "
-            "values alone (try another start or convention), or a robust kernel has rejected them. To leave landmarks "
-            "where they are along it: Levenberg-Marquardt, or linear solver "
-            "nls.Schur(block_inverse=nls.degeneracy.truncated_inverse).",
-        ),
-    ):
+    idle, unseen = zero & ~touched, zero & touched
+    sentences, advice = [], []
+    for unknowns, lack in ((idle, "no measurement at all"), (unseen, "factors that do not react to a change here")):
         if count := int(unknowns.sum()):
-            listed = _listed(_by_variable(pattern, owner[unknowns], component[unknowns]))
-            have = "1 unknown has" if count == 1 else f"{count} unknowns have"
-            sentences.append(f"{have} {what}: {listed}. {cure}")
+            names = _listed(_by_variable(pattern, owner[unknowns], component[unknowns]))
+            sentences.append(f"{'1 unknown has' if count == 1 else f'{count} unknowns have'} {lack}: {names}")
+    if idle.any():
+        advice = [Advice("factors"), Advice("drop", ("the variable",)), Advice("fix", ("the variable",))]
+    if unseen.any():
+        sentences.append(
+            "causes: no factor measures the component, the Jacobian is zero at these values alone, or a robust kernel "
+            "rejects the factors"
+        )
+        advice += [Advice("measure", ("the component",)), Advice("start"), Advice("damp"), Advice("truncate")]
     named = _by_variable(pattern, owner[zero], component[zero])
     keys, texts = [key for key, _ in named], [text for _, text in named]
-    return UnderconstrainedError(" ".join(sentences), keys, int(zero.sum()), texts, values)
+    return UnderconstrainedError("; ".join(sentences), keys, int(zero.sum()), texts, values, advice)
 
 
 def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:
@@ -271,8 +265,8 @@ def _listed(named: list[tuple[Keys, str]]) -> str:
     return "; ".join(texts[:6]) + (f"; and {len(texts) - 6} more variables" if len(texts) > 6 else "")
 
 
-def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, str]:
-    """What moves, in words, and the usual cures: an anchor for whole components, another view for single variables."""
+def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, list[Advice]]:
+    """What moves, in words, and what helps: an anchor for whole components, another view for single variables."""
     label = component_labels(pattern)
     free = np.flatnonzero(~pattern.held)
     texts = dict(zip(moving.tolist(), (text for _, text in named), strict=True))
@@ -280,10 +274,7 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
     for k in np.unique(label[moving]):
         members = free[label[free] == k]
         if not np.isin(members, moving).all() or (label[pattern.held] == k).any():
-            return _listed(named), (
-                "Single variables can move: add a prior on them, or a measurement from another place; a landmark needs "
-                "two views that differ."
-            )
+            return _listed(named), [Advice("view", ("a landmark",)), Advice("prior", ("the variables",))]
         _, names = texts[int(members[0])].split(": ", 1)
         size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
@@ -295,9 +286,8 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
             at, first = np.unique(label[batch.variables[0]], return_index=True)
             for k in np.flatnonzero(np.isin(at, components)):
                 kept.setdefault(int(at[k]), batch.model.factor.describe(int(first[k])))
-    choose = "" if len(kept) == len(components) else "choose gauge='first', "
-    why = [f" {factor} is not declared relative and keeps the gauge from being held." for factor in kept.values()]
-    return listed, (
-        f"Whole components of the graph can move: fix a pose, add a prior to one, {choose}or join the components by a "
-        "measurement." + "".join(why[:1])
-    )
+    advice = [Advice("fix", ("a pose",)), Advice("prior", ("one pose",))]
+    advice += [] if len(kept) == len(components) else [Advice("gauge")]
+    advice += [Advice("join")] if len(np.unique(label[touched_variables(pattern)])) > 1 else []
+    advice += [Advice("relative", (factor,)) for factor in list(kept.values())[:1]]
+    return listed, advice

@@ -204,7 +204,7 @@ class FactorGraph:
         return Result(
             values=watch.best,
             status=watch.status,
-            reason=watch.reason + (f"; free: {directions(len(free))}, see `underconstrained`" if free else ""),
+            reason=watch.reason + (f"; free: {directions(len(free))}" if free else ""),
             history=watch.records,
             chi2_initial=watch.records[0].chi2,
             chi2_final=watch.lowest,

@@ -44,7 +44,8 @@ class Gallery(SphinxDirective):
             parts += [nodes.paragraph(text=f"{FILE}:"), _code(_shown(case.file), "text")]
         parts += [_code(case.broken), _said(outcome.error or _speaker(case.broken), outcome.sentence, "error")]
         if outcome.finding:
-            parts.append(_said("What nls.explain says", outcome.finding, "hint"))
+            text = "\n".join([outcome.finding.says, *(f"-> {advice}" for advice in outcome.finding.advice)])
+            parts.append(_said("What nls.explain says", text, "hint"))
         if case.cured_file:
             parts += [nodes.paragraph(text=f"Cure, in {FILE}:"), _code(case.cured_file, "text")]
         if case.cure:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from models.advice import Advice, listed
 from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
@@ -65,9 +66,14 @@ class Certificate:
         """The smallest one."""
         return float(self.eigenvalues[0])
 
-    def report(self) -> str:
+    @property
+    def advice(self) -> tuple[Advice, ...]:
+        """What helps where the solution is not the lowest."""
+        return () if self.lower_chi2 is None else (Advice("start at better"),)
+
+    def report(self, shell: bool = False) -> str:
         """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
-        lines, and one more where `lower_chi2` is known."""
+        lines, and two more where `lower_chi2` is known, with the advice for Python or for the command line."""
         said = {
             "certified": "in the SE-Sync cost no arrangement of the poses fits these measurements better than the "
             "minimum beside this solution (whether the measurements are right is another question)",
@@ -89,9 +95,8 @@ class Certificate:
             f"smallest eigenvalues of the certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
         ]
         if self.lower_chi2 is not None:
-            lines.append(
-                f"chi2 of the solution is not the lowest: {self.lower_chi2:.6g} is lower, start at `better` or `values`"
-            )
+            lines.append(f"chi2 of the solution is not the lowest: {self.lower_chi2:.6g} is lower")
+            lines += [f"  -> {words}" for words in listed(self.advice, shell)]
         return "\n".join(lines)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import typed
-
 if TYPE_CHECKING:
     from nls.certificate import Certificate
 
@@ -31,5 +29,5 @@ def record(certificate: Certificate) -> dict[str, Any]:
 
 def rows(certificate: Certificate) -> list[str]:
     """For the table."""
-    first, *others = typed(certificate.report()).splitlines()
+    first, *others = certificate.report(shell=True).splitlines()
     return [f"certificate {first}", *(f"            {line}" for line in others)]

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nls.cli.outputs import refuse_unwritable, typed, write_json
+from nls.cli.outputs import refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from nls.cli.progress import Progress
@@ -34,11 +34,12 @@ def explain(options: argparse.Namespace) -> int:
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)
+        explanation = explanation.placed(report.place)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
     if options.json != "-":
-        print(f"{report.path}, {how}\n\n{typed(explanation.report())}")
+        print(f"{report.path}, {how}\n\n{explanation.report(shell=True)}")
         for note in report.notes:
             if note not in report.warnings:
                 print(f"note        {note}")
@@ -48,7 +49,9 @@ def explain(options: argparse.Namespace) -> int:
 def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[Explanation, str]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
     import nls
+    from models.advice import Advice
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
+    from nls.explanation.findings import FindingKind
     from nls.explanation.offers import graduates
     from nls.io.text import several
     from nls.optimizers import default_optimizer
@@ -60,10 +63,10 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
         try:
             result = graph.optimize(nls.initialize(graph, start, init)[0], method(callback=progress.show))
         except UnderconstrainedError:
-            why = why or "something is free, see below"
+            why = why or "something is free"
             continue
         except (EvaluationError, GraphError, SingularGeometryError) as error:
-            why = str(error)
+            why = error.message
             continue
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
@@ -73,8 +76,7 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
     explanation = nls.explain(graph, values)
-    says = f"no optimum was found ({why}): what follows is about the values {how}"
-    cure = "try another --init" + "; of many wrong closures: nls.gnc(graph, values)" * graduates(graph, values)
-    finding = nls.Finding("not converged", (), says, cure)
-    others = tuple(other for other in explanation.findings if other.kind != "no optimum")
+    advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, values))
+    finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
+    others = tuple(other for other in explanation.findings if other.kind is not FindingKind.NO_OPTIMUM)
     return replace(explanation, findings=(finding, *others)), how

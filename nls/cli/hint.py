@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from models.advice import listed
 from nls.cli import outliers
-from nls.cli.outputs import typed
 
 if TYPE_CHECKING:
     from nls.optimizers import Result
@@ -56,7 +56,7 @@ def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] =
     """
     dof, s2 = result.dof, 2 / (9 * max(result.dof, 1))
     if result.doubt:
-        return [f"{typed(result.doubt)}; see: {asking(options, written)}"]
+        return ["; ".join([result.doubt, *listed(result.advice, shell=True), f"see: {asking(options, written)}"])]
     if result.robust or not dof > 0 or not result.chi2_final > dof * (1 - s2 + ABOVE * s2**0.5) ** 3:
         return []
     return [f"chi2 is more than noise explains; see: {asking(options, written)}"]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-
-from nls.cli.outputs import typed
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -83,7 +82,7 @@ def record(found: Robustified) -> dict[str, Any]:
 
 def rows(found: Robustified) -> list[str]:
     """For the table."""
-    first, *others = map(typed, found.report(SHOWN))
+    first, *others = found.report(SHOWN)
     return [f"rejected    {first}", *(f"          {line}" for line in others)]
 
 
@@ -96,15 +95,23 @@ def doubtful(found: Robustified | None, allowed: bool) -> bool:
     return True
 
 
-def kept(as_read: FactorGraph, found: Robustified, report: LoadReport) -> FactorGraph:
-    """What is written: the graph as it was read, without what was rejected; the report gets the times of the rest."""
+def kept(as_read: FactorGraph, found: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:
+    """The graph as read without the rejected measurements, and its report: the times and lines of the rest.
+
+    The given report stays that of the whole graph; both have one list of notes.
+    """
     masks = [weight > 0 for weight in found.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
-    report.factor_times = [
+    factor_times = [
         (new, times[id(old)][mask]) for (old, mask), new in zip(left, graph.factors, strict=True) if id(old) in times
     ]
-    return graph
+    sources = [
+        replace(source, lines=source.lines[mask])
+        for source, mask in zip(report.sources, masks, strict=True)
+        if mask.any()
+    ]
+    return graph, replace(report, factor_times=factor_times, sources=sources)
 
 
 def left_out(found: Robustified, output: str | None) -> list[str]:

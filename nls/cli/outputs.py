@@ -7,7 +7,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,48 +20,11 @@ __all__ = [
     "refuse_loss",
     "refuse_name",
     "refuse_unwritable",
-    "typed",
     "write_json",
 ]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
-TYPED = {  # what messages of the library name, and the options of the command line in its place
-    "solve first: nls.explain(graph, graph.optimize(values).values)": "more --max-iterations, or another --init",
-    "; or sigmas, variances and informations were mixed up: Isotropic and Diagonal take sigmas": "; or sigmas, "
-    "variances and informations were mixed up in the file",
-    "(an Elevation prior, ElevationHinge)": "(--elevation prior)",
-    ", or dialect= in Python": "",
-    "start at `better` or `values`": "another --init may lead there",
-    "Levenberg-Marquardt, or linear solver nls.Schur(block_inverse=nls.degeneracy.truncated_inverse)": "--method "
-    "levenberg-marquardt",
-    "repair_information=True": "--repair-information",
-    "gauge='first'": "--gauge first",
-    "repair_information: True": "--repair-information",
-    "graph.robust(Cauchy(1))": "--robust cauchy:1",
-    "nls.initialize(graph, values)": "--init",
-    "nls.certify(graph, values)": "nls solve --certify",
-    "nls.gnc(graph, values)": "nls solve --robust gnc-tls",
-    "linear solver 'qr'": "--linear-solver qr",
-    ", see `underconstrained`": "",
-    "; use preselect=False": "",
-    "(`findings` has them)": "(--json has them)",
-    "(`rejected` has them)": "(--json has them)",
-    "; name factors with doubted=[...]": "",
-}
-
-
-def typed(message: str, form: Callable[[str], str] = str) -> str:
-    """A message of the library with the options as they are typed on the command line.
-
-    Parameters
-    ----------
-    message : one, or a page of them.
-    form : how the page writes a text, such as `html.escape`.
-    """
-    for named, option in TYPED.items():
-        message = message.replace(form(named), form(option))
-    return message
 
 
 def input_name(file: str) -> str:
@@ -69,9 +32,12 @@ def input_name(file: str) -> str:
     return "<stdin>" if file == "-" else file
 
 
-def complain(message: object) -> None:
-    """One line on standard error, with the options as they are typed here."""
-    print(f"nls: {' '.join(line.strip() for line in typed(str(message)).splitlines())}", file=sys.stderr)
+def complain(problem: object) -> None:
+    """What is wrong in one line on standard error; what helps, with the options of the command line, one a line."""
+    from models.errors import LeadlineError
+
+    message, *advice = problem.lines(shell=True) if isinstance(problem, LeadlineError) else [str(problem)]
+    print("\n".join([f"nls: {' '.join(message.split())}", *advice]), file=sys.stderr)
 
 
 def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | None = None, read: str = "") -> None:
@@ -200,8 +166,8 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
 
 
 def json_text(report: dict[str, Any]) -> str:
-    """The report for programs, with options as they are typed."""
-    return typed(json.dumps(_finite(report), indent=1, allow_nan=False)) + "\n"
+    """The report for programs."""
+    return json.dumps(_finite(report), indent=1, allow_nan=False) + "\n"
 
 
 def _finite(item: Any) -> Any:

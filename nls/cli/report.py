@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import typed
 from nls.cli.timing import rows
 
 if TYPE_CHECKING:
@@ -69,8 +67,9 @@ def write_report(
         facts=_facts(options, result, report, tried),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),
+        shell=True,
     )
-    write_bytes(path, typed(text, escape).encode(errors="backslashreplace"))  # names of files can be any bytes
+    write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
 
 
 def _facts(

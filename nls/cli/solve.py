@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, typed, write_json
+from nls.cli.outputs import PAGES, PICTURES, complain, refuse_name, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from models.errors import LeadlineError, UnderconstrainedError
@@ -80,7 +80,7 @@ def solve(options: argparse.Namespace) -> int:
             start, init, tried = nls.initialize(graph, values, options.init)
         else:
             graph, start, init = found.graph, found.result.values, options.robust
-            as_read = outliers.kept(as_read, found, report)
+            as_read, report = outliers.kept(as_read, found, report)
             report.notes += outliers.left_out(found, options.output)
             tried = {init: found.result.chi2_final}
         chi2_read = _chi2_read(graph, values, tried)
@@ -148,7 +148,7 @@ def solve(options: argparse.Namespace) -> int:
         "iterations": result.iterations,
         "converged": result.converged,
         "status": result.status.name,
-        "reason": f"{result.status.value}: {typed(result.ending)}",
+        "reason": f"{result.status.value}: {result.ending}",
         "rule": result.rule,
         "reused": result.reused,
         "attempts": [vars(attempt) | {"status": attempt.status.name} for attempt in result.attempts],
@@ -157,7 +157,7 @@ def solve(options: argparse.Namespace) -> int:
         "timings": timings,
         "underconstrained": list(result.underconstrained),
         "written": written,
-        "unwritten": [str(error) for error in failed],
+        "unwritten": [error.message for error in failed],
         "notes": report.notes + doubts(result, options, written),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
@@ -193,6 +193,7 @@ def _say_free(
     error: UnderconstrainedError, options: argparse.Namespace, report: LoadReport, page: Callable[..., None]
 ) -> None:
     """Write the outputs that can say what is free, and name in the error these and what explains it."""
+    from models.advice import Advice
     from nls.cli.hint import asking
 
     failed: list[LeadlineError] = []
@@ -201,17 +202,20 @@ def _say_free(
     for failure in failed:
         complain(failure)
     names = ", ".join(name for name in options.phase.written if name != "-")
-    error.args = (f"{error} See: {asking(options)}" + (f"; written: {names}" if names else ""),)
+    error.advice = (*error.advice, Advice("explain", (asking(options),)), *(Advice("written", (names,)),) * bool(names))
 
 
 def _free(options: argparse.Namespace, report: LoadReport, error: UnderconstrainedError, where: str) -> None:
     """The report for programs on a graph that leaves something free."""
+    from models.advice import listed
+
     record = {
         "input": report.path,
         "format": report.format,
         "converged": False,
         "status": "UNDERCONSTRAINED",
-        "reason": typed(str(error)),
+        "reason": error.message,
+        "advice": listed(error.advice, shell=True),
         "underconstrained": list(error.components),
         "written": [*options.phase.written, *([where] if where != "-" else [])],
         "notes": report.notes,
@@ -309,7 +313,8 @@ def _attempt(
         except GraphFileError as error:  # names the file itself
             failed.append(error)
         except (LeadlineError, OSError, MemoryError) as error:
-            failed.append(LeadlineError(f"{path} was not written: {error}"))
+            message, advice = (error.message, error.advice) if isinstance(error, LeadlineError) else (str(error), ())
+            failed.append(LeadlineError(f"{path} was not written: {message}", advice))
 
 
 def _solved(
@@ -363,7 +368,7 @@ def _table(report: dict[str, Any], result: Result, findings: list[str], warned: 
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:
-        lines.append(f"free        and {more} more directions (--json has them)")
+        lines.append(f"free        and {more} more directions")
     lines += [f"written     {name}" for name in report["written"]]
     lines += [f"note        {note}" for note in report["notes"] if note not in warned]
     if verbose:

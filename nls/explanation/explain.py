@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys
+from models.advice import Advice
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from models.manifolds.measured import unit
 from nls.chi_squared import chi2_interval, chi2_tail
 from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
-from nls.explanation.findings import Explanation, Finding, Measurement, Part, Weak, some
+from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.free import Freedom, freedom
 from nls.explanation.naming import named_directions
 from nls.explanation.statistics import Tested, checks, kinds_of, spoiled
@@ -92,12 +93,10 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
     free = freedom(graph.factors, pattern, values)
-    directions, texts = named_directions(free, pattern, values)
     moving = _moving(pattern)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
-    findings += (
-        _unmeasured(pattern, idle) + directions + _parts_of_the_graph(pattern, moving, gauge.held & ~gauge.fixed)
-    )
+    findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
+    findings += _parts_of_the_graph(pattern, moving, gauge.held & ~gauge.fixed)
     chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
     dof = measured_rows(pattern) - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
@@ -108,7 +107,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     weakest: tuple[Weak, ...] = ()
     promised = float("nan")
     if free.checked is None:
-        findings.append(_ill_conditioned(free))
+        findings.append(Finding(FindingKind.ILL_CONDITIONED, (), {}, (Advice("units"), Advice("qr"))))
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
@@ -127,10 +126,10 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
                 findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
             rest = _parts(pattern, found.s, found.tests, found.accepted)
             kinds = doubts.of_parts(rest, found, graph)
-            if not found.many and any(kind.kind == "systematic" for kind in kinds):
+            if not found.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
                 found = replace(found, places=[])  # where most are off, it is not these
                 kinds = doubts.of_parts(parts, found, graph)
-            alike = [kind for kind in kinds if kind.kind == "systematic"]
+            alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
             findings += alike + doubts.of_suspects(found, graph, whole)
             findings += [kind for kind in kinds if kind not in alike]
         findings += doubts.unchecked(tests, whole)
@@ -152,7 +151,6 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         promised=promised,
         robust=robust,
         findings=tuple(findings),
-        free=tuple(texts),
         parts=parts,
         worst=worst,
         suspects=() if found is None else doubts.taken_out(found, graph, whole, values),
@@ -201,9 +199,8 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
     if not idle.any():
         return []
     keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
-    them, stay = ("it", "it stays") if len(keys) == 1 else ("them", "they stay")
-    says = f"{some(keys)}: no measurement touches {them}; {stay} where the start has {them}"
-    return [Finding("unmeasured", keys, says, f"add the factors that are missing, or leave {them} out of the values")]
+    them = "it" if len(keys) == 1 else "them"
+    return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (them,))))]
 
 
 def _parts_of_the_graph(pattern: Pattern, moving: Mask, gauge: Mask) -> list[Finding]:
@@ -212,21 +209,10 @@ def _parts_of_the_graph(pattern: Pattern, moving: Mask, gauge: Mask) -> list[Fin
     names, first, sizes = np.unique(label[moving], return_index=True, return_counts=True)
     if len(names) < 2 or not gauge.any():
         return []
-    keys = [pattern.key(int(np.flatnonzero(moving)[k])) for k in first]
     order = np.argsort(-sizes, kind="stable")
-    listed = some([f"{sizes[k]} with {keys[k]!r}" for k in order])
-    says = f"the graph falls into {len(names)} parts that no measurement joins ({listed})"
-    says += ": how they lie to each other is as the start has it"
-    return [
-        Finding(
-            "components", tuple(keys[k] for k in order), says, "add a measurement between them, or solve each by itself"
-        )
-    ]
-
-
-def _ill_conditioned(free: Freedom) -> Finding:
-    says = "weights or scales of the measurements differ by so much that A'A, which keeps 13 digits, is not invertible"
-    return Finding("ill-conditioned", (), says, "check sigmas and units; solve with linear solver 'qr'")
+    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(moving)[first[order]])
+    numbers = {"variables": tuple(sizes[order].tolist())}
+    return [Finding(FindingKind.SEPARATE_PARTS, keys, numbers, (Advice("join"), Advice("split")))]
 
 
 def _parts(

@@ -1,17 +1,41 @@
-"""What `nls.explain` returns: numbers, findings with their cures, and both in words."""
+"""What `nls.explain` returns: numbers, findings and advice; `nls.explanation.words` makes sentences of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any
 
 from factors.keys import Keys
+from models.advice import Advice, listed
 
-__all__ = ["Explanation", "Finding", "Measurement", "Part", "Weak", "number", "some"]
+__all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number", "some"]
 
 SHOWN = 5  # of a list
+
+
+class FindingKind(StrEnum):
+    """What a finding is about, the identifier that programs get."""
+
+    NOT_CONVERGED = "not_converged"
+    NO_OPTIMUM = "no_optimum"
+    LOCAL_MINIMUM = "local_minimum"
+    ILL_CONDITIONED = "ill_conditioned"
+    FREE = "free"
+    UNMEASURED = "unmeasured"
+    SEPARATE_PARTS = "separate_parts"
+    SYSTEMATIC = "systematic"
+    WRONG_CLOSURE = "wrong_closure"
+    OUTLIER = "outlier"
+    MANY_OUTLIERS = "many_outliers"
+    SIGMAS = "sigmas"
+    REJECTED = "rejected"
+    TURN = "turn"
+    TWINS = "twins"
+    REPEATED = "repeated"
+    UNCHECKED = "unchecked"
 
 
 @dataclass(frozen=True)
@@ -20,18 +44,39 @@ class Finding:
 
     Attributes
     ----------
-    kind : ``no optimum``, ``free``, ``unmeasured``, ``ill-conditioned``, ``components``, ``wrong closure``,
-        ``local minimum``, ``systematic``, ``outlier``, ``many outliers``, ``sigmas``, ``rejected``, ``repeated``,
-        ``a turn``, ``twins`` or ``unchecked``; of the command line also ``not converged``.
+    kind : of the finding.
     keys : the variables it is about.
-    says : what, in words.
-    cure : what helps; empty where there is nothing to be done.
+    numbers : by name: how many, how far, which factors; the theory page on explanations lists them by kind.
+    advice : what helps.
+    measurements : (factor of the graph, measurement of that factor) of those it is about, the first few.
+    places : their lines, ``survey.g2o:17``, where the graph came from a file.
     """
 
-    kind: str
-    keys: tuple[Keys, ...]
-    says: str
-    cure: str
+    kind: FindingKind
+    keys: tuple[Keys, ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    advice: tuple[Advice, ...] = ()
+    measurements: tuple[tuple[int, int], ...] = ()
+    places: tuple[str, ...] = ()
+
+    @property
+    def says(self) -> str:
+        """The finding in a sentence."""
+        from nls.explanation.words import sentence
+
+        return sentence(self)
+
+    def record(self) -> dict[str, Any]:
+        """The finding for programs, and in words as the command line has them."""
+        return {
+            "kind": self.kind.value,
+            "keys": [repr(key) for key in self.keys],
+            "numbers": {name: _plain_number(value) for name, value in self.numbers.items()},
+            "places": list(self.places),
+            "advice": [{"action": advice.action, "about": list(advice.about)} for advice in self.advice],
+            "sentence": self.says,
+            "cures": listed(self.advice, shell=True),
+        }
 
 
 @dataclass(frozen=True)
@@ -112,7 +157,6 @@ class Explanation:
     promised : by how much chi2 would fall in one more Gauss-Newton step.
     robust : whether a measurement has a robust kernel: it counts with its weight, chi2 is the one without.
     findings : the important first.
-    free : every free direction, in words.
     parts : chi2 by kind of measurement.
     worst : the most doubtful measurements, the worst first.
     suspects : those that do not fit what is left without them, in the order in which they were taken out.
@@ -135,7 +179,6 @@ class Explanation:
     promised: float
     robust: bool
     findings: tuple[Finding, ...]
-    free: tuple[str, ...]
     parts: tuple[Part, ...]
     worst: tuple[Measurement, ...]
     suspects: tuple[Measurement, ...]
@@ -148,17 +191,29 @@ class Explanation:
         return self.unknowns - self.nullity
 
     @property
+    def free(self) -> tuple[str, ...]:
+        """Every free direction, in words."""
+        from nls.explanation.words import directions
+
+        return tuple(text for finding in self.findings for text in directions(finding))
+
+    @property
     def summary(self) -> str:
         """One or two sentences."""
         from nls.explanation.words import summary
 
         return summary(self)
 
-    def report(self) -> str:
-        """Everything in words, the verdict first."""
+    def placed(self, place: Callable[[int, int], str]) -> Explanation:
+        """The same with the lines of all measurements, from the function that gives the line of one."""
+        findings = tuple(replace(f, places=tuple(place(*one) for one in f.measurements)) for f in self.findings)
+        return replace(self, findings=findings)
+
+    def report(self, shell: bool = False) -> str:
+        """Everything in words, the verdict first; advice for Python or for the command line."""
         from nls.explanation.words import report
 
-        return report(self)
+        return report(self, shell)
 
     def record(self) -> dict[str, Any]:
         """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""
@@ -178,20 +233,25 @@ class Explanation:
             "quantiles": [self.low, self.high],
             "promised": _finite(self.promised),
             "robust": self.robust,
-            "findings": [_plain(each) for each in self.findings],
+            "findings": [finding.record() for finding in self.findings],
             "free": list(self.free),
-            "parts": [_plain(each) for each in self.parts],
-            "worst": [_plain(each) for each in self.worst],
-            "suspects": [_plain(each) for each in self.suspects],
+            "parts": [_plain(part) for part in self.parts],
+            "worst": [_plain(measurement) for measurement in self.worst],
+            "suspects": [_plain(measurement) for measurement in self.suspects],
             "chi2_without": None if self.chi2_without is None else list(self.chi2_without),
-            "weakest": [_plain(each) for each in self.weakest],
+            "weakest": [_plain(weak) for weak in self.weakest],
         }
 
     def __str__(self) -> str:
         return self.report()
 
 
-def _plain(item: Finding | Part | Measurement | Weak) -> dict[str, Any]:
+def _plain_number(value: Any) -> Any:
+    """A number, a text or a list of them, as JSON has it."""
+    return [_plain_number(entry) for entry in value] if isinstance(value, tuple) else _finite(value)
+
+
+def _plain(item: Part | Measurement | Weak) -> dict[str, Any]:
     """Fields by name, variables by their names."""
     out = {}
     for name, value in vars(item).items():

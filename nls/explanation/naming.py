@@ -1,4 +1,4 @@
-"""Free directions in words, by what they have in common, and what would repair each."""
+"""Free directions by name, together where the same helps against them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys
+from models.advice import Advice
 from models.algebra import Array
-from nls.explanation.findings import Finding, some
+from nls.explanation.findings import Finding, FindingKind
 from nls.explanation.motions import AXES, Motion, generators, motions, places, said
 from nls.explanation.sights import Sight, named, sights
 from nls.gauge import component_labels
@@ -27,11 +28,10 @@ __all__ = ["named_directions"]
 
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
 CURES = {
-    "elevation": "see them from a pose with another roll, higher or lower, or tell what the sonar's aperture says "
-    "(an Elevation prior, ElevationHinge)",
-    "range": "see them from a second place to the side, or measure a range",
-    "bearing": "measure more ranges, from places that are not in one line, or a bearing",
-    "azimuth": "measure more ranges, from places that are not in one line, or a bearing",
+    "elevation": (Advice("roll", ("the point",)), Advice("aperture")),
+    "range": (Advice("second place", ("the point",)), Advice("measure", ("a range",))),
+    "bearing": (Advice("spread ranges"), Advice("measure", ("a bearing",))),
+    "azimuth": (Advice("spread ranges"), Advice("measure", ("a bearing",))),
 }
 
 
@@ -44,46 +44,35 @@ class Single:
     sight: Sight | None
 
 
-def named_directions(free: Freedom, pattern: Pattern, values: Values) -> tuple[list[Finding], list[str]]:
-    """Findings, one for all that has the same cure, and every direction in words.
+def named_directions(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
+    """Findings, one for all directions against which the same helps.
 
     Parameters
     ----------
     free : the directions, over the free columns of the pattern.
     pattern : the graph with the gauge held.
     """
-    findings, texts = _whole(free, pattern, values)
-    singles = _singles(free, pattern, values)
-    groups: dict[tuple[str, ...], list[Single]] = {}
-    for single in singles:
-        once = "" if single.sight is None else "once" if single.sight.count == 1 else "more"
-        groups.setdefault((once, *single.names), []).append(single)
-        seen = f" as seen from {single.sight.pose!r}" if single.sight is not None else ""
-        texts += [f"{pattern.key(single.variable)!r}: {name}{seen}" for name in single.names]
-    for members in groups.values():
-        findings.append(_group(members, pattern))
-    return findings, texts
+    groups: dict[tuple[object, ...], list[Single]] = {}
+    for single in _singles(free, pattern, values):
+        sightings = 0 if single.sight is None else min(single.sight.count, 2)
+        groups.setdefault((sightings, *single.names), []).append(single)
+    return _whole(free, pattern, values) + [_group(members, pattern) for members in groups.values()]
 
 
 def _group(members: list[Single], pattern: Pattern) -> Finding:
     """One finding for variables of which the same is free."""
     names, keys = members[0].names, tuple(pattern.key(single.variable) for single in members)
-    what = ", ".join(names)
+    poses = tuple(repr(single.sight.pose) for single in members if single.sight is not None)
+    once = members[0].sight is not None and members[0].sight.count == 1
+    numbers = {"moved": "alone", "directions": names, "seen_from": poses, "seen_once": once}
     them = "it" if len(keys) == 1 else "them"
-    if members[0].sight is None:
-        says = f"{what} of {some(keys)}: no measurement reacts to a change of {them}"
-        cure = f"measure {what} of {them}, add a prior on {them}, or fix {them}"
-        if " about " in what:
-            cure = f"see a point that is not on that axis, measure the attitude, or add a prior on {them}"
-        return Finding("free", keys, says, cure)
-    sighted = [single.sight for single in members if single.sight is not None]
-    listed = some([f"{key!r} (from {sight.pose!r})" for key, sight in zip(keys, sighted, strict=True)])
-    how = "seen once" if sighted[0].count == 1 else "seen more than once, but only from where that does not show"
-    points = "this point is" if len(keys) == 1 else f"these {len(keys)} points are"
-    cure = next((CURES[name] for name in names if name in CURES), "see them from another place, or add a prior")
-    if len(keys) == 1:
-        cure = cure.replace("them", "it")
-    return Finding("free", keys, f"{what} of {listed}, as seen by the sensor: {points} {how}", cure)
+    prior = Advice("prior", (them,))
+    advice: tuple[Advice, ...] = (Advice("measure", (f"{', '.join(names)} of {them}",)), prior, Advice("fix", (them,)))
+    if poses:
+        advice = next((CURES[name] for name in names if name in CURES), (Advice("view", (them,)), prior))
+    elif any(" about " in name for name in names):
+        advice = (Advice("off axis"), prior)
+    return Finding(FindingKind.FREE, keys, numbers, advice)
 
 
 def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
@@ -138,35 +127,31 @@ def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"a direction of {', '.join(taking)}" for _ in range(U.shape[1]))
 
 
-def _whole(free: Freedom, pattern: Pattern, values: Values) -> tuple[list[Finding], list[str]]:
+def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     """Directions that move several variables: of whole parts of the graph where they are motions of the world."""
     if not free.others.shape[1]:
-        return [], []
+        return []
     owner, _ = pattern.column_owner()
     label = component_labels(pattern)
     scaled = free.others * free.norms[:, None]
     share = np.stack([np.square(scaled[label[owner] == k]).sum(axis=0) for k in np.unique(label[owner])])
     home = np.unique(label[owner])[np.argmax(share, axis=0)]  # component of every direction
-    findings, texts = [], []
+    findings = []
     for k in np.unique(home).tolist():
         members = np.flatnonzero(label == k)
-        N, G, positions, names = _motions_of(members, free, home == k, pattern, values)
-        found, rest = motions(N, G)
-        words = [said(motion, positions, names) for motion in found]
-        words.sort(key=lambda word: AXES.index(word) if word in AXES else len(AXES))
-        first = pattern.key(int(members[0]))
-        whole = f"of all {len(members)} variables joined to {first!r}" if len(members) > 1 else f"of {first!r}"
-        if words:
-            cure = _cure(words)
-            findings.append(Finding("free", (first,), f"{', '.join(words)} {whole}, moved as one", cure))
-            texts += [f"{word} {whole}" for word in words]
+        N, G, positions, places_named = _motions_of(members, free, home == k, pattern, values)
+        whole, rest = motions(N, G)
+        names = sorted(
+            (said(motion, positions, places_named) for motion in whole),
+            key=lambda name: AXES.index(name) if name in AXES else len(AXES),
+        )
+        if names:
+            numbers = {"moved": "as one", "directions": tuple(names), "variables": len(members)}
+            findings.append(Finding(FindingKind.FREE, (pattern.key(int(members[0])),), numbers, _cures(names)))
         moved = members[~pattern.held[members]]
         columns = np.concatenate([pattern.starts[v] + np.arange(pattern.dims[v]) for v in moved])
-        for text, keys in _loose(rest[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern):
-            cure = "add a prior on one of them, a measurement of it from another place, or fix one"
-            findings.append(Finding("free", keys, text, cure))
-            texts.append(text)
-    return findings, texts
+        findings += _loose(rest[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern)
+    return findings
 
 
 def _motions_of(
@@ -197,14 +182,14 @@ def _motions_of(
     return N * D, G * D, np.concatenate([np.zeros((0, 3)), *positions]), names
 
 
-def _cure(words: list[str]) -> str:
-    if any(word.startswith("scale") for word in words):
-        return "measure one distance, or fix a second variable: directions alone say nothing of the size"
-    what = ", ".join(word for word in words if word in AXES) or "that"
-    return f"add a prior or another measurement of {what} to one of them, or fix one"
+def _cures(names: list[str]) -> tuple[Advice, ...]:
+    if any(name.startswith("scale") for name in names):
+        return (Advice("distance"),)
+    axes = ", ".join(name for name in names if name in AXES) or "that"
+    return Advice("prior", ("one of them",)), Advice("measure", (f"{axes} of one of them",)), Advice("fix", ("one",))
 
 
-def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[tuple[str, tuple[Keys, ...]]]:
+def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[Finding]:
     """Directions that are no motion of the whole, each by the unknowns that it moves."""
     if not rest.shape[1]:
         return []
@@ -212,15 +197,13 @@ def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[tuple[str, tup
 
     pivots = qr(rest.T, mode="r", pivoting=True)[1][: rest.shape[1]]
     owner, component = pattern.column_owner()
-    out = []
+    findings = []
     for u in np.abs(rest @ np.linalg.inv(rest[pivots])).T:
         moving = columns[np.flatnonzero(u >= SHARE * u.max())]
-        parts: dict[int, list[str]] = {}
+        names: dict[int, list[str]] = {}
         for v, c in zip(owner[moving].tolist(), component[moving].tolist(), strict=True):
-            parts.setdefault(v, []).append(pattern.component_names(v)[c])
-        keys = tuple(pattern.key(v) for v in parts)
-        comma, how = (", ", "can move together") if len(keys) > 1 else (" and ", "cannot be told apart")
-        moved = [f"{comma.join(names)} of {key!r}" for key, names in zip(keys, parts.values(), strict=True)]
-        how = how if len(moving) > 1 else "can move"
-        out.append((f"{some(moved)} {how}", keys))
-    return out
+            names.setdefault(v, []).append(pattern.component_names(v)[c])
+        numbers = {"moved": "together", "components": tuple(map(tuple, names.values()))}
+        advice = (Advice("prior", ("one of them",)), Advice("view", ("one of them",)), Advice("fix", ("one",)))
+        findings.append(Finding(FindingKind.FREE, tuple(map(pattern.key, names)), numbers, advice))
+    return findings

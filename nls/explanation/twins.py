@@ -12,8 +12,9 @@ import numpy as np
 from factors import Seen
 from factors.keys import Keys
 from models import R
+from models.advice import Advice
 from nls.chi_squared import chi2_gate
-from nls.explanation.findings import Finding
+from nls.explanation.findings import Finding, FindingKind
 
 if TYPE_CHECKING:
     from models.algebra import Index
@@ -43,12 +44,8 @@ def twins(checked: Checked, pattern: Pattern, values: Values) -> list[Finding]:
         if stack.manifold not in (R(2), R(3)) or len(points) < 3:
             continue
         for a, b, distance, sigmas in _nearest(checked, pattern, values, name, points, _poses(pattern, points)):
-            keys = pattern.key(a), pattern.key(b)
-            says = (
-                f"{keys[0]!r} and {keys[1]!r} are {distance:.2g} m apart, {sigmas:.2g} sigmas, and never seen from one "
-                "pose: the same point under two numbers?"
-            )
-            out.append(Finding("twins", keys, says, "give both one number, if they are the same"))
+            numbers = {"distance": distance, "sigmas": sigmas}
+            out.append(Finding(FindingKind.TWINS, (pattern.key(a), pattern.key(b)), numbers, (Advice("merge"),)))
     return out
 
 

@@ -1,10 +1,12 @@
-"""An explanation in words: the verdict first, then what is wrong and what helps, then the numbers behind it."""
+"""Findings in words: one sentence a kind; then a report with the verdict first, what helps, and the numbers behind."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from nls.explanation.findings import number
+from models.advice import listed
+from nls.explanation.findings import FindingKind, number, some
 from nls.observability.report import shown
 
 if TYPE_CHECKING:
@@ -12,9 +14,195 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["cured", "report", "summary"]
+__all__ = ["directions", "report", "sentence", "summary", "together"]
 
 SHOWN = 12  # findings, and rows of a table
+FEW = 3  # of a list of measurements
+Numbers = dict[str, Any]
+
+
+def sentence(finding: Finding) -> str:
+    """A finding in words, without what helps."""
+    lines = f" [{some(finding.places, FEW)}]" if finding.places else ""
+    return SENTENCES[finding.kind](finding) + lines
+
+
+def _not_converged(f: Finding) -> str:
+    n = f.numbers
+    return f"no optimum was found ({n['reason']}); the other findings are about the values {n['values']}"
+
+
+def _no_optimum(f: Finding) -> str:
+    return (
+        f"these values are no optimum: one Gauss-Newton step lowers chi2 by {number(f.numbers['fall'])}, from "
+        f"{number(f.numbers['chi2'])}; measurements are judged as after that step"
+    )
+
+
+def _local_minimum(f: Finding) -> str:
+    return (
+        f"these values are a local minimum: chi2 is {number(f.numbers['chi2'])} here and {number(f.numbers['lower'])} "
+        "at another minimum, found without the suspects; the findings below are about that one"
+    )
+
+
+def _ill_conditioned(_: Finding) -> str:
+    return "weights or scales of the measurements differ too much for A'A, which keeps 13 digits"
+
+
+def directions(f: Finding) -> list[str]:
+    """Every free direction of a finding in words; none of a finding of another kind."""
+    if f.kind is not FindingKind.FREE:
+        return []
+    n = f.numbers
+    if n["moved"] == "as one":
+        others = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
+        return [f"{name} {others} {f.keys[0]!r}" for name in n["directions"]]
+    if n["moved"] == "together":
+        return [_free(f)]
+    poses = n["seen_from"] or [""] * len(f.keys)
+    return [
+        f"{key!r}: {name}" + (f" as seen from {pose}" if pose else "")
+        for key, pose in zip(f.keys, poses, strict=True)
+        for name in n["directions"]
+    ]
+
+
+def _free(f: Finding) -> str:
+    n = f.numbers
+    if n["moved"] == "together":
+        several = len(f.keys) > 1
+        comma = ", " if several else " and "
+        moved = [f"{comma.join(names)} of {key!r}" for key, names in zip(f.keys, n["components"], strict=True)]
+        unknowns = sum(map(len, n["components"]))
+        how = "can move" if unknowns == 1 else "can move together" if several else "cannot be told apart"
+        return f"{some(moved)} {how}"
+    names = ", ".join(n["directions"])
+    if n["moved"] == "as one":
+        others = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
+        return f"{names} {others} {f.keys[0]!r}, moved as one"
+    them = "it" if len(f.keys) == 1 else "them"
+    if not n["seen_from"]:
+        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {them}"
+    points = some([f"{key!r} (from {pose})" for key, pose in zip(f.keys, n["seen_from"], strict=True)])
+    count = "this point is" if len(f.keys) == 1 else f"these {len(f.keys)} points are"
+    how = "seen once" if n["seen_once"] else "seen more than once, but only from where that does not show"
+    return f"{names} of {points}, as seen by the sensor: {count} {how}"
+
+
+def _unmeasured(f: Finding) -> str:
+    return f"{some(f.keys)}: no measurement; the value is the initial guess"
+
+
+def _separate_parts(f: Finding) -> str:
+    sizes = f.numbers["variables"]
+    parts = some([f"{size} with {key!r}" for size, key in zip(sizes, f.keys, strict=True)])
+    return (
+        f"the graph has {len(sizes)} parts that no measurement joins ({parts}); their relative position is the initial "
+        "guess"
+    )
+
+
+def _systematic(f: Finding) -> str:
+    kinds = some([f"{name} (the middle one {typical:.2g} times too far)" for name, typical in f.numbers["kinds"]])
+    return (
+        f"most measurements are off alike: {kinds}. Causes: a wrong sign, unit or frame; sigmas much too small; a "
+        "local minimum; or most are outliers"
+    )
+
+
+def _doubtful(f: Finding) -> str:
+    n, closure = f.numbers, f.kind is FindingKind.WRONG_CLOSURE
+    text = f"{n['factor']}{', a loop closure,' if closure else ''} is probably wrong: "
+    text += f"{n['sigmas']:.3g} sigmas from what all others say"
+    if n["rival"]:
+        rival = f"one of {n['rivals']} others, such as {n['rival']}" if n["rivals"] > 1 else n["rival"]
+        text += f"; or {rival}, as nothing tells them apart"
+    if "removed" in n:
+        them = "it" if n["removed"] == 1 else f"these {n['removed']}"
+        text += f"; without {them} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
+    if n["turned"]:
+        text += f". It fits when it is read from {f.keys[1]!r} to {f.keys[0]!r}: are i and j swapped?"
+    return text
+
+
+def _many_outliers(f: Finding) -> str:
+    factors = f.numbers["factors"]
+    return f"at least {len(factors)} measurements do not fit the others, the worst: {some(factors)}"
+
+
+def _sigmas(f: Finding) -> str:
+    n = f.numbers
+    ratio = n["chi2"] / n["expected"]
+    without = ("", ", without the suspect", ", without the suspects")[min(n["without"], 2)]
+    text = (
+        f"{n['kind']}{without}: chi2 {number(n['chi2'])} is {number(float(f'{ratio:.2g}'))} times its expectation of "
+    )
+    text += number(n["expected"])
+    return (
+        text
+        + {
+            "small": f"; the middle one is {n['typical']:.2g} times too far off: sigmas about that much too small",
+            "few": "; the middle one is as expected: a few are far off",
+            "unknown": "; wrong sigmas, an outlier, or a local minimum",
+            "large": f"; sigmas about {ratio**-0.5:.2g} times too large",
+        }[n["cause"]]
+    )
+
+
+def _rejected(f: Finding) -> str:
+    n = f.numbers
+    return f"{n['kernel']} rejects {n['off']} of {n['of']} measurements of {n['factor']} at these values"
+
+
+def _turn(f: Finding) -> str:
+    n = f.numbers
+    others = ("", ", and so is another", f", and so are {n['others']} others")[min(n["others"], 2)]
+    return f"{n['factor']}: its error is {n['error']:.3g}, nearly a turn{others}; is it an angle?"
+
+
+def _twins(f: Finding) -> str:
+    a, b = f.keys
+    return (
+        f"{a!r} and {b!r} are {f.numbers['distance']:.2g} m apart, {f.numbers['sigmas']:.2g} sigmas, and never seen "
+        "from one pose: the same point under two numbers?"
+    )
+
+
+def _repeated(f: Finding) -> str:
+    n = f.numbers
+    are = "measurement is" if n["count"] == 1 else "measurements are"
+    return f"{n['count']} {are} in the graph again with the same numbers: {some(n['factors'], FEW)}"
+
+
+def _unchecked(f: Finding) -> str:
+    n = f.numbers
+    if n["count"] == n["of"]:
+        return "no measurement is checked by another: each fits whatever its number, and chi2 shows no error"
+    few = n["count"] <= len(n["factors"])
+    names = some(n["factors"]) if few else f"{n['count']} measurements, such as {', '.join(n['factors'][:FEW])}"
+    return f"no other measurement checks {names}: an error there cannot be seen"
+
+
+SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
+    FindingKind.NOT_CONVERGED: _not_converged,
+    FindingKind.NO_OPTIMUM: _no_optimum,
+    FindingKind.LOCAL_MINIMUM: _local_minimum,
+    FindingKind.ILL_CONDITIONED: _ill_conditioned,
+    FindingKind.FREE: _free,
+    FindingKind.UNMEASURED: _unmeasured,
+    FindingKind.SEPARATE_PARTS: _separate_parts,
+    FindingKind.SYSTEMATIC: _systematic,
+    FindingKind.WRONG_CLOSURE: _doubtful,
+    FindingKind.OUTLIER: _doubtful,
+    FindingKind.MANY_OUTLIERS: _many_outliers,
+    FindingKind.SIGMAS: _sigmas,
+    FindingKind.REJECTED: _rejected,
+    FindingKind.TURN: _turn,
+    FindingKind.TWINS: _twins,
+    FindingKind.REPEATED: _repeated,
+    FindingKind.UNCHECKED: _unchecked,
+}
 
 
 def summary(e: Explanation) -> str:
@@ -26,10 +214,10 @@ def summary(e: Explanation) -> str:
     else:
         determined = f"{e.unknowns:,} unknowns, all determined."
     kinds = [finding.kind for finding in e.findings]
-    if "no optimum" in kinds or "not converged" in kinds:
-        return f"{determined} " + (
-            "No optimum was found." if "not converged" in kinds else "The values are no optimum."
-        )
+    if FindingKind.NOT_CONVERGED in kinds:
+        return f"{determined} No optimum was found."
+    if FindingKind.NO_OPTIMUM in kinds:
+        return f"{determined} The values are no optimum."
     if not e.dof > 0:
         fits = "As many measured numbers as unknowns: nothing checks them, chi2 says nothing."
     elif e.chi2 < 1e-6 * e.dof:
@@ -38,29 +226,29 @@ def summary(e: Explanation) -> str:
         fits = f"chi2, {number(e.chi2)}, is as expected."
     else:
         fits = f"chi2 is {number(e.chi2 / e.dof)} times its expectation ({number(e.chi2)}, {e.dof:,} expected)."
-    found = []
-    if "local minimum" in kinds:
-        found.append("This is a local minimum.")
-    if closures := kinds.count("wrong closure"):
-        found.append(f"{closures} loop {'closure is' if closures == 1 else 'closures are'} probably wrong.")
-    if outliers := kinds.count("outlier"):
-        found.append(f"{outliers} {'measurement does' if outliers == 1 else 'measurements do'} not fit the others.")
-    if "many outliers" in kinds:
-        found.append("Many measurements do not fit the others.")
+    remarks = []
+    if FindingKind.LOCAL_MINIMUM in kinds:
+        remarks.append("This is a local minimum.")
+    if closures := kinds.count(FindingKind.WRONG_CLOSURE):
+        remarks.append(f"{closures} loop {'closure is' if closures == 1 else 'closures are'} probably wrong.")
+    if outliers := kinds.count(FindingKind.OUTLIER):
+        remarks.append(f"{outliers} {'measurement does' if outliers == 1 else 'measurements do'} not fit the others.")
+    if FindingKind.MANY_OUTLIERS in kinds:
+        remarks.append("Many measurements do not fit the others.")
     if not e.findings:
-        found.append("Nothing suspicious.")
-    return " ".join([determined, fits, *found])
+        remarks.append("Nothing suspicious.")
+    return " ".join([determined, fits, *remarks])
 
 
-def report(e: Explanation) -> str:
-    """Everything in words, as a terminal shows it."""
+def report(e: Explanation, shell: bool = False) -> str:
+    """Everything in words, as a terminal shows it; advice for Python, or for the command line."""
     lines = [e.summary, ""]
-    for first, alike in cured(e.findings[:SHOWN]):
-        lines += [f"{first + k}. {_sentence(finding.says)}" for k, finding in enumerate(alike)]
-        each = f"{first} to {first + len(alike) - 1}: " if len(alike) > 1 else ""
-        lines += [f"   -> {each}{alike[0].cure}"] if alike[0].cure else []
+    for first, findings in together(e.findings[:SHOWN]):
+        lines += [f"{first + k}. {_stopped(sentence(finding))}" for k, finding in enumerate(findings)]
+        about = f"{first} to {first + len(findings) - 1}: " if len(findings) > 1 else ""
+        lines += [f"   -> {about}{words}" for words in listed(findings[0].advice, shell)]
     if (more := len(e.findings) - SHOWN) > 0:
-        lines.append(f"and {more} more findings (`findings` has them)")
+        lines.append(f"and {more} more findings")
     lines += [""] if e.findings else []
     parts = f"{len(e.components)} parts" if len(e.components) != 1 else "one part"
     lines.append(
@@ -87,7 +275,7 @@ def report(e: Explanation) -> str:
         lines += ["", "farthest from what the others say    sigmas    from the fit      chance"]
         lines += [
             f"{worst.factor:36s} {worst.normalized:6.3g} {worst.sigmas:15.3g} {worst.chance:11.2g}"
-            for worst in sorted(e.worst[:5], key=lambda each: -each.normalized)
+            for worst in sorted(e.worst[:5], key=lambda measurement: -measurement.normalized)
         ]
     if e.weakest:
         lines += ["", "least certain       sigma        the middle one"]
@@ -99,15 +287,15 @@ def report(e: Explanation) -> str:
     return "\n".join(lines)
 
 
-def cured(findings: Sequence[Finding]) -> list[tuple[int, list[Finding]]]:
-    """Findings that follow each other and have the same cure, together; with the number of the first, from 1."""
-    out: list[tuple[int, list[Finding]]] = []
+def together(findings: Sequence[Finding]) -> list[tuple[int, list[Finding]]]:
+    """Findings that follow each other and have the same advice, together; with the number of the first, from 1."""
+    groups: list[tuple[int, list[Finding]]] = []
     for count, finding in enumerate(findings, 1):
-        if out and out[-1][1][0].cure == finding.cure:
-            out[-1][1].append(finding)
+        if groups and groups[-1][1][0].advice == finding.advice:
+            groups[-1][1].append(finding)
         else:
-            out.append((count, [finding]))
-    return out
+            groups.append((count, [finding]))
+    return groups
 
 
 def _row(part: Part) -> str:
@@ -115,6 +303,6 @@ def _row(part: Part) -> str:
     return f"{part.name:28s} {part.measurements:8,d} {number(part.chi2):>10s} {number(part.expected):>10s}   {within}"
 
 
-def _sentence(text: str) -> str:
+def _stopped(text: str) -> str:
     """With a full stop; names of variables keep their small letter."""
     return text if text.endswith((".", "?")) else f"{text}."

@@ -14,7 +14,7 @@ from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
 from nls.io.files import read_bytes, read_stream, write_bytes
 from nls.io.read import read_graph
-from nls.io.report import LoadReport
+from nls.io.report import LoadReport, Source
 from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
 from nls.io.unused import appended, left_out
@@ -24,6 +24,7 @@ from nls.values import Values
 __all__ = [
     "DIALECTS",
     "LoadReport",
+    "Source",
     "load",
     "load_stream",
     "read_kitti",

@@ -27,7 +27,7 @@ from models import R
 from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.io.files import write_bytes
-from nls.io.report import LoadReport
+from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
@@ -93,7 +93,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
 
     values = Values({"c": (CAMERA, camera[:, :6]), "k": (LENS, camera[:, 6:]), "l": (R(3), point)})
     graph = FactorGraph([BundleProjection(Keys("c", i), Keys("k", i), Keys("l", j), z, PIXEL)])
-    report = LoadReport(path, "bal", "3-D", "none")
+    report = LoadReport(path, "bal", "3-D", "none", sources=[Source(path, seen + 1)])
     report.tags = {"cameras": cameras, "points": points, "observations": observations}
     report.notes.append("the file states no noise: 1 pixel is taken")
     return graph, values, report

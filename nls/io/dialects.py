@@ -28,6 +28,7 @@ import numpy.typing as npt
 from factors.between import Between
 from factors.landmark import Landmark
 from models import SE2, SE3
+from models.advice import Advice
 from models.errors import GraphFileError, OptionError
 from nls.io.g2o import G2O, POINT2, POINT3, POSE2, STEP2
 from nls.io.records import Element, Format, Record
@@ -162,9 +163,9 @@ def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str 
     first = min(candidates, key=lambda tag: int(tags[tag][0]))
     choices = "; ".join(f"{name}: {format.says}" for name, format in FORMATS.items() if name in left)
     raise text.error(
-        f"{first.decode()} lines have several readings, and no other tag of the file tells which; name the dialect "
-        f"({choices}) with --dialect, or dialect= in Python; nls info --dialect NAME shows the sigmas it would mean",
+        f"{first.decode()} lines have several readings, and no other tag of the file tells which ({choices})",
         int(tags[first][0]),
+        [Advice("dialect"), Advice("info")],
     )
 
 

@@ -43,7 +43,7 @@ from nls.io.angles import turns
 from nls.io.files import write_bytes
 from nls.io.misspelt import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
-from nls.io.report import LoadReport
+from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
@@ -171,6 +171,7 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
                 measured += [(name, batch.lines, batch.table[:, 2:3])] if tag.space is SE2 else []
                 factor = _factor(text, tag, batch, values, convention)
                 report.factor_times.append((graph.add(factor), batch.times))
+                report.sources.append(Source(path, batch.lines + 1))
     for message in turns(measured):
         report.warn(message)
     return graph, values, report

@@ -12,6 +12,7 @@ from factors.base import Factor
 from factors.conventions import check_convention
 from factors.keys import Keys
 from models import LieGroup, R
+from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
@@ -20,7 +21,7 @@ from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.misspelt import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
-from nls.io.report import LoadReport
+from nls.io.report import LoadReport, Source
 from nls.io.roles import Roles
 from nls.io.start import started
 from nls.io.text import Text, printable, several
@@ -88,6 +89,7 @@ def read_graph(
             noises = _matrices(text, part, format, repair_information, report)
             for mine in roles.kinds_of(part):
                 bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
+                report.sources.append(Source(path, part.at[mine] + 1))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.given):
         values = _given(vertices, roles, group)
@@ -192,9 +194,8 @@ def _factor(
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
     except NoiseModelError as error:
         said = str(error).split(": ", 1)[-1]
-        if error.matrix == "information":  # has a negative eigenvalue
-            said += "; for the nearest matrix that is one: repair_information=True"
-        raise text.error(said, int(at[error.index])) from error
+        advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
+        raise text.error(said, int(at[error.index]), advice) from error
     except GraphError as error:
         raise text.error(str(error), int(at[error.index])) from error
     return factor

@@ -5,9 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from factors.base import Factor
-from models.algebra import Array
+from models.algebra import Array, Index
 
-__all__ = ["LoadReport"]
+__all__ = ["LoadReport", "Source"]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """The file and the lines that the measurements of one factor were read from.
+
+    Attributes
+    ----------
+    path : the file; the folder of a mission where the measurement has no file.
+    lines : (n,) the line of each measurement, counted from 1: the first where it has several, 0 where it has none.
+    """
+
+    path: str
+    lines: Index
 
 
 @dataclass
@@ -26,6 +40,15 @@ class LoadReport:
     warnings : those of the notes that deserve a `GraphWarning`, which `nls.load` gives.
     vertex_times : (n,) per kind of pose, s, in the order of `Values`; none where the file has no times.
     factor_times : pairs of a factor and its times (n,), s.
+    sources : file and lines per factor, in the order of the factors of the graph as read; see `place`.
+
+    Examples
+    --------
+    >>> import io, nls.io
+    >>> file = io.BytesIO(b"# two steps\\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\\n")
+    >>> graph, values, report = nls.io.load_stream(file, "steps.g2o")
+    >>> report.sources[0].lines.tolist(), graph.factors[0].describe(1), report.place(0, 1)
+    ([2, 3], 'Between(x1, x2)', 'steps.g2o:3')
     """
 
     path: str
@@ -40,6 +63,19 @@ class LoadReport:
     warnings: list[str] = field(default_factory=list)
     vertex_times: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
     factor_times: list[tuple[Factor, Array]] = field(default_factory=list, compare=False, repr=False)
+    sources: list[Source] = field(default_factory=list, compare=False, repr=False)
+
+    def place(self, factor: int, measurement: int) -> str:
+        """File and line of a measurement such as ``survey.g2o:17``; the path alone where the measurement has no line.
+
+        Parameters
+        ----------
+        factor : number of the factor in the graph as read, counted from 0; factors added later have no source.
+        measurement : number of the measurement in its factor, counted from 0.
+        """
+        source = self.sources[factor]
+        line = source.lines[measurement]
+        return f"{source.path}:{line}" if line else source.path
 
     def warn(self, note: str) -> None:
         """A note that deserves a warning."""

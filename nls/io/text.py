@@ -14,6 +14,7 @@ from unicodedata import name
 import numpy as np
 import numpy.typing as npt
 
+from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
@@ -126,12 +127,12 @@ class Text:
         """One line, counted from 0, without its newline."""
         return self._bytes[self._newlines[line] + 1 : self._newlines[line + 1]]
 
-    def error(self, message: str, line: int) -> GraphFileError:
+    def error(self, message: str, line: int, advice: Sequence[Advice] = ()) -> GraphFileError:
         """An error at a line counted from 0; it names a character of the line that only looks like a blank."""
         start = self.line(line)[:READ]
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
-        return GraphFileError(message, self.path, line + 1, _quoted(printable(start.strip())))
+        return GraphFileError(message, self.path, line + 1, _quoted(printable(start.strip())), advice)
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:

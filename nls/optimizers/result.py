@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+from models.advice import Advice, listed
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 
@@ -136,14 +137,20 @@ class Result:
 
     @property
     def doubt(self) -> str:
-        """What a chi2 may come from that is too far above its expectation for noise; empty where it is not."""
+        """Causes of a chi2 that is too far above its expectation for noise; empty where it is not."""
         if not self.chi2_final > SUSPICIOUS * max(self.dof, 1):
             return ""
-        kernel = "" if self.robust else " (try graph.robust(Cauchy(1)))"
         return (
-            f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers{kernel}, "
-            "or a point that is stationary but no minimum (try another start, nls.initialize(graph, values))"
+            f"chi2 is {self.chi2_final / max(self.dof, 1):.3g} times its expectation: wrong sigmas, outliers, or a "
+            "point that is stationary but no minimum"
         )
+
+    @property
+    def advice(self) -> tuple[Advice, ...]:
+        """What helps where chi2 is doubtful."""
+        if not self.doubt:
+            return ()
+        return (Advice("start"),) if self.robust else (Advice.robust("Cauchy", 1), Advice("start"))
 
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"
@@ -169,5 +176,5 @@ class Result:
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
         if self.doubt:
-            lines.append(self.doubt)
+            lines += [self.doubt, *(f"  -> {words}" for words in listed(self.advice))]
         return "\n".join(lines)

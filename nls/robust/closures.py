@@ -18,6 +18,7 @@ import numpy.typing as npt
 from factors.base import Model
 from factors.between import Between
 from models import LieGroup
+from models.advice import Advice
 from models.algebra import Array, Index, gram
 from models.errors import GraphError
 from nls.covariance.frames import turned
@@ -86,7 +87,8 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
     if len(found) != 1 or len(found[0].kinds) != 1:
         raise GraphError(
             "loop closures are chosen among relative poses (Between) of one kind of variables, this graph has "
-            f"{sum(len(each.kinds) for each in found) or 'none'}; use preselect=False"
+            f"{sum(len(each.kinds) for each in found) or 'none'}",
+            advice=[Advice("judge all")],
         )
     edges = found[0]
     C = np.concatenate([_covariances(model) for model in edges.models])
@@ -100,8 +102,8 @@ def chained(graph: FactorGraph, values: Values) -> tuple[PoseEdges, Links, Mask]
         a, b = values.stacks[kind].numbers[edges.order[[late - 1, late]]]
         raise GraphError(
             f"no odometry joins {kind}{a} to {kind}{b}: the graph has {int((~joined[1:]).sum()) + 1} sessions, and "
-            "loop closures are judged along one; join the sessions by odometry, or use a robust kernel, "
-            "graph.robust(Cauchy(1)); use preselect=False"
+            "loop closures are judged along one",
+            advice=[Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")],
         )
     return edges, links, odometry
 
@@ -120,8 +122,9 @@ def _covariances(model: Model) -> Array:
         name = model.factor.describe(int(np.argmax(bad)))
         raise GraphError(
             f"{name}: its weights say nothing of one of its components, so that no uncertainty of a loop through it "
-            "exists; use preselect=False",
+            "exists",
             model.factor.keys,
             name,
+            advice=[Advice("judge all")],
         )
     return np.asarray(np.linalg.inv(information))

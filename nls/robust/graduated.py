@@ -37,6 +37,7 @@ from functools import cached_property
 import numpy as np
 
 from factors.base import Factor
+from models.advice import Advice
 from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
@@ -122,9 +123,7 @@ class Robustified:
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
         lines += [f"accepted, not verified: {_sentence(group)}" for group in self.unverified]
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
-        return lines + (
-            [f"  and {len(self.rejected) - most} more (`rejected` has them)"] if len(self.rejected) > most else []
-        )
+        return lines + ([f"  and {len(self.rejected) - most} more"] if len(self.rejected) > most else [])
 
     def __str__(self) -> str:
         return "\n".join([str(self.result), *self.report()])
@@ -187,8 +186,8 @@ def gnc(
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
         raise GraphError(
-            "this graph has no loop closures, and sightings of landmarks and other measurements are not judged: use "
-            "a robust kernel for them, graph.robust(Cauchy(1)); name factors with doubted=[...]"
+            "this graph has no loop closures, and sightings of landmarks and other measurements are not judged",
+            advice=[Advice.robust("Cauchy", 1), Advice("doubt")],
         )
     problem = Truncated(graph, masks, [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors])
     if preselect and doubted is None:

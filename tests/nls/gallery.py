@@ -17,6 +17,7 @@ from typing import Any
 
 import nls
 from models.errors import LeadlineError
+from nls import Finding
 
 __all__ = ["FILE", "PRELUDE", "Case", "Outcome", "problems", "run"]
 
@@ -51,7 +52,7 @@ class Case:
     words : what its sentence must contain: names, places, what to do.
     cure : the lines that put it right; they end in a result or an assertion. Empty where there is nothing to run.
     file, cured_file : content of the file that `broken` and `cure` read.
-    explained : what one finding of `nls.explain` of `graph` must contain, at the values of the error or of `result`.
+    explained : kind, keys and advice of a finding of `nls.explain` of `graph`, at the values of error or result.
     """
 
     title: str
@@ -61,7 +62,7 @@ class Case:
     cure: str = ""
     file: str | bytes = ""
     cured_file: str = ""
-    explained: tuple[str, ...] = ()
+    explained: tuple[str, str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Outcome:
     error: str
     sentence: str
     cured: dict[str, Any]
-    finding: str = ""
+    finding: Finding | None = None
 
 
 def run(case: Case) -> Outcome:
@@ -88,7 +89,7 @@ def run(case: Case) -> Outcome:
                 name, sentence = "", str(namespace.get("said", ""))
                 if warned and not sentence:
                     name, sentence = warned[0].category.__name__, str(warned[0].message)
-    finding = _finding(case, namespace["graph"], values or namespace["result"].values) if case.explained else ""
+    finding = _finding(case, namespace["graph"], values or namespace["result"].values) if case.explained else None
     with _folder(case.cured_file or case.file), warnings.catch_warnings():
         warnings.simplefilter("error")
         cured = _executed(case.cure, namespace) if case.cure else {}
@@ -101,18 +102,21 @@ def problems(case: Case, outcome: Outcome) -> list[str]:
     if outcome.error != case.error:
         found.append(f"expected {case.error or 'no error'}, came {outcome.error or 'no error'}: {outcome.sentence}")
     found += [f"{word!r} is not in: {outcome.sentence}" for word in case.words if word not in outcome.sentence]
-    if case.explained and not outcome.finding:
-        found.append(f"no finding of nls.explain has {case.explained}")
+    if case.explained and outcome.finding is None:
+        found.append(f"no finding of nls.explain is {case.explained}")
     result = outcome.cured.get("result") if case.cure else None
     if result is not None and not result.converged:
         found.append(f"the cure does not converge: {result!r}")
     return found
 
 
-def _finding(case: Case, graph: nls.FactorGraph, values: nls.Values) -> str:
-    """The first finding with these words, and its cure; empty where there is none."""
-    said = (f"{finding.says} -> {finding.cure}" for finding in nls.explain(graph, values).findings)
-    return next((text for text in said if all(word in text for word in case.explained)), "")
+def _finding(case: Case, graph: nls.FactorGraph, values: nls.Values) -> Finding | None:
+    """The finding of this kind, about these variables, with this advice; None where there is none."""
+    for finding in nls.explain(graph, values).findings:
+        keys, advice = (" ".join(map(str, names)) for names in (finding.keys, (a.action for a in finding.advice)))
+        if (finding.kind.value, keys, advice) == case.explained:
+            return finding
+    return None
 
 
 def _executed(code: str, namespace: dict[str, Any]) -> dict[str, Any]:

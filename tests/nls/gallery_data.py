@@ -55,7 +55,7 @@ graph.fix(x[:6])
 result = graph.optimize(values)
 assert result.chi2_final < 6
 """,
-        explained=("minus(x1, l0)", "nearly a turn", "wrap the difference"),
+        explained=("turn", "x1 l0", "wrap"),
     ),
     Case(
         "A loop closure between two places that only look alike",
@@ -63,7 +63,7 @@ assert result.chi2_final < 6
 truth = SE2.stack([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]])
 graph = FactorGraph([Prior(x[0], truth[:1], noise), chain, Between(x[0], x[4], [0.0, 0.0, 3.0], noise)])
 result = graph.optimize(Values({x: (SE2, truth)}))
-said = str(result).splitlines()[-1]
+said = result.doubt
 """,
         "",
         ("times its expectation", "outliers"),
@@ -73,7 +73,7 @@ result = graph.optimize(Values({x: (SE2, truth)}))
 assert graph.factors[2].weights(result.values)[0] < 0.01  # switched off
 assert np.abs(result.values[x] - truth).max() < 0.05
 """,
-        explained=("Between(x0, x4), a loop closure, is probably wrong",),
+        explained=("wrong_closure", "x0 x4", "inspect remove robust"),
     ),
     Case(
         "A loop closure the wrong way round",
@@ -92,7 +92,7 @@ closures = Between(x[[0, 1, 0]], x[[16, 17, 18]], z, noise)
 result = FactorGraph([walk, closures]).optimize(values)
 assert result.chi2_final < 1e-9
 """,
-        explained=("Between(x18, x0)", "fits when it is read from x0 to x18", "exchange"),
+        explained=("wrong_closure", "x18 x0", "swap"),
     ),
     Case(
         "An odometry that turns the wrong way",
@@ -115,7 +115,7 @@ start, *_ = nls.initialize(graph, values)
 result = graph.optimize(start)
 assert result.chi2_final < 1e-9
 """,
-        explained=("most measurements are off alike", "a wrong sign"),
+        explained=("systematic", "", "frames start"),
     ),
     Case(
         "Two landmarks taken for each other, once",
@@ -137,7 +137,7 @@ graph = FactorGraph([Prior(x[0], X[:1], noise), chain, Landmark(x[at], l[seen], 
 result = graph.optimize(values)
 assert result.chi2_final < 1e-9
 """,
-        explained=("Landmark(x2, l0)", "Landmark(x2, l1)"),
+        explained=("outlier", "x2 l0", "inspect remove robust"),
     ),
     Case(
         "One landmark under two numbers",
@@ -176,7 +176,7 @@ result = graph.optimize(values)
 once = nls.Marginals(graph, result.values).covariance(x[4], frame="body")
 assert (np.diag(twice) < 0.9 * np.diag(once)).all()  # it claimed to know more than it did
 """,
-        explained=("in the graph again with the same numbers: Between(x0, x4)", "covariances come out too small"),
+        explained=("repeated", "x0 x4", "remove copies"),
     ),
     Case(
         "Variances where standard deviations are meant",
@@ -195,7 +195,7 @@ graph = FactorGraph([Between(x[a], x[b], z, Diagonal(sigma))])
 result = graph.optimize(Values({x: (SE2, X)}))
 assert 0.8 < result.chi2_final / result.dof < 1.2
 """,
-        explained=("most measurements are off alike", "variances given as sigmas"),
+        explained=("systematic", "", "frames start certify gnc"),
     ),
     Case(
         "Information of half an angle, given to a whole one",
@@ -215,7 +215,7 @@ graph = FactorGraph([Between(x[a], x[b], z, Omega, convention="g2o")])
 result = graph.optimize(Values({x: (SE3, X)}))
 assert 0.8 < result.chi2_final / result.dof < 1.2
 """,
-        explained=("Between, closures: chi2", "times its expectation", "sigmas about", "too small"),
+        explained=("sigmas", "", "larger sigmas"),
     ),
     Case(
         "A covariance along the axes of the world, where those of the body are meant",
@@ -236,7 +236,7 @@ graph = FactorGraph([Between(x[a], x[b], z, Covariance(R_wb.T @ Sigma @ R_wb))])
 result = graph.optimize(Values({x: (SE2, X)}))
 assert 0.8 < result.chi2_final / result.dof < 1.2
 """,
-        explained=("most measurements are off alike", "frame"),
+        explained=("systematic", "", "frames start certify gnc"),
     ),
     Case(
         "A start that is wound the wrong way",
@@ -257,7 +257,7 @@ start, *_ = nls.initialize(graph, result.values)
 result = graph.optimize(start)
 assert nls.certify(graph, result.values).verdict == "certified"
 """,
-        explained=("local minimum", "nls.initialize"),
+        explained=("local_minimum", "", "start certify"),
     ),
     Case(
         "A kernel that rejects everything",
@@ -272,6 +272,6 @@ graph.optimize(far)
 start, *_ = nls.initialize(graph, far)
 result = graph.optimize(start)
 """,
-        explained=("Tukey(3) rejects 4 of 4", "start nearer"),
+        explained=("rejected", "x0 x1 x2 x3 x4", "start wider kernel gentle kernel"),
     ),
 )

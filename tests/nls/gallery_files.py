@@ -33,7 +33,7 @@ FILES = (
         "An information of 1e300 on one edge",
         SOLVE,
         "UnderconstrainedError",
-        ("Between(x1, x2)", "sigma 1e-150 (information 1e+300)", "Give it a larger sigma"),
+        ("Between(x1, x2)", "sigma 1e-150 (information 1e+300)", "give it a larger sigma"),
         SOLVE,
         LOOP.format("1e300 0 0 1e300 0 1e300"),
         LOOP.format("100 0 0 100 0 400"),

@@ -257,7 +257,8 @@ def test_a_ring_wound_wrongly_is_refuted(turns: int, sigma: float) -> None:
     assert found.lower_chi2 == graph.chi2(found.better)
     assert np.allclose(found.better[x[0]], values[x[0]], atol=1e-12)
     assert "there is one of" in found.report()
-    assert "start at `better` or `values`" in found.report()
+    assert "start there: its `better` or `values`" in found.report()
+    assert "--init" in found.report(shell=True)
     # along the direction, as a row below every [R t], the cost falls
     problem, direction = certifiable(graph, values), found.direction
     assert direction is not None

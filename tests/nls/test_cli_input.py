@@ -218,7 +218,7 @@ def test_a_pipe_between_processes(tmp_path: Path) -> None:
     two = RING + "EDGE_SE2 20 21 1 0 0 9 0 0 9 0 9\n"
     done = subprocess.run([*command, "--gauge", "none"], input=gzip.compress(two.encode()), capture_output=True)
     assert done.returncode == 1
-    assert re.search(rb"See: nls explain -( |$|\n)", done.stderr), done.stderr
+    assert re.search(rb"see: nls explain -( |$|\n)", done.stderr), done.stderr
     file = write(tmp_path, SPOILED)
     with file.open("rb") as stream:
         done = subprocess.run([*command, "--robust", "gnc-tls", "-o", str(file)], stdin=stream, capture_output=True)

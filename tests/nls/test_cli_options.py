@@ -141,7 +141,8 @@ def test_negative_information_is_repaired_on_request_only(command: str, tmp_path
     assert main([command, file]) == 2
     err = capsys.readouterr().err
     assert "negative eigenvalue" in err
-    assert "; for the nearest matrix that is one: --repair-information [EDGE_SE2 1 3" in err
+    assert " [EDGE_SE2 1 3" in err
+    assert err.endswith("\n  -> take the nearest matrix: --repair-information\n")
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert main([command, file, "--repair-information"]) == 0
@@ -153,7 +154,7 @@ def test_negative_information_is_repaired_on_request_only(command: str, tmp_path
 def test_the_cure_is_named_as_it_is_typed(tmp_path: Path, capsys: Captured) -> None:
     assert main(["solve", str(write(tmp_path, PLANE)), "--gauge", "none"]) == 1
     err = capsys.readouterr().err
-    assert "choose --gauge first" in err
+    assert "hold one pose of every part: --gauge first" in err
     assert "gauge='first'" not in err
 
 

@@ -12,6 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import nls
+from models.advice import Advice
 from nls.cli import main
 from tests.nls.g2o_files import PLANE, write
 from tests.nls.io_files import PYFG
@@ -173,13 +174,16 @@ def test_the_outcome_survives_an_output_that_fails(
 
 def test_covariances_that_are_refused(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object, **__: object) -> None:
-        raise nls.UnderconstrainedError("scale is free; choose gauge='first'")
+        raise nls.UnderconstrainedError("scale is free", advice=[Advice("gauge")])
 
     monkeypatch.setattr(nls, "Marginals", none)
     out, table = tmp_path / "o.g2o", tmp_path / "c.csv"
     assert main(["solve", str(write(tmp_path, PLANE)), "-o", str(out), "--covariance", str(table)]) == 2
     captured = capsys.readouterr()
-    assert captured.err == f"nls: {table} was not written: scale is free; choose --gauge first\n"
+    assert (
+        captured.err
+        == f"nls: {table} was not written: scale is free\n  -> hold one pose of every part: --gauge first\n"
+    )
     assert "result      converged" in captured.out
     assert out.exists()
     assert not table.exists()
@@ -204,9 +208,8 @@ def test_an_optimum_that_has_no_line_where_the_start_had_one(tmp_path: Path, cap
 def test_repair_is_refused_where_there_is_no_information(tmp_path: Path, capsys: Captured) -> None:
     for text, name in ((PYFG, "a.pyfg"), ("0 1 2 3 0 0 0 1\n", "a.tum")):
         assert main(["info", str(write(tmp_path, text, name)), "--repair-information"]) == 2
-        assert f"--repair-information is not possible; expected False: {tmp_path / name} is in the format" in (
-            capsys.readouterr().err
-        )
+        err = capsys.readouterr().err
+        assert f"--repair-information: True is not possible; expected False: {tmp_path / name} is in the format" in err
 
 
 @pytest.mark.parametrize("command", [["plot"], ["solve", "--quiet", "--plot"]], ids=lambda c: c[0])

@@ -65,11 +65,11 @@ def test_the_exit_status_stays(tmp_path: Path, capsys: Captured, monkeypatch: py
     assert main(["solve", str(file), "--gauge", "none", "--report", str(out)]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
-    (line,) = captured.err.splitlines()
+    message, *advice = captured.err.splitlines()
     page = Page(out.read_text())
-    said, _, more = line.removeprefix("nls: ").partition(" See: nls explain ")
-    assert said in page.text  # in the words of the command line
-    assert more == f"{file}; written: {out}"
+    assert message.removeprefix("nls: ") in page.text
+    assert "--gauge first" in page.text  # in the words of the command line
+    assert advice[-2:] == [f"  -> see: nls explain {file}", f"  -> written: {out}"]
     assert main(["solve", str(file), "--init", "file", "--max-iterations", "1", "--report", str(out), "--quiet"]) == 1
     assert "Not converged" in Page(out.read_text()).text
     out.unlink()

@@ -40,7 +40,7 @@ def test_an_untouched_variable(solver: str) -> None:
     assert error.nullity == 6
     assert error.components == ("x30: x, y, yaw", "x40: x, y, yaw")
     assert "6 unknowns have no measurement at all: x30: x, y, yaw; x40: x, y, yaw" in str(error)
-    assert "No factor touches that: remove the variable, add the factors that are missing, or fix it." in str(error)
+    assert [advice.action for advice in error.advice] == ["factors", "drop", "fix"]
 
 
 def test_many_untouched_variables_are_counted() -> None:
@@ -59,7 +59,7 @@ def test_a_component_without_anchor(group: LieGroup) -> None:
     assert set(names(error)) <= {f"x{k}" for k in range(8)}
     assert "all 8 variables joined to x0" in str(error)
     assert f"leave {group.dim} direction{'s' if group.dim > 1 else ''} free" in str(error)
-    assert "fix a pose, add a prior to one, choose gauge='first'" in str(error)
+    assert [advice.action for advice in error.advice] == ["fix", "prior", "gauge"]
 
 
 def two(group: LieGroup, n: int, anchored: bool) -> tuple[FactorGraph, Values]:
@@ -121,9 +121,7 @@ def test_an_unmeasured_component_is_named_alone() -> None:
     assert names(error) == ["l1"]
     assert error.nullity == 1
     assert error.components == ("l1: y",)
-    assert "1 unknown has factors that do not react to a change here: l1: y. Either these factors never measure" in str(
-        error
-    )
+    assert error.message.startswith("1 unknown has factors that do not react to a change here: l1: y; causes: ")
 
 
 @pytest.mark.parametrize("extra", [0, 120])
@@ -142,7 +140,7 @@ def test_a_landmark_seen_at_a_distance_only(extra: int) -> None:
     error = refused(graph, values)
     assert error.nullity == 1
     assert "l1" in names(error)
-    assert "a landmark needs two views that differ" in str(error)
+    assert [advice.action for advice in error.advice] == ["view", "prior"]
     direction = null_space(graph.linearize(values))[-2:, 0]
     across = np.array([-np.sin(pose[2]), np.cos(pose[2])])
     assert abs(direction @ across) == pytest.approx(np.linalg.norm(direction), rel=1e-6)
@@ -226,8 +224,7 @@ def test_a_weak_prior_is_named_as_such(solver: str, n: int, sigma: float) -> Non
     assert "determine every unknown" in str(error)
     assert "13 digits" in str(error)
     assert f"of all {n} variables joined to x0" in str(error)
-    assert "Use linear solver 'qr'" in str(error)
-    assert "tighten the prior" in str(error)
+    assert {"qr", "tighten", "units"} <= {advice.action for advice in error.advice}
     if SOLVERS["qr"].missing() is None:
         assert graph.optimize(Values({x: (SE2, X)}), linear_solver=SOLVERS["qr"]()).converged
 
@@ -238,7 +235,7 @@ def test_a_prior_a_billion_times_weaker_is_the_cause_and_is_named() -> None:
     assert error.nullity == 0
     assert "determine every unknown" in str(error)
     assert "of Prior(x0), sigma 1e+03 (information 1e-06); its row of A is 1e-07 times the median" in str(error)
-    assert "Give it a smaller sigma" in str(error)
+    assert error.advice[0].action == "smaller sigma"
 
 
 def test_without_rotation_information_yaw_is_free() -> None:
@@ -287,9 +284,17 @@ def test_a_jacobian_that_vanishes_is_not_called_no_measurement() -> None:
     error = refused(FactorGraph([squared]), start)
     assert names(error) == ["p0", "p1", "l0"]
     assert error.nullity == 3
-    assert "1 unknown has no measurement at all: l0: x. No factor touches that" in str(error)
-    assert "2 unknowns have factors that do not react to a change here: p0: x; p1: x." in str(error)
-    assert "their Jacobian is zero at these values alone (try another start or convention)" in str(error)
+    assert "1 unknown has no measurement at all: l0: x;" in str(error)
+    assert "2 unknowns have factors that do not react to a change here: p0: x; p1: x;" in str(error)
+    assert [advice.action for advice in error.advice] == [
+        "factors",
+        "drop",
+        "fix",
+        "measure",
+        "start",
+        "damp",
+        "truncate",
+    ]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -328,17 +333,16 @@ def test_overflow_is_not_called_free(solver: str) -> None:
 def test_the_cure_is_not_a_gauge_that_cannot_be_held(gauge: str) -> None:
     difference = Factor.from_function(lambda a, b: b - a - 1.0, [p[0], p[1]], 1)
     error = refused(FactorGraph([difference]), Values({p: (R(1), [0.0, 5.0])}), gauge=gauge)
-    assert "choose gauge='first'" not in str(error)
-    assert f"{difference.describe(0)} is not declared relative and keeps the gauge from being held" in str(error)
-    assert "fix a pose, add a prior to one, or join" in str(error)
+    assert [advice.action for advice in error.advice] == ["fix", "prior", "relative"]
+    assert error.advice[-1].about == (difference.describe(0),)
 
 
 def test_the_gauge_is_a_cure_for_the_components_that_are_relative() -> None:
     graph = FactorGraph([Factor.from_function(lambda a, b: b - a - 1.0, [p[0], p[1]], 1)])
     graph.add(Between(x[0], x[1], [1.0], Isotropic(1)))
     error = refused(graph, Values({p: (R(1), [0.0, 5.0]), x: (R(1), [0.0, 1.0])}))
-    assert "choose gauge='first'" in str(error)
-    assert "(p0, p1) is not declared relative" in str(error)
+    assert [advice.action for advice in error.advice] == ["fix", "prior", "gauge", "join", "relative"]
+    assert error.advice[-1].about[0].endswith("(p0, p1)")
 
 
 def along(numbers: list[int], seed: int = 0) -> tuple[Factor, Array]:

@@ -43,7 +43,7 @@ def test_a_pose_that_sees_points_on_one_line() -> None:
     explanation = nls.explain(graph, Values({x: (SE3, pose), l: (R(3), line)}))
     assert len(explanation.free) == 1
     assert re.fullmatch(r"x0: roll about l[0-3]", explanation.free[0])
-    assert "not on that axis" in explanation.findings[0].cure
+    assert explanation.findings[0].advice[0].action == "off axis"
 
 
 @pytest.mark.parametrize("motion", [[1, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0.1, 0.995]], ids=["surge", "yaw"])
@@ -63,7 +63,7 @@ def test_the_elevation_of_an_imaging_sonar(motion: list[float]) -> None:
         assert explanation.free == (() if heave else ("l0: elevation as seen from x0",))
         assert explanation.nullity == (0 if heave else 1)
         if not heave:
-            assert "another roll, higher or lower" in explanation.findings[0].cure
+            assert [advice.action for advice in explanation.findings[0].advice] == ["roll", "aperture"]
 
 
 def _unit(motion: list[float]) -> Array:

@@ -1,4 +1,4 @@
-"""The words of an explanation: what they are about, what helps said once, tables in order, advice as it is typed."""
+"""The words of findings: one sentence a kind, advice once, tables in order, data for programs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ import pytest
 import nls
 from factors import Between, Cauchy, Factor, Isotropic, Landmark, Prior
 from models import SE2, R
-from nls.cli.outputs import TYPED, typed, write_json
-from nls.explanation import Finding, Measurement, Part
-from nls.explanation.doubts import of_parts, of_suspects
+from models.advice import Advice
+from nls.explanation import Finding, FindingKind, Measurement
+from nls.explanation.doubts import of_suspects
 from nls.explanation.naming import _loose
 from nls.explanation.offers import certifies, graduates
 from nls.explanation.suspects import Suspects
-from nls.explanation.words import cured
+from nls.explanation.words import together
 from nls.plot import report as page
+from tests.nls.sentences import SNAPSHOT, sentences
 
 ROOT = Path(__file__).parents[2]
 x, l = nls.kinds("x", "l")
@@ -56,46 +57,37 @@ def test_what_is_offered_works(factors: list[Factor], certified: bool, graduated
             nls.gnc(graph, values)
 
 
-def found(graph: nls.FactorGraph, places: list[tuple[int, int]], many: bool = False) -> Suspects:
+def suspected(graph: nls.FactorGraph, places: list[tuple[int, int]], many: bool = False) -> Suspects:
     rivals = dict.fromkeys(places, (0, None))
     return Suspects(places, rivals, [], [], [], VALUES, 100.0, 30.0, many)  # type: ignore[arg-type]
 
 
-def test_kinds_without_the_suspects_say_so() -> None:
-    part = Part("Between, steps", 10, 30, 300.0, 30.0, 17.0, 47.0, 9.0)
-    graph = nls.FactorGraph([STEPS, CLOSURES])
-    for places, said in (
-        ([], "Between, steps: chi2 300 is 10 times"),
-        ([(0, 0)], "Between, steps, without the suspect: chi2 300 is 10 times"),
-        ([(0, 0), (1, 1)], "Between, steps, without the suspects: chi2 300 is 10 times"),
-    ):
-        (one,) = of_parts((part,), found(graph, places), graph)
-        assert one.says.startswith(said)
-
-
 def test_many_outliers_are_offered_what_works() -> None:
-    for factors, gnc, kernel in (
-        ([STEPS, CLOSURES], True, True),
-        ([STEPS, SEEN], False, True),
-        ([STEPS, CLOSURES.robust(Cauchy(1))], True, False),
+    for factors, actions in (
+        ([STEPS, CLOSURES], ["gnc", "robust"]),
+        ([STEPS, SEEN], ["robust"]),
+        ([STEPS, CLOSURES.robust(Cauchy(1))], ["gnc", "inspect", "remove"]),
     ):
         graph = nls.FactorGraph(factors)  # type: ignore[arg-type]
-        (many,) = of_suspects(found(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES))
-        assert ("nls.gnc(graph, values)" in many.cure, "graph.robust(Cauchy(1))" in many.cure) == (gnc, kernel)
+        (many,) = of_suspects(suspected(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES))
+        assert [advice.action for advice in many.advice] == actions
 
 
-def test_what_helps_is_said_once() -> None:
+def test_advice_stands_once_below_the_findings_that_share_it() -> None:
     graph = nls.FactorGraph([STEPS, CLOSURES, Prior(x[0], [0.0, 0, 0], Isotropic(0.1))])
     result = graph.optimize(nls.Values.of([VALUES.stacks["x"]]))
-    says = [("a is off", "look at it"), ("b is off", "look at it"), ("c is free", "measure it"), ("d", "look at it")]
-    findings = tuple(Finding("outlier", (), *each) for each in says)
-    assert [(first, len(alike)) for first, alike in cured(findings)] == [(1, 2), (3, 1), (4, 1)]
+    look, measure = (Advice("inspect", ("it",)), Advice.robust("Cauchy", 1)), (Advice("measure", ("it",)),)
+    findings = tuple(Finding(FindingKind.UNMEASURED, (x[k],), {}, a) for k, a in enumerate((look, look, measure, look)))
+    assert [(first, len(alike)) for first, alike in together(findings)] == [(1, 2), (3, 1), (4, 1)]
     explanation = replace(nls.explain(graph, result.values), findings=findings)
-    lines = explanation.report().splitlines()[2:9]
-    once = ["1. a is off.", "2. b is off.", "   -> 1 to 2: look at it", "3. c is free.", "   -> measure it", "4. d."]
-    assert lines == [*once, "   -> look at it"]
-    shown = page(graph, result.values, result, explanation)
-    assert [shown.count(f"What helps{where}: look at it") for where in (" with 1 to 2", "")] == [1, 1]
+    lines = [line for line in explanation.report(shell=True).splitlines() if line[:5] == "   ->"]
+    cures = ["look at it", "use a robust kernel: --robust cauchy:1"]
+    assert lines == [*(f"   -> 1 to 2: {cure}" for cure in cures), "   -> measure it", *(f"   -> {c}" for c in cures)]
+    assert "graph.robust(Cauchy(1))" in explanation.report()
+    shown = page(graph, result.values, result, explanation, shell=True)
+    assert [
+        shown.count(f"What helps{where}: look at it; use a robust kernel: --robust") for where in (" with 1 to 2", "")
+    ] == [1, 1]
 
 
 def test_the_farthest_come_first() -> None:
@@ -109,40 +101,46 @@ def test_the_farthest_come_first() -> None:
     assert re.findall(r">Between\((\d)\)<", shown)[:3] == names
 
 
-def test_what_cannot_be_told_apart_is_named() -> None:
+def test_what_moves_is_named_by_its_unknowns() -> None:
     graph = nls.FactorGraph([Prior(l[0:3], np.zeros((3, 2)), Isotropic(1.0))])
     pattern = graph.pattern(nls.Values({l: (R(2), np.zeros((3, 2)))}))
-    for moved, said in (
-        ([0, 0, 1, -1, 0, 0], "x and y of l1 cannot be told apart"),
-        ([1, 0, 1, -1, 0, 0], "x of l0, x, y of l1 can move together"),
-        ([0, 0, 0, 0, 0, 1], "y of l2 can move"),
+    for moved, keys, components in (
+        ([0, 0, 1, -1, 0, 0], (l[1],), (("x", "y"),)),
+        ([1, 0, 1, -1, 0, 0], (l[0], l[1]), (("x",), ("x", "y"))),
+        ([0, 0, 0, 0, 0, 1], (l[2],), (("y",),)),
     ):
-        ((text, keys),) = _loose(np.array([moved], dtype=float).T, np.arange(6), pattern)
-        assert text == said
-        assert all(repr(key) in said for key in keys)
+        (finding,) = _loose(np.array([moved], dtype=float).T, np.arange(6), pattern)
+        assert (finding.keys, finding.numbers["components"]) == (keys, components)
 
 
-def test_no_advice_of_python_reaches_the_command_line() -> None:
-    """Every text of a finding, certificate or error that names a call has its option; none is left behind."""
-    call = re.compile(r"\b(?:nls|graph|values|result)\.\w+\(|\b\w+=(?:True|\[|')|Isotropic|ElevationHinge|in Python")
-    folders = ("explanation", "certificate", "robust")
-    files = [p for name in folders for p in (ROOT / "nls" / name).glob("*.py")]
-    files += [ROOT / "nls" / name for name in ("diagnose.py", "io/dialects.py", "io/read.py", "optimizers/result.py")]
-    named = 0
-    for path in files:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        documented = (ast.Module, ast.FunctionDef, ast.ClassDef)
-        docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, documented)}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value not in docs:
-                named += bool(call.search(node.value))
-                assert not call.search(typed(node.value)), f"{path.name}:{node.lineno}"
-    assert named > 8
+def test_the_sentences_are_those_of_the_snapshot() -> None:
+    """Every kind of finding and every action once; `python -m tests.nls.sentences` writes the file anew."""
+    assert SNAPSHOT.read_text(encoding="utf-8") == sentences()
 
 
-def test_advice_is_typed_in_reports_for_programs_and_pages(tmp_path: Path) -> None:
-    for named, option in TYPED.items():
-        assert typed(f"a {named} b") == f"a {option} b"
-    where = tmp_path / "r.json"
-    write_json({"says": ["choose gauge='first', or linear solver 'qr' \"so\""]}, str(where))
-    assert json.loads(where.read_text()) == {"says": ['choose --gauge first, or --linear-solver qr "so"']}
+def test_no_sentence_is_made_outside_the_words() -> None:
+    """Findings are made of names and numbers: whoever makes one has no text of more than two words in it."""
+    for path in sorted((ROOT / "nls" / "explanation").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                texts = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+                assert all(len(text.split()) < 3 for text in texts), f"{path.name}:{node.lineno}"
+
+
+def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
+    finding = Finding(
+        FindingKind.TWINS, (l[1], l[2]), {"distance": 0.1, "sigmas": np.inf}, (Advice("merge"),), ((0, 3),)
+    )
+    explanation = nls.explain(nls.FactorGraph([STEPS, CLOSURES]), nls.Values.of([VALUES.stacks["x"]]))
+    placed = replace(explanation, findings=(finding,)).placed(lambda factor, index: f"a.g2o:{10 * factor + index}")
+    (record,) = placed.record()["findings"]
+    assert json.loads(json.dumps(record)) == {
+        "kind": "twins",
+        "keys": ["l1", "l2"],
+        "numbers": {"distance": 0.1, "sigmas": None},
+        "places": ["a.g2o:3"],
+        "advice": [{"action": "merge", "about": []}],
+        "sentence": placed.findings[0].says,
+        "cures": ["give both one number, if they are the same"],
+    }
+    assert record["sentence"].endswith(" [a.g2o:3]")

@@ -63,7 +63,7 @@ def test_the_tags_decide_and_the_report_says_why(text: str, dialect: str, reason
     ],
 )
 def test_several_readings_are_refused_with_the_choices(text: str, choices: list[str]) -> None:
-    with pytest.raises(GraphFileError, match=r"lines have several readings, .*; name the dialect \((.*)\)") as caught:
+    with pytest.raises(GraphFileError, match=r"lines have several readings, .* tells which \((.*)\)") as caught:
         read(text)
     assert caught.value.line == 1 + text.startswith("\n")
     for name in DIALECTS:

@@ -37,7 +37,7 @@ from factors import XYH, ZPR, Diagonal, Heading, Isotropic, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
 from models import SE3, SO3, euler, wrap
-from models.algebra import Array, apply
+from models.algebra import Array, Index, apply
 from models.dead_reckoning import integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
@@ -126,11 +126,21 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
     tilts = np.hypot([noise["sigma_z_m"], sigmas[1], sigmas[0]], np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]))
     seen = ~turning.inside
+    report.sources += [
+        dvl.source(_latest(t_v, b[:-1])),
+        depth.source(_latest(t_z, b)),
+        ahrs.source(_latest(t_a, b[seen])),
+    ]
     return np.sort(numbers), [
         XYH(x[numbers[:-1]], x[numbers[1:]], xyh, SqrtInformation(W)),
         ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts)),
         Heading(x[numbers[seen]], wrap(yaw[seen]), Isotropic(sigmas[2])),
     ]
+
+
+def _latest(t: Array, b: Array) -> Index:
+    """The latest rows, of rising times t, until the times b."""
+    return t.searchsorted(b, side="right") - 1
 
 
 def _way_down(t: Array, v_d: Array, t_a: Array, rpy: Array, mount: Array) -> Array:

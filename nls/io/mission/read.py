@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factors import XYH, ZPR, Diagonal, Heading, Position, sonar_factors
+from factors import XYH, ZPR, Diagonal, Elevation, Heading, Position, sonar_factors
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
-from factors.sonar import refuse_search
+from factors.sonar import first_contacts, refuse_search
 from models import SE3, Manifold, R, euler
 from models.algebra import Array
 from models.errors import OptionError
@@ -20,6 +20,7 @@ from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.folder import read_tables
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.report import Source
 from nls.sparse.components import connected
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
@@ -111,6 +112,7 @@ def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, li
         report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
     if "poses" in tables:
         report.vertex_times["x"] = _times(tables["poses"], numbers)
+    report.sources += [odometry.source(), zpr.source()]
     return numbers, [
         XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
         ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
@@ -179,6 +181,7 @@ def _anchor(
         table.unique("i", "pose")
         i = table.known("i", numbers, "nothing else measures this pose; anchor one of the track")
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
+        report.sources += [table.source()] * 2
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
     compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
@@ -191,6 +194,7 @@ def _anchor(
     factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
     if compass is not None:
         factors, held = factors[:1], "x and y"
+    report.sources += [Source(report.path, np.zeros(1, dtype=np.intp))] * len(factors)
     report.notes.append(f"there is no anchor.csv: {held} of {anchor} are held at {where}")
     return factors, (anchor, z)
 
@@ -233,6 +237,8 @@ def _contacts(
         )
     for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
         graph.add(factor)
+        rows = first_contacts(x[i], l[k]) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
+        report.sources.append(table.source(rows))
     return np.unique(k)
 
 

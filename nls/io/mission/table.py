@@ -19,6 +19,7 @@ from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
+from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
@@ -277,6 +278,10 @@ class Table(Text):
             printable(word[1:-1].replace(b'""', b'"') if within else word)
             for word, within in zip(words, quoted, strict=True)
         ]
+
+    def source(self, rows: Index | slice = slice(None)) -> Source:
+        """The source of a factor whose measurements stand in these rows."""
+        return Source(self.path, self.lines[rows] + 1)
 
     def place(self, row: int) -> str:
         """Where a row stands, for a note about this folder: the file's name and its line."""

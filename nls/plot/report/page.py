@@ -54,6 +54,7 @@ def report(
     facts: Mapping[str, str] | None = None,
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, Figure] | None = None,
+    shell: bool = False,
 ) -> str:
     """A solution on one page of HTML, with everything in it: no network and no scripts.
 
@@ -74,6 +75,7 @@ def report(
     facts : where it comes from, by name.
     seconds : where the time went, by part; only this differs between two runs.
     pictures : figures by caption, in the place of the maps before and after and of the ellipses.
+    shell : whether advice is for the command line, not for Python.
 
     Returns
     -------
@@ -115,6 +117,7 @@ def report(
             facts or {},
             seconds or {},
             pictures or {},
+            shell,
         )
         body = {make.__name__: made for make in SECTIONS if (made := make(told)) is not None}
         head = [

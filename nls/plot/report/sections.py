@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.advice import listed as listed_advice
 from models.errors import UnderconstrainedError
-from nls.explanation.words import cured
+from nls.explanation.words import sentence, together
 from nls.inspect import inspect
 from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
@@ -57,15 +58,14 @@ def maps(told: Told) -> Html | None:
 
 def findings(told: Told) -> Html:
     """What is wrong, and what helps."""
-    found = []
-    for first, alike in cured(told.explanation.findings):
-        said = [[tag("p", each.says)] for each in alike]
-        if alike[0].cure:
-            where = f" with {first} to {first + len(alike) - 1}" if len(alike) > 1 else ""
-            said[-1].append(tag("p", f"What helps{where}: {alike[0].cure}", class_="quiet"))
-        found += [tag("li", *each) for each in said]
-    what = tag("ol", joined(found, "\n")) if found else tag("p", "Nothing suspicious.")
-    return section("findings", "Findings", what)
+    items: list[Html] = []
+    for first, alike in together(told.explanation.findings):
+        texts = [[tag("p", sentence(finding))] for finding in alike]
+        if cures := listed_advice(alike[0].advice, told.shell):
+            about = f" with {first} to {first + len(alike) - 1}" if len(alike) > 1 else ""
+            texts[-1].append(tag("p", f"What helps{about}: {'; '.join(cures)}", class_="quiet"))
+        items += [tag("li", *text) for text in texts]
+    return section("findings", "Findings", tag("ol", joined(items, "\n")) if items else tag("p", "Nothing suspicious."))
 
 
 def kinds(told: Told) -> Html | None:
@@ -125,7 +125,7 @@ def certificate(told: Told) -> Html | None:
     """What the certificate says."""
     if told.certificate is None:
         return None
-    lines = [tag("p", line, class_="lines") for line in told.certificate.report().splitlines()]
+    lines = [tag("p", line, class_="lines") for line in told.certificate.report(told.shell).splitlines()]
     return section("certificate", "Is there a lower minimum?", *lines)
 
 

@@ -50,6 +50,7 @@ class Told:
     facts: Mapping[str, str] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     pictures: Mapping[str, Figure] = field(default_factory=dict)
+    shell: bool = False
 
     @property
     def result(self) -> Result | None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from models.advice import listed as listed_advice
+from models.errors import UnderconstrainedError
+from nls.explanation.findings import FindingKind
 from nls.plot.report.markup import Html, joined, listed, tag
 
 if TYPE_CHECKING:
@@ -11,7 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["key_figures", "number", "verdict"]
 
-NOTED = {"repeated", "unchecked", "components"}  # findings that one should know; an optimum with them is sound
+# Findings that one should know; an optimum with them is sound.
+NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.SEPARATE_PARTS}
 
 
 def number(value: float) -> str:
@@ -21,13 +25,12 @@ def number(value: float) -> str:
 
 def verdict(told: Told) -> Html:
     """One word, and why; of an optimum the sentences of its explanation."""
-    result = told.result
     refuted = told.certificate is not None and told.certificate.verdict == "refuted"
     says = told.explanation.summary
-    if result is None:
-        word, grade, says = "Not solved", "bad", str(told.outcome)
-    elif not result.converged:
-        word, grade, says = "Not converged", "bad", f"{result.status.value}: {result.ending}."
+    if isinstance(told.outcome, UnderconstrainedError):
+        word, grade, says = "Not solved", "bad", told.outcome.message
+    elif not told.outcome.converged:
+        word, grade, says = "Not converged", "bad", f"{told.outcome.status.value}: {told.outcome.ending}."
     elif refuted:
         word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
     elif told.doubts:
@@ -35,7 +38,9 @@ def verdict(told: Told) -> Html:
     else:
         doubted = [each for each in told.explanation.findings if each.kind not in NOTED]
         word, grade = "Converged", "warn" if doubted else "good"
-    return tag("h1", tag("span", word, class_=f"verdict {grade}"), f" {says}")
+    head = tag("h1", tag("span", word, class_=f"verdict {grade}"), f" {says}")
+    cures = listed_advice(told.outcome.advice, told.shell)
+    return joined([head, tag("p", f"What helps: {'; '.join(cures)}", class_="quiet")], "\n") if cures else head
 
 
 def key_figures(told: Told) -> Html:
