@@ -24,7 +24,7 @@ from models.alignment import align
 from models.errors import GraphError, OptionError, SingularGeometryError
 from models.sensors import SingularAt
 
-__all__ = ["ALIGNMENTS", "TrajectoryError", "ate"]
+__all__ = ["ALIGNMENTS", "TrajectoryError", "ate", "displacements"]
 
 ALIGNMENTS = ("none", "first", "rigid")
 
@@ -106,6 +106,17 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     if not np.isfinite(rmse):
         raise _too_far()
     return TrajectoryError(rmse, float(distances.mean()), float(distances.max()), align, T[0], distances)
+
+
+def displacements(p: Array, q: Array) -> Array:
+    """Distances (n,) of points q (n, d) from points p (n, d) after the rigid motion of least squares, m.
+
+    Unlike `ate` it serves points on one line, where the rotation is not unique and the distances are.
+    """
+    p, q = p - p.mean(axis=0), q - q.mean(axis=0)
+    U, _, Vt = np.linalg.svd(q.T @ p)
+    U[:, -1] *= np.linalg.det(U) * np.linalg.det(Vt)  # a rotation, no reflection
+    return np.asarray(np.linalg.norm(q - p @ (U @ Vt).T, axis=1))
 
 
 def _numbers(name: str, poses: npt.ArrayLike) -> Array:

@@ -19,6 +19,7 @@ import sim
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "factors", "nls", "sim")
 RIM = (
+    "analysis",
     "robust",
     "io",
     "starts",

@@ -1,12 +1,14 @@
 """Numbers about a graph: what is free, which measurements are doubtful, what is known of one variable. No sentences.
 
 `observability` tells what a data set determines of one variable, such as a mounting, `helpful_motions` which motion of
-the vehicle would help, `landmark_information` what is known of every landmark.
+the vehicle would help, `landmark_information` what is known of every landmark, and `unverified_groups` which loop
+closures carry the map although nothing verifies them.
 """
 
 from nls.analysis.helpful import Motion, Motions, helpful_motions
 from nls.analysis.landmarks import LandmarkInformation, landmark_information
 from nls.analysis.observable import Observability
+from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.analysis.variable import observability
 
 __all__ = [
@@ -14,7 +16,9 @@ __all__ = [
     "Motion",
     "Motions",
     "Observability",
+    "Unverified",
     "helpful_motions",
     "landmark_information",
     "observability",
+    "unverified_groups",
 ]

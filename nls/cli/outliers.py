@@ -67,6 +67,16 @@ def record(found: Robustified) -> dict[str, Any]:
             }
             for d in found.doubts
         ],
+        "unverified": [
+            {
+                "factors": list(group.names),
+                "redundancy": group.redundancy,
+                "meters": group.meters,
+                "rms": group.rms,
+                "sigmas": group.sigmas,
+            }
+            for group in found.unverified
+        ],
     }
 
 

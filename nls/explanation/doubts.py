@@ -12,6 +12,7 @@ from factors.function import FunctionFactor
 from models.advice import Advice
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested, measuring
+from nls.analysis.redundancy import unverified_groups
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.explanation.offers import certifies, graduates
 from nls.track import closures
@@ -33,6 +34,7 @@ __all__ = [
     "taken_out",
     "turns",
     "unchecked",
+    "unverified",
 ]
 
 UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
@@ -217,6 +219,23 @@ def unchecked(tests: list[Tested], pattern: Pattern) -> list[Finding]:
     numbers = {"count": count, "of": total, "factors": tuple(factors[k].describe(i) for k, i in places)}
     keys = tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in factors[k].keys))
     return [Finding(FindingKind.UNCHECKED, keys, numbers, (Advice("close"),), tuple(places))]
+
+
+def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
+    """Groups of closures that carry the map and that nothing verifies, at an optimum where nothing is free."""
+    findings = []
+    for group in unverified_groups(graph, values):
+        keys = tuple(dict.fromkeys(keys[[i]] for k, i in group.closures for keys in graph.factors[k].keys))
+        numbers = {
+            "factors": group.names,
+            "redundancy": group.redundancy,
+            "meters": group.meters,
+            "rms": group.rms,
+            "sigmas": group.sigmas,
+        }
+        advice = (Advice("inspect", ("the group",)), Advice("close"))
+        findings.append(Finding(FindingKind.UNVERIFIED, keys, numbers, advice, group.closures[:SOME]))
+    return findings
 
 
 def repeated(graph: FactorGraph, values: Values) -> list[Finding]:

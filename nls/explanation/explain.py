@@ -120,6 +120,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         else:
             if not free.count:
                 findings += twins(free.checked, pattern, values)
+                findings += doubts.unverified(_held(graph, whole, idle), values)
             found = suspects(_held(graph, whole, idle), free.checked.linear.pattern, values, free.checked)
             lower = graph.chi2(found.values)
             if lower < graph.chi2(values) - _little(chi2):

@@ -34,6 +34,7 @@ class FindingKind(StrEnum):
     REJECTED = "rejected"
     TURN = "turn"
     TWINS = "twins"
+    UNVERIFIED = "unverified"
     REPEATED = "repeated"
     UNCHECKED = "unchecked"
 

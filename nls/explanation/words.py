@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["directions", "report", "sentence", "summary", "together"]
+__all__ = ["directions", "report", "sentence", "summary", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -169,6 +170,17 @@ def _twins(f: Finding) -> str:
     )
 
 
+def _unverified(f: Finding) -> str:
+    n = f.numbers
+    return f"accepted, not verified: {unverified(n['factors'], n['redundancy'], n['meters'], n['sigmas'])}"
+
+
+def unverified(factors: Sequence[str], redundancy: float, meters: float, sigmas: float) -> str:
+    """A group of closures that nothing verifies, with its redundancy and how far the map moves without it."""
+    motion = f"the map moves {meters:.3g} m ({sigmas:.2g} sigmas)" if isfinite(meters) else "the graph falls apart"
+    return f"{some(factors, 1)}: redundancy {redundancy:.2f}, {motion} without it"
+
+
 def _repeated(f: Finding) -> str:
     n = f.numbers
     are = "measurement is" if n["count"] == 1 else "measurements are"
@@ -200,6 +212,7 @@ SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.REJECTED: _rejected,
     FindingKind.TURN: _turn,
     FindingKind.TWINS: _twins,
+    FindingKind.UNVERIFIED: _unverified,
     FindingKind.REPEATED: _repeated,
     FindingKind.UNCHECKED: _unchecked,
 }

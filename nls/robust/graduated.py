@@ -31,7 +31,8 @@ Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,6 +42,8 @@ from models.algebra import Array
 from models.errors import GraphError, OptionError
 from models.options import is_number
 from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.redundancy import Unverified, unverified_groups
+from nls.explanation.words import unverified
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.robust import verdict
@@ -98,15 +101,29 @@ class Robustified:
         """
         return float(np.sqrt(self.result.chi2_final / max(self.result.dof, 1))) / self.local
 
+    @cached_property
+    def unverified(self) -> tuple[Unverified, ...]:
+        """Accepted groups of closures that carry the map and that nothing verifies; computed at the first access.
+
+        The others that were kept are the judges, so a group whose contradictions were rejected is listed. Factors and
+        measurements are numbered as in the given graph.
+        """
+        factors = [number for number, w in enumerate(self.weights) if w.any()]
+        indices = [np.flatnonzero(self.weights[number]).tolist() for number in factors]
+        groups = unverified_groups(self.graph, self.result.values)
+        return tuple(replace(g, closures=tuple((factors[f], indices[f][k]) for f, k in g.closures)) for g in groups)
+
     def __repr__(self) -> str:
         return f"Robustified({len(self.rejected)} of {self.doubted} rejected, {self.result!r})"
 
     def report(self, most: int = 10) -> list[str]:
-        """Lines: how many were rejected at which threshold, and the first of them."""
+        """Lines: how many were rejected at which threshold, doubts, unverified groups, and the first rejected ones."""
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
         times = f"{self.sigma0:.3g}"
         lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
+        for g in self.unverified:
+            lines.append(f"accepted, not verified: {unverified(g.names, g.redundancy, g.meters, g.sigmas)}")
         lines += [f"  {r.factor}  {r.sigmas:.3g} sigmas" for r in self.rejected[:most]]
         return lines + ([f"  and {len(self.rejected) - most} more"] if len(self.rejected) > most else [])
 

@@ -7,8 +7,8 @@ from enum import Enum
 
 import numpy as np
 
-from models.algebra import Array
 from nls.analysis.chi_squared import chi2_gate
+from nls.metrics import displacements
 from nls.optimizers import Result
 from nls.robust.loop_graph import LoopGraph
 from nls.values import Values
@@ -77,11 +77,4 @@ def shift(loops: LoopGraph, before: Values, after: Values) -> float:
     """How far a map moves, as part of its extent: rms of the positions, after the best motion; 1 without positions."""
     p, q = (loops.places(values) for values in (before, after))
     extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
-    return _apart(p - p.mean(axis=0), q - q.mean(axis=0)) / extent if extent else 1.0
-
-
-def _apart(p: Array, q: Array) -> float:
-    """Root mean square of q - R p over the rotations R that make it smallest."""
-    U, _, Vt = np.linalg.svd(q.T @ p)
-    U[:, -1] *= np.linalg.det(U) * np.linalg.det(Vt)  # a rotation, no reflection
-    return float(np.sqrt(np.square(q - p @ (U @ Vt).T).sum(axis=1).mean()))
+    return float(np.sqrt(np.square(displacements(p, q)).mean())) / extent if extent else 1.0

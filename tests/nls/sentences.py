@@ -20,6 +20,8 @@ FREE = {"moved": "alone", "directions": ("range",), "seen_from": ("x0",), "seen_
 DOUBT = {"factor": "Between(x3, x9)", "sigmas": 12.3, "rivals": 0, "rival": "", "turned": False}
 REMOVED = {"removed": 2, "chi2_without": 31.4, "dof_without": 30.0}
 PART = {"kind": "Between", "without": 0, "chi2": 400.0, "expected": 100.0, "typical": 2.1}
+GROUP = ("Between(x3, x9)", "Between(x4, x10)")
+CARRIED = {"factors": GROUP, "redundancy": 0.01, "meters": 12.0, "rms": 4.0, "sigmas": 40.0}
 FINDINGS = (
     Finding(Kind.NOT_CONVERGED, (), {"reason": "something is free", "values": "at the start"}),
     Finding(Kind.NO_OPTIMUM, (), {"fall": 12.3, "chi2": 45.6}),
@@ -43,6 +45,8 @@ FINDINGS = (
     Finding(Kind.REJECTED, (x[0],), {"kernel": "Tukey(3)", "off": 4, "of": 5, "factor": "Between(x[0:5], x[1:6])"}),
     Finding(Kind.TURN, (x[1], l[0]), {"factor": "minus(x1, l0)", "error": -6.27, "others": 2}),
     Finding(Kind.TWINS, (l[1], l[2]), {"distance": 0.12, "sigmas": 0.8}),
+    Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED),
+    Finding(Kind.UNVERIFIED, (x[3], x[9]), CARRIED | {"meters": float("inf"), "sigmas": float("inf")}),
     Finding(Kind.REPEATED, (x[0], x[4]), {"count": 1, "factors": ("Between(x0, x4)",)}),
     Finding(Kind.UNCHECKED, (x[0],), {"count": 1, "of": 9, "factors": ("Prior(x0)",)}),
     Finding(Kind.UNCHECKED, (x[0],), {"count": 9, "of": 9, "factors": ("Prior(x0)",)}),

@@ -8,7 +8,7 @@ import pytest
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from nls import GraphError, OptionError, SingularGeometryError
-from nls.metrics import ate
+from nls.metrics import ate, displacements
 from tests.nls.graphs import moved, walk
 
 GROUPS = [SE2, SE3]
@@ -105,3 +105,16 @@ def test_errors_beyond_the_largest_number(align: str) -> None:
     with pytest.raises(GraphError, match=r"ate: truth is not an array of numbers: .*'a'"):
         ate([[0, 0, 0]], [["a", 0, 0]], align)
     assert ate([[0, 1e150, 0]], [[0, 0, 0]]).rmse == 1e150
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_displacements_of_points_on_a_line_and_in_general(d: int) -> None:
+    rng = np.random.default_rng(3)
+    group = {2: SE2, 3: SE3}[d]
+    line, motion = np.arange(5.0)[:, None] * np.eye(d)[0], group.exp(rng.normal(size=(1, group.dim)))
+    assert displacements(line, group.act(motion, line)) == pytest.approx(np.zeros(5), abs=1e-12)
+    assert displacements(line, 1.5 * line) == pytest.approx([1, 0.5, 0, 0.5, 1])
+    P, Q = walk(group, 20, rng), walk(group, 20, rng)
+    assert displacements(group.position(P), group.position(Q)) == pytest.approx(ate(P, Q, "rigid").distances)
+    mirrored = group.position(P) * np.r_[-1, np.ones(d - 1)]
+    assert displacements(group.position(P), mirrored).max() > 0.1

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["key_figures", "number", "verdict"]
 
 # Findings that one should know; an optimum with them is sound.
-NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.SEPARATE_PARTS}
+NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.UNVERIFIED, FindingKind.SEPARATE_PARTS}
 
 
 def number(value: float) -> str:

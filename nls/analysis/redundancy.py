@@ -1,0 +1,248 @@
+r"""Groups of loop closures that carry the map and that nothing verifies: their redundancy and external reliability.
+
+Closures whose ends are near one another at both sides say the same, and share their errors: one place taken for another
+makes all of them wrong by one motion. That model error of a group is a vector nabla of d numbers,
+
+    b = A dx + C nabla + e,    e ~ N(0, I),    C = A_j Ad(T_j^-1 T_r) in the rows of the group, 0 elsewhere.
+
+A_j are the whitened Jacobians of the later ends T_j: a common error is one rigid motion of all later ends, written at
+one pose T_r among them. With P = (A'A)^-1 the residuals of the optimum are (I - A P A') b. They determine nabla with
+the information M, a known map would with N,
+
+    N = C'C,    M = C'(I - A P A') C = N - U'P U,    U = A'C,
+
+and without whitening N = B'R^-1 B, M = N - B'R^-1 S R^-1 B: R is the covariance of the group's noise, S that of its
+predicted measurements, B their derivative by nabla. The estimate n = M^-1 C'(I - A P A') b has the statistic
+
+    t = n'M n ~ chi2(d, lambda),    lambda = nabla'M nabla.
+
+For a level and a power of the test Baarda takes the noncentrality lambda_0 that is needed; the minimal detectable bias
+is the nabla with nabla'M nabla = lambda_0. The share of a common error that the residuals show is the redundancy of
+the group as one,
+
+    r = tr(N^-1 M) / d = 1 - tr(N^-1 U'P U) / d,    0 <= r <= 1.
+
+That of the stack of k closures, tr(I - R^-1 S) / (k d), is about (k - 1) / k however wrong they are: they check each
+other. Near r = 0 the map follows the group, whatever it says. If the group is freed as one the map moves by
+
+    dx = -P U n,
+
+and without the group by as much, but for what its closures say about each other. That step ranks the groups. Those it
+moves far are left out and the graph is solved again; the numbers of the result are from there.
+
+Source: W. Baarda, "A testing procedure for use in geodetic networks", 1968, internal and external reliability;
+P. Teunissen, "Testing theory: an introduction", 2000, model errors of several dimensions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.keys import Kind
+from models import LieGroup
+from models.algebra import Array, Index
+from models.errors import UnderconstrainedError
+from nls.analysis.closure_groups import ClosureGroup, closure_groups
+from nls.covariance import Marginals
+from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
+from nls.graph import FactorGraph
+from nls.linear import factorize
+from nls.linear.singular import SingularSystemError
+from nls.linear.underconstrained import underconstrained
+from nls.metrics import displacements
+from nls.sparse.pattern import Pattern
+from nls.sparse.threads import single_thread
+from nls.starts import chordal
+from nls.system import LinearSystem
+from nls.values import Values
+
+__all__ = ["Unverified", "unverified_groups"]
+
+REDUNDANCY = 0.1  # more shows a tenth of a common error; wrong groups that carried manhattan had 1e-8 to 3e-6
+SIGMAS = 3.0  # of the motion of a pose; those groups 3.1 to 50, right groups that move a public graph by PART up to 1.5
+PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
+LINEAR = 0.5  # times both bounds: groups whose linear step is below are not solved for
+TOGETHER = 8  # groups solved for together: city10000 in half of the time
+UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
+
+
+@dataclass(frozen=True)
+class Unverified:
+    """A group of closures that carries the map and that the other measurements do not verify.
+
+    Attributes
+    ----------
+    closures : pairs (factor, measurement), the number of the factor in its graph and of the measurement in the factor.
+    names : of the closures.
+    redundancy : share of a common error of the group that the residuals show, 0 to 1.
+    meters, rms : largest and root mean square motion of the poses without the group, m; both maps aligned rigidly.
+    sigmas : largest motion of a pose without the group, in the sigmas of its position there; the gauge held.
+
+    Where the graph falls apart without the group, or something is free, meters, rms and sigmas are infinite.
+    """
+
+    closures: tuple[tuple[int, int], ...]
+    names: tuple[str, ...]
+    redundancy: float
+    meters: float
+    rms: float
+    sigmas: float
+
+
+@single_thread()
+def unverified_groups(graph: FactorGraph, values: Values) -> tuple[Unverified, ...]:
+    """Groups of closures of low redundancy without which the map moves, the largest motion first.
+
+    Parameters
+    ----------
+    graph : relative poses along trajectories, in kinds with steps from pose to pose, and closures between these. Other
+        factors take part and are not judged; poses without a position (rotations alone) are not judged either.
+    values : its optimum.
+
+    Returns
+    -------
+    groups with a redundancy below 0.1, without which a pose moves by 3 sigmas and the map by 0.5 % of its extent (rms).
+
+    Raises
+    ------
+    UnderconstrainedError
+        The measurements leave something free.
+
+    Examples
+    --------
+    Two laps of 60 poses along odometry. Ten closures that agree say that the second lap begins ten steps early:
+
+    >>> import numpy as np
+    >>> import nls, sim
+    >>> from factors import Between, Diagonal
+    >>> from nls.analysis import unverified_groups
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=60)
+    >>> x, = nls.kinds("x")
+    >>> k = np.arange(10)
+    >>> wrong = Between(x[k], x[k + 50], np.zeros((10, 3)), Diagonal(x=0.05, y=0.05, yaw=0.01))
+    >>> graph = nls.FactorGraph([world.graph.factors[0], wrong])
+    >>> (group,) = unverified_groups(graph, graph.optimize(world.start).values)
+    >>> group.names[0], len(group.closures), round(group.redundancy, 2), group.meters > 5, group.sigmas > 3
+    ('Between(x0, x50)', 10, 0.0, True, True)
+    """
+    whole = graph.pattern(values)
+    fixed = fixed_variables(graph.fixed, values)
+    pattern = whole.holding(choose_gauge("first", whole, values, fixed | ~touched_variables(whole)).held)
+    system = LinearSystem.at(pattern, values)
+    groups = list(closure_groups(pattern))
+    pairs = zip(groups, _common(values, system, groups), strict=True)
+    judged = (_judged(graph, values, pattern, group, common) for group, common in pairs)
+    return tuple(sorted((group for group in judged if group is not None), key=lambda group: -group.meters))
+
+
+@dataclass(frozen=True)
+class Common:
+    """A common error of a group, in the linear problem.
+
+    Attributes
+    ----------
+    redundancy : share of it that the residuals show.
+    t : its test statistic.
+    seen : whether the residuals show every direction of it.
+    dx : (n,) step of the map where the group is freed as one, in the seen directions.
+    """
+
+    redundancy: float
+    t: float
+    seen: bool
+    dx: Array
+
+
+def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]) -> Iterator[Common]:
+    """The equations of the module, for one group after the other."""
+    try:
+        factorization = factorize(system)
+    except SingularSystemError as error:
+        raise underconstrained(system) from error
+    for begin in range(0, len(groups), TOGETHER):
+        models = [_model(values, system, group) for group in groups[begin : begin + TOGETHER]]
+        Us = [system.A[rows].T @ C for rows, C in models]
+        PUs = np.split(
+            factorization.solve(np.concatenate(Us, axis=1)), np.cumsum([U.shape[1] for U in Us])[:-1], axis=1
+        )
+        for (rows, C), U, PU in zip(models, Us, PUs, strict=True):
+            N = C.T @ C
+            M, v = N - U.T @ PU, C.T @ system.b[rows]
+            F = _whitening(N)
+            rho, E = np.linalg.eigh(F.T @ M @ F)  # eigenvalues of N^-1 M
+            seen = rho > UNSEEN
+            along = (F @ E)[:, seen]
+            n = along @ (along.T @ v / rho[seen])
+            redundancy = float(np.clip(rho, 0, 1).mean()) if len(rho) else 1.0  # without weight it says nothing
+            yield Common(redundancy, float(n @ v), bool(seen.all()), -PU @ n)
+
+
+def _model(values: Values, system: LinearSystem, group: ClosureGroup) -> tuple[Index, Array]:
+    """The rows (m,) of a group and its C there, (m, d)."""
+    rows, blocks, T_r = [], [], None
+    for number in np.unique(group.batch):
+        members, batch = group.batch == number, system.pattern.batches[number]
+        index, late, space = group.index[members], group.late[members], batch.model.manifolds[0]
+        assert isinstance(space, LieGroup)
+        X, A = batch.gather(values), system.blocks[number]
+        T_j, A_j = (np.where(late.reshape(-1, *[1] * (Y[0].ndim - 1)), Y[1][index], Y[0][index]) for Y in (X, A))
+        T_r = T_j[:1] if T_r is None else T_r
+        blocks.append(A_j @ space.adjoint(space.compose(space.inverse(T_j), np.broadcast_to(T_r, T_j.shape))))
+        rows.append((batch.rows.start + index[:, None] * batch.model.dim + np.arange(batch.model.dim)).reshape(-1))
+    return np.concatenate(rows), np.concatenate([B.reshape(-1, B.shape[2]) for B in blocks])
+
+
+def _whitening(N: Array) -> Array:
+    """F (d, q) with F'N F = I, q the rank of N; meters and radians in units of their own."""
+    scale = 1 / np.sqrt(np.where(np.diagonal(N) > 0, np.diagonal(N), 1.0))
+    s, V = np.linalg.eigh(scale[:, None] * N * scale)
+    kept = s > UNSEEN * s.max()
+    return np.asarray(scale[:, None] * V[:, kept] / np.sqrt(s[kept]))
+
+
+def _judged(
+    graph: FactorGraph, values: Values, pattern: Pattern, group: ClosureGroup, common: Common
+) -> Unverified | None:
+    """The group, if it is not verified and the map moves without it."""
+    if common.redundancy > REDUNDANCY or (common.seen and common.t < (LINEAR * SIGMAS) ** 2):
+        return None
+    before = group.places(values)
+    extent = float(np.ptp(before, axis=0).max())
+    after = group.places(values.retract(pattern.expand(common.dx)))
+    if common.seen and np.square(displacements(before, after)).mean() < (LINEAR * PART * extent) ** 2:
+        return None
+    meters = rms = sigmas = np.inf
+    if (rest := _rest(graph, values, group)) is not None:
+        optimum, Sigma = rest
+        after = group.places(optimum)
+        moved, known = displacements(before, after), np.trace(Sigma, axis1=1, axis2=2) > 0
+        q = (before - after)[known]
+        meters, rms = float(moved.max()), float(np.sqrt(np.square(moved).mean()))
+        sigmas = float(np.sqrt((q * np.linalg.solve(Sigma[known], q[..., None])[..., 0]).sum(axis=1).max()))
+        if rms < PART * extent or sigmas < SIGMAS:
+            return None
+    closures_of = tuple(zip(group.batch.tolist(), group.index.tolist(), strict=True))
+    names = tuple(graph.factors[factor].describe(index) for factor, index in closures_of)
+    return Unverified(closures_of, names, common.redundancy, meters, rms, sigmas)
+
+
+def _rest(graph: FactorGraph, values: Values, group: ClosureGroup) -> tuple[Values, Array] | None:
+    """The optimum without a group, and covariances (n, k, k) of its positions; None where something is free."""
+    masks = [np.ones(len(factor), dtype=bool) for factor in graph.factors]
+    for number in np.unique(group.batch):
+        masks[number][group.index[group.batch == number]] = False
+    rest = graph.only(masks)
+    parts, fewer = (len(np.unique(component_labels(g.pattern(values)))) for g in (rest, graph))
+    if parts > fewer:
+        return None
+    other = chordal(rest, values)
+    try:
+        results = [rest.optimize(start) for start in ([values] if other is values else [values, other])]
+        optimum = min(results, key=lambda result: result.chi2_final).values
+        marginals = Marginals(rest, optimum)
+    except UnderconstrainedError:
+        return None
+    return optimum, np.concatenate([marginals.all(Kind(kind), view="position") for kind in group.kinds])
