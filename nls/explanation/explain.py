@@ -120,7 +120,6 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         else:
             if not free.count:
                 findings += twins(free.checked, pattern, values)
-                findings += doubts.unverified(_held(graph, whole, idle), values)
             found = suspects(_held(graph, whole, idle), free.checked.linear.pattern, values, free.checked)
             lower = graph.chi2(found.values)
             if lower < graph.chi2(values) - _little(chi2):
@@ -133,6 +132,8 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
             alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
             findings += alike + doubts.of_suspects(found, graph, whole)
             findings += [kind for kind in kinds if kind not in alike]
+            if not (free.count or alike or found.many):
+                findings += doubts.unverified(_held(graph, whole, idle), values)
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
