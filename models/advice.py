@@ -67,6 +67,8 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     # files
     "dialect": ("name the dialect", "dialect=...", "--dialect"),
     "info": "see the sigmas that a dialect would mean: nls info --dialect NAME FILE",
+    "read file": "read the file in it: {0}",
+    "mission": "give the folder, if the table belongs to a mission; its tables: docs/how-to/read-your-own-log.md",
     "repair": ("take the nearest matrix", "repair_information=True", "--repair-information"),
 }
 

@@ -1,11 +1,12 @@
-"""What an option may be: one number or one whole number, of Python or NumPy; no array, text, True or False."""
+"""What an option may be: one number or one whole number; no array, text, True or False. Names near a misspelled one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
-__all__ = ["is_number", "is_whole"]
+__all__ = ["did_you_mean", "is_number", "is_whole"]
 
 
 def is_number(value: Any) -> bool:
@@ -30,3 +31,18 @@ def is_whole(value: Any) -> bool:
     [True, True, False, False, False, False]
     """
     return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def did_you_mean(name: object, names: Iterable[str]) -> str:
+    """``; did you mean 'solve'?`` where a name is nearly one of others; empty otherwise.
+
+    Examples
+    --------
+    >>> did_you_mean("slove", ["solve", "explain"]), did_you_mean("x", ["solve"])
+    ("; did you mean 'solve'?", '')
+    """
+    from difflib import get_close_matches
+
+    known = list(names)
+    near = [other for other in known if name and other.startswith(str(name))] or get_close_matches(str(name), known, 1)
+    return f"; did you mean {near[0]!r}?" if near else ""

@@ -30,7 +30,7 @@ def explain(options: argparse.Namespace) -> int:
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)
     options.phase.doing = f"while explaining {options.file}"
-    graph = prepared(as_read, values, options)
+    graph = prepared(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)

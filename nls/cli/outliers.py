@@ -33,6 +33,7 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
         No such loss, no probability, or a start that would not be used.
     """
     import nls
+    from models.options import did_you_mean
     from nls.robust.kernels import LOSSES
 
     loss, colon, number = robust.removeprefix(PREFIX).partition(":")
@@ -42,7 +43,9 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     except ValueError as error:
         raise nls.OptionError("--robust", robust, allowed) from error
     if loss not in LOSSES or not 0 < probability < 1:
-        raise nls.OptionError("--robust", robust, allowed)
+        raise nls.OptionError(
+            "--robust", robust, allowed + did_you_mean(f"{PREFIX}{loss}", [f"{PREFIX}{name}" for name in LOSSES])
+        )
     if init != "auto":
         raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
     return nls.gnc(graph, values, loss, probability)

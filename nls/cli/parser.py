@@ -7,6 +7,8 @@ import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from models.options import did_you_mean
+
 __all__ = ["parser"]
 
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
@@ -51,6 +53,28 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         print(f"nls: {message}; see '{self.prog} --help'", file=sys.stderr)
         raise SystemExit(2)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, action.choices or ())
+            raise
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        options, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            command = getattr(options, "command", None)
+            known = self.choices_of(command)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{did_you_mean(unknown[0].split('=')[0], known)}")
+        return options
+
+    def choices_of(self, command: str | None) -> list[str]:
+        """Names of the options of a command; of the program where there is none."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction) and command in action.choices:
+                return [name for option in action.choices[command]._actions for name in option.option_strings]
+        return [name for option in self._actions for name in option.option_strings]
 
 
 class Once(argparse.Action):

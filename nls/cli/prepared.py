@@ -9,13 +9,19 @@ from nls.cli.outputs import input_name
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
     from nls.values import Values
 
 __all__ = ["prepared"]
 
 
-def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) -> FactorGraph:
+def prepared(as_read: FactorGraph, values: Values, report: LoadReport, options: argparse.Namespace) -> FactorGraph:
     """The graph under the robust kernel, with the kinds held that were asked for; the one read stays as it is.
+
+    Parameters
+    ----------
+    as_read, values, report : of the file; the report gets a note on a number that was left out.
+    options : of the command.
 
     Raises
     ------
@@ -26,6 +32,7 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
     """
     import nls
     from factors.robust import kernel_from_text
+    from models.options import did_you_mean
     from nls.cli import outliers
 
     if not as_read.factors:
@@ -38,11 +45,21 @@ def prepared(as_read: FactorGraph, values: Values, options: argparse.Namespace) 
         name, separator, kernel = options.robust.rpartition("=")
         names = list(dict.fromkeys(factor.name for factor in graph.factors))
         if separator and name not in names:
-            raise nls.OptionError("--robust", name, "no type, or one of those in the graph: " + ", ".join(names))
+            raise nls.OptionError(
+                "--robust",
+                name,
+                "no type, or one of those in the graph: " + ", ".join(names) + did_you_mean(name, names),
+            )
         robust = kernel_from_text(kernel)
+        if ":" not in kernel:
+            report.notes.append(
+                f"--robust {options.robust}: taken as {kernel}:{robust.c:g}, 95 % efficient without outliers"
+            )
         graph.factors = [f.robust(robust) if name in ("", f.name) else f for f in graph.factors]
     for kind in options.hold:
         if kind not in values.stacks:
-            raise nls.OptionError("--hold", kind, "one of the kinds " + ", ".join(values.stacks))
+            raise nls.OptionError(
+                "--hold", kind, "one of the kinds " + ", ".join(values.stacks) + did_you_mean(kind, values.stacks)
+            )
         graph.fix(nls.Keys(kind, values.stack(kind).numbers))
     return graph

@@ -87,7 +87,7 @@ def _read(job: Job) -> None:
         if job.form and job.form != job.report.format:
             refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
-        job.graph = prepared(job.as_read, job.values, options)
+        job.graph = prepared(job.as_read, job.values, job.report, options)
         job.clock.lap("read")
         _start(job)
         job.chi2_read = _chi2_read(job)

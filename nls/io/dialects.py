@@ -175,11 +175,11 @@ def _listed(names: set[str]) -> str:
 
 def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: list[Format]) -> GraphFileError:
     """The error for a file without any line of a graph."""
-    unknown = [tag for tag in tags if tag != b"FIX"]
+    unknown, advice = [tag for tag in tags if tag != b"FIX"], []
     if unknown:
         line, word = int(tags[unknown[0]][0]), unknown[0]
         if b"," in text.line(line):
-            what = "is no graph but a table, its numbers separated by commas"
+            what, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission")]
         elif word.lstrip(b"+-.")[:1].isdigit():
             what = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
         else:
@@ -194,4 +194,4 @@ def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: l
     if len(formats) == 1:
         named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None)
         wanted = f"{named} (dialect {formats[0].name})"
-    return text.error(f"{what}; expected lines such as {wanted}", line)
+    return text.error(f"{what}; expected lines such as {wanted}", line, advice)

@@ -84,7 +84,7 @@ def test_kernels_and_kinds_that_are_held_as_in_solve(tmp_path: Path, capsys: Cap
     for options, said in (
         (["--robust", "gnc-tls"], "expected a kernel, such as cauchy:1; nls solve has gnc-tls"),
         (["--hold", "q"], "expected one of the kinds x"),
-        (["--robust", "huber"], "'huber' is not possible"),
+        (["--robust", "dcs"], "'dcs' is not possible"),
     ):
         assert main(["explain", str(path), *options]) == 2
         assert said in capsys.readouterr().err

@@ -161,7 +161,7 @@ def test_the_cure_is_named_as_it_is_typed(tmp_path: Path, capsys: Captured) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--robust", "huber"], "robust: 'huber' is not possible; expected one of huber:NUMBER"),
+        (["--robust", "dcs"], "robust: 'dcs' is not possible; expected one of huber:NUMBER"),
         (["--robust", "huber:-1"], "Huber(c): -1.0 is not possible"),
         (["--robust", "magic:1"], "robust: 'magic:1' is not possible"),
         (["--robust", "huber:1", "--robust", "cauchy:1"], "--robust is given twice; expected one"),
@@ -179,3 +179,46 @@ def test_mistakes_are_one_line(arguments: list[str], message: str, tmp_path: Pat
     assert err.count("\n") == 1
     assert message in err
     assert "internal error" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "near"),
+    [
+        (["slove", "FILE"], "solve"),
+        (["solve", "FILE", "--gauge", "frist"], "first"),
+        (["solve", "FILE", "--method", "gauss"], "gauss-newton"),
+        (["solve", "FILE", "--robust", "hubre:1"], "huber"),
+        (["solve", "FILE", "--robust", "Betwen=huber"], "Between"),
+        (["solve", "FILE", "--robust", "gnc-tsl"], "gnc-tls"),
+        (["explain", "FILE", "--certfy"], ""),
+        (["solve", "FILE", "--certfy"], "--certify"),
+        (["solve", "FILE", "--linear-solver", "zzz"], ""),
+    ],
+)
+def test_a_misspelled_name_has_its_neighbor(arguments: list[str], near: str, tmp_path: Path, capsys: Captured) -> None:
+    file = str(write(tmp_path, PLANE))
+    assert main([file if word == "FILE" else word for word in arguments]) == 2
+    err = capsys.readouterr().err
+    assert (f"; did you mean '{near}'?" in err) if near else ("did you mean" not in err)
+
+
+def test_a_kernel_without_its_number_gets_the_efficient_one(tmp_path: Path, capsys: Captured) -> None:
+    file = str(write(tmp_path, PLANE))
+    assert main(["solve", file, "--robust", "huber"]) == 0
+    short = capsys.readouterr().out
+    assert "note        --robust huber: taken as huber:1.345, 95 % efficient without outliers" in short
+    assert main(["solve", file, "--robust", "huber:1.345"]) == 0
+    long = capsys.readouterr().out
+    assert [line for line in long.splitlines() if line.startswith("result")] == [
+        line for line in short.splitlines() if line.startswith("result")
+    ]
+    for kernel in ("dcs", "huber:", "geman-mcclure"):
+        assert main(["solve", file, "--robust", kernel]) == 2
+
+
+def test_a_folder_with_a_graph_and_a_table_alone_are_told_apart(tmp_path: Path, capsys: Captured) -> None:
+    write(tmp_path, PLANE)
+    assert main(["solve", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith(f"\n  -> read the file in it: {tmp_path / 'graph.g2o'}\n")
+    assert main(["solve", str(write(tmp_path, "a,b\n1,2\n", "log.csv"))]) == 2
+    assert "\n  -> give the folder, if the table belongs to a mission" in capsys.readouterr().err

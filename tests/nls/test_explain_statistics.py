@@ -13,11 +13,11 @@ from factors import XYH, Between, Cauchy, Diagonal, Factor, Information, Isotrop
 from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, Marginals, Values
+from nls.analysis import suspects
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import freedom
 from nls.analysis.leave_one_out import checks
 from nls.analysis.linearization import Checked, Linearization
-from nls.analysis import suspects
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import factorize
 from tests.nls.graphs import ODD, informations, pose_graph, x

@@ -6,7 +6,9 @@ import os
 from difflib import get_close_matches
 from pathlib import Path
 
+from models.advice import Advice
 from models.errors import GraphFileError
+from nls.io.dialects import SUFFIXES
 from nls.io.mission.columns import COLUMNS, LOG, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
@@ -68,7 +70,9 @@ def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
     if not files & {*TRACK, *LOG}:
         found = f"it has {_listed(sorted(files) + others)}" if files or others else "it is empty"
-        raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {found}", folder)
+        graphs = [name for name in others if Path(name.removesuffix(".gz")).suffix in SUFFIXES]
+        advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
+        raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {found}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, "dvl_mount"}):
         raise GraphFileError(
             f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; leave either the integrated "
