@@ -13,6 +13,7 @@ from models.advice import Advice, listed
 
 __all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number", "some"]
 
+SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 5  # of a list
 
 
@@ -219,6 +220,7 @@ class Explanation:
     def record(self) -> dict[str, Any]:
         """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""
         return {
+            "schema": SCHEMA,
             "summary": self.summary,
             "variables": self.variables,
             "unknowns": self.unknowns,
