@@ -11,9 +11,11 @@ from models.advice import listed
 from nls.cli import outliers
 
 if TYPE_CHECKING:
+    from nls.graph import FactorGraph
     from nls.optimizers import Result
+    from nls.values import Values
 
-__all__ = ["asking", "doubts"]
+__all__ = ["asking", "doubts", "separate_parts"]
 
 ABOVE = 1.96  # sigmas: 2.5 % of all right graphs, the bound of `nls.explain`
 
@@ -46,6 +48,19 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
 def _named(file: str) -> str:
     """A file name that is not taken for an option; standard input is none."""
     return f"./{file}" if file.startswith("-") and file != "-" else file
+
+
+def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
+    """The note on parts that no measurement joins, of a graph that has several."""
+    from nls.gauge import choose_gauge, component_labels, fixed_variables
+
+    pattern = graph.pattern(values)
+    if not component_labels(pattern).any():  # one part, beginning with the first variable
+        return []
+    from nls.explanation.parts import separate_parts
+
+    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
+    return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
 def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:

@@ -16,10 +16,11 @@ SHOWN = 12  # free directions in the table
 def record_of(job: Job) -> dict[str, Any]:
     """The report for programs, without the names of the files that are written."""
     import nls
-    from nls.cli.hint import doubts
+    from nls.cli.hint import doubts, separate_parts
     from nls.cli.timing import peak_rss_mb
 
     options, result, report, told = job.options, job.result, job.report, job.told()
+    parts = separate_parts(job.graph, result.values)
     return {
         "input": report.path,
         "format": report.format,
@@ -51,7 +52,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "underconstrained": list(result.underconstrained),
         "written": options.phase.written,
         "unwritten": [error.message for error in job.failed],
-        "notes": report.notes + doubts(result, options, options.phase.written),
+        "notes": report.notes + parts + doubts(result, options, options.phase.written),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }

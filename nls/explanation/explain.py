@@ -21,6 +21,7 @@ from nls.covariance.frames import axes, turned
 from nls.explanation import doubts
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
+from nls.explanation.parts import moving, separate_parts
 from nls.explanation.twins import twins
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
@@ -93,10 +94,9 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
     free = freedom(graph.factors, pattern, values)
-    moving = _moving(pattern)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
-    findings += _parts_of_the_graph(pattern, moving, gauge.held & ~gauge.fixed)
+    findings += separate_parts(pattern, gauge)
     chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
     dof = measured_rows(pattern) - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
@@ -142,7 +142,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         unknowns=pattern.n,
         measurements=len(graph),
         rows=measured_rows(pattern),
-        components=_sizes(pattern, moving),
+        components=_sizes(pattern, moving(pattern)),
         gauge=gauge.said,
         nullity=free.count,
         capped=free.more,
@@ -182,18 +182,9 @@ def _held(graph: FactorGraph, pattern: Pattern, idle: Mask) -> FactorGraph:
     return FactorGraph(graph.factors, [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(idle))])
 
 
-def _moving(pattern: Pattern) -> Mask:
-    """(V,) what moves when everything does: touched by a factor, and no calibration."""
-    moving = touched_variables(pattern)
-    for batch in pattern.batches:
-        for slot in batch.model.factor.unmoved:
-            moving[batch.variables[slot]] = False
-    return moving
-
-
-def _sizes(pattern: Pattern, moving: Mask) -> tuple[int, ...]:
+def _sizes(pattern: Pattern, moved: Mask) -> tuple[int, ...]:
     """Variables of every connected part, the largest first."""
-    sizes = np.bincount(component_labels(pattern)[moving])
+    sizes = np.bincount(component_labels(pattern)[moved])
     return tuple(np.sort(sizes[sizes > 0])[::-1].tolist())
 
 
@@ -203,18 +194,6 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
     keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
     them = "it" if len(keys) == 1 else "them"
     return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (them,))))]
-
-
-def _parts_of_the_graph(pattern: Pattern, moving: Mask, gauge: Mask) -> list[Finding]:
-    """Parts that nothing joins, where not all of them have a place of their own; the largest first."""
-    label = component_labels(pattern)
-    names, first, sizes = np.unique(label[moving], return_index=True, return_counts=True)
-    if len(names) < 2 or not gauge.any():
-        return []
-    order = np.argsort(-sizes, kind="stable")
-    keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(moving)[first[order]])
-    numbers = {"variables": tuple(sizes[order].tolist())}
-    return [Finding(FindingKind.SEPARATE_PARTS, keys, numbers, (Advice("join"), Advice("split")))]
 
 
 def _parts(

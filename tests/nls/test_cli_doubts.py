@@ -205,3 +205,20 @@ def test_what_a_file_holds_fixed_is_held_by_both_commands(tmp_path: Path, capsys
     for command in ("solve", "explain"):
         assert main([command, file]) == 0
         assert "gauge: fixed by the graph itself" in capsys.readouterr().out
+
+
+def test_parts_that_nothing_joins_are_a_note_of_solve(tmp_path: Path, capsys: Captured) -> None:
+    part = "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n"
+    assert main(["solve", str(write(tmp_path, PLANE + part))]) == 0
+    notes = labelled(capsys.readouterr().out, "note")
+    assert (
+        sum(
+            note.startswith("the graph has 2 parts that no measurement joins (4 with x0, 2 with x10)") for note in notes
+        )
+        == 1
+    )
+    assert main(["solve", str(write(tmp_path, PLANE))]) == 0
+    assert "parts" not in capsys.readouterr().out
+    held = PLANE + part + "FIX 0\nFIX 10\n"
+    assert main(["solve", str(write(tmp_path, held))]) == 0
+    assert "parts" not in capsys.readouterr().out
