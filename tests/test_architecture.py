@@ -29,6 +29,7 @@ RIM = (
     "degeneracy",
     "observability",
     "certificate",
+    "analysis",
     "explanation",
     "__main__",
 )

@@ -1,0 +1,1 @@
+"""Numbers about a graph at some values, without sentences: one question a file."""
