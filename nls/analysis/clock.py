@@ -1,0 +1,176 @@
+r"""A clock offset between two sensors: one kind of measurement says where the vehicle was a moment before or after.
+
+A measurement z made at time t + dt and attached to the pose of time t has the residual
+
+    b = A dx + dt A_x v + noise          v the velocity of the pose in its tangent space, A_x the block of the pose
+
+which is one unknown more. With a = A_x v over the rows of a kind, e = b - A dx what the fit leaves, P = (A'A)^-1,
+
+    s = a'a - (A'a)' P (A'a),   dt = a'e / s,   sigma = s^(-1/2),   fall of chi2 = (a'e)^2 / s  ~  chi2(1)
+
+the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). The velocity is the central difference
+of poses that follow each other in number, per step or per second. Sigma and fall are scaled by chi2 / dof of the kind
+where that is above 1. The equation is linear in dt: of an offset of many steps it gives the sign and about the size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2, SE3, LieGroup
+from models.algebra import Array, apply
+from nls.chi_squared import chi2_tail
+from nls.explanation.linear import Checked
+from nls.explanation.statistics import Tested, checks, kinds_of
+from nls.values import Stack, Values
+
+__all__ = ["ClockOffset", "clock_offsets", "velocities"]
+
+UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
+LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock
+CAUSE = 0.5  # of what chi2 of the kind is above its expectation
+KNOWN = 1e-6  # s / a'a below which the motion is too even to tell an offset from a shift
+MANY = 6  # measurements of a kind
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """A kind of measurement that was made before or after the poses it is attached to.
+
+    Attributes
+    ----------
+    kind : name of the type of measurement.
+    factors : numbers of the factors.
+    dt : offset: the measurement is of the time of its pose plus dt; in steps, or s where times are given.
+    sigma : of dt.
+    fall : of chi2, when dt is estimated with everything else.
+    chi2, expected : of the kind without it.
+    chance : of such a fall in one of the kinds that were tested, if there is no offset.
+    seconds : whether dt is in seconds.
+    """
+
+    kind: str
+    factors: tuple[int, ...]
+    dt: float
+    sigma: float
+    fall: float
+    chi2: float
+    expected: float
+    chance: float
+    seconds: bool
+
+
+def clock_offsets(
+    checked: Checked, values: Values, count: int, times: Mapping[str, npt.ArrayLike] | None = None
+) -> tuple[ClockOffset, ...]:
+    """Kinds of measurements whose residuals go with the velocity of the vehicle.
+
+    Parameters
+    ----------
+    checked : every measurement against all others, at the optimum.
+    values : the optimum.
+    count : number of factors of the graph; further ones of `checked` hold what is free.
+    times : of the poses by the name of their kind, (n,) in the order of `values`, s; pose numbers when omitted.
+
+    Returns
+    -------
+    tuple of ClockOffset
+        The largest fall of chi2 first. One offset may show in several kinds: the residuals are those of one fit.
+
+    Notes
+    -----
+    Measurements of one pose and of points or nothing else are tested. At constant velocity in the axes of the body a
+    forgotten lever arm ahead looks the same: dt times the speed.
+    """
+    speeds = {name: velocities(stack, None if times is None else times.get(name)) for name, stack in _tracks(values)}
+    tests = checks(checked, count)
+    kinds = {
+        name: [k for k, _ in kind]
+        for name, kind in kinds_of(checked.linear.pattern, count).items()
+        if sum(len(which) for _, which in kind) >= MANY and all(_attached(checked, k, speeds) for k, _ in kind)
+    }
+    offsets = []
+    for name, factors in kinds.items():
+        offset = _offset(checked, tests, name, factors, speeds, len(kinds), times is not None)
+        if offset is not None and offset.chance <= UNLIKELY:
+            offsets.append(offset)
+    return tuple(sorted(offsets, key=lambda offset: -offset.fall))
+
+
+def velocities(stack: Stack, times: npt.ArrayLike | None = None) -> tuple[Array, float]:
+    """Velocity of every pose (n, dim) in its tangent space, and the duration of the track.
+
+    .. math:: v_k = \\mathrm{Log}(x_{k-1}^{-1} x_{k+1}) / (t_{k+1} - t_{k-1})
+
+    Parameters
+    ----------
+    stack : poses; the order of their numbers is that of time.
+    times : (n,), s, in the order of the stack; the places in the order of time when omitted.
+
+    Examples
+    --------
+    >>> velocities(Stack("x", SE2, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.arange(3)))[0].tolist()
+    [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    """
+    group = stack.manifold
+    assert isinstance(group, LieGroup)
+    order = np.argsort(stack.numbers, kind="stable")
+    n = len(order)
+    t = np.arange(n, dtype=float) if times is None else np.asarray(times, dtype=float)[order]
+    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
+    apart = t[after] - t[before]
+    moving = apart > 0
+    v = np.zeros((n, group.dim))
+    step = group.log(group.between(stack.X[order[before]], stack.X[order[after]]))
+    v[order] = np.where(moving[:, None], step / np.where(moving, apart, 1.0)[:, None], 0.0)
+    return v, float(np.ptp(t))
+
+
+def _tracks(values: Values) -> list[tuple[str, Stack]]:
+    """Kinds of poses that have a velocity."""
+    return [(n, s) for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MANY]
+
+
+def _attached(checked: Checked, k: int, speeds: Mapping[str, object]) -> bool:
+    """Whether measurements are of one moving pose, and of points or nothing else."""
+    return [kind in speeds for kind in checked.linear.pattern.batches[k].kinds].count(True) == 1
+
+
+def _offset(
+    checked: Checked,
+    tests: list[Tested],
+    name: str,
+    factors: list[int],
+    speeds: Mapping[str, tuple[Array, float]],
+    tries: int,
+    seconds: bool,
+) -> ClockOffset | None:
+    """The offset of one kind; None where the motion does not show it, or it explains nothing."""
+    pattern = checked.linear.pattern
+    products = [[np.zeros((len(b), m.dim)) for m in b.model.manifolds] for b in pattern.batches]
+    score = size = chi2 = dof = duration = 0.0
+    for k in factors:
+        batch, w = pattern.batches[k], checked.w[k]
+        (slot,) = (s for s, kind in enumerate(batch.kinds) if kind in speeds)
+        v, lasts = speeds[batch.kinds[slot]]
+        a = apply(checked.linear.A[k][slot], v[batch.index[slot]])
+        products[k] = [w[:, None] * np.vecmat(a, A) for A in checked.linear.A[k]]
+        score += float((w[:, None] * a * checked.e[k]).sum())
+        size += float((w[:, None] * a * a).sum())
+        chi2 += float((w * np.square(checked.e[k]).sum(axis=1)).sum())
+        dof += float(tests[k].dof.sum())
+        duration = max(duration, lasts)
+    g = pattern.by_column(products)
+    s = size - float(g @ checked.factorization.solve(g))
+    if not s > KNOWN * size:
+        return None
+    dt, fall = score / s, score**2 / s
+    scale = max(1.0, (chi2 - fall) / max(dof - 1, 1.0))
+    chance = min(1.0, tries * float(chi2_tail(np.array(fall / scale), np.array(1))))
+    if abs(dt) > LONGEST * duration or fall < CAUSE * (chi2 - dof):
+        return None
+    return ClockOffset(name, tuple(factors), dt, (scale / s) ** 0.5, fall, chi2, dof, chance, seconds)
