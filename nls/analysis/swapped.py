@@ -128,8 +128,8 @@ def _doubtful(graph: FactorGraph, values: Values, tests: Sequence[Tested] | None
             t, m = tests[k].t, tests[k].m
         wrong = (chi2_tail(t, m) * count <= UNLIKELY) & ~np.array(factor.limit_only)
         of_kind = doubt.setdefault(factor.keys[1].kind, {})
-        for number, t in zip(factor.keys[1].numbers[wrong].tolist(), t[wrong].tolist(), strict=True):
-            of_kind[number] = of_kind.get(number, 0.0) + t
+        for number, distance in zip(factor.keys[1].numbers[wrong].tolist(), t[wrong].tolist(), strict=True):
+            of_kind[number] = of_kind.get(number, 0.0) + distance
     pairs = []
     for kind, of_kind in doubt.items():
         worst = sorted(of_kind, key=lambda number: -of_kind[number])[:WORST]
