@@ -63,11 +63,11 @@ def offsets(graph: FactorGraph, values: Values, times: Array | None = None) -> t
 def test_an_offset_is_estimated(sensor: str, kind: str, dt: float, seed: int) -> None:
     graph, start = survey(seed, dt, sensor)
     values = optimum(graph, start)
-    first = offsets(graph, values)[0]
+    (first,) = offsets(graph, values)
     assert first.kind == kind
     assert first.dt == pytest.approx(dt, rel=0.25, abs=4 * first.sigma)
     assert first.chance < 1e-6
-    timed = offsets(graph, values, 0.5 * np.arange(N))[0]
+    (timed,) = offsets(graph, values, 0.5 * np.arange(N))
     assert timed.seconds
     assert timed.dt == pytest.approx(first.dt / 2)
     assert timed.sigma == pytest.approx(first.sigma / 2)
