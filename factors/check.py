@@ -9,7 +9,7 @@ import numpy as np
 
 from factors.base import Factor, Model
 from factors.differences import EPS, FIRST, SAFE, derivative, sizes
-from factors.noise import whiten
+from factors.noise import square, whiten
 from models.algebra import Array
 from models.errors import GraphWarning, JacobianError
 
@@ -45,7 +45,8 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     Raises
     ------
     JacobianError
-        With the worst entry, both values, and the likely cause (sign, transpose, degrees, factor of 2).
+        With the worst entry, both values, and the likely cause (sign, transpose, transposed rotation, degrees, factor
+        of 2).
 
     Warns
     -----
@@ -95,7 +96,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
             raise JacobianError(
                 f"{factor.describe(n)}: whitened Jacobian, residual row {row}, component "
                 f"{manifold.components[d]} of {factor.keys[slot][[n]]}: analytic {analytic:.9g}, central "
-                f"difference {other:.9g} +- {error[n, row, d]:.1g}{_likely_cause(A_k, numeric)}",
+                f"difference {other:.9g} +- {error[n, row, d]:.1g}{_likely_cause(A_k, numeric, model.W)}",
                 factor.name,
                 (slot, n, row, d),
                 analytic,
@@ -120,8 +121,14 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     return worst
 
 
-def _likely_cause(A: Array, numeric: Array) -> str:
-    """What students most often got wrong, when it explains the whole Jacobian or one of its columns."""
+def _likely_cause(A: Array, numeric: Array, W: Array) -> str:
+    """The mistake students most often make that explains the whole Jacobian or one of its columns.
+
+    Parameters
+    ----------
+    A, numeric : (n, m, d) whitened Jacobians, analytic and by differences.
+    W : the whitener.
+    """
     causes = {
         "the sign is flipped": -numeric,
         "it is in degrees, or radians are taken for degrees": np.deg2rad(numeric),
@@ -134,6 +141,8 @@ def _likely_cause(A: Array, numeric: Array) -> str:
         causes["it is transposed"] = numeric.mT
     if d in (3, 6):  # SE(2), SE(3)
         causes["its columns are in another order (translation comes first)"] = np.roll(numeric, d // 2, axis=-1)
+    if (turned := _rotations_transposed(numeric, W)) is not None:
+        causes["a rotation in it is transposed"] = turned
     for cause, candidate in causes.items():
         if np.allclose(A, candidate, rtol=1e-4, atol=1e-6):
             return f"; likely: {cause}"
@@ -142,3 +151,25 @@ def _likely_cause(A: Array, numeric: Array) -> str:
         if wrong.any() and columns[wrong].all():
             return f"; likely, in column(s) {np.flatnonzero(wrong).tolist()}: {cause}"
     return ""
+
+
+def _rotations_transposed(numeric: Array, W: Array) -> Array | None:
+    """A whitened Jacobian W H with the rotations among the blocks of H transposed; None where there is none.
+
+    H has rotations of vectors, in space (3, 3) or in the plane (2, 2), at rows and columns that are multiples of 3 or
+    2. Whitening spoils them, so it is undone.
+    """
+    W = square(W)
+    if (np.linalg.det(W) == 0).any():
+        return None
+    H = np.asarray(np.linalg.solve(W, numeric), dtype=float)
+    for k in (3, 2):
+        turned = H.copy()
+        for row in range(0, H.shape[1] - k + 1, k):
+            for column in range(0, H.shape[2] - k + 1, k):
+                block = H[:, row : row + k, column : column + k]
+                if np.allclose(block @ block.mT, np.eye(k), atol=1e-6):
+                    turned[:, row : row + k, column : column + k] = block.mT
+        if not np.allclose(turned, H, atol=1e-6):
+            return whiten(W, turned)
+    return None

@@ -16,7 +16,7 @@ from factors import Factor, Isotropic
 from models import LINE, SE2, SE3, SO2, SO3, Measured, R, errors
 from models.sensors import DIDSON_HIGH, HOLOOCEAN_DVL, Camera, SingularAt
 from nls import filters
-from nls.analysis import helpful_motions, landmark_information, observability
+from nls.analysis import Unverified, helpful_motions, landmark_information, observability
 from nls.covariance import Marginals
 from nls.io.weights import AsRead
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
@@ -116,6 +116,7 @@ def things(folder: Path) -> dict[str, Any]:
         "certificate": nls.certify(ring.graph, result.values),
         "robustified": nls.gnc(ring.graph, ring.start),
         "observability": observability(fixed, seen, s[0]),
+        "unverified": Unverified(((0, 1),), ("Between(x0, x9)",), 0.01, 2.0, 1.0, 5.0),
         "landmarks": landmark_information(sea.graph, sea.truth, "l"),
         "motions": helpful_motions(pings, nls.Values({x: (SE2, seen[x][:2]), l: (R(2), seen[l])}), l[0]),
         "worlds": [ring, sea, lines, rig, rig.errors(rig.start), mission],

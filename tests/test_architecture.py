@@ -30,6 +30,7 @@ RIM = (
     "analysis",
     "sonar",
     "certificate",
+    "analysis",
     "explanation",
     "__main__",
 )

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import Between, BetweenSensors, Cauchy, Huber
+from factors import Cauchy, Huber
 from factors.base import Factor
 from factors.function import FunctionFactor
 from models.advice import Advice
 from nls.analysis.chi_squared import chi2_tail
-from nls.analysis.leave_one_out import Tested, measuring
+from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
 from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.explanation.offers import certifies, graduates
@@ -45,6 +46,14 @@ EXACT = 1e-6  # chi2 per degree of freedom of measurements that somebody made up
 TURN = 0.6  # rad
 OFF = 0.01  # weight of a measurement that counts no more
 SOME = 5  # measurements of a finding that are named
+CURES = {  # action by reading
+    "exchanged": "swap",
+    "transposed": "transpose",
+    "mirrored": "mirror",
+    "y flipped": "flip",
+    "z flipped": "flip",
+    "x, y exchanged": "flip",
+}
 
 
 def measurement(factor: Factor, index: int, values: Values, t: float, chance: float) -> Measurement:
@@ -75,8 +84,16 @@ def taken_out(found: Suspects, graph: FactorGraph, pattern: Pattern, values: Val
     return tuple(out)
 
 
-def of_suspects(found: Suspects, graph: FactorGraph, pattern: Pattern) -> list[Finding]:
-    """One finding for every measurement that was taken out, or one for all where they are many."""
+def of_suspects(
+    found: Suspects, graph: FactorGraph, pattern: Pattern, readings: Mapping[tuple[int, int], tuple[str, ...]]
+) -> list[Finding]:
+    """One finding for every measurement that was taken out, or one for all where they are many.
+
+    Parameters
+    ----------
+    found, graph, pattern : the suspects, of which graph.
+    readings : under which a suspect fits the others, by its place.
+    """
     if not found.places:
         return []
     names = tuple(graph.factors[k].describe(i) for k, i in found.places)
@@ -91,31 +108,23 @@ def of_suspects(found: Suspects, graph: FactorGraph, pattern: Pattern) -> list[F
     out = []
     for (k, i), name in zip(found.places, names, strict=True):
         factor, rivals = graph.factors[k], found.rivals[k, i]
-        closure, turned = bool(closures(pattern.batches[k], pattern)[i]), _turned(factor, i, found)
+        closure, read = bool(closures(pattern.batches[k], pattern)[i]), readings.get((k, i), ())
         numbers: dict[str, Any] = {
             "factor": name,
             "sigmas": float(np.sqrt(found.tests[k].t[i])),
             "rivals": rivals[0],
             "rival": "" if rivals[1] is None else graph.factors[rivals[1][0]].describe(rivals[1][1]),
-            "turned": turned,
+            "readings": read,
         }
         if (k, i) == found.places[-1]:
             numbers |= {"removed": len(names), "chi2_without": found.chi2, "dof_without": found.dof}
         doubtful = (Advice("inspect", ("it",)), Advice("remove", ("it",)), Advice.robust("Cauchy", 1))
         kind = FindingKind.WRONG_CLOSURE if closure else FindingKind.OUTLIER
         keys = tuple(keys[[i]] for keys in factor.keys)
-        out.append(Finding(kind, keys, numbers, (Advice("swap"),) if turned else doubtful, ((k, i),)))
+        out.append(
+            Finding(kind, keys, numbers, tuple(Advice(CURES[reading]) for reading in read) or doubtful, ((k, i),))
+        )
     return out
-
-
-def _turned(factor: Factor, index: int, found: Suspects) -> bool:
-    """Whether the measurement fits with its variables exchanged."""
-    if not isinstance(factor, Between | BetweenSensors) or len(factor.keys) != 2:
-        return False
-    one = factor[[index]]
-    one.keys = one.keys[::-1]
-    rows = measuring(found.values.gather(one)[0])[0]
-    return bool(chi2_tail(one.chi2(found.values), np.array([rows]))[0] >= UNLIKELY)
 
 
 def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> list[Finding]:

@@ -18,7 +18,7 @@ from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
-from nls.explanation import doubts
+from nls.explanation import causes, doubts
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
 from nls.explanation.parts import moving, separate_parts
@@ -96,7 +96,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     free = freedom(graph.factors, pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
-    findings += separate_parts(pattern, gauge)
+    findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)
     chi2 = sum(float(factor.chi2(values).sum()) for factor in graph.factors)
     dof = measured_rows(pattern) - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
@@ -120,7 +120,8 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         else:
             if not free.count:
                 findings += twins(free.checked, pattern, values)
-            found = suspects(_held(graph, whole, idle), free.checked.linear.pattern, values, free.checked)
+            held = _held(graph, whole, idle)
+            found = suspects(held, free.checked.linear.pattern, values, free.checked)
             lower = graph.chi2(found.values)
             if lower < graph.chi2(values) - _little(chi2):
                 findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
@@ -130,10 +131,11 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
                 found = replace(found, places=[])  # where most are off, it is not these
                 kinds = doubts.of_parts(parts, found, graph)
             alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-            findings += alike + doubts.of_suspects(found, graph, whole)
+            findings += _causes(held, values, free, tests, found, alike)
+            findings += alike + doubts.of_suspects(found, graph, whole, causes.readings(free, found))
             findings += [kind for kind in kinds if kind not in alike]
             if not (free.count or alike or found.many):
-                findings += doubts.unverified(_held(graph, whole, idle), values)
+                findings += doubts.unverified(held, values)
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
@@ -159,6 +161,18 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         chi2_without=None if found is None or not found.places else (found.chi2, found.dof),
         weakest=weakest,
     )
+
+
+def _causes(
+    graph: FactorGraph, values: Values, free: Freedom, tests: list[Tested], found: Suspects, alike: list[Finding]
+) -> list[Finding]:
+    """What explains a chi2 that noise does not: a reading, else an exchange of landmarks, else a clock."""
+    findings: list[Finding] = []
+    if alike or found.many:
+        findings = causes.misread(graph, values)
+    if not findings and (alike or found.places):
+        findings = causes.exchanged_landmarks(graph, values, tests)
+    return findings or causes.shifted_clocks(free, values, len(graph.factors))
 
 
 def _little(chi2: float) -> float:

@@ -104,6 +104,49 @@ def _separate_parts(f: Finding) -> str:
     )
 
 
+READINGS = {
+    "exchanged": "with its two variables exchanged",
+    "transposed": "with its rotation transposed",
+    "mirrored": "with the other sign of its angle",
+    "y flipped": "with the y axis flipped",
+    "z flipped": "with the z axis flipped",
+    "x, y exchanged": "with x and y exchanged",
+}
+
+
+def _misread(f: Finding) -> str:
+    n = f.numbers
+    ways = " or ".join(f"{kind} {READINGS[reading]}" for kind, reading in n["readings"])
+    return (
+        f"chi2 falls from {number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected, when "
+        f"measurements are read otherwise: {ways}"
+    )
+
+
+def _swapped(f: Finding) -> str:
+    n, (first, second) = f.numbers, f.keys
+    return (
+        f"{first!r} and {second!r} are one another in {n['sightings']} sightings: exchanged, chi2 falls from "
+        f"{number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected"
+    )
+
+
+def _clock(f: Finding) -> str:
+    n = f.numbers
+    when = "after" if n["dt"] > 0 else "before"
+    return (
+        f"{n['kind']} was measured {abs(n['dt']):.3g} +- {n['sigma']:.2g} steps {when} its poses: chi2 falls by "
+        f"{number(n['fall'])} with that offset, the chance of which is {n['chance']:.1g}"
+    )
+
+
+def _outsized(f: Finding) -> str:
+    n = f.numbers
+    unit, others = (" m", "the median is") if n["quantity"] == "length" else ("", "the largest of the others is")
+    quantity = f"{n['quantity']} of {n['component']}" if n["component"] else n["quantity"]
+    return f"{n['factor']}: its {quantity} is {n['value']:.3g}{unit}, {others} {n['others']:.3g}{unit}"
+
+
 def _systematic(f: Finding) -> str:
     kinds = some([f"{name} (the middle one {typical:.2g} times too far)" for name, typical in f.numbers["kinds"]])
     return (
@@ -122,8 +165,8 @@ def _doubtful(f: Finding) -> str:
     if "removed" in n:
         them = "it" if n["removed"] == 1 else f"these {n['removed']}"
         text += f"; without {them} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
-    if n["turned"]:
-        text += f". It fits when it is read from {f.keys[1]!r} to {f.keys[0]!r}: are i and j swapped?"
+    if n["readings"]:
+        text += f". It fits {' or '.join(READINGS[reading] for reading in n['readings'])}"
     return text
 
 
@@ -204,6 +247,10 @@ SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.FREE: _free,
     FindingKind.UNMEASURED: _unmeasured,
     FindingKind.SEPARATE_PARTS: _separate_parts,
+    FindingKind.MISREAD: _misread,
+    FindingKind.SWAPPED: _swapped,
+    FindingKind.CLOCK: _clock,
+    FindingKind.OUTSIZED: _outsized,
     FindingKind.SYSTEMATIC: _systematic,
     FindingKind.WRONG_CLOSURE: _doubtful,
     FindingKind.OUTLIER: _doubtful,

@@ -17,11 +17,13 @@ __all__ = ["SNAPSHOT", "sentences"]
 SNAPSHOT = Path(__file__).with_name("sentences.txt")
 x, l = nls.kinds("x", "l")
 FREE = {"moved": "alone", "directions": ("range",), "seen_from": ("x0",), "seen_once": True}
-DOUBT = {"factor": "Between(x3, x9)", "sigmas": 12.3, "rivals": 0, "rival": "", "turned": False}
+DOUBT = {"factor": "Between(x3, x9)", "sigmas": 12.3, "rivals": 0, "rival": "", "readings": ()}
 REMOVED = {"removed": 2, "chi2_without": 31.4, "dof_without": 30.0}
 PART = {"kind": "Between", "without": 0, "chi2": 400.0, "expected": 100.0, "typical": 2.1}
 GROUP = ("Between(x3, x9)", "Between(x4, x10)")
 CARRIED = {"factors": GROUP, "redundancy": 0.01, "meters": 12.0, "rms": 4.0, "sigmas": 40.0}
+FALL = {"chi2": 4000.0, "chi2_otherwise": 110.0, "dof": 100}
+OUT = {"factor": "Between(x3, x4)", "value": 1e9, "others": 1.0}
 FINDINGS = (
     Finding(Kind.NOT_CONVERGED, (), {"reason": "something is free", "values": "at the start"}),
     Finding(Kind.NO_OPTIMUM, (), {"fall": 12.3, "chi2": 45.6}),
@@ -35,9 +37,14 @@ FINDINGS = (
     Finding(Kind.FREE, (l[0],), FREE | {"seen_from": ()}),
     Finding(Kind.UNMEASURED, (x[5], x[7])),
     Finding(Kind.SEPARATE_PARTS, (x[0], x[10]), {"variables": (10, 4)}),
+    Finding(Kind.MISREAD, (), FALL | {"readings": (("BearingRange", "mirrored"), ("Between", "y flipped"))}),
+    Finding(Kind.SWAPPED, (l[3], l[7]), FALL | {"sightings": 4}),
+    Finding(Kind.CLOCK, (), {"kind": "Position", "dt": -0.3, "sigma": 0.02, "chance": 1e-9, "fall": 123.0}),
+    Finding(Kind.OUTSIZED, (x[3], x[4]), OUT | {"quantity": "length", "component": ""}),
+    Finding(Kind.OUTSIZED, (x[3], x[4]), OUT | {"quantity": "information", "component": "yaw"}),
     Finding(Kind.SYSTEMATIC, (), {"kinds": (("Between, steps", 29.0), ("Heading", 8.0))}),
     Finding(Kind.WRONG_CLOSURE, (x[3], x[9]), DOUBT, (), ((1, 4),), ("survey.g2o:17",)),
-    Finding(Kind.WRONG_CLOSURE, (x[3], x[9]), DOUBT | REMOVED | {"turned": True}),
+    Finding(Kind.WRONG_CLOSURE, (x[3], x[9]), DOUBT | REMOVED | {"readings": ("exchanged",)}),
     Finding(Kind.OUTLIER, (x[3], x[9]), DOUBT | {"rivals": 3, "rival": "Between(x1, x2)"}),
     Finding(Kind.MANY_OUTLIERS, (), {"factors": ("Between(x3, x9)", "Between(x4, x8)")}),
     *(Finding(Kind.SIGMAS, (), PART | {"cause": cause}) for cause in ("small", "few", "unknown")),

@@ -69,7 +69,7 @@ def test_many_outliers_are_offered_what_works() -> None:
         ([STEPS, CLOSURES.robust(Cauchy(1))], ["gnc", "inspect", "remove"]),
     ):
         graph = nls.FactorGraph(factors)  # type: ignore[arg-type]
-        (many,) = of_suspects(suspected(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES))
+        (many,) = of_suspects(suspected(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES), {})
         assert [advice.action for advice in many.advice] == actions
 
 

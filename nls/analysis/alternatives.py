@@ -1,0 +1,128 @@
+r"""A graph beside another that says something else of the same measurements: which of the two do they support?
+
+Two readings have as many unknowns and as many degrees of freedom, so their likelihoods compare. Under the first one
+
+    P(chi2_0 - chi2_1 >= 2 ln k) <= 1/k
+
+whatever the second is, because the expected likelihood ratio is 1 (J. Ville, "Etude critique de la notion de
+collectif", 1939). Where the sigmas are too small by s, all falls are too large by s^2, which chi2_1 / dof estimates.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.errors import (
+    EvaluationError,
+    GraphError,
+    GraphWarning,
+    SingularGeometryError,
+    UnderconstrainedError,
+)
+from nls.analysis.aligned import aligned
+from nls.analysis.chi_squared import chi2_tail
+from nls.graph import FactorGraph
+from nls.linear.singular import SingularSystemError
+from nls.optimizers import LevenbergMarquardt, Stop
+from nls.starts import initialize
+from nls.values import Values
+
+__all__ = ["FIRST", "REFUSED", "UNLIKELY", "Fit", "expected", "solved", "supported"]
+
+UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
+STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
+    "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],
+    "odometry": lambda graph, values: initialize(graph, values, "odometry")[0],
+    "aligned": aligned,
+    "values": lambda graph, values: values,
+}
+SAME = 1e-6  # relative: starts whose chi2 differ by less are one
+HALF = 0.5  # chi2 of what explains the measurements is at most this part of the other, where sigmas are unknown
+ITERATIONS = 50  # of one alternative
+FIRST = 10  # of these, after which an alternative that is worse than others is given up
+REFUSED = (
+    SingularSystemError,
+    EvaluationError,
+    GraphError,
+    UnderconstrainedError,
+    SingularGeometryError,
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The optimum of one alternative.
+
+    Attributes
+    ----------
+    graph : its measurements.
+    values : the optimum.
+    chi2, dof : there; with robust kernels chi2 is the sum of their costs.
+    """
+
+    graph: FactorGraph
+    values: Values
+    chi2: float
+    dof: int
+
+
+def solved(
+    graph: FactorGraph,
+    values: Values,
+    start: bool = True,
+    iterations: int = ITERATIONS,
+    limit: float = math.inf,
+) -> Fit | None:
+    """The best optimum of a graph from its starts, or from these values alone; None where there is none.
+
+    Parameters
+    ----------
+    graph, values : the measurements, and a start.
+    start : whether there are other starts: chordal relaxation, odometry, odometry moved onto positions. The first one
+        that leads to a chi2 that noise explains is taken.
+    iterations : at most, from each start; the last values count, converged or not.
+    limit : starts whose chi2 is above it are left out.
+    """
+    best: Fit | None = None
+    damped = LevenbergMarquardt(Stop(max_iterations=iterations))
+    tried: list[float] = []  # chi2 of the starts
+    for name in STARTS if start else ["values"]:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", GraphWarning)  # the user's own solve has given them
+                begin = STARTS[name](graph, values)
+                chi2 = graph.chi2(begin)
+                if chi2 > limit or any(math.isclose(chi2, other, rel_tol=SAME) for other in tried):
+                    continue
+                tried.append(chi2)
+                result = graph.optimize(begin, damped)
+        except REFUSED:
+            continue
+        if best is None or result.chi2_final < best.chi2:
+            best = Fit(graph, result.values, result.chi2_final, result.dof)
+        if expected(best):
+            break
+    return best
+
+
+def expected(fit: Fit) -> bool:
+    """Whether noise explains chi2: its chance is at least 1e-3."""
+    return bool(chi2_tail(np.array(fit.chi2), np.array(fit.dof)) >= UNLIKELY)
+
+
+def supported(standing: Fit, other: Fit, tries: int) -> bool:
+    """Whether the measurements support another graph instead of the one that stands, as one of so many tries.
+
+    Notes
+    -----
+    Noise must explain chi2 of the other, or it must be at most half of the one that stands: wrong closures and sigmas
+    that are off remain under every reading.
+    """
+    scale = max(1.0, other.chi2 / max(other.dof, 1))
+    decisive = standing.chi2 - other.chi2 > 2 * math.log(tries / UNLIKELY) * scale
+    return decisive and (expected(other) or other.chi2 <= HALF * standing.chi2)

@@ -1,0 +1,197 @@
+r"""A clock offset between two sensors: one kind of measurement says where the vehicle was a moment before or after.
+
+A measurement z made at time t + dt and attached to the pose of time t has the residual
+
+    b = A dx + dt A_x v + noise          v the velocity of the pose in its tangent space, A_x the block of the pose
+
+which is one unknown more. With a = A_x v over the rows of a kind, e = b - A dx what the fit leaves, P = (A'A)^-1,
+
+    M = a'a - (A'a)' P (A'a),   dt = M^-1 a'e,   Sigma = M^-1,   fall of chi2 = (a'e)' M^-1 (a'e)  ~  chi2
+
+the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). The velocity is the central difference
+of poses that follow each other in number, per step or per second. Sigma and fall are scaled by chi2 / dof of the graph
+where that is above 1. The equation is linear in dt: of an offset of many steps it gives the sign and about the size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2, SE3, LieGroup
+from models.algebra import Array, apply
+from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.leave_one_out import checks, kinds_of
+from nls.analysis.linearization import Checked
+from nls.values import Stack, Values
+
+__all__ = ["ClockOffset", "clock_offsets", "velocities"]
+
+UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
+LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock
+CAUSE = 0.5  # of what chi2 is above its expectation
+KNOWN = 1e-6  # M / a'a below which the motion is too even to tell an offset from a shift
+MANY = 6  # measurements of a kind
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """A kind of measurement that was made before or after the poses it is attached to.
+
+    Attributes
+    ----------
+    kind : name of the type of measurement.
+    factors : numbers of the factors.
+    dt : offset: the measurement is of the time of its pose plus dt; in steps, or s where times are given.
+    sigma : of dt.
+    fall : of chi2, when dt is estimated with everything else and the offsets before it.
+    chi2, dof : of the graph without offsets, kernels' weights counted.
+    chance : of such a fall in one of the kinds that were tested, if there is no offset.
+    seconds : whether dt is in seconds.
+    """
+
+    kind: str
+    factors: tuple[int, ...]
+    dt: float
+    sigma: float
+    fall: float
+    chi2: float
+    dof: float
+    chance: float
+    seconds: bool
+
+
+def clock_offsets(
+    checked: Checked, values: Values, count: int, times: Mapping[str, npt.ArrayLike] | None = None
+) -> tuple[ClockOffset, ...]:
+    """Kinds of measurements whose residuals go with the velocity of the vehicle.
+
+    Parameters
+    ----------
+    checked : every measurement against all others, at the optimum.
+    values : the optimum.
+    count : number of factors of the graph; further ones of `checked` hold what is free.
+    times : of the poses by the name of their kind, (n,) in the order of `values`, s; pose numbers when omitted.
+
+    Returns
+    -------
+    tuple of ClockOffset
+        The largest fall of chi2 first, each the one that chi2 falls most by beside those before. Together they must
+        explain half of what noise does not.
+
+    Notes
+    -----
+    Measurements of one pose and of points or nothing else are tested. At constant velocity in the axes of the body a
+    forgotten lever arm ahead looks the same: dt times the speed.
+    """
+    speeds = {name: velocities(stack, None if times is None else times.get(name)) for name, stack in _tracks(values)}
+    kinds = {
+        name: [k for k, _ in kind]
+        for name, kind in kinds_of(checked.linear.pattern, count).items()
+        if sum(len(which) for _, which in kind) >= MANY and all(_attached(checked, k, speeds) for k, _ in kind)
+    }
+    names = list(kinds)
+    if not names:
+        return ()
+    score, M, determined = _test(checked, list(kinds.values()), speeds)
+    duration = [max(speeds[kind][1] for k in kinds[name] for kind in _moving(checked, k, speeds)) for name in names]
+    chi2 = sum(float((w * np.square(e).sum(axis=1)).sum()) for w, e in zip(checked.w[:count], checked.e, strict=False))
+    dof = sum(float(test.dof.sum()) for test in checks(checked, count))
+    chosen: list[int] = []
+    chances: list[float] = []
+    falls: list[float] = []
+    while candidates := [j for j in np.flatnonzero(determined).tolist() if j not in chosen]:
+        further = [_fall(score, M, [*chosen, j]) - sum(falls) for j in candidates]
+        best, fall = candidates[int(np.argmax(further))], max(further)
+        scale = max(1.0, (chi2 - sum(falls) - fall) / max(dof - len(chosen) - 1, 1.0))
+        chance = min(1.0, len(names) * float(chi2_tail(np.array(fall / scale), np.array(1))))
+        if chance > UNLIKELY:
+            break
+        chosen, chances, falls = [*chosen, best], [*chances, chance], [*falls, fall]
+    if not chosen or sum(falls) < CAUSE * (chi2 - dof):
+        return ()
+    dt = np.linalg.solve(M[np.ix_(chosen, chosen)], score[chosen])
+    scale = max(1.0, (chi2 - sum(falls)) / max(dof - len(chosen), 1.0))
+    sigma = np.sqrt(scale * np.diagonal(np.linalg.inv(M[np.ix_(chosen, chosen)])))
+    offsets = [
+        ClockOffset(names[j], tuple(kinds[names[j]]), float(d), float(s), fall, chi2, dof, chance, times is not None)
+        for j, d, s, fall, chance in zip(chosen, dt, sigma, falls, chances, strict=True)
+    ]
+    sensible = all(abs(o.dt) <= LONGEST * duration[j] for o, j in zip(offsets, chosen, strict=True))
+    return tuple(offsets) if sensible else ()
+
+
+def velocities(stack: Stack, times: npt.ArrayLike | None = None) -> tuple[Array, float]:
+    """Velocity of every pose (n, dim) in its tangent space, and the duration of the track.
+
+    .. math:: v_k = \\mathrm{Log}(x_{k-1}^{-1} x_{k+1}) / (t_{k+1} - t_{k-1})
+
+    Parameters
+    ----------
+    stack : poses; the order of their numbers is that of time.
+    times : (n,), s, in the order of the stack; the places in the order of time when omitted.
+
+    Examples
+    --------
+    >>> velocities(Stack("x", SE2, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.arange(3)))[0].tolist()
+    [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    """
+    group = stack.manifold
+    assert isinstance(group, LieGroup)
+    order = np.argsort(stack.numbers, kind="stable")
+    n = len(order)
+    t = np.arange(n, dtype=float) if times is None else np.asarray(times, dtype=float)[order]
+    before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
+    apart = t[after] - t[before]
+    moving = apart > 0
+    v = np.zeros((n, group.dim))
+    step = group.log(group.between(stack.X[order[before]], stack.X[order[after]]))
+    v[order] = np.where(moving[:, None], step / np.where(moving, apart, 1.0)[:, None], 0.0)
+    return v, float(np.ptp(t))
+
+
+def _tracks(values: Values) -> list[tuple[str, Stack]]:
+    """Kinds of poses that have a velocity."""
+    return [(n, s) for n, s in values.stacks.items() if s.manifold in (SE2, SE3) and len(s) >= MANY]
+
+
+def _moving(checked: Checked, k: int, speeds: Mapping[str, object]) -> list[str]:
+    """Kinds of poses with a velocity among the variables of a factor."""
+    return [kind for kind in checked.linear.pattern.batches[k].kinds if kind in speeds]
+
+
+def _attached(checked: Checked, k: int, speeds: Mapping[str, object]) -> bool:
+    """Whether measurements are of one moving pose, and of points or nothing else."""
+    return len(_moving(checked, k, speeds)) == 1
+
+
+def _test(
+    checked: Checked, kinds: list[list[int]], speeds: Mapping[str, tuple[Array, float]]
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Scores a'e (q,), M (q, q), and which offsets the motion determines (q,)."""
+    pattern = checked.linear.pattern
+    score, size, columns = np.zeros(len(kinds)), np.zeros(len(kinds)), np.zeros((pattern.n, len(kinds)))
+    for j, factors in enumerate(kinds):
+        products = [[np.zeros((len(b), m.dim)) for m in b.model.manifolds] for b in pattern.batches]
+        for k in factors:
+            batch, w = pattern.batches[k], checked.w[k][:, None]
+            (slot,) = (s for s, kind in enumerate(batch.kinds) if kind in speeds)
+            a = apply(checked.linear.A[k][slot], speeds[batch.kinds[slot]][0][batch.index[slot]])
+            products[k] = [w * np.vecmat(a, A) for A in checked.linear.A[k]]
+            score[j] += float((w * a * checked.e[k]).sum())
+            size[j] += float((w * a * a).sum())
+        columns[:, j] = pattern.by_column(products)
+    M = np.diag(size) - columns.T @ checked.factorization.solve(columns)
+    return score, (M + M.T) / 2, np.diagonal(M) > KNOWN * size
+
+
+def _fall(score: Array, M: Array, chosen: list[int]) -> float:
+    """Fall of chi2 with some offsets as unknowns; 0 where the motion does not tell them apart."""
+    part = M[np.ix_(chosen, chosen)]
+    unit = np.sqrt(np.outer(np.diagonal(part), np.diagonal(part)))
+    if np.linalg.eigvalsh(part / unit)[0] < KNOWN:
+        return 0.0
+    return float(score[chosen] @ np.linalg.solve(part, score[chosen]))

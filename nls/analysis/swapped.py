@@ -1,0 +1,199 @@
+r"""Two landmarks whose sightings were exchanged, all from some time on or single ones.
+
+Candidates are pairs of landmarks with sightings that do not fit, those first without which chi2 is lowest. For a pair
+(a, b), from the poses of the optimum without them, two steps take turns until nothing changes:
+
+    l_a, l_b = argmin of chi2 of their sightings, given which are exchanged
+    a sighting is exchanged where chi2 of it is lower with the other landmark
+
+from several beginnings: no sighting exchanged, and those after a quarter, a half and three quarters of the time. The
+graph with the best exchange is then solved, poses and all, and compared with the one that stands
+(`nls.analysis.alternatives`). Which s of n sightings are exchanged is one of C(n, s) tries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from factors.keys import Keys
+from nls.analysis.alternatives import FIRST, UNLIKELY, Fit, expected, solved, supported
+from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.leave_one_out import Tested, measuring
+from nls.analysis.pairs import Pair, landmark_factors
+from nls.graph import FactorGraph
+from nls.values import Values
+
+__all__ = ["SwappedLandmarks", "swapped_landmarks"]
+
+WORST = 6  # landmarks that are compared with each other
+PAIRS = 6  # pairs for which the graph is solved
+TURNS = 4  # of solving the graph and choosing what is exchanged
+EXPLAINED = 2.0  # chi2 per degree of freedom with all exchanged: false contacts leave more
+FEWEST = 2  # exchanged sightings; a single one is an outlier
+
+
+@dataclass(frozen=True)
+class SwappedLandmarks:
+    """Two landmarks that are one another in some of their sightings.
+
+    Attributes
+    ----------
+    first, second : the landmarks.
+    places : number of the factor and index of every sighting that was exchanged.
+    standing, chi2 : chi2 of the whole graph as it stands, and with all swapped pairs exchanged.
+    dof : degrees of freedom of both.
+    values : the optimum with all of them exchanged.
+    """
+
+    first: Keys
+    second: Keys
+    places: tuple[tuple[int, int], ...]
+    standing: float
+    chi2: float
+    dof: int
+    values: Values
+
+
+def swapped_landmarks(
+    graph: FactorGraph, values: Values, tests: Sequence[Tested] | None = None
+) -> tuple[SwappedLandmarks, ...]:
+    """Pairs of landmarks whose sightings were exchanged.
+
+    Parameters
+    ----------
+    graph : not changed.
+    values : its optimum.
+    tests : its measurements against all others, one for each factor, `nls.analysis.leave_one_out.checks`. When omitted,
+        as where A'A is singular, chi2 of each measurement counts, which is at most its t.
+
+    Returns
+    -------
+    tuple of SwappedLandmarks
+        With all of them exchanged noise explains chi2, or it is at most half and at most twice the degrees of freedom.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from factors.replaced import replaced
+    >>> from nls.analysis.linearization import Checked, Linearization
+    >>> from nls.analysis.leave_one_out import checks
+    >>> world = sim.subsea(np.random.default_rng(0), laps=1, known_start=True)
+    >>> pose, target = world.sightings.keys
+    >>> late, l3, l4 = pose.numbers > 45, target.numbers == 3, target.numbers == 4
+    >>> numbers = np.where(late & l3, 4, np.where(late & l4, 3, target.numbers))
+    >>> wrong = FactorGraph([world.first, world.odometry, replaced(world.sightings, [pose, Keys("l", numbers)])])
+    >>> values = wrong.optimize(world.start).values
+    >>> tests = checks(Checked(Linearization(wrong.pattern(values), values)), 3)
+    >>> [(swap.first, swap.second) for swap in swapped_landmarks(wrong, values, tests)]
+    [(l3, l4)]
+    """
+    pairs = _doubtful(graph, values, tests)
+    standing = solved(graph, values, start=False) if pairs else None
+    if standing is None or expected(standing):
+        return ()
+    rest = [(fit, pair) for pair in pairs if (fit := _without(standing, pair)) is not None]
+    rest.sort(key=lambda without: without[0].chi2)
+    now, swaps, tries = standing, [], len(pairs)
+    candidates = rest[:PAIRS]
+    while candidates and not expected(now):
+        best = _best(now, candidates, len(pairs))
+        if best is None:
+            break
+        fit, pair, places, count = best
+        now, tries = fit, tries * count
+        swaps.append((pair, places))
+        candidates = [(without, other) for without, other in candidates if other != pair]
+    if not swaps or not supported(standing, now, tries) or not (expected(now) or now.chi2 <= EXPLAINED * now.dof):
+        return ()
+    return tuple(
+        SwappedLandmarks(pair[[0]], pair[[1]], places, standing.chi2, now.chi2, now.dof, now.values)
+        for pair, places in swaps
+    )
+
+
+def _doubtful(graph: FactorGraph, values: Values, tests: Sequence[Tested] | None) -> list[Keys]:
+    """Pairs of the landmarks with the most doubtful sightings."""
+    count = len(graph)
+    doubt: dict[str, dict[int, float]] = {}
+    for k in landmark_factors(graph, values):
+        factor = graph.factors[k]
+        t, m = factor.chi2(values), measuring(values.gather(factor)[0])
+        if tests is not None:
+            t, m = tests[k].t, tests[k].m
+        wrong = (chi2_tail(t, m) * count <= UNLIKELY) & ~np.array(factor.limit_only)
+        of_kind = doubt.setdefault(factor.keys[1].kind, {})
+        for number, distance in zip(factor.keys[1].numbers[wrong].tolist(), t[wrong].tolist(), strict=True):
+            of_kind[number] = of_kind.get(number, 0.0) + distance
+    pairs = []
+    for kind, of_kind in doubt.items():
+        worst = sorted(of_kind, key=lambda number: -of_kind[number])[:WORST]
+        pairs += [Keys(kind, numbers) for numbers in combinations(sorted(worst), 2)]
+    return pairs
+
+
+def _without(now: Fit, pair: Keys) -> Fit | None:
+    """The optimum without the sightings of two landmarks."""
+    kept = [np.ones(len(factor), dtype=bool) for factor in now.graph.factors]
+    for k in landmark_factors(now.graph, now.values):
+        target = now.graph.factors[k].keys[1]
+        if target.kind == pair.kind:
+            kept[k] = ~np.isin(target.numbers, pair.numbers)
+    here = solved(now.graph.only(kept), now.values, False, FIRST)
+    if here is not None and expected(here):
+        return here
+    again = solved(now.graph.only(kept), now.values, True, FIRST)
+    return min((fit for fit in (here, again) if fit is not None), key=lambda fit: fit.chi2, default=None)
+
+
+def _best(
+    now: Fit, candidates: list[tuple[Fit, Keys]], tries: int
+) -> tuple[Fit, Keys, tuple[tuple[int, int], ...], int] | None:
+    """The exchange of one pair after which chi2 is lowest, where it is decisive; the first that noise explains."""
+    best = None
+    for without, pair in candidates:
+        exchange = _exchange(now, without.values, pair)
+        if exchange is None:
+            continue
+        fit, places, count = exchange
+        scale = max(1.0, fit.chi2 / max(fit.dof, 1))
+        decisive = now.chi2 - fit.chi2 > 2 * math.log(count * tries / UNLIKELY) * scale
+        if decisive and (best is None or fit.chi2 < best[0].chi2):
+            best = fit, pair, places, count
+            if expected(fit):
+                break
+    return best
+
+
+def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int, int], ...], int] | None:
+    """The graph with the best exchange of a pair, the sightings exchanged, and of how many exchanges it is the best.
+
+    Parameters
+    ----------
+    now : the graph.
+    start : the optimum without the sightings of the pair.
+    """
+    sightings = Pair(now.graph, start, pair)
+    best = sightings.best()
+    if best is None:
+        return None
+    exchanged, points = best
+    start = start.copy()
+    start[pair] = points
+    fit = solved(sightings.whole(exchanged), start, start=False)
+    for _ in range(TURNS):
+        if fit is None:
+            return None
+        nearer = sightings.nearer(fit.values)
+        if (nearer == exchanged).all():
+            break
+        exchanged = nearer
+        fit = solved(sightings.whole(exchanged), fit.values, start=False)
+    if fit is None or exchanged.sum() < FEWEST:
+        return None
+    return fit, sightings.places(exchanged), math.comb(len(exchanged), int(exchanged.sum()))

@@ -1,0 +1,101 @@
+"""Findings that name a cause: a reading, an exchange of landmarks, a clock, a number beyond all others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from models.advice import Advice
+from nls.analysis.clock import clock_offsets
+from nls.analysis.misread_kinds import misread_kinds
+from nls.analysis.misread_measurements import misread_measurements
+from nls.analysis.scales import outsized
+from nls.analysis.swapped import swapped_landmarks
+from nls.explanation.findings import Finding, FindingKind
+from nls.linear.singular import SingularSystemError
+
+if TYPE_CHECKING:
+    from nls.analysis.freedom import Freedom
+    from nls.analysis.leave_one_out import Tested
+    from nls.analysis.suspects import Suspects
+    from nls.graph import FactorGraph
+    from nls.sparse.pattern import Pattern
+    from nls.values import Values
+
+__all__ = ["beyond_all_others", "exchanged_landmarks", "misread", "readings", "shifted_clocks"]
+
+SOME = 5  # measurements of a finding that are named
+
+
+def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
+    """Lengths and informations a million times those of all others of their kind."""
+    findings = []
+    for one in outsized(pattern):
+        numbers = {
+            "factor": graph.factors[one.place[0]].describe(one.place[1]),
+            "quantity": one.quantity,
+            "component": one.component,
+            "value": one.value,
+            "others": one.others,
+        }
+        advice = (Advice("inspect", ("it",)), Advice("units"))
+        findings.append(Finding(FindingKind.OUTSIZED, one.keys, numbers, advice, (one.place,)))
+    return findings
+
+
+def misread(graph: FactorGraph, values: Values) -> list[Finding]:
+    """One finding for all readings of kinds of measurements that explain chi2; nothing tells several apart."""
+    kinds = misread_kinds(graph, values)
+    if not kinds:
+        return []
+    numbers = {
+        "readings": tuple((one.kind, one.reading) for one in kinds),
+        "chi2": kinds[0].standing,
+        "chi2_otherwise": kinds[0].chi2,
+        "dof": kinds[0].dof,
+    }
+    places = tuple((k, int(i)) for k, indices in kinds[0].places for i in indices[:SOME])[:SOME]
+    return [Finding(FindingKind.MISREAD, (), numbers, (Advice("frames"),), places)]
+
+
+def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested] | None) -> list[Finding]:
+    """Pairs of landmarks that are one another in some of their sightings."""
+    return [
+        Finding(
+            FindingKind.SWAPPED,
+            (pair.first, pair.second),
+            {"sightings": len(pair.places), "chi2": pair.standing, "chi2_otherwise": pair.chi2, "dof": pair.dof},
+            (Advice("exchange", (repr(pair.first), repr(pair.second))),),
+            pair.places[:SOME],
+        )
+        for pair in swapped_landmarks(graph, values, tests)
+    ]
+
+
+def readings(free: Freedom, found: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
+    """Readings under which a suspect fits the others, by its place; empty where they are many or hold something."""
+    assert free.checked is not None
+    if found.many:
+        return {}
+    by_place: dict[tuple[int, int], tuple[str, ...]] = {}
+    try:
+        misreadings = misread_measurements(free.checked.linear.pattern, found.values, found.places)
+    except SingularSystemError:  # without the suspects something is free: nothing tells their readings apart
+        return {}
+    for one in misreadings:
+        by_place[one.place] = (*by_place.get(one.place, ()), one.reading)
+    return by_place
+
+
+def shifted_clocks(free: Freedom, values: Values, count: int) -> list[Finding]:
+    """Kinds of measurements whose clock is before or behind that of the poses."""
+    if free.checked is None:
+        return []
+    return [
+        Finding(
+            FindingKind.CLOCK,
+            (),
+            {"kind": one.kind, "dt": one.dt, "sigma": one.sigma, "chance": one.chance, "fall": one.fall},
+            (Advice("clock"),),
+        )
+        for one in clock_offsets(free.checked, values, count)
+    ]

@@ -1,0 +1,113 @@
+"""Readings: each undoes itself, and says by hand what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import (
+    XYH,
+    ZPR,
+    Bearing,
+    Between,
+    BetweenSensors,
+    Diagonal,
+    Factor,
+    Heading,
+    Isotropic,
+    Landmark,
+    Position,
+    Prior,
+    RangeAzimuth,
+    Wheels,
+)
+from factors.replaced import replaced
+from models import SE2, SE3, R
+from models.errors import GraphError
+from models.manifolds.so3 import rotation3
+from nls import Values, kinds
+from nls.analysis.readings import READINGS
+
+x, l = kinds("x", "l")
+ONE = Isotropic(0.1)
+PLANE = Values({x: (SE2, SE2.identity(2)), l: (R(2), [[1.0, 0.5]])})
+POSE = SE3.exp([0.3, -0.2, 0.5, 0.4, -0.6, 0.8])
+SPACE = Values({x: (SE3, np.stack([SE3.identity()[0], POSE])), l: (R(3), [[1.0, 0.5, 0.2]])})
+
+
+def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
+    (reading,) = (reading for reading in READINGS if reading.name == name)
+    return reading.read(values.gather(factor)[0])
+
+
+@pytest.mark.parametrize(
+    ("factor", "name", "z"),
+    [
+        (Between(x[0], x[1], [1, 2, 0.5], ONE), "transposed", [1, 2, -0.5]),
+        (Between(x[0], x[1], [1, 2, 0.5], ONE), "y flipped", [1, -2, -0.5]),
+        (Prior(x[0], [1, 2, 0.5], ONE), "x, y exchanged", [2, 1, np.pi / 2 - 0.5]),
+        (Bearing(x[0], l[0], 0.4, ONE), "mirrored", [-0.4]),
+        (Heading(x[0], 0.4, ONE), "transposed", [-0.4]),
+        (Heading(x[0], 0.4, ONE), "x, y exchanged", [np.pi / 2 - 0.4]),
+        (Position(x[0], [1, 2], ONE), "y flipped", [1, -2]),
+        (Position(x[0], [1, 2], ONE), "x, y exchanged", [2, 1]),
+        (Landmark(x[0], l[0], [1, 2], ONE), "y flipped", [1, -2]),
+        (Wheels(x[0], x[1], [1.1, 0.9], ONE, base=0.5), "y flipped", [0.9, 1.1, 0]),
+    ],
+)
+def test_in_the_plane(factor: Factor, name: str, z: list[float]) -> None:
+    meant = read(factor, name)
+    assert meant is not None
+    assert np.allclose(meant.z.reshape(-1), z)
+    again = read(meant, name)
+    assert again is not None
+    assert np.allclose(again.z.reshape(-1), PLANE.gather(factor)[0].z.reshape(-1))
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_a_reflection_in_space(axis: int) -> None:
+    M = np.eye(3)
+    M[axis, axis] = -1
+    meant = read(Between(x[0], x[1], POSE, ONE), f"{'xyz'[axis]} flipped", SPACE)
+    assert meant is not None
+    assert np.allclose(meant.z[0, :3], M @ POSE[:3])
+    assert np.allclose(rotation3(meant.z[0, 3:]), M @ rotation3(POSE[3:]) @ M)
+
+
+def test_a_transposed_rotation_in_space() -> None:
+    meant = read(Between(x[0], x[1], POSE, ONE), "transposed", SPACE)
+    assert meant is not None
+    assert np.allclose(meant.z[0, :3], POSE[:3])
+    assert np.allclose(rotation3(meant.z[0, 3:]), rotation3(POSE[3:]).T)
+
+
+def test_variables_exchanged() -> None:
+    offsets = [0.1, 0, 0], [0.2, 0, 0]
+    meant = read(BetweenSensors(x[0], x[1], [1, 2, 0.5], ONE, offsets), "exchanged")
+    assert isinstance(meant, BetweenSensors)
+    assert meant.keys == (x[[1]], x[[0]])
+    assert isinstance(meant.offset, tuple)
+    assert np.allclose(meant.offset[0], offsets[1])
+
+
+@pytest.mark.parametrize(
+    ("factor", "names"),
+    [
+        (Between(x[0], x[1], POSE, ONE), {"exchanged", "transposed", "y flipped", "z flipped"}),
+        (XYH(x[0], x[1], [1, 0, 0.1], ONE), {"exchanged", "transposed", "y flipped"}),
+        (ZPR(x[0], [1, 0, 0.1], ONE), {"z flipped"}),
+        (RangeAzimuth(x[0], l[0], [1, 0.1], Diagonal(range=0.1, azimuth=0.1)), {"mirrored"}),
+        (Position(x[0], 3.0, ONE, components=("z",)), {"z flipped"}),
+        (Prior(l[0], [1, 2, 3], ONE), {"y flipped", "z flipped", "x, y exchanged"}),
+    ],
+)
+def test_readings_that_make_sense(factor: Factor, names: set[str]) -> None:
+    assert {reading.name for reading in READINGS if read(factor, reading.name, SPACE) is not None} == names
+
+
+def test_what_cannot_be_replaced() -> None:
+    step = Between(x[0], x[1], [1, 2, 0.5], ONE)
+    with pytest.raises(GraphError, match="2 measured values, expected 1"):
+        replaced(step, z=np.zeros((2, 3)))
+    with pytest.raises(GraphError, match=r"\[1\] variables; expected 1 for each of its 2 slots"):
+        replaced(step, keys=[x[0]])
