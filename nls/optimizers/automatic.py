@@ -26,14 +26,15 @@ from nls.values import Values
 __all__ = ["Automatic"]
 
 FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED)
-RISE = 1e4  # growth of chi2 over the start; pose graphs that converge rise to 80 times it
+RISE = 1e4  # growth of chi2 over the start, twice in a row; a long drive with 20 closures rises once to 4e6 times it
 WITHOUT = 10  # steps without a new best; pose graphs that converge take up to 4
 
 
 def chi2_rises(step: Step) -> stop.Verdict | None:
-    """chi2 >= 1e4 chi2 of the start, and not by rounding."""
+    """chi2 >= 1e4 chi2 of the start after two steps in a row, and not by rounding."""
     begin = step.watch.history[0].chi2
-    return None if step.chi2 < RISE * begin or step.rounds(step.chi2 - begin) else stop.grown(step)
+    rises = min(step.chi2, step.old.chi2) >= RISE * begin and not step.rounds(step.chi2 - begin)
+    return stop.grown(step) if rises else None
 
 
 def no_new_best(step: Step) -> stop.Verdict | None:

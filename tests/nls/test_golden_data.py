@@ -166,6 +166,21 @@ def test_the_default_converges_where_gauss_newton_diverges(init: str, data: Path
     assert "gauss-newton ended as DIVERGED" in str(default)
 
 
+@pytest.mark.parametrize("seed", [2, 11, 24])
+def test_one_rise_of_gauss_newton_is_no_divergence(seed: int, data: Path) -> None:
+    """A long drive with twenty closures: chi2 rises to millions of times the start, and converges in four steps."""
+    graph, values = load(data, "pose-graphs-2d/input_INTEL.g2o")
+    (edges,) = graph.factors
+    closing = np.flatnonzero(np.abs(edges.keys[0].numbers - edges.keys[1].numbers) != 1)
+    kept = np.ones(len(edges), dtype=bool)
+    kept[closing] = False
+    kept[np.random.default_rng(seed).choice(closing, 20, replace=False)] = True
+    result = nls.FactorGraph([edges[kept]]).optimize(graph.optimize(nls.initialize(graph, values)[0]).values)
+    assert (result.status, result.method) == (Status.CONVERGED, "gauss-newton")
+    assert max(record.chi2 for record in result.history) > 1e6 * result.chi2_initial
+    assert result.iterations < 10
+
+
 @pytest.mark.parametrize("case", REFUSED, ids=str)
 def test_what_cannot_be_right_is_refused(case: Refused, data: Path) -> None:
     def solve() -> None:
