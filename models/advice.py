@@ -32,6 +32,8 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "second place": "see {0} from a second place to the side",
     "roll": "see {0} from a pose with another roll, higher or lower",
     "spread ranges": "measure more ranges, from places that are not in one line",
+    "move rig": "let the rig move and turn while it sees the same points",
+    "guess": "give a guess and leave calibrate out",
     "off axis": "see a point that is not on that axis, or measure the attitude",
     "tighten": "tighten the prior there",
     "relative": "see whether {0}, which keeps the gauge from being held, may be declared relative",

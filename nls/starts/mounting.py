@@ -31,6 +31,7 @@ from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from models import SE3
+from models.advice import Advice
 from models.algebra import Array
 from models.errors import GraphError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.so3 import quaternion_from_matrix
@@ -101,21 +102,22 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
     part, within = Parts(distances, values).take([*wanted, np.ones(len(axes), dtype=bool)], held, values)
-    cure = "let the rig move and turn while it sees the same points, or give a guess and leave calibrate out"
+    advice = Advice("move rig"), Advice("guess")
     try:
         found = part.optimize(within, LevenbergMarquardt(ENOUGH))
     except UnderconstrainedError as error:
         raise UnderconstrainedError(
-            f"rig: pixels and ranges do not tell where {unknown} is: {error} Or {cure}",
+            f"rig: pixels and ranges do not tell where {unknown} is: {error.message}",
             [unknown],
             error.nullity,
             error.components,
             values,
+            advice,
         ) from error
     if found.underconstrained:
         free = found.underconstrained
-        message = f"rig: pixels and ranges do not tell where {unknown} is; free: {'; '.join(free)}; {cure}"
-        raise UnderconstrainedError(message, [unknown], len(free), free, values)
+        message = f"rig: pixels and ranges do not tell where {unknown} is; free: {'; '.join(free)}"
+        raise UnderconstrainedError(message, [unknown], len(free), free, values, advice)
     return put_back(values, part, found.values)
 
 

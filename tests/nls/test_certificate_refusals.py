@@ -111,7 +111,8 @@ def test_the_command_line_refutes(tmp_path: Path, capsys: Captured) -> None:
     shown = capsys.readouterr().out
     assert "certificate refuted: " in shown
     assert "chi2 of the solution is not the lowest: " in shown
-    assert "is lower, another --init may lead there" in shown
+    assert "is lower\n" in shown
+    assert "-> start there: another --init may lead there" in shown
 
 
 @pytest.mark.parametrize("options", [["--robust", "huber:1"], ["--hold", "x"]])

@@ -91,7 +91,7 @@ SOLVED = [
     Solved(BAL + "dubrovnik-3-7-pre.txt", 4.639827985, 6, start="file", hold="k"),
     Solved(BAL + "problem-49-7776-pre.txt.gz", 32734.55, 40071, rel=1e-4, start="file", hold="k"),
 ]
-READINGS = "lines have several readings, and no other tag of the file tells which; name the dialect"
+READINGS = "lines have several readings, and no other tag of the file tells which"
 REFUSED = [
     Refused(PLANE + "city10000_groundtruth_edges.txt", f":1: EDGE2 {READINGS}.*toro.*isam"),
     Refused(PLANE + "city10000_groundtruth_edges.txt", ":1: information of measurement 0 has the negative", "toro"),
@@ -137,7 +137,7 @@ def test_every_file_is_here(data: Path) -> None:
         with pytest.raises(GraphFileError, match=TABLES[name] if name in TABLES else TABLES[suffix]) as caught:
             nls.load(data / name)
         assert str(caught.value).startswith(str(data / name))
-        assert "\n" not in str(caught.value)
+        assert "\n" not in caught.value.message
 
 
 @pytest.mark.parametrize("case", SOLVED, ids=str)
@@ -190,7 +190,7 @@ def test_what_cannot_be_right_is_refused(case: Refused, data: Path) -> None:
 
     with pytest.raises(case.error, match=case.message) as caught:
         solve()
-    assert "\n" not in str(caught.value)
+    assert "\n" not in caught.value.message
 
 
 def test_a_chain_fits_itself(data: Path) -> None:
@@ -208,8 +208,9 @@ def test_covariances_read_as_square_roots_are_absurd_numbers(data: Path) -> None
     graph, values = load(data, PARK + "victoria_park.txt", "isam")
     (W,) = {tuple(np.diag(values.gather(f)[0].W[0])) for f in graph.factors if isinstance(f, Between)}
     assert W == (1e-4, 4e-6, 4e-6)
-    with pytest.raises(UnderconstrainedError, match=r"their weights or scales differ too much.*check sigmas and units"):
+    with pytest.raises(UnderconstrainedError, match="their weights or scales differ too much") as caught:
         graph.optimize(values)
+    assert caught.value.advice[-1].action == "units"
 
 
 def test_bundle_with_free_lenses(data: Path) -> None:

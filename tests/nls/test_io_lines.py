@@ -107,9 +107,9 @@ def test_lines_and_the_graph_without_the_rejected(tmp_path: Path) -> None:
 def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
     path = tmp_path / "graph.g2o"
     path.write_text(ALL["every tag of the plane"][1])
-    graph, values, _ = nls.load(path)
+    graph, values, report = nls.load(path)
     options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
-    for other in (prepared(graph, values, options), graph.robust(Cauchy(1.0))):
+    for other in (prepared(graph, values, report, options), graph.robust(Cauchy(1.0))):
         assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
 
 
