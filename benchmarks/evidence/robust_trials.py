@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -9,7 +10,7 @@ from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from time import monotonic, process_time
-from typing import Any
+from typing import IO, Any, cast
 
 import numpy as np
 from wrong_closures import KINDS, SETS, Solved, few, solved, spoiled
@@ -155,8 +156,14 @@ def kept_in(path: Path | None) -> list[Trial]:
     """Trials of an earlier run."""
     if path is None or not path.exists():
         return []
-    lines: list[dict[str, Any]] = [json.loads(line) for line in path.read_text().splitlines()]
+    with _opened(path, "r") as file:
+        lines: list[dict[str, Any]] = [json.loads(line) for line in file]
     return [Trial(**(line | {"task": Task(**line["task"])})) for line in lines]
+
+
+def _opened(path: Path, mode: str) -> IO[str]:
+    """A file of trials, compressed if its name says so."""
+    return cast(IO[str], gzip.open(path, f"{mode}t")) if path.suffix == ".gz" else path.open(mode)
 
 
 def run(data: Path, wanted: list[Task], path: Path | None, workers: int, minutes: float) -> list[Trial]:
@@ -174,7 +181,7 @@ def run(data: Path, wanted: list[Task], path: Path | None, workers: int, minutes
                 trials.append(trial)
                 print(trial, flush=True)
                 if path is not None:
-                    with path.open("a") as file:
+                    with _opened(path, "a") as file:
                         file.write(json.dumps(asdict(trial)) + "\n")
     asked = set(wanted)
     return [trial for trial in trials if trial.task in asked]

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["asking", "doubts", "separate_parts"]
 
-ABOVE = 1.96  # sigmas: 2.5 % of all right graphs, the bound of `nls.explain`
-
 
 def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     """The command that explains the graph of this one: as it was read, or without what was rejected if that is written.
@@ -64,14 +62,14 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
 
 
 def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:
-    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known.
-
-    The bound is Wilson and Hilferty's, "The distribution of chi-square", PNAS 17, 1931: 2 % off for one degree of
-    freedom, 0.1 % for ten, and at no cost, where the import of SciPy's is three times the solution of a small graph.
-    """
-    dof, s2 = result.dof, 2 / (9 * max(result.dof, 1))
+    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known."""
+    dof = result.dof
     if result.doubt:
         return ["; ".join([result.doubt, *listed(result.advice, shell=True), f"see: {asking(options, written)}"])]
-    if result.robust or not dof > 0 or not result.chi2_final > dof * (1 - s2 + ABOVE * s2**0.5) ** 3:
+    if result.robust or not result.chi2_final > dof > 0:  # most graphs: SciPy is not imported for these
+        return []
+    from nls.analysis.chi_squared import chi2_interval
+
+    if not result.chi2_final > chi2_interval(dof)[1]:
         return []
     return [f"chi2 is more than noise explains; see: {asking(options, written)}"]

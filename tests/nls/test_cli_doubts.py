@@ -61,8 +61,8 @@ def test_the_bound_is_that_of_explain(dof: int) -> None:
         result = nls.Result(nls.Values({}), nls.Status.CONVERGED, "", [], chi2, chi2, dof, "", "", {}, robust=robust)
         return doubts(result, options)
 
-    assert said(0.97 * bound) == said(0.5 * dof) == said(1.03 * bound, robust=True) == []
-    assert said(1.03 * bound) == ["chi2 is more than noise explains; see: nls explain a.g2o"]
+    assert said(0.9999 * bound) == said(0.5 * dof) == said(1.03 * bound, robust=True) == []
+    assert said(1.0001 * bound) == ["chi2 is more than noise explains; see: nls explain a.g2o"]
 
 
 def test_what_is_found_below_the_doubt_is_named(tmp_path: Path, capsys: Captured) -> None:
