@@ -113,8 +113,10 @@ def write_free(job: Job, error: UnderconstrainedError) -> None:
 def _free(job: Job, error: UnderconstrainedError, where: str) -> None:
     """The report for programs on a graph that leaves something free."""
     from models.advice import listed
+    from nls.cli.solve_report import SCHEMA
 
     record = {
+        "schema": SCHEMA,
         "input": job.report.path,
         "format": job.report.format,
         "converged": False,

@@ -8,8 +8,9 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.optimizers import Iteration, Result
 
-__all__ = ["advice", "record_of", "table"]
+__all__ = ["SCHEMA", "advice", "record_of", "table"]
 
+SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
 
 
@@ -22,6 +23,7 @@ def record_of(job: Job) -> dict[str, Any]:
     options, result, report, told = job.options, job.result, job.report, job.told()
     parts = separate_parts(job.graph, result.values)
     return {
+        "schema": SCHEMA,
         "input": report.path,
         "format": report.format,
         "dimension": report.dimension,
