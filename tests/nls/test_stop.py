@@ -124,7 +124,11 @@ RULES: dict[stop.Rule, tuple[Status, dict[str, Any], list[dict[str, Any]]]] = {
         {"slope": 1.0},
         [{"slope": 0.7}, {"slope": 3e-3, "chi2": 1e8}],
     ),
-    automatic.chi2_rises: (Status.DIVERGED, {"chi2": 1e6}, [{"chi2": 0.9e6}, {"rounds": lambda change: True}]),
+    automatic.chi2_rises: (
+        Status.DIVERGED,
+        {"chi2": 1e6, "old": Iteration(1, 1e6, 1.0)},
+        [{"chi2": 0.9e6}, {"old": Iteration(1, 0.9e6, 1.0)}, {"rounds": lambda change: True}],
+    ),
     automatic.no_new_best: (Status.CYCLING, {"since_best": 10}, [{"since_best": 9}, {"invisible": True}]),
 }
 

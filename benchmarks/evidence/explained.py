@@ -1,0 +1,84 @@
+"""Whom `nls.explain` names: a few wrong closures planted in public graphs, and the same graphs without any.
+
+    LEADLINE_DATA=DIR python benchmarks/evidence/explained.py [--wrong 5] [--out DIR]
+
+A measurement is named when it stands in a finding. With many outliers the finding names the worst alone: then all are
+counted as missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from wrong_closures import KINDS, SETS, solved, spoiled
+
+import nls
+from nls import FactorGraph, FindingKind
+
+BENCHMARKS = Path(__file__).parents[1]
+PLANTED = ("CSAIL", "FR079", "INTEL", "intel", "M3500")
+CLEAN = (*PLANTED, "kitti_00", "ring", "manhattan", "smallGrid3D", "sphere2500")
+NAMES = (FindingKind.WRONG_CLOSURE, FindingKind.OUTLIER)
+CHANCE = 1e-3  # of one falsely named measurement in a right graph
+
+
+def named(graph: FactorGraph, values: nls.Values) -> tuple[set[tuple[int, int]], list[str]]:
+    """Places of the measurements that are named wrong, and the kinds of all findings."""
+    findings = nls.explain(graph, graph.optimize(values).values).findings
+    places = {place for finding in findings if finding.kind in NAMES for place in finding.measurements}
+    return places, [finding.kind.value for finding in findings]
+
+
+def planted(data: Path, count: int) -> Iterator[list[str]]:
+    """A row a graph and kind of wrong closures: named, missed, falsely named, and other findings."""
+    for name in PLANTED:
+        right = solved(data / SETS[name])
+        for kind in KINDS:
+            wrong = spoiled(right, count, kind, np.random.default_rng([0, list(KINDS).index(kind)]))
+            places, kinds = named(FactorGraph([right.edges, wrong]), right.best)
+            hits = sum(factor == 1 for factor, _ in places)
+            others = sorted(set(kinds) - {kind.value for kind in NAMES})
+            yield [name, kind, str(hits), str(count - hits), str(len(places) - hits), ", ".join(others)]
+
+
+def clean(data: Path) -> Iterator[list[str]]:
+    """A row a graph without a wrong closure: falsely named, and how many chance names."""
+    for name in CLEAN:
+        right = solved(data / SETS[name])
+        places, _ = named(FactorGraph([right.edges]), right.best)
+        yield [name, str(len(places)), f"{CHANCE:g}"]
+
+
+def table(head: tuple[str, ...], rows: list[list[str]]) -> list[str]:
+    """In Markdown."""
+    return ["| " + " | ".join(head) + " |", "|:--" * len(head) + "|", *("| " + " | ".join(row) + " |" for row in rows)]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--wrong", type=int, default=5, help="closures that are planted (default 5)")
+    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for explained.md")
+    options = parser.parse_args()
+    if not (folder := os.environ.get("LEADLINE_DATA")):
+        print("explained: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
+        return 0
+    sys.path.insert(0, str(BENCHMARKS))
+    from pinv import machine, write_page
+
+    head, data = machine(), Path(folder)
+    rows = list(planted(data, options.wrong))
+    sums = ["**all**", "", *(str(sum(int(row[k]) for row in rows)) for k in (2, 3, 4)), ""]
+    lines = ["# Wrong closures that `nls.explain` names", "", *head, "", "## Planted", ""]
+    lines += table(("graph", "wrong ones", "named", "missed", "falsely named", "other findings"), [*rows, sums])
+    lines += ["", "## Clean graphs", "", *table(("graph", "falsely named", "expected by chance"), list(clean(data)))]
+    write_page(lines, options.out / "explained.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
