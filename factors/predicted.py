@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from typing import Any
 
 from factors.base import Factor
 from factors.keys import Keys
+from factors.replaced import replaced
 from models.errors import GraphError
 
 __all__ = ["predicted"]
@@ -41,13 +41,7 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
     >>> again, again.z.ravel(), again.noise.sigma
     (Range(x[1, 1], l[0, 1]), array([ 5., 10.]), array([0.1, 0.2]))
     """
-    if [len(k) for k in keys] != [len(factor)] * len(factor.keys):
-        raise GraphError(
-            f"{factor!r}: {[len(k) for k in keys]} variables; expected {len(factor)} for each of its "
-            f"{len(factor.keys)} slots",
-            factor.keys,
-            factor.name,
-        )
+    other = replaced(factor, keys)
     if factor.eliminated:
         raise GraphError(
             f"{factor!r}: its target is no variable, so nothing says what is measured of it from elsewhere; take "
@@ -55,14 +49,5 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
             factor.keys,
             factor.name,
         )
-    other = copy(factor)
-    other.keys = tuple(keys)
-    for name in factor.each:
-        if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
-            setattr(other, name, other.keys[factor.keys.index(held)])
     model, X = values.gather(other)
-    z, _ = other.predict(model.manifolds, *X)
-    z = z.copy()
-    z.setflags(write=False)
-    other._z, other._model = z, None
-    return other
+    return replaced(other, z=other.predict(model.manifolds, *X)[0])

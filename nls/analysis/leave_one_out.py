@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 
-__all__ = ["Tested", "checks", "kinds_of", "measuring", "spoiled", "tested"]
+__all__ = ["Tested", "checks", "kinds_of", "measuring", "middle_variance", "spoiled", "tested"]
 
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
 FEW = 3  # measurements, fewer have no middle one
@@ -99,9 +99,14 @@ def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
     m = np.concatenate([tests[k].m[which] for k, which in kind])
     if (m > 0).sum() < FEW:
         return float("nan")
-    middle = np.zeros(int(m.max()) + 1)
-    middle[1:] = [chi2_gate(d, 0.5) for d in range(1, len(middle))]
-    return float(np.median(t[m > 0] / middle[m[m > 0]]))
+    return middle_variance(t[m > 0], m[m > 0])
+
+
+def middle_variance(t: Array, m: Index) -> float:
+    """The middle one of some squared distances t (n,), each over the median of chi2 of its m (n,) numbers, m > 0."""
+    medians = np.ones(int(m.max()) + 1)
+    medians[1:] = [chi2_gate(d, 0.5) for d in range(1, len(medians))]
+    return float(np.median(t / medians[m]))
 
 
 def checks(checked: Checked, count: int) -> list[Tested]:

@@ -14,8 +14,7 @@ import numpy as np
 from factors.base import Factor
 from models.algebra import Index
 from nls.analysis.alternatives import FIRST, UNLIKELY, expected, solved, supported
-from nls.analysis.chi_squared import chi2_gate
-from nls.analysis.leave_one_out import kinds_of, measuring
+from nls.analysis.leave_one_out import kinds_of, measuring, middle_variance
 from nls.analysis.readings import READINGS, Reading
 from nls.graph import FactorGraph
 from nls.sparse.pattern import Pattern
@@ -173,6 +172,4 @@ def _middle(factors: list[Factor], values: Values) -> float:
     """Variance of the middle one of some measurements, relative to its noise; outliers do not move it."""
     chi2 = np.concatenate([factor.chi2(values) for factor in factors])
     m = np.concatenate([measuring(values.gather(factor)[0]) for factor in factors])
-    median = np.ones(int(m.max()) + 1)
-    median[1:] = [chi2_gate(d, 0.5) for d in range(1, len(median))]
-    return float(np.median(chi2[m > 0] / median[m[m > 0]])) if (m > 0).any() else math.inf
+    return middle_variance(chi2[m > 0], m[m > 0]) if (m > 0).any() else math.inf

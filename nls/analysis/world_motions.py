@@ -20,7 +20,7 @@ from models.algebra import Array, apply
 if TYPE_CHECKING:
     from models import Manifold
 
-__all__ = ["Motion", "generators", "motions", "places", "said"]
+__all__ = ["AXES", "NEAR", "SAME", "Motion", "generators", "motions", "places"]
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
 SAME = 1e-4  # sine of the angle between a motion and the free directions
@@ -106,39 +106,3 @@ def _onto(B: Array, Q: Array) -> Array:
     """Projection of columns Q onto the span of B."""
     U = np.linalg.qr(B)[0]
     return np.asarray(U @ (U.T @ Q))
-
-
-def said(motion: Motion, positions: Array, names: list[str]) -> str:
-    """A motion in words: ``x``, ``yaw``, ``yaw about x0``, ``scale about (1.2, 0.3, 0)``.
-
-    Parameters
-    ----------
-    positions : (n, 3) of the variables that have one.
-    names : of these.
-    """
-    extent = max(float((positions.max(axis=0) - positions.min(axis=0)).max()), 1e-300) if len(positions) else 1.0
-    v, omega, s = motion.v, motion.omega, motion.s
-    turning, growing = float(np.linalg.norm(omega)) * extent, abs(s) * extent
-    speed = float(np.linalg.norm(v))
-    if max(turning, growing) < NEAR * speed:
-        axis = np.abs(v) / speed
-        return AXES[int(axis.argmax())] if axis.max() > 1 - SAME else f"a shift along {_numbers(v / speed)}"
-    W = np.array([[s, -omega[2], omega[1]], [omega[2], s, -omega[0]], [-omega[1], omega[0], s]])
-    center = -np.linalg.lstsq(W, v, rcond=1e-9)[0]
-    flat = not positions[:, 2].any()
-    if growing > turning:
-        what, distance = "scale", np.linalg.norm(positions - center, axis=1)
-    else:
-        a = omega / np.linalg.norm(omega)
-        axis = np.abs(a)
-        what = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
-        away = positions - center
-        distance = np.linalg.norm(away - np.outer(away @ a, a), axis=1)  # from the axis
-    nearest = int(np.argmin(distance)) if len(distance) else -1
-    if nearest >= 0 and distance[nearest] <= NEAR * extent:
-        return f"{what} about {names[nearest]}"
-    return f"{what} about {_numbers(center[:2] if flat else center)}"
-
-
-def _numbers(a: Array) -> str:
-    return f"({', '.join(f'{round(float(x), 3):g}' for x in a)})"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,59 +10,39 @@ from nls.cli.timing import rows
 
 if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
-    from nls.certificate import Certificate
+    from nls.cli.job import Job
     from nls.cli.mission import Solved
-    from nls.graph import FactorGraph
-    from nls.io import LoadReport
     from nls.optimizers import Result
-    from nls.plot.report.told import Rejected
-    from nls.robust import Doubt
-    from nls.values import Values
 
 __all__ = ["write_report"]
 
 
-def write_report(
-    options: argparse.Namespace,
-    graph: FactorGraph,
-    before: Values,
-    report: LoadReport,
-    starts: tuple[str, dict[str, float]],
-    result: Result | UnderconstrainedError,
-    timings: dict[str, float],
-    solved: Solved | None,
-    certificate: Certificate | None,
-    path: str,
-    rejected: Sequence[Rejected] = (),
-    doubts: Sequence[Doubt] = (),
-) -> None:
-    """Write the page.
+def write_report(job: Job, result: Result | UnderconstrainedError, path: str) -> None:
+    """Write the page of a run.
 
     Parameters
     ----------
-    options, report : of the command and of the file.
-    graph, before, result : as for `nls.plot.report`.
-    starts : the start that was taken, and chi2 of all that were tried.
-    timings : of `Clock`.
-    solved, certificate : of a mission; of ``--certify``.
+    job : the run.
+    result : of the optimization, or the error in its place.
     path : of the page.
-    rejected, doubts : by graduated non-convexity, and why its choice may be wrong.
     """
     from nls.io.files import write_bytes
+    from nls.optimizers import Result
     from nls.plot.report import report as page
 
-    init, tried = starts
+    solved, choice = job.solved, job.choice
+    timings = job.timings if isinstance(result, Result) else {}
     text = page(
-        graph,
-        before,
+        job.graph,
+        job.before,
         result,
-        title=Path(report.path).name,
-        init=init,
+        title=Path(job.report.path).name,
+        init=job.init,
         marginals=None if solved is None else solved.marginals,
-        certificate=certificate,
-        rejected=rejected,
-        doubts=doubts,
-        facts=_facts(options, result, report, tried),
+        certificate=job.certificate,
+        rejected=() if choice is None else choice.rejected,
+        doubts=() if choice is None else choice.doubts,
+        facts=_facts(job, result),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),
         shell=True,
@@ -72,19 +50,18 @@ def write_report(
     write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
 
 
-def _facts(
-    options: argparse.Namespace, result: Result | UnderconstrainedError, report: LoadReport, tried: dict[str, float]
-) -> dict[str, str]:
+def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
     """Where the solution comes from, by name."""
     import nls
 
+    options, report = job.options, job.report
     facts = {
         "file": report.path,
         "format": f"{report.format}, {report.dimension}",
         "lines": ", ".join(f"{count:,} {tag}" for tag, count in report.tags.items()),
         "command": shlex.join(["nls", *map(str, options.argv)]),
         "convention": report.convention,
-        "starts": ", ".join(f"{name}: chi2 {chi2:.6g}" for name, chi2 in tried.items()),
+        "starts": ", ".join(f"{name}: chi2 {chi2:.6g}" for name, chi2 in job.starts.items()),
         "linear solver": getattr(result, "linear_solver", ""),
         "robust kernel": options.robust or "",
         "held": ", ".join(f"all {kind}" for kind in options.hold),

@@ -11,9 +11,8 @@ from nls.cli.outputs import complain, write_json
 if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
-    from nls.optimizers import Result
 
-__all__ = ["attempt", "page", "write_free", "write_outputs"]
+__all__ = ["attempt", "write_free", "write_outputs"]
 
 Output = tuple[Callable[[str], None], str | None]
 
@@ -67,18 +66,6 @@ def _plot(job: Job, path: str) -> None:
     write_picture(path, before_after(job.graph, job.before, job.result, title=Path(job.report.path).name))
 
 
-def page(job: Job, result: Result | UnderconstrainedError, path: str) -> None:
-    """Write the page of a result, or of the error in its place."""
-    from nls.cli.report import write_report
-    from nls.optimizers import Result
-
-    rejected = () if job.choice is None else job.choice.rejected
-    doubts = () if job.choice is None else job.choice.doubts
-    starts, seconds = (job.init, job.starts), job.timings if isinstance(result, Result) else {}
-    parts = job.solved, job.certificate, path, rejected, doubts
-    write_report(job.options, job.graph, job.before, job.report, starts, result, seconds, *parts)
-
-
 def attempt(job: Job, outputs: Sequence[Output]) -> None:
     """Write what is asked for, whether or not another can be; names of those written and errors are added."""
     from models.errors import GraphFileError, LeadlineError
@@ -100,10 +87,11 @@ def write_free(job: Job, error: UnderconstrainedError) -> None:
     """Write the outputs that can say what is free, and name in the error these and what explains it."""
     from models.advice import Advice
     from nls.cli.hint import asking
+    from nls.cli.report import write_report
 
     options, written = job.options, job.options.phase.written
-    attempt(job, [(lambda path: page(job, error, path), options.report)])
-    attempt(job, [(lambda path: _free(job, error, path), options.json)])
+    page: Output = lambda path: write_report(job, error, path), options.report
+    attempt(job, [page, (lambda path: _free(job, error, path), options.json)])
     for failure in job.failed:
         complain(failure)
     names = ", ".join(name for name in written if name != "-")

@@ -10,20 +10,18 @@ from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
 from nls.analysis.swapped import swapped_landmarks
-from nls.explanation.findings import Finding, FindingKind
+from nls.explanation.findings import SOME, Finding, FindingKind
 from nls.linear.singular import SingularSystemError
 
 if TYPE_CHECKING:
-    from nls.analysis.freedom import Freedom
     from nls.analysis.leave_one_out import Tested
+    from nls.analysis.linearization import Checked
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
 __all__ = ["beyond_all_others", "exchanged_landmarks", "misread", "readings", "shifted_clocks"]
-
-SOME = 5  # measurements of a finding that are named
 
 
 def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
@@ -57,7 +55,7 @@ def misread(graph: FactorGraph, values: Values) -> list[Finding]:
     return [Finding(FindingKind.MISREAD, (), numbers, (Advice("frames"),), places)]
 
 
-def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested] | None) -> list[Finding]:
+def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested]) -> list[Finding]:
     """Pairs of landmarks that are one another in some of their sightings."""
     return [
         Finding(
@@ -71,14 +69,13 @@ def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested] 
     ]
 
 
-def readings(free: Freedom, found: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
+def readings(checked: Checked, found: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
     """Readings under which a suspect fits the others, by its place; empty where they are many or hold something."""
-    assert free.checked is not None
     if found.many:
         return {}
     by_place: dict[tuple[int, int], tuple[str, ...]] = {}
     try:
-        misreadings = misread_measurements(free.checked.linear.pattern, found.values, found.places)
+        misreadings = misread_measurements(checked.linear.pattern, found.values, found.places)
     except SingularSystemError:  # without the suspects something is free: nothing tells their readings apart
         return {}
     for one in misreadings:
@@ -86,10 +83,8 @@ def readings(free: Freedom, found: Suspects) -> dict[tuple[int, int], tuple[str,
     return by_place
 
 
-def shifted_clocks(free: Freedom, values: Values, count: int) -> list[Finding]:
+def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding]:
     """Kinds of measurements whose clock is before or behind that of the poses."""
-    if free.checked is None:
-        return []
     return [
         Finding(
             FindingKind.CLOCK,
@@ -97,5 +92,5 @@ def shifted_clocks(free: Freedom, values: Values, count: int) -> list[Finding]:
             {"kind": one.kind, "dt": one.dt, "sigma": one.sigma, "chance": one.chance, "fall": one.fall},
             (Advice("clock"),),
         )
-        for one in clock_offsets(free.checked, values, count)
+        for one in clock_offsets(checked, values, count)
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from models.advice import Advice
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
-from nls.explanation.findings import Finding, FindingKind, Measurement, Part
+from nls.explanation.findings import SOME, Finding, FindingKind, Measurement, Part
 from nls.explanation.offers import certifies, graduates
 from nls.track import closures
 
 if TYPE_CHECKING:
+    from factors.keys import Keys
     from nls.analysis.suspects import Suspects
     from nls.graph import FactorGraph
     from nls.sparse.pattern import Pattern
@@ -45,7 +46,6 @@ MANY = 6  # measurements of which the middle one speaks for the kind
 EXACT = 1e-6  # chi2 per degree of freedom of measurements that somebody made up
 TURN = 0.6  # rad
 OFF = 0.01  # weight of a measurement that counts no more
-SOME = 5  # measurements of a finding that are named
 CURES = {  # action by reading
     "exchanged": "swap",
     "transposed": "transpose",
@@ -96,10 +96,10 @@ def of_suspects(
     """
     if not found.places:
         return []
-    names = tuple(graph.factors[k].describe(i) for k, i in found.places)
+    names = _names(graph.factors, found.places)
     robust = any(factor.kernel is not None for factor in graph.factors)
     if found.many:
-        keys = tuple(dict.fromkeys(keys[[i]] for k, i in found.places for keys in graph.factors[k].keys))
+        keys = _keys(graph.factors, found.places)
         advice = [Advice("gnc")] * graduates(graph, found.values)
         removal = [Advice("inspect", ("them",)), Advice("remove", ("them",))]
         advice += removal if robust else [Advice.robust("Cauchy", 1)]
@@ -121,9 +121,8 @@ def of_suspects(
         doubtful = (Advice("inspect", ("it",)), Advice("remove", ("it",)), Advice.robust("Cauchy", 1))
         kind = FindingKind.WRONG_CLOSURE if closure else FindingKind.OUTLIER
         keys = tuple(keys[[i]] for keys in factor.keys)
-        out.append(
-            Finding(kind, keys, numbers, tuple(Advice(CURES[reading]) for reading in read) or doubtful, ((k, i),))
-        )
+        cures = tuple(Advice(CURES[reading]) for reading in read)
+        out.append(Finding(kind, keys, numbers, cures or doubtful, ((k, i),)))
     return out
 
 
@@ -186,9 +185,9 @@ def switched_off(graph: FactorGraph, values: Values) -> list[Finding]:
         if factor.kernel is not None and len(off) > len(factor) / 2:
             gentle = isinstance(factor.kernel, Huber | Cauchy)
             advice = (Advice("start"), Advice("wider kernel"), *(() if gentle else (Advice("gentle kernel"),)))
-            keys = tuple(dict.fromkeys(keys[[i]] for i in off[:SOME].tolist() for keys in factor.keys))
+            places = tuple((k, i) for i in off[:SOME].tolist())
             numbers = {"kernel": repr(factor.kernel), "off": len(off), "of": len(factor), "factor": repr(factor)}
-            out.append(Finding(FindingKind.REJECTED, keys, numbers, advice, tuple((k, i) for i in off[:SOME].tolist())))
+            out.append(Finding(FindingKind.REJECTED, _keys(graph.factors, places), numbers, advice, places))
     return out
 
 
@@ -225,16 +224,14 @@ def unchecked(tests: list[Tested], pattern: Pattern) -> list[Finding]:
     if not count:
         return []
     factors = [batch.model.factor for batch in pattern.batches]
-    numbers = {"count": count, "of": total, "factors": tuple(factors[k].describe(i) for k, i in places)}
-    keys = tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in factors[k].keys))
-    return [Finding(FindingKind.UNCHECKED, keys, numbers, (Advice("close"),), tuple(places))]
+    numbers = {"count": count, "of": total, "factors": _names(factors, places)}
+    return [Finding(FindingKind.UNCHECKED, _keys(factors, places), numbers, (Advice("close"),), tuple(places))]
 
 
 def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
     """Groups of closures that carry the map and that nothing verifies, at an optimum where nothing is free."""
     findings = []
     for group in unverified_groups(graph, values):
-        keys = tuple(dict.fromkeys(keys[[i]] for k, i in group.closures for keys in graph.factors[k].keys))
         numbers = {
             "factors": group.names,
             "redundancy": group.redundancy,
@@ -243,6 +240,7 @@ def unverified(graph: FactorGraph, values: Values) -> list[Finding]:
             "sigmas": group.sigmas,
         }
         advice = (Advice("inspect", ("the group",)), Advice("close"))
+        keys = _keys(graph.factors, group.closures)
         findings.append(Finding(FindingKind.UNVERIFIED, keys, numbers, advice, group.closures[:SOME]))
     return findings
 
@@ -271,6 +269,16 @@ def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
         places += [(int(of[row]), int(within[row])) for row in again[:SOME].tolist()]
     if not count:
         return []
-    numbers = {"count": count, "factors": tuple(graph.factors[k].describe(i) for k, i in places)}
-    keys = tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in graph.factors[k].keys))
+    numbers = {"count": count, "factors": _names(graph.factors, places)}
+    keys = _keys(graph.factors, places)
     return [Finding(FindingKind.REPEATED, keys, numbers, (Advice("remove copies"),), tuple(places))]
+
+
+def _keys(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[Keys, ...]:
+    """The variables of some measurements, each once."""
+    return tuple(dict.fromkeys(keys[[i]] for k, i in places for keys in factors[k].keys))
+
+
+def _names(factors: Sequence[Factor], places: Iterable[tuple[int, int]]) -> tuple[str, ...]:
+    """The names of some measurements."""
+    return tuple(factors[k].describe(i) for k, i in places)

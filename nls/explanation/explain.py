@@ -30,6 +30,7 @@ from nls.sparse.threads import single_thread
 from nls.values import Values
 
 if TYPE_CHECKING:
+    from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Pattern
 
     Mask = npt.NDArray[np.bool_]
@@ -131,8 +132,8 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
                 found = replace(found, places=[])  # where most are off, it is not these
                 kinds = doubts.of_parts(parts, found, graph)
             alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-            findings += _causes(held, values, free, tests, found, alike)
-            findings += alike + doubts.of_suspects(found, graph, whole, causes.readings(free, found))
+            findings += _causes(held, values, free.checked, tests, found, alike)
+            findings += alike + doubts.of_suspects(found, graph, whole, causes.readings(free.checked, found))
             findings += [kind for kind in kinds if kind not in alike]
             if not (free.count or alike or found.many):
                 findings += doubts.unverified(held, values)
@@ -164,7 +165,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
 
 
 def _causes(
-    graph: FactorGraph, values: Values, free: Freedom, tests: list[Tested], found: Suspects, alike: list[Finding]
+    graph: FactorGraph, values: Values, checked: Checked, tests: list[Tested], found: Suspects, alike: list[Finding]
 ) -> list[Finding]:
     """What explains a chi2 that noise does not: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
@@ -172,7 +173,7 @@ def _causes(
         findings = causes.misread(graph, values)
     if not findings and (alike or found.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
-    return findings or causes.shifted_clocks(free, values, len(graph.factors))
+    return findings or causes.shifted_clocks(checked, values, len(graph.factors))
 
 
 def _little(chi2: float) -> float:

@@ -11,10 +11,10 @@ from typing import Any
 from factors.keys import Keys
 from models.advice import Advice, listed
 
-__all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number", "some"]
+__all__ = ["SOME", "Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number", "some"]
 
 SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
-SHOWN = 5  # of a list
+SOME = 5  # of a list that are named
 
 
 class FindingKind(StrEnum):
@@ -273,7 +273,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def some(items: Sequence[object], shown: int = SHOWN) -> str:
+def some(items: Sequence[object], shown: int = SOME) -> str:
     """The first few of some things, and how many more.
 
     Examples

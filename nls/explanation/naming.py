@@ -12,7 +12,7 @@ from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array
 from nls.analysis.sightings import Sight, named, sights
-from nls.analysis.world_motions import AXES, Motion, generators, motions, places, said
+from nls.analysis.world_motions import AXES, NEAR, SAME, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
 
@@ -109,7 +109,7 @@ def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, .
     there = [places(values.stack(k.kind).manifold, values[k][None]) for k in others]
     names = [repr(k) for k, place in zip(others, there, strict=True) if len(place)]
     positions = np.concatenate([*there, places(stack.manifold, X)])
-    return (said(Motion(motion[:3], motion[3:], 0.0), positions, [*names, repr(key)]),)
+    return (_motion_name(Motion(motion[:3], motion[3:], 0.0), positions, [*names, repr(key)]),)
 
 
 def _beside(v: int, pattern: Pattern) -> Index:
@@ -142,7 +142,7 @@ def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
         N, G, positions, places_named = _motions_of(members, free, home == k, pattern, values)
         whole, rest = motions(N, G)
         names = sorted(
-            (said(motion, positions, places_named) for motion in whole),
+            (_motion_name(motion, positions, places_named) for motion in whole),
             key=lambda name: AXES.index(name) if name in AXES else len(AXES),
         )
         if names:
@@ -207,3 +207,39 @@ def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[Finding]:
         advice = (Advice("prior", ("one of them",)), Advice("view", ("one of them",)), Advice("fix", ("one",)))
         findings.append(Finding(FindingKind.FREE, tuple(map(pattern.key, names)), numbers, advice))
     return findings
+
+
+def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
+    """A motion in words: ``x``, ``yaw``, ``yaw about x0``, ``scale about (1.2, 0.3, 0)``.
+
+    Parameters
+    ----------
+    positions : (n, 3) of the variables that have one.
+    names : of these.
+    """
+    extent = max(float((positions.max(axis=0) - positions.min(axis=0)).max()), 1e-300) if len(positions) else 1.0
+    v, omega, s = motion.v, motion.omega, motion.s
+    turning, growing = float(np.linalg.norm(omega)) * extent, abs(s) * extent
+    speed = float(np.linalg.norm(v))
+    if max(turning, growing) < NEAR * speed:
+        axis = np.abs(v) / speed
+        return AXES[int(axis.argmax())] if axis.max() > 1 - SAME else f"a shift along {_numbers(v / speed)}"
+    W = np.array([[s, -omega[2], omega[1]], [omega[2], s, -omega[0]], [-omega[1], omega[0], s]])
+    center = -np.linalg.lstsq(W, v, rcond=1e-9)[0]
+    flat = not positions[:, 2].any()
+    if growing > turning:
+        what, distance = "scale", np.linalg.norm(positions - center, axis=1)
+    else:
+        a = omega / np.linalg.norm(omega)
+        axis = np.abs(a)
+        what = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
+        away = positions - center
+        distance = np.linalg.norm(away - np.outer(away @ a, a), axis=1)  # from the axis
+    nearest = int(np.argmin(distance)) if len(distance) else -1
+    if nearest >= 0 and distance[nearest] <= NEAR * extent:
+        return f"{what} about {names[nearest]}"
+    return f"{what} about {_numbers(center[:2] if flat else center)}"
+
+
+def _numbers(a: Array) -> str:
+    return f"({', '.join(f'{round(float(x), 3):g}' for x in a)})"

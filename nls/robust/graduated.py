@@ -43,7 +43,6 @@ from models.errors import GraphError, OptionError
 from models.options import is_number
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
-from nls.explanation.words import unverified
 from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.robust import verdict
@@ -118,6 +117,8 @@ class Robustified:
 
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected at which threshold, doubts, unverified groups, and the first rejected ones."""
+        from nls.explanation.words import unverified
+
         counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
         times = f"{self.sigma0:.3g}"
         lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]

@@ -14,10 +14,11 @@ import pytest
 import nls
 from factors import Between, Cauchy, Factor, Isotropic, Landmark, Prior
 from models import SE2, R
-from models.advice import Advice
+from models.advice import ACTIONS, Advice
+from nls.analysis.readings import READINGS
 from nls.analysis.suspects import Suspects
-from nls.explanation import Finding, FindingKind, Measurement
-from nls.explanation.doubts import of_suspects
+from nls.explanation import Finding, FindingKind, Measurement, words
+from nls.explanation.doubts import CURES, of_suspects
 from nls.explanation.naming import _loose
 from nls.explanation.offers import certifies, graduates
 from nls.explanation.words import together
@@ -144,3 +145,9 @@ def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
         "cures": ["give both one number, if they are the same"],
     }
     assert record["sentence"].endswith(" [a.g2o:3]")
+
+
+def test_every_reading_has_its_words_and_its_action() -> None:
+    names = {reading.name for reading in READINGS}
+    assert names == set(words.READINGS) == set(CURES)
+    assert set(CURES.values()) <= set(ACTIONS)
