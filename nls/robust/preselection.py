@@ -34,7 +34,7 @@ QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these a
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
-SETTLED, HOPELESS = 3, 10.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 1
+SETTLED, HOPELESS = 3, 2.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 0.5
 TURNS = 3  # of giving up contradicted groups
 
 
