@@ -9,12 +9,12 @@ A are whitened Jacobians, so w is 1/m^2 and 1 / sqrt(w_1) is the standard deviat
 sonar that does not measure elevation, v_1 is the tangent of the arc of the first sighting unless the motion has
 shown the elevation; `elevation_angle` says how far from it.
 
-The marginal information of a landmark follows from the Schur complement S of all landmarks (`truncated_inverse`) and
-the one part of it that is the landmark's own: with Q = H_lp S^-1 H_pl,
+The marginal information is the inverse of the marginal covariance,
 
-    M_l = H_l - Q (I + H_l^+ Q)^-1
+    M_l = (((H + W)^-1)_ll)^-1 - W_l
 
-by the identity of Woodbury, since leaving l out of S adds H_pl H_l^+ H_lp to it.
+where W gives a landmark weight along the directions that its own measurements leave free, A_l v = 0. These directions
+are joined to nothing else, so that the weight of one landmark changes the covariance of no other.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from models import SE3, R
 from models.algebra import Array, apply, dot, gram
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
+from nls.analysis.linearization import MEMORY_LIMIT
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear.default import default_solver
 from nls.linear.schur.truncated import truncated_inverse
@@ -46,8 +47,6 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 __all__ = ["LandmarkInformation", "landmark_information"]
-
-CHUNK = 64  # landmarks whose columns are solved for at once
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def landmark_information(
     values : where they are linearized.
     kind : of the landmarks, points in R(2) or R(3).
     marginal : whether to take into account that the poses, and everything else, are only estimated. Costs a
-        factorization, and three solves for every landmark (329 landmarks and 247 poses: 3 s).
+        factorization and the blocks of its inverse.
 
     Returns
     -------
@@ -125,7 +124,7 @@ def landmark_information(
     Raises
     ------
     GraphError
-        Landmarks that are no points; for the marginal: a factor that joins two of them.
+        Landmarks that are no points.
     UnderconstrainedError
         For the marginal: something other than landmarks is free.
 
@@ -192,34 +191,20 @@ def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -
 
 
 def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
-    """M_l (n, d, d) of all landmarks of a kind from their H_l."""
+    """M_l (n, d, d) of all landmarks of a kind from their H_l; H_l where they are held."""
     pattern, d = system.pattern, H.shape[1]
-    for batch in pattern.batches:
-        if batch.kinds.count(kind) > 1:
-            raise GraphError(f"landmark_information: {batch.model.factor!r} joins two landmarks of kind {kind}")
-    owner, _ = pattern.column_owner()
     begin = pattern.offsets[kind]
-    theirs = (owner >= begin) & (owner < begin + len(H))
-    estimated = np.unique(owner[theirs]) - begin
-    if theirs.all():
-        return H
-    P = truncated_inverse(H[estimated], tau=SINGULAR)  # what is free beyond rounding, and nothing else, is left out
-    free = np.eye(d) - P @ H[estimated]  # a projection: A is 0 along it, so weight there changes no S
-    weight = np.trace(H[estimated], axis1=1, axis2=2) / d
-    place = (np.cumsum(~pattern.held) - 1)[begin + estimated]
+    free = np.flatnonzero(~pattern.held[begin : begin + len(H)])
+    place = (np.cumsum(~pattern.held) - 1)[begin + free]
+    unseen = np.eye(d) - truncated_inverse(H[free], tau=SINGULAR) @ H[free]  # projections on what is free
+    weight = np.trace(H[free], axis1=1, axis2=2) / d
+    W = np.where(weight > 0, weight, 1.0)[:, None, None] * (unseen + unseen.mT) / 2
     blocks = system.H_blocks.copy()
-    at = pattern.blocks.diagonal[place, None] + np.arange(d * d)
-    blocks[at] += (np.where(weight > 0, weight, 1.0)[:, None, None] * (free + free.mT) / 2).reshape(-1, d * d)
+    blocks[pattern.blocks.diagonal[place, None] + np.arange(d * d)] += W.reshape(-1, d * d)
     try:
         factorization = default_solver().prepared(pattern).factorize(blocks)
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    A_l, M = system.A[:, theirs], H.copy()
-    for k in range(0, len(estimated), CHUNK):
-        B = (system.A.T @ A_l[:, k * d : (k + CHUNK) * d]).toarray()
-        B[theirs] = 0.0
-        n = B.shape[1] // d
-        QQ = (B.T @ factorization.solve(B)).reshape(n, d, n, d)
-        Q = QQ[np.arange(n), :, np.arange(n), :]
-        M[estimated[k : k + CHUNK]] -= Q @ np.linalg.inv(np.eye(d) + P[k : k + CHUNK] @ Q)
+    M, Sigma = H.copy(), factorization.inverse_blocks(place, place, MEMORY_LIMIT)
+    M[free] = np.linalg.inv(Sigma.reshape(-1, d, d)) - W
     return M

@@ -1,16 +1,10 @@
 r"""The information left for one variable when everything else is estimated too.
 
-With the columns of A split into those of the variable and the rest, A = [A_k A_r], the part of A_k that no change of
-the rest can imitate is
+Rank is decided on the part E of its columns that no change of the rest can imitate (`unexplained`): it keeps twice the
+digits of M = E'E, the Schur complement of A'A onto the variable, whose inverse is the covariance, the Cramer-Rao bound.
 
-    E = A_k - A_r X,   X = argmin |A_k - A_r X|,     M = E'E = A_k'A_k - A_k'A_r (A_r'A_r)^+ A_r'A_k
-
-M is the Schur complement of A'A onto the variable: its inverse is the covariance, the Cramer-Rao bound. E exists where
-A_r itself is singular (a free gauge, a free scale, landmarks nothing determines): X is then one of many, E is the same
-for all. M n = 0 where the variable can move by n, and the rest by -X n with it, and no measurement changes.
-
-Rank is decided on E, which keeps twice the digits of M. Source: S. Kay, Fundamentals of Statistical Signal Processing:
-Estimation Theory, 1993, section 3.7 (the bound with nuisance parameters).
+Source: S. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.7 (the bound with
+nuisance parameters).
 """
 
 from __future__ import annotations
@@ -28,9 +22,7 @@ from models.manifolds.measured import ANGLES, LENGTHS
 from models.options import is_number
 from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
-from nls.linear import default_solver
-from nls.linear.factorization import Factorization
-from nls.linear.singular import SingularSystemError
+from nls.linear.schur.unexplained import unexplained
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
@@ -41,9 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["check_one", "observability"]
 
-DAMPING = 1e-11  # of the diagonal of A_r'A_r, where A_r is singular: taken away again by repeating
-ROUNDS = 30  # a direction of A_r of length 3e-6, columns scaled to 1, halves in each; none was seen so weak
-SETTLED = 1e-13
 MOVES = 0.02  # what else moves is named when it would be seen, alone, by this part of what the variable would
 
 
@@ -117,7 +106,7 @@ def observability(
     components = stack.manifold.components
     pattern, held, said = _held(graph, values, key, gauge)
     system = LinearSystem.at(pattern.holding(held), values)
-    A_k, X, E, rest = _left(system, key)
+    A_k, X, E, rest = unexplained(system, _place(pattern, key))
     length = _distance(system.pattern, values, key) if length is None else float(length)
     w = _weights(components, np.linalg.norm(A_k, axis=0), length)
     R = np.linalg.qr(E / w, mode="r")  # (E/w)'(E/w) = R'R
@@ -168,36 +157,6 @@ def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pa
 def _place(pattern: Pattern, key: Keys) -> int:
     """Where a variable, which has a value, is in the numbering."""
     return pattern.offsets[key.kind] + int(np.flatnonzero(pattern.numbers[key.kind] == key.numbers[0])[0])
-
-
-def _left(system: LinearSystem, key: Keys) -> tuple[Array, Array, Array, Index]:
-    """A_k (m, d), X (n - d, d), E (m, d), and which columns are the rest."""
-    pattern, place = system.pattern, _place(system.pattern, key)
-    columns = pattern.starts[place] + np.arange(pattern.dims[place])
-    rest = np.setdiff1d(np.arange(pattern.n), columns)
-    A_k, A_r = system.A[:, columns].toarray(), system.A[:, rest]
-    held = pattern.held.copy()
-    held[place] = True
-    others = LinearSystem(pattern.holding(held), system.blocks, system.b)
-    factorization = _factorized(others)
-    X, E = np.zeros((len(rest), len(columns))), A_k
-    for _ in range(ROUNDS):
-        step = factorization.solve(np.asarray(A_r.T @ E)) if len(rest) else X
-        X = X + step
-        last, E = E, A_k - A_r @ X
-        if np.abs(last - E).max(initial=0.0) <= SETTLED * np.abs(A_k).max(initial=0.0):
-            break
-    return A_k, X, E, rest
-
-
-def _factorized(system: LinearSystem) -> Factorization:
-    """A_r'A_r factorized as it is; with a little damping where it is singular."""
-    analysis = default_solver().analyze(system.pattern)
-    try:
-        return analysis.factorize(system)
-    except SingularSystemError:
-        squares = np.square(system.column_norms)
-        return analysis.factorize(system, DAMPING * np.where(squares > 0, squares, 1.0))
 
 
 def _distance(pattern: Pattern, values: Values, key: Keys) -> float:
