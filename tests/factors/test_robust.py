@@ -32,6 +32,7 @@ from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import NoiseModelError, OptionError
 from nls import Dogleg, FactorGraph, GaussNewton, LevenbergMarquardt, Stop, Values, kinds
+from tests.combinations import for_all
 from tests.nls.graphs import moved, never_worse, pose_graph, walk, x
 
 (q,) = kinds("q")
@@ -49,7 +50,7 @@ FORMULAS: dict[str, Callable[[float, float], float]] = {  # rho(s) of one number
 
 
 @ALL
-@pytest.mark.parametrize("c", [0.1, 1.0, 1.345, 30.0])
+@for_all(c=[0.1, 1.0, 1.345, 30.0])
 def test_rho_is_the_formula_and_weight_its_derivative(name: str, c: float) -> None:
     kernel = KERNELS[name](c)
     s = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 61)]) * c**2
@@ -62,7 +63,7 @@ def test_rho_is_the_formula_and_weight_its_derivative(name: str, c: float) -> No
 
 
 @ALL
-@pytest.mark.parametrize("c", [1e-3, 1.0, 1e3])
+@for_all(c=[1e-3, 1.0, 1e3])
 def test_limits(name: str, c: float) -> None:
     """1 at zero, falling, never negative; rho below the parabola and growing; all of it finite."""
     kernel = KERNELS[name](c)
@@ -88,7 +89,7 @@ def test_both_sides_of_an_edge(name: str) -> None:
 
 
 @ALL
-@pytest.mark.parametrize("c", [0, -1.0, np.nan, np.inf, 1e200, 1e-200, True, "1", None, 1j])
+@for_all(c=[0, -1.0, np.nan, np.inf, 1e200, 1e-200, True, "1", None, 1j])
 def test_constants_that_are_none(name: str, c: object) -> None:
     with pytest.raises(OptionError, match="a number above 0"):
         KERNELS[name](c)  # type: ignore[arg-type]

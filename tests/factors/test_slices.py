@@ -33,6 +33,7 @@ from factors.keys import Keys
 from models import SE2, SE3, R
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
+from tests.combinations import for_all
 from tests.factors.samples import SAMPLES as POSE_SAMPLES
 from tests.factors.samples import Sample, full_noise, situation
 from tests.factors.samples_sensors import SENSOR_SAMPLES
@@ -67,7 +68,7 @@ def same_rows(part: Factor, whole: Factor, rows: list[int], values: Values) -> N
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=str)
-@pytest.mark.parametrize("bound", [False, True], ids=["new", "used"])
+@for_all(bound=[False, True])
 def test_rows_of_a_part_are_rows_of_the_batch(sample: Sample, bound: bool) -> None:
     X, z = situation(sample, "large innovation", N, 11)
     values = sample.values(X)

@@ -15,6 +15,7 @@ from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.optimizers.undamped import FAINT, Undamped
+from tests.combinations import for_all
 from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph
 
 ALL = pytest.mark.parametrize("name", SOLVERS)
@@ -39,8 +40,7 @@ def dense(system: LinearSystem, damping: Array) -> Array:
 
 
 @ALL
-@pytest.mark.parametrize("sample", SAMPLES)
-@pytest.mark.parametrize("relative", [1e-6, 1e-2, 1.0, 1e4])
+@for_all(sample=SAMPLES, relative=[1e-6, 1e-2, 1.0, 1e4])
 def test_every_solver_gives_the_step_of_the_formula(name: str, sample: str, relative: float) -> None:
     solver, system = make(name), linearized(sample, robust=relative == 1.0)
     damping = relative * diagonal(system) * np.random.default_rng(0).uniform(0.5, 2, system.pattern.n)
@@ -96,7 +96,7 @@ def test_the_diagonal_of_the_hessian(kind: type) -> None:
     assert moved == pytest.approx(np.diag(damping[hessian.permutation]), abs=1e-9 * np.abs(H).max())
 
 
-@pytest.mark.parametrize("sample", SAMPLES)
+@for_all(sample=SAMPLES)
 def test_times_and_promised(sample: str) -> None:
     system = linearized(sample)
     A, b = _dense(system)

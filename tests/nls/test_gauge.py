@@ -14,6 +14,7 @@ from nls.linear import LU, SOLVERS
 from nls.linear.factorization import Factorization
 from nls.linear.free_gauge import FreeGauge
 from nls.sparse.pattern import Pattern
+from tests.combinations import for_all
 from tests.nls.graphs import GROUPS, POSES, Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
 ONE_STEP = GaussNewton(Stop(max_iterations=1, update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0))
@@ -72,7 +73,7 @@ def test_prior_keeps_the_variable_at_its_start(group: LieGroup) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
-@pytest.mark.parametrize("components", [1, 2])
+@for_all(components=[1, 2])
 def test_free_takes_the_step_of_the_pseudo_inverse(group: LieGroup, components: int, name: str) -> None:
     if (why := SOLVERS[name].missing()) is not None:
         pytest.skip(f"{name}: {why}")

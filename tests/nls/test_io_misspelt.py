@@ -16,6 +16,7 @@ from nls.io.mission.table import Table
 from nls.io.misspelt import refuse_misspelt
 from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
+from tests.combinations import for_all
 from tests.nls.g2o_files import INFORMATION_2, PLANE, SPACE, read, same, write
 from tests.nls.io_files import ALL, BAL, FILES, PYFG, TORO_2, read_any
 
@@ -99,7 +100,7 @@ def test_the_first_mistake_of_several_is_named() -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
-@pytest.mark.parametrize("space", SPACES)
+@for_all(space=SPACES)
 def test_a_blank_that_is_none_is_named_with_its_line(name: str, space: str) -> None:
     """Behind the tag, between numbers, at both ends of a line: refused, never a line less."""
     dialect, text = ALL[name]

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from models.errors import LeadlineError, SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, OptionError, ResourceLimitError, load
 from nls.io import DIALECTS
+from tests.combinations import for_all
 from tests.nls.g2o_files import again, read, same, write
 from tests.nls.io_files import ALL, FILES, read_any
 
@@ -114,7 +115,7 @@ def test_packed_marked_and_with_other_line_ends(name: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ALL)
-@pytest.mark.parametrize("word", ["nan", "inf", "1_0", "\uff11", "0x1A", "1e999", "1,5", "--1"])
+@for_all(word=["nan", "inf", "1_0", "\uff11", "0x1A", "1e999", "1,5", "--1"])
 def test_no_exotic_number_gets_through(name: str, word: str) -> None:
     dialect, text = ALL[name]
     lines = text.splitlines()

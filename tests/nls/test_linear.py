@@ -17,6 +17,7 @@ from nls.linear.cholesky import Cholmod
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
+from tests.combinations import for_all
 from tests.nls.graphs import SAMPLES, mixed, p, pose_graph, x
 
 DENSE = ("dense-qr", "dense-cholesky", "pinv")
@@ -54,8 +55,8 @@ def in_other_units(system: LinearSystem, variable: int, component: int, factor: 
     return LinearSystem(system.pattern, blocks, system.b)
 
 
-@pytest.mark.parametrize("graph", SAMPLES)
 @pytest.mark.parametrize("name", SOLVERS)
+@for_all(graph=SAMPLES)
 def test_every_solver_on_every_graph(name: str, graph: str) -> None:
     sample = SAMPLES[graph]()
     system = sample.graph.linearize(sample.values)
@@ -112,8 +113,8 @@ def test_singular_systems_are_refused_or_solved_shortest(name: str, case: object
             solve(name, system)
 
 
-@pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
+@for_all(seed=range(8))
 def test_rounding_does_not_hide_a_free_gauge(name: str, seed: int) -> None:
     for group in (R(2), SE2, SE3):
         sample = pose_graph(group, seed=20 + seed, anchored=False, n=8 + seed)
@@ -196,8 +197,8 @@ def test_the_default_is_cholesky_where_it_is_installed() -> None:
     assert all(backends()[name] == "available" for name in ("cholesky", "lu", *DENSE))
 
 
-@pytest.mark.parametrize("graph", SAMPLES)
 @pytest.mark.parametrize("kind", DECOMPOSITIONS)
+@for_all(graph=SAMPLES)
 def test_upper_is_a_square_root_of_H(kind: type[Decomposition], graph: str) -> None:
     sample = SAMPLES[graph]()
     system = sample.graph.linearize(sample.values)

@@ -36,7 +36,6 @@ SOLVED = {
     ("dogleg", 10): 23,  # biggs_exp6 arrives, but A'A is singular there and A promises more: it cannot tell
     ("dogleg", 100): 23,
 }
-CASES = [(q, m) for q in PROBLEMS for m in MULTIPLES if m == 1 or any(q.start)]
 
 
 @cache
@@ -70,45 +69,41 @@ def stationary_point(problem: Problem, x: Array) -> Array:
     return x
 
 
-@pytest.mark.parametrize("name", OPTIMIZERS)
-@pytest.mark.parametrize(("problem", "multiple"), CASES, ids=[f"{q.name}-{m}" for q, m in CASES])
-def test_never_falsely_converged(name: str, problem: Problem, multiple: int) -> None:
-    result = outcome(name, problem, multiple)
-    if isinstance(result, EvaluationError):
-        assert result.iteration == 0
-        assert problem.name == "jennrich_sampson"  # 100 times its start: residuals of e^400
-        assert multiple == 100
-        return
+def solved(name: str, problem: Problem, multiple: int) -> bool:
+    """Whether a published minimum was reached; refuses a result that claims more than it is."""
+    result, case = outcome(name, problem, multiple), f"{name}, {problem.name} from {multiple} times its start"
+    if isinstance(result, EvaluationError):  # residuals of e^400
+        assert (problem.name, multiple, result.iteration) == ("jennrich_sampson", 100, 0), case
+        return False
     if isinstance(result, UnderconstrainedError):
         nothing = problem.name == "gulf_research" and multiple == 100  # it reacts to none of its unknowns there
-        assert nothing or name != "levenberg-marquardt"
-        assert "p0" in str(result)
+        assert nothing or name != "levenberg-marquardt", case
+        assert "p0" in str(result), case
         graph = problem.graph()
-        assert graph.chi2(result.values) <= graph.chi2(problem.values(multiple))
-        return
-    assert result.chi2_final == min(it.chi2 for it in result.history)
-    assert result.chi2_final == pytest.approx(problem.graph().chi2(result.values), rel=1e-12)
-    assert np.isfinite(result.values[p[0]]).all()
-    assert result.reason
-    if result.converged and not reaches(result.chi2_final, problem):
-        known = STATIONARY.get(problem.name, ())
-        assert any(result.chi2_final == pytest.approx(chi2, rel=1e-4) for chi2 in known), result.reason
-        x = result.values[p[0]]
-        y = stationary_point(problem, x)
-        J, f = problem.jacobian(y[None])[0][0], problem.f(y[None])[0]
-        lengths = np.linalg.norm(J, axis=0) * np.linalg.norm(f)
-        assert (np.abs(J.T @ f) <= 1e-9 * lengths).all()  # the cosine between f and each column of its Jacobian
-        assert f @ f == pytest.approx(result.chi2_final, rel=1e-5)
-        assert np.abs(y - x).max() < 0.02 * np.abs(x).max()
+        assert graph.chi2(result.values) <= graph.chi2(problem.values(multiple)), case
+        return False
+    assert result.chi2_final == min(it.chi2 for it in result.history), case
+    assert result.chi2_final == pytest.approx(problem.graph().chi2(result.values), rel=1e-12), case
+    assert np.isfinite(result.values[p[0]]).all(), case
+    assert result.reason, case
+    if not result.converged or reaches(result.chi2_final, problem):
+        return result.converged
+    known = STATIONARY.get(problem.name, ())
+    assert any(result.chi2_final == pytest.approx(chi2, rel=1e-4) for chi2 in known), (case, result.reason)
+    x = result.values[p[0]]
+    y = stationary_point(problem, x)
+    J, f = problem.jacobian(y[None])[0][0], problem.f(y[None])[0]
+    lengths = np.linalg.norm(J, axis=0) * np.linalg.norm(f)
+    assert (np.abs(J.T @ f) <= 1e-9 * lengths).all(), case  # the cosine between f and each column of its Jacobian
+    assert f @ f == pytest.approx(result.chi2_final, rel=1e-5), case
+    assert np.abs(y - x).max() < 0.02 * np.abs(x).max(), case
+    return False
 
 
 @pytest.mark.parametrize(("name", "multiple"), SOLVED)
-def test_how_many_are_solved(name: str, multiple: int) -> None:
-    solved = 0
-    for problem in (q for q, m in CASES if m == multiple):
-        result = outcome(name, problem, multiple)
-        solved += isinstance(result, Result) and result.converged and reaches(result.chi2_final, problem)
-    assert solved >= SOLVED[name, multiple]
+def test_many_are_solved_and_none_falsely_converged(name: str, multiple: int) -> None:
+    problems = [problem for problem in PROBLEMS if multiple == 1 or any(problem.start)]
+    assert sum(solved(name, problem, multiple) for problem in problems) >= SOLVED[name, multiple]
 
 
 # ---- the saddle of Wood's function, which Gauss-Newton steps approach fast and leave slowly

@@ -13,6 +13,7 @@ from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls import FactorGraph, Status, Stop, Values
 from nls.optimizers import OPTIMIZERS
+from tests.combinations import for_all
 from tests.nls.nist import REGRESSIONS, Regression, p
 
 DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
@@ -29,7 +30,7 @@ TIGHT = {
 
 
 @DAMPED
-@pytest.mark.parametrize("stop", TIGHT)
+@for_all(stop=TIGHT)
 @CASES
 def test_solved_from_both_starts(name: str, stop: str, problem: Regression, start: int) -> None:
     problem.evaluations = 0
@@ -40,7 +41,7 @@ def test_solved_from_both_starts(name: str, stop: str, problem: Regression, star
 
 
 @DAMPED
-@pytest.mark.parametrize("seed", range(3))
+@for_all(seed=range(3))
 @pytest.mark.parametrize("problem", [q for q in REGRESSIONS if q.name in ("MGH10", "BoxBOD", "Thurber", "Rat43")])
 def test_solved_from_starts_nearby(name: str, seed: int, problem: Regression) -> None:
     """No luck of one start: each parameter of the far one is changed by some percent."""
@@ -51,7 +52,7 @@ def test_solved_from_starts_nearby(name: str, seed: int, problem: Regression) ->
     assert problem.digits(result.values) > 6
 
 
-@pytest.mark.parametrize("stop", TIGHT)
+@for_all(stop=TIGHT)
 @CASES
 def test_gauss_newton_knows_where_it_has_arrived(stop: str, problem: Regression, start: int) -> None:
     try:
@@ -78,11 +79,10 @@ PLATEAUS: dict[str, Callable[[Array], Array]] = {
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-@pytest.mark.parametrize("stop", TIGHT)
-@pytest.mark.parametrize("plateau", PLATEAUS)
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_a_plateau_is_no_minimum(name: str, stop: str, plateau: str, scale: float) -> None:
-    """Beside residuals that stay: in any unit of x, with any threshold."""
+@for_all(plateau=PLATEAUS, threshold=[*((stop, 1.0) for stop in TIGHT), ("default", 1e-9), ("default", 1e9)])
+def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, float]) -> None:
+    """Beside residuals that stay: with any threshold, in any unit of x."""
+    stop, scale = threshold
     f = PLATEAUS[plateau]
     residual = Factor.from_function(
         lambda X: np.concatenate([f(X / scale), X / X, 0.5 * X / X], axis=1),
@@ -104,8 +104,7 @@ def test_a_plateau_is_no_minimum(name: str, stop: str, plateau: str, scale: floa
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-@pytest.mark.parametrize("residuals", [1e-9, 1.0, 1e9])
-@pytest.mark.parametrize("unknowns", [1e-9, 1.0, 1e13, 1e40])
+@for_all(residuals=[1e-9, 1.0, 1e9], unknowns=[1e-9, 1.0, 1e13, 1e40])
 def test_units_decide_nothing(name: str, residuals: float, unknowns: float) -> None:
     """The same curve in other units: neither 'diverged' nor 'converged' hangs on the size of a number."""
     problem = next(q for q in REGRESSIONS if q.name == "Rat43")
