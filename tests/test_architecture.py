@@ -19,6 +19,7 @@ import sim
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("models", "factors", "nls", "sim")
 RIM = (
+    "posegraph",
     "analysis",
     "robust",
     "io",
@@ -44,6 +45,8 @@ FLOOR = {
     "optimizers": {"linear", "sparse", "system", "values"},
     "graph": {"gauge", "linear", "optimizers", "sparse", "system", "values"},
 }
+# On the floor, under the other rooms of the rim. It knows sensors, so it is no room of the engine.
+ROOMS = FLOOR | {"posegraph": {"gauge", "graph", "linear", "sparse", "values"}}
 CIRCLES = [  # files that import each other; none may be added
     {"models.manifolds.euler", "models.manifolds.se3"},
     {"nls.explanation.findings", "nls.explanation.words"},
@@ -121,14 +124,14 @@ def test_the_engine_does_not_know_the_rim(path: Path) -> None:
             assert parts[1] in FACTORS_FOR_ENGINE, f"{name_of(path)} imports {name}"
 
 
-@pytest.mark.parametrize("room", FLOOR)
+@pytest.mark.parametrize("room", ROOMS)
 def test_a_room_of_the_floor_imports_what_lies_below_it(room: str) -> None:
     """Both ways: nothing else, and all of that. So no import has to hide in a function."""
-    rooms = list(FLOOR)
-    assert all(rooms.index(below) < rooms.index(room) for below in FLOOR[room])
-    files = [p for p in engine_files() if p.relative_to(ROOT / "nls").parts[0].removesuffix(".py") == room]
+    rooms = list(ROOMS)
+    assert all(rooms.index(below) < rooms.index(room) for below in ROOMS[room])
+    files = [p for p in FILES if name_of(p).removesuffix(".py").split("/")[:2] == ["nls", room]]
     found = {name.split(".")[1] for path in files for name in imports(path) if name.startswith("nls.")}
-    assert found - {room} == FLOOR[room]
+    assert found - {room} == ROOMS[room]
     for path in files:
         for function in (node for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)):
             for node in ast.walk(function):
