@@ -10,6 +10,7 @@ import pytest
 from factors import Between, BetweenSensors, Diagonal, Information, Isotropic, Prior, SqrtInformation
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
+from models.errors import GraphError
 from nls import FactorGraph, Values
 from nls.linear.singular import SingularSystemError
 from nls.posegraph import Edges, Laplacian, PoseGraph, closures, odometry, pose_graphs
@@ -84,6 +85,25 @@ def test_covariances_are_those_of_a_motion_of_the_end(group: LieGroup, conventio
         A.append((b[0] - b[1]) / (2 * h))
     expected = np.linalg.inv(np.einsum("ank,bnk->nab", A, A))
     np.testing.assert_allclose(poses.C, expected, rtol=1e-6, atol=1e-9 * expected.max())
+
+
+def test_a_covariance_needs_information_of_every_component_in_units_of_its_own() -> None:
+    weights = [np.diag([4.0, 4.0, 1e20]), np.diag([4.0, 0.0, 1e4])]
+    edges = [Between(x[[0]], x[[1]], [1.0, 0, 0], Information(M), convention="gtsam") for M in weights]
+    values = Values({x: (SE2, np.zeros((2, 3)))})
+    (poses,) = pose_graphs(FactorGraph(edges[:1]), values)
+    np.testing.assert_allclose(poses.C[0], np.diag([0.25, 0.25, 1e-20]))
+    (poses,) = pose_graphs(FactorGraph(edges), values)
+    with pytest.raises(GraphError, match=r"^Between\(x0, x1\): its weights say nothing of one of its components"):
+        _ = poses.C
+
+
+def test_every_group_has_a_pose_graph_by_name() -> None:
+    space, plane = Between(y[0], y[1], SE3.identity(1), UNIT), Between(x[[0, 1]], x[[1, 2]], [1.0, 0, 0], UNIT)
+    values = Values({x: (SE2, np.zeros((3, 3))), y: (SE3, SE3.identity(2))})
+    for factors in ([space, plane, space], [plane, space, space]):
+        graphs = pose_graphs(FactorGraph(factors), values)
+        assert [(poses.group, poses.n, len(poses.i)) for poses in graphs] == [(SE2, 3, 2), (SE3, 2, 2)]
 
 
 @pytest.mark.parametrize("group", PLACES, ids=str)
@@ -200,4 +220,7 @@ def test_numbers_that_are_not_sorted_change_nothing(group: LieGroup) -> None:
     for name in ("i", "j", "z", "C"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(odd, name))
     assert np.array(ODD)[odd.order].tolist() == sorted(ODD)
-    assert not odd.odometry.all()
+    edges, order = odd.edges(), np.array(sorted(ODD))
+    assert order[edges.i].tolist() == np.array(ODD)[odd.i].tolist()
+    assert order[edges.j].tolist() == np.array(ODD)[odd.j].tolist()
+    assert edges.C is odd.C
