@@ -20,6 +20,7 @@ __all__ = [
     "apply",
     "arrangement",
     "components",
+    "congruence",
     "dot",
     "gram",
     "matrix",
@@ -128,6 +129,12 @@ def gram(A: Array) -> Array:
     For larger matrices from a copy: `numpy.matmul` sees A'A of one array and takes BLAS's syrk, six times slower here.
     """
     return product(A.mT, A if max(A.shape[-2:]) <= 3 else A.copy())
+
+
+def congruence(J: Array, S: Array) -> Array:
+    """J S J', exactly symmetric, for stacks J (..., r, d) and symmetric S (..., d, d)."""
+    turned = J @ S @ J.mT
+    return np.asarray((turned + turned.mT) / 2)
 
 
 def apply(A: Array, x: Array) -> Array:

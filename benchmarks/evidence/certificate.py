@@ -72,7 +72,7 @@ def certified(name: str, graph: FactorGraph, values: Values, chi2: float, second
 def climbed(graph: FactorGraph, values: Values) -> str:
     """What adding rows finds, where the certificate takes the quicker way by the chordal start."""
     problem = certifiable(graph, values)
-    found = newton(problem, problem.matrices(problem.edges.stack(values)))
+    found = newton(problem, problem.matrices(problem.graph.stack(values)))
     known, began = spectrum(problem, found), process_time()
     better, lowest = staircase(problem, found, known)
     assert better is not None

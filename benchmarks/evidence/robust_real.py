@@ -12,7 +12,7 @@ import nls
 from factors import Cauchy
 from nls import FactorGraph, Values
 from nls.metrics import TrajectoryError, ate
-from nls.robust.closures import loop_closures
+from nls.posegraph import closures
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def newcollege(path: Path) -> str:
     graph, start, _ = nls.load(path)
     plain = graph.optimize(nls.initialize(graph, start)[0])
     found = nls.gnc(graph, start)
-    loops = sum(int(mask.sum()) for mask in loop_closures(graph, start))
+    loops = sum(int(mask.sum()) for mask in closures(graph.pattern(start)))
     return (
         f"newcollege_short: 633 poses in space, {loops} closures, no truth. {len(found.rejected)} are rejected: "
         f"chi2 goes from {plain.chi2_final:.4g} with {plain.dof} degrees of freedom to {found.result.chi2_final:.4g} "

@@ -9,9 +9,9 @@ import numpy as np
 
 from models import Manifold
 from models.algebra import Array, Index
+from nls.posegraph import closures, odometry, places
 from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
-from nls.track import closures, steps
 from nls.values import Values
 
 __all__ = ["ClosureGroup", "closure_groups"]
@@ -48,11 +48,13 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
     """
     from scipy.spatial import cKDTree
 
-    tracks = {batch.kinds[0] for batch in pattern.batches if steps(batch, pattern).any()}
-    place = _places(pattern)
+    masks = zip(pattern.batches, odometry(pattern), strict=True)
+    tracks = {batch.kinds[0] for batch, steps in masks if steps.any()}
+    sizes = [len(numbers) for numbers in pattern.numbers.values()]
+    place = places(pattern) + np.repeat((WINDOW + 1) * np.arange(len(sizes)), sizes)  # none reaches the next kind
     tables = []
-    for number, batch in enumerate(pattern.batches):
-        index = np.flatnonzero(closures(batch, pattern))
+    for number, (batch, closing) in enumerate(zip(pattern.batches, closures(pattern), strict=True)):
+        index = np.flatnonzero(closing)
         if len(index) and {*batch.kinds[:2]} <= tracks and _has_positions(pattern.manifolds[batch.kinds[0]]):
             ends = np.stack([place[batch.variables[slot][index]] for slot in (0, 1)], axis=1)
             late = ends.argmax(axis=1)
@@ -67,15 +69,6 @@ def closure_groups(pattern: Pattern) -> Iterator[ClosureGroup]:
         numbers, indices, slots = table[members, :3].T
         kinds = tuple(sorted({*pattern.batches[numbers[0]].kinds[:2]}))
         yield ClosureGroup(numbers, indices, slots, kinds)
-
-
-def _places(pattern: Pattern) -> Index:
-    """(V,) place of every variable in the order of the numbers of its kind; no window reaches into the next kind."""
-    place = np.empty(len(pattern.dims), dtype=np.intp)
-    for k, (kind, numbers) in enumerate(pattern.numbers.items()):
-        begin = pattern.offsets[kind]
-        place[begin + np.argsort(numbers, kind="stable")] = begin + np.arange(len(numbers)) + (WINDOW + 1) * k
-    return place
 
 
 def _has_positions(manifold: Manifold) -> bool:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from models.algebra import Array
 from nls.analysis.chi_squared import chi2_gate
-from nls.track import closures
+from nls.posegraph import closures
 
 if TYPE_CHECKING:
     from factors.base import Model
@@ -77,7 +77,7 @@ def measuring(model: Model) -> Index:
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
     """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, which) each."""
     out: dict[str, list[tuple[int, Index]]] = {}
-    split = [closures(batch, pattern) for batch in pattern.batches[:count]]
+    split = closures(pattern)[:count]
     both = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}
     for k, (batch, closing) in enumerate(zip(pattern.batches, split, strict=False)):
         name = batch.model.factor.name

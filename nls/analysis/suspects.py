@@ -19,8 +19,8 @@ from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError
 from nls.optimizers import LevenbergMarquardt, Stop
+from nls.posegraph import odometry
 from nls.starts import chordal
-from nls.track import steps
 
 if TYPE_CHECKING:
     from models.algebra import Index
@@ -134,11 +134,11 @@ def _search(
     In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it comes last.
     """
     pattern = checked.linear.pattern
-    odometry = [steps(batch, pattern) for batch in pattern.batches[:count]]
+    steps = odometry(pattern)[:count]
     out: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
     off = _off(checked, scale, count)
     while len(out) < most:
-        worth = [each * np.where(along, STEPS, 1.0) for each, along in zip(off, odometry, strict=True)]
+        worth = [each * np.where(along, STEPS, 1.0) for each, along in zip(off, steps, strict=True)]
         best, k, i = max((float(w.max()), k, int(w.argmax())) for k, w in enumerate(worth) if len(w))
         if not best > 0:
             break

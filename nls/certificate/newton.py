@@ -5,7 +5,7 @@ of Y, and brought back by the nearest Y with orthonormal columns. To second orde
 
     f(delta) - f = 2 g' delta + delta' H delta,    g = E' Q M',    H = E' S E,    S = Q - Lambda
 
-with Lambda as in `PoseGraph.multipliers`. H has the blocks of the graph. Residuals of real measurements are not small,
+with Lambda as in `Problem.multipliers`. H has the blocks of the graph. Residuals of real measurements are not small,
 and Gauss-Newton, with Q instead of S, takes 27 iterations on intel where Newton takes 3. Where H is not positive
 definite a shift times E'DE, D = 1 for Y and 0 for p, is added to it, ten times more until it is, and until the cost
 falls by at least a tenth of what the model says.
@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 
 from models.algebra import Array, apply
-from nls.certificate.problem import PoseGraph
+from nls.certificate.problem import Problem
 from nls.linear.singular import SingularSystemError
 
 __all__ = ["Optimum", "nearest", "newton", "rotations", "tangent"]
@@ -71,22 +71,22 @@ def rotations(M: Array) -> Array:
     return np.concatenate([U @ Vt, M[:, -1:]], axis=1)
 
 
-def newton(graph: PoseGraph, M: Array) -> Optimum:
+def newton(problem: Problem, M: Array) -> Optimum:
     """A local minimum, from M (n, d + 1, r); the held pose stays."""
-    cost, shift, smallest = graph.cost(M), 0.0, SMALL * float(graph.W[:, 0].max())
-    E, g, H, off = _second_order(graph, M)
+    cost, shift, smallest = problem.cost(M), 0.0, SMALL * float(problem.W[:, 0].max())
+    E, g, H, off = _second_order(problem, M)
     D = _turns(M)
     for step in range(STEPS):
         try:
-            state = graph.factorized(H + shift * np.diag(D), off)
+            state = problem.factorized(H + shift * np.diag(D), off)
         except SingularSystemError:
             shift = max(MORE * shift, smallest)
             continue
         delta = -state.solve(g.reshape(-1)).reshape(g.shape)
         trial = nearest(M + apply(E, delta[:, None]))
-        trial_cost = graph.cost(trial)
+        trial_cost = problem.cost(trial)
         promised = -float(np.sum(g * delta)) + shift * float(np.sum(D * np.square(delta)))
-        if promised <= DECREASE * cost + graph.rounding(M):
+        if promised <= DECREASE * cost + problem.rounding(M):
             return Optimum(trial, trial_cost, True, step) if trial_cost < cost else Optimum(M, cost, True, step)
         ratio = (cost - trial_cost) / promised
         if ratio < FAIR:
@@ -95,7 +95,7 @@ def newton(graph: PoseGraph, M: Array) -> Optimum:
         if ratio > GOOD:
             shift = shift / MORE if shift > smallest else 0.0
         M, cost = trial, trial_cost
-        E, g, H, off = _second_order(graph, M)
+        E, g, H, off = _second_order(problem, M)
     return Optimum(M, cost, False, STEPS)
 
 
@@ -105,17 +105,17 @@ def _turns(M: Array) -> Array:
     return np.repeat([0.0, 2.0, 1.0], [r, d * (d - 1) // 2, (r - d) * d])
 
 
-def _second_order(graph: PoseGraph, M: Array) -> tuple[Array, Array, Array, Array]:
+def _second_order(problem: Problem, M: Array) -> tuple[Array, Array, Array, Array]:
     """E, g (n, D), the diagonal blocks of H (n, D, D), and its blocks of the edges (m, D, D)."""
-    E, QM = tangent(M), graph.product(M)
-    E[graph.held] = 0.0
+    E, QM = tangent(M), problem.product(M)
+    E[problem.held] = 0.0
     rows, D = E.shape[1] * E.shape[2], E.shape[3]
 
     def projected(A: Array, S: Array, B: Array) -> Array:
         SB = S @ B.reshape(len(B), len(S[0]), -1)
         return np.asarray(A.reshape(-1, rows, D).mT @ SB.reshape(-1, rows, D))
 
-    H = projected(E, graph.on_diagonal - graph.multipliers(M, QM), E)
-    H[graph.held] = np.eye(D)
+    H = projected(E, problem.on_diagonal - problem.multipliers(M, QM), E)
+    H[problem.held] = np.eye(D)
     g = np.einsum("nabk,nab->nk", E, QM)
-    return E, g, H, projected(E[graph.edges.i], graph.off, E[graph.edges.j])
+    return E, g, H, projected(E[problem.graph.i], problem.off, E[problem.graph.j])

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import EvaluationError
 from nls.certificate.newton import Optimum
-from nls.certificate.problem import PoseGraph
+from nls.certificate.problem import Problem
 from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
 
@@ -60,7 +60,7 @@ class Spectrum:
     certified: bool
 
 
-def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
+def spectrum(problem: Problem, found: Optimum) -> Spectrum:
     """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove.
 
     Raises
@@ -68,16 +68,16 @@ def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
     EvaluationError
         Weights of positions that differ by more than the digits of numbers hold.
     """
-    n, d = graph.n, graph.d
-    multipliers = graph.multipliers(found.M, graph.product(found.M))
-    S = graph.on_diagonal - multipliers
-    S[graph.held, d, d] += graph.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
+    n, d = problem.n, problem.d
+    multipliers = problem.multipliers(found.M, problem.product(found.M))
+    S = problem.on_diagonal - multipliers
+    S[problem.held, d, d] += problem.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
     D = np.diag([1.0] * d + [0.0])
-    size = float(graph.on_diagonal.max())
+    size = float(problem.on_diagonal.max())
     smallest = mu = max(RELATIVE / 2 * found.cost / (n * d), ROUNDING * size)
     while True:
         try:
-            state = graph.factorized(S + mu * D, graph.off)
+            state = problem.factorized(S + mu * D, problem.off)
             break
         except SingularSystemError as error:
             if mu > LARGEST * size:
@@ -88,7 +88,7 @@ def spectrum(graph: PoseGraph, found: Optimum) -> Spectrum:
             mu *= MORE
     lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
     gap = found.cost - lowest
-    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * found.cost, graph.rounding(found.M))
+    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * found.cost, problem.rounding(found.M))
     theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 

@@ -10,7 +10,7 @@ from models.advice import Advice, listed
 from models.algebra import Array
 from models.errors import UnderconstrainedError
 from nls.certificate.newton import Optimum, newton
-from nls.certificate.problem import PoseGraph, certifiable
+from nls.certificate.problem import Problem, certifiable
 from nls.certificate.spectrum import RELATIVE, Spectrum, spectrum
 from nls.certificate.staircase import placed, staircase
 from nls.graph import FactorGraph
@@ -149,12 +149,12 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     ('certified', 4.008, True)
     """
     problem = certifiable(graph, values)
-    given = problem.matrices(problem.edges.stack(values))
+    given = problem.matrices(problem.graph.stack(values))
     found = newton(problem, given)
     known = spectrum(problem, found)
     better, lowest = (None, known.lowest) if known.certified else _better(problem, graph, values, found, known)
     distance, angle = _apart(given, found.M)
-    minimum, other = (problem.edges.replaced(values, problem.poses(at.M)) for at in (found, better or found))
+    minimum, other = (problem.graph.replaced(values, problem.poses(at.M)) for at in (found, better or found))
     chi2, chi2_given = graph.chi2(other), graph.chi2(values)
     return Certificate(
         verdict="certified" if known.certified else "undecided" if better is None else "refuted",
@@ -175,7 +175,7 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
 
 
 def _better(
-    problem: PoseGraph, graph: FactorGraph, values: Values, found: Optimum, known: Spectrum
+    problem: Problem, graph: FactorGraph, values: Values, found: Optimum, known: Spectrum
 ) -> tuple[Optimum | None, float]:
     """A lower minimum, from the chordal start or else up the staircase, and what no pose graph costs less than."""
     limit, lowest = (1 - RELATIVE) * found.cost, known.lowest
@@ -187,9 +187,9 @@ def _better(
     return better, max(spectrum(problem, better).lowest, lowest)
 
 
-def _from_chordal(problem: PoseGraph, graph: FactorGraph, values: Values, found: Optimum) -> Optimum | None:
+def _from_chordal(problem: Problem, graph: FactorGraph, values: Values, found: Optimum) -> Optimum | None:
     try:
-        X = problem.edges.stack(chordal(graph, values))
+        X = problem.graph.stack(chordal(graph, values))
     except UnderconstrainedError:  # rotations that cancel: there is no such start
         return None
     return newton(problem, placed(problem.matrices(X), found.M, problem.held))

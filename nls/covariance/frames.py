@@ -12,10 +12,8 @@ The matrices are the manifold's own: `Manifold.world_axes` and `Manifold.euler_a
 
 from __future__ import annotations
 
-import numpy as np
-
 from factors.keys import Keys
-from models.algebra import Array
+from models.algebra import Array, congruence
 from models.errors import OptionError, SingularGeometryError
 from models.manifolds.base import Manifold
 
@@ -61,10 +59,7 @@ def axes(
 
 def turned(J: Array | None, Sigma: Array) -> Array:
     """J Sigma J', exactly symmetric, for stacks (n, d, d)."""
-    if J is None:
-        return Sigma
-    shown = J @ Sigma @ J.mT
-    return np.asarray((shown + shown.mT) / 2)
+    return Sigma if J is None else congruence(J, Sigma)
 
 
 def _euler(keys: Keys, manifold: Manifold, X: Array) -> Array:

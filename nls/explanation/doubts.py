@@ -16,7 +16,7 @@ from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
 from nls.explanation.findings import SOME, Finding, FindingKind, Measurement, Part
 from nls.explanation.offers import certifies, graduates
-from nls.track import closures
+from nls.posegraph import closures
 
 if TYPE_CHECKING:
     from factors.keys import Keys
@@ -105,10 +105,10 @@ def of_suspects(
         advice += removal if robust else [Advice.robust("Cauchy", 1)]
         places = tuple(found.places[:SOME])
         return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, tuple(advice), places)]
-    out = []
+    out, closing = [], closures(pattern)
     for (k, i), name in zip(found.places, names, strict=True):
         factor, rivals = graph.factors[k], found.rivals[k, i]
-        closure, read = bool(closures(pattern.batches[k], pattern)[i]), readings.get((k, i), ())
+        closure, read = bool(closing[k][i]), readings.get((k, i), ())
         numbers: dict[str, Any] = {
             "factor": name,
             "sigmas": float(np.sqrt(found.tests[k].t[i])),

@@ -13,7 +13,7 @@ from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status
-from nls.robust.closures import Mask
+from nls.posegraph import Mask
 from nls.robust.kernels import LOSSES, Graduated
 from nls.sparse.fill import fill_in
 from nls.starts import chordal

@@ -37,7 +37,7 @@ import numpy as np
 from models.algebra import Array, Index
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance.frames import turned
-from nls.robust.closures import Links
+from nls.posegraph import Edges
 from nls.sparse.components import connected
 
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
@@ -77,7 +77,7 @@ class Neighbors:
 class Odometry:
     """Relative poses and their covariances along the track."""
 
-    def __init__(self, odometry: Links, T: Array) -> None:
+    def __init__(self, odometry: Edges, T: Array) -> None:
         forward, group = odometry.forward(), odometry.group
         _, first = np.unique(forward.j, return_index=True)
         steps = forward[first]
@@ -102,12 +102,12 @@ def mahalanobis(xi: Array, S: Array) -> Array:
     return np.asarray((xi * np.linalg.solve(S, xi[..., None])[..., 0]).sum(axis=1))
 
 
-def neighbors(closures: Links, odometry: Links, T: Array) -> Neighbors:
+def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
     """Compare every closure with those near it.
 
     Parameters
     ----------
-    closures, odometry : the links.
+    closures, odometry : the edges.
     T : (n, size) poses along odometry alone, in the order of places.
     """
     from scipy.spatial import cKDTree

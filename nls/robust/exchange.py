@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from nls.posegraph import Mask
 from nls.robust.choice import Choice, Truncated
-from nls.robust.closures import Mask
 from nls.robust.loop_graph import LoopGraph
 
 __all__ = ["exchanged"]

@@ -45,9 +45,9 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result
+from nls.posegraph import Mask, closures, is_relative
 from nls.robust import verdict
 from nls.robust.choice import Truncated
-from nls.robust.closures import Mask, loop_closures
 from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph
 from nls.robust.preselection import Preselection
@@ -185,7 +185,7 @@ def gnc(
         raise OptionError("loss", loss, "one of " + ", ".join(LOSSES))
     if not is_number(probability) or not 0 < probability < 1:
         raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
-    masks = loop_closures(graph, values) if doubted is None else _named(graph, doubted)
+    masks = _loop_closures(graph, values) if doubted is None else _named(graph, doubted)
     total = sum(int(mask.sum()) for mask in masks)
     if not total:
         raise GraphError(
@@ -209,6 +209,12 @@ def gnc(
     weights = [m.astype(float) for m in choice.kept]
     sigma0 = float(np.sqrt(variance))
     return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, local, tuple(doubts))
+
+
+def _loop_closures(graph: FactorGraph, values: Values) -> list[Mask]:
+    """Per factor which of its measurements are closures, of `Between` alone."""
+    masks = closures(graph.pattern(values))
+    return [mask & is_relative(factor) for mask, factor in zip(masks, graph.factors, strict=True)]
 
 
 def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:

@@ -32,7 +32,7 @@ from models.algebra import Array, Index
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.optimizers import Result
-from nls.robust.closures import Mask
+from nls.posegraph import Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.loop_graph import LoopGraph
 from nls.values import Values
@@ -72,19 +72,19 @@ def misfits(judged: Iterable[Witness], result: Result, loops: LoopGraph) -> Mask
     noise = unit_variance(result.chi2_final / max(result.dof, 1))
     wrong = np.zeros(len(loops.closures), dtype=bool)
     for witness in judged:
-        gate = chi2_gate(len(witness.members) * loops.edges.group.dim, FITS)
+        gate = chi2_gate(len(witness.members) * loops.poses.group.dim, FITS)
         wrong[witness.members] = witness.t > WIDE * noise * gate
     return wrong
 
 
 def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witness]:
     """The groups of accepted closures (m,) at their optimum, those of the largest residuals first."""
-    edges, graph, d = loops.edges, loops.graph.only(loops.masks(accepted)), loops.edges.group.dim
-    rows = [model.linearize(*values.gather(model.factor)[1]) for model in edges.models]
-    b = np.concatenate([b for _, b in rows])[~loops.odometry]
-    A = [np.concatenate([sides[slot] for sides, _ in rows])[~loops.odometry] for slot in (0, 1)]
-    ends = [edges.i[~loops.odometry], edges.j[~loops.odometry]]
-    marginals, numbers = Marginals(graph, values), values.stacks[edges.kinds[0]].numbers
+    poses, graph, d = loops.poses, loops.graph.only(loops.masks(accepted)), loops.poses.group.dim
+    rows = [batch.model.linearize(*batch.gather(values)) for batch in poses.batches]
+    b = np.concatenate([b for _, b in rows])[~poses.odometry]
+    A = [np.concatenate([sides[slot] for sides, _ in rows])[~poses.odometry] for slot in (0, 1)]
+    ends = [poses.i[~poses.odometry], poses.j[~poses.odometry]]
+    marginals, numbers = Marginals(graph, values), values.stacks[poses.kinds[0]].numbers
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
     kept = np.flatnonzero(accepted)
     order = kept[np.argsort(loops.neighbors.cluster[kept], kind="stable")]
@@ -97,7 +97,7 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
         blocks = np.zeros((k, d, len(nodes), d))
         for block, at in zip(A, np.split(place, 2), strict=True):
             blocks[np.arange(k), :, at] = block[members]
-        P = marginals.joint(Keys(edges.kinds[0], numbers[nodes]), frame="body").matrix
+        P = marginals.joint(Keys(poses.kinds[0], numbers[nodes]), frame="body").matrix
         A_g, b_g = blocks.reshape(k * d, -1), b[members].reshape(-1)
         S = np.linalg.inv(np.eye(k * d) - A_g @ P @ A_g.T)
         own = S.reshape(k, d, k, d)[np.arange(k), :, np.arange(k)]
@@ -107,7 +107,7 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
 
 def _passing(loops: LoopGraph, values: Values) -> float:
     """Logarithm of the share of all relative poses on the map that lie in a unit ellipsoid, at the quantile."""
-    d, places = loops.edges.group.dim, loops.places(values)
+    d, places = loops.poses.group.dim, loops.places(values)
     span: Array = np.ptp(places, axis=0)
     sides = 2 * np.maximum(span, FLAT * span.max(initial=0.0))
     if not sides.all():

@@ -31,7 +31,7 @@ from models.algebra import Array, Index
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
-from nls.robust.closures import Links, Mask
+from nls.posegraph import Edges, Mask
 from nls.robust.consistency import mahalanobis
 from nls.robust.groups import misfits, witnesses
 from nls.robust.loop_graph import LoopGraph, loop_graph
@@ -94,7 +94,7 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
 
 def grown(loops: LoopGraph) -> Growth:
     """`grow` from a graph whose closures have been compared already."""
-    values, closures, odometry = loops.values, loops.closures, loops.links[loops.odometry]
+    values, closures, odometry = loops.values, loops.closures, loops.odometry
     dim, near = closures.group.dim, loops.neighbors
     steps = closures.group.position(odometry.z)
     meters = METERS * float(np.median(np.linalg.norm(steps, axis=1))) or 1.0
@@ -106,7 +106,7 @@ def grown(loops: LoopGraph) -> Growth:
         left = np.flatnonzero(waiting & ~accepted)
         known = odometry.joined(closures[accepted])
         scales = Scales(sigma0, near.rho, meters)
-        fits, order, P[left] = _tested(known, closures[left], loops.poses(values), scales, near.cluster[left], P[left])
+        fits, order, P[left] = _tested(known, closures[left], loops.track(values), scales, near.cluster[left], P[left])
         if not len(fits):
             break
         last = np.sort(order)[ceil(SHARE * len(fits)) - 1]
@@ -139,7 +139,7 @@ class Scales:
 
 
 def _tested(
-    known: Links, closures: Links, T: Array, scales: Scales, cluster: Index, P: Array
+    known: Edges, closures: Edges, T: Array, scales: Scales, cluster: Index, P: Array
 ) -> tuple[Index, Array, Array]:
     """Which closures (k,) pass, the rank (k,) of each, the most certain lowest, and the covariances of all predictions.
 
@@ -167,5 +167,5 @@ def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, A
     if part.chi2(start) < part.chi2(values):
         values = start
     values = part.optimize(values, BRIEF).values
-    s = np.concatenate([model.factor.chi2(values) for model in loops.edges.models])
-    return values, s[~loops.odometry]
+    s = np.concatenate([batch.model.factor.chi2(values) for batch in loops.poses.batches])
+    return values, s[~loops.poses.odometry]

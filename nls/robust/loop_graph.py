@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
+from models.advice import Advice
 from models.algebra import Array
+from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.robust.closures import Links, Mask, chained
+from nls.posegraph import Edges, Mask, PoseGraph, pose_graphs
 from nls.robust.consistency import Neighbors, neighbors
-from nls.starts.chain import along_chain
-from nls.starts.edges import PoseEdges
 from nls.values import Values
 
 __all__ = ["LoopGraph", "loop_graph"]
@@ -28,53 +28,56 @@ class LoopGraph:
     ----------
     graph : all measurements.
     values : the poses along odometry.
-    edges, links : the relative poses, as measured and with covariances at their ends.
-    odometry : which of the relative poses are steps from one pose to the next; all others are loop closures.
+    poses : the relative poses as measured, between nodes.
+    edges : the relative poses with their covariances, between places.
     """
 
     graph: FactorGraph
     values: Values
-    edges: PoseEdges
-    links: Links
-    odometry: Mask
+    poses: PoseGraph
+    edges: Edges
 
     @cached_property
-    def closures(self) -> Links:
+    def closures(self) -> Edges:
         """The m loop closures."""
-        return self.links[~self.odometry]
+        return self.edges[~self.poses.odometry]
+
+    @cached_property
+    def odometry(self) -> Edges:
+        """The steps from each pose to the next."""
+        return self.edges[self.poses.odometry]
 
     @cached_property
     def neighbors(self) -> Neighbors:
         """Which closures agree with which, judged by the odometry between them."""
-        return neighbors(self.closures, self.links[self.odometry], self.poses(self.values))
+        return neighbors(self.closures, self.odometry, self.track(self.values))
 
-    def poses(self, values: Values) -> Array:
+    def track(self, values: Values) -> Array:
         """(n, size) poses in the order of their numbers."""
-        return values.stacks[self.edges.kinds[0]].X[self.edges.order]
+        return self.poses.stack(values)[self.poses.order]
 
     def places(self, values: Values) -> Array:
         """(n, r) coordinates of the poses; none of rotations."""
-        group, X = self.edges.group, self.poses(values)
+        group, X = self.poses.group, self.track(values)
         return X if isinstance(group, Vectors) else group.position(X)
 
     def masks(self, accepted: Mask) -> list[Mask]:
         """Per factor which measurements are odometry, accepted closures (m,), or of another kind."""
-        kept = self.odometry.copy()
-        kept[~self.odometry] = accepted
-        ends = np.cumsum([len(model.z) for model in self.edges.models])
-        parts = zip(self.edges.models, np.split(kept, ends[:-1]), strict=True)
-        of = {id(model.factor): mask for model, mask in parts}
+        kept = self.poses.odometry.copy()
+        kept[~kept] = accepted
+        parts = zip(self.poses.batches, self.poses.by_batch(kept), strict=True)
+        of = {id(batch.model.factor): mask for batch, mask in parts}
         return [of.get(id(factor), np.ones(len(factor), dtype=bool)) for factor in self.graph.factors]
 
     def accepted(self, masks: Sequence[Mask]) -> Mask:
         """Which closures (m,) the masks of all factors keep: the inverse of `masks`."""
         of = {id(factor): mask for factor, mask in zip(self.graph.factors, masks, strict=True)}
-        return np.concatenate([of[id(model.factor)] for model in self.edges.models])[~self.odometry]
+        return np.concatenate([of[id(batch.model.factor)] for batch in self.poses.batches])[~self.poses.odometry]
 
     def spanned(self, accepted: Mask) -> int:
         """How many steps of odometry lie between the two ends of an accepted closure."""
         closures = self.closures[accepted]
-        n = self.edges.n
+        n = self.poses.n
         begins = np.bincount(np.minimum(closures.i, closures.j), minlength=n)
         ends = np.bincount(np.maximum(closures.i, closures.j), minlength=n)
         return int((np.cumsum(begins - ends) > 0).sum())
@@ -88,5 +91,24 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
     GraphError
         No relative poses, or of several kinds; neighbors without odometry; weights that say nothing of a component.
     """
-    edges, links, odometry = chained(graph, values)
-    return LoopGraph(graph, edges.replaced(values, along_chain(edges, edges.stack(values))), edges, links, odometry)
+    graphs = list(pose_graphs(graph, values))
+    if len(graphs) != 1 or len(graphs[0].kinds) != 1:
+        raise GraphError(
+            "loop closures are chosen among relative poses (Between) of one kind of variables, this graph has "
+            f"{sum(len(poses.kinds) for poses in graphs) or 'none'}",
+            advice=[Advice("judge all")],
+        )
+    poses = graphs[0]
+    edges = poses.edges()
+    joined = np.zeros(poses.n, dtype=bool)
+    joined[np.maximum(edges.i, edges.j)[poses.odometry]] = True
+    if not joined[1:].all():
+        late = int(np.flatnonzero(~joined[1:])[0]) + 1
+        a, b = (poses.pattern.key(int(poses.variables[node])) for node in poses.order[[late - 1, late]])
+        raise GraphError(
+            f"no odometry joins {a!r} to {b!r}: the graph has {int((~joined[1:]).sum()) + 1} sessions, and loop "
+            "closures are judged along one",
+            advice=[Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")],
+        )
+    X = poses.along(poses.odometry_tree(), poses.stack(values))
+    return LoopGraph(graph, poses.replaced(values, X), poses, edges)

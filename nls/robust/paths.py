@@ -11,33 +11,33 @@ import scipy.sparse as sp
 
 from models.algebra import Array, Index
 from nls.covariance.frames import turned
-from nls.robust.closures import Links
+from nls.posegraph import Edges
 
 __all__ = ["path_covariances"]
 
 TOGETHER = 10_000_000  # places that paths are kept to, from all sources searched together: 120 MB
 
 
-def path_covariances(links: Links, T: Array, i: Index, j: Index, meters: float) -> Array:
+def path_covariances(edges: Edges, T: Array, i: Index, j: Index, meters: float) -> Array:
     """Covariances (m, d, d) of the pose of j in i, at j.
 
     Parameters
     ----------
-    links : what joins the places; they must join all of them.
+    edges : what joins the places; they must join all of them.
     T : (n, size) poses.
     i, j : (m,) places.
     meters : the length that counts as much as a radian when paths are compared.
     """
     from scipy.sparse.csgraph import dijkstra
 
-    group, n, d, r = links.group, len(T), links.group.dim, links.group.point_dim
-    variances = np.diagonal(links.C, axis1=1, axis2=2)
+    group, n, d, r = edges.group, len(T), edges.group.dim, edges.group.point_dim
+    variances = np.diagonal(edges.C, axis1=1, axis2=2)
     length = variances[:, :r].sum(axis=1) / meters**2 + variances[:, r:].sum(axis=1)
-    pair = np.minimum(links.i, links.j) * n + np.maximum(links.i, links.j)
+    pair = np.minimum(edges.i, edges.j) * n + np.maximum(edges.i, edges.j)
     order = np.lexsort((length, pair))
-    best = order[np.r_[True, np.diff(pair[order]) > 0]]  # of several links between two places the one known best
-    pairs, ends = pair[best], np.stack([links.i[best], links.j[best]])
-    world = turned(group.adjoint(T[ends[1]]), links.C[best]).reshape(-1, d * d)
+    best = order[np.r_[True, np.diff(pair[order]) > 0]]  # of several edges between two places the one known best
+    pairs, ends = pair[best], np.stack([edges.i[best], edges.j[best]])
+    world = turned(group.adjoint(T[ends[1]]), edges.C[best]).reshape(-1, d * d)
     steps = sp.csr_array((length[best], (ends.min(axis=0), ends.max(axis=0))), shape=(n, n))
     sums = np.zeros((len(i), d * d))
     sources, source = np.unique(i, return_inverse=True)

@@ -8,9 +8,9 @@ import numpy as np
 
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration, Result
+from nls.posegraph import Mask
 from nls.robust import verdict
 from nls.robust.choice import DEARER, Choice, Truncated, lowest
-from nls.robust.closures import Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged
 from nls.robust.groups import Witness, misfits, witnesses

@@ -5,17 +5,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
-from factors.between import Between
 from models import SE2, SE3
 from models.errors import GraphWarning, OptionError
 from nls.graph import FactorGraph
+from nls.posegraph import is_relative, pose_graphs
 from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.candidates import Candidates
 from nls.starts.chain import chain, spanning_tree
 from nls.starts.chordal import chordal
 from nls.starts.dead_reckoning import dead_reckoning, walks
-from nls.starts.edges import pose_batches
 from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
@@ -111,7 +110,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         with stage(f"init {method}"):
             start = STARTS[method](graph, values)
             return start, method, {method: graph.chi2(start)}
-    groups, candidates = pose_batches(pattern), Candidates(graph, values)
+    groups, candidates = {poses.group for poses in pose_graphs(graph, values)}, Candidates(graph, values)
     limits = {"file": 0.0}  # and the chi2 per row above which a start is worth its cost
     limits |= {"chordal": 0.0} if SE2 in groups or SE3 in groups else {}
     steps = groups or walks(graph)
@@ -123,7 +122,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
             candidates.add(candidate, values, STARTS[candidate])
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
-    relative = all(isinstance(factor, Between) for factor in graph.factors)  # chordal relaxation uses all of these
+    relative = all(is_relative(factor) for factor in graph.factors)  # chordal relaxation uses all of these
     if not relative and len(limits) > 1 and candidates.poor():
         candidates.compare()
         if grows and not candidates.explained() and not candidates.knows("incremental"):

@@ -19,12 +19,9 @@ from models.errors import UnderconstrainedError
 from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.graph import FactorGraph
-from nls.linear import best_decomposition
-from nls.linear.factorization import Factorization
 from nls.linear.singular import SingularSystemError
+from nls.posegraph import Laplacian, PoseGraph, pose_graphs
 from nls.sparse.elimination import Eliminations
-from nls.sparse.hessian import Hessian
-from nls.starts.edges import PoseEdges, pose_edges
 from nls.values import Values
 
 __all__ = ["chordal"]
@@ -66,30 +63,30 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     [[1.0, 0.0, 1.570796], [1.0, 1.0, -3.141593], [-0.0, 1.0, -1.570796]]
     """
     eliminations = graph.pattern(values).eliminations  # the optimization goes on with the one that is made here
-    for edges in pose_edges(graph, values):
-        if edges.group in (SE2, SE3):
-            values = edges.replaced(values, _relax(edges, edges.stack(values), eliminations))
+    for poses in pose_graphs(graph, values):
+        if poses.group in (SE2, SE3):
+            values = poses.replaced(values, _relax(poses, poses.stack(values), eliminations))
     return values
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start that is not finite is refused when it is evaluated
-def _relax(edges: PoseEdges, X: Array, eliminations: Eliminations) -> Array:
-    system = _Laplacian(edges, eliminations)
+def _relax(poses: PoseGraph, X: Array, eliminations: Eliminations) -> Array:
+    system = _Relaxation(poses, eliminations)
     if not len(system.free):
         return X
-    out = _plane(system, X[system.held]) if edges.group is SE2 else _space(system, X[system.held])
+    out = _plane(system, X[system.held]) if poses.group is SE2 else _space(system, X[system.held])
     out[system.held] = X[system.held]
     return out
 
 
-def _plane(system: _Laplacian, held: Array) -> Array:
+def _plane(system: _Relaxation, held: Array) -> Array:
     """Poses (n, 3) from complex numbers: y_j = exp(i theta_ij) y_i, then p_j = p_i + y_i / |y_i| p_ij."""
-    edges, z, held = system.edges, system.edges.z[..., None], held[..., None]  # blocks of 1 x 1
-    tau, kappa = edges.weights()
+    poses, z, held = system.poses, system.poses.z[..., None], held[..., None]  # blocks of 1 x 1
+    kappa, tau = poses.mean_weights()
     y = system.turned(kappa, _turn(z[:, 2:]), _turn(held[:, 2:]))
     size = np.abs(y)
     _refuse_cancelled(system, kappa, size[:, 0, 0])
-    p_ij = (y * (1 / size)).take(edges.i, axis=0) * (z[:, :1] + 1j * z[:, 1:2])
+    p_ij = (y * (1 / size)).take(poses.i, axis=0) * (z[:, :1] + 1j * z[:, 1:2])
     p = system.moved(tau, p_ij, held[:, :1] + 1j * held[:, 1:2])
     return pack([p.real, p.imag, wrap(np.arctan2(y.imag, y.real))])[:, 0, 0]
 
@@ -99,26 +96,26 @@ def _turn(theta: Array) -> Array:
     return np.asarray(np.cos(theta) + 1j * np.sin(theta))
 
 
-def _space(system: _Laplacian, held: Array) -> Array:
+def _space(system: _Relaxation, held: Array) -> Array:
     """Poses (n, 7) from y = M', three columns: y_j = R_ij' y_i, then t_j = t_i + R_i t_ij."""
-    edges, z = system.edges, system.edges.z
-    tau, kappa = edges.weights()
+    poses, z = system.poses, system.poses.z
+    kappa, tau = poses.mean_weights()
     R, size = nearest_rotation(system.turned(kappa, rotation3(z[:, 3:]).mT, rotation3(held[:, 3:]).mT).mT)
     _refuse_cancelled(system, kappa, size)
-    t_ij = apply(R.take(edges.i, axis=0), z[:, :3])
+    t_ij = apply(R.take(poses.i, axis=0), z[:, :3])
     t = system.moved(tau, t_ij[:, None], held[:, None, :3])
     return join(t[:, 0], quaternion_from_matrix(R))
 
 
-def _refuse_cancelled(system: _Laplacian, kappa: Array, size: Array) -> None:
+def _refuse_cancelled(system: _Relaxation, kappa: Array, size: Array) -> None:
     """Refuse rotations of a size (n,) that vanishes beside that of their neighbors.
 
     Noise makes relaxed rotations smaller with every edge from the held one, to 1e-15 on a sphere of a million edges,
     and leaves their directions alone; a cancelled one is small among neighbors that are not.
     """
-    edges = system.edges
-    around = edges.sums(kappa * size.take(edges.j), kappa * size.take(edges.i))
-    if (size * edges.sums(kappa, kappa) <= VANISHING * around).take(system.free).any():
+    poses = system.poses
+    around = poses.sums(kappa * size.take(poses.j), kappa * size.take(poses.i))
+    if (size * poses.sums(kappa, kappa) <= VANISHING * around).take(system.free).any():
         raise UnderconstrainedError(
             "chordal relaxation: contradicting rotations cancel at a pose; start from 'odometry' or 'spanning-tree'"
         )
@@ -159,61 +156,50 @@ def _cofactors(X: Array) -> Array:
     return np.asarray(Y[1:4, 1:4] * Y[2:, 2:] - Y[1:4, 2:] * Y[2:, 1:4])
 
 
-class _Laplacian:
+class _Relaxation:
     """Minimizers of sums over edges of blocks y (n, d, k), real or complex, the first pose of each component held.
 
     With 0 for the free ones the edges miss by e = T y_i + c - y_j, and H y = g: w e at j and -w T'e at i, summed.
     """
 
-    def __init__(self, edges: PoseEdges, eliminations: Eliminations) -> None:
-        free = edges.touched.copy()
-        free[edges.roots] = False
-        self.edges, self.free, self.held = edges, free.nonzero()[0], (~free).nonzero()[0]
-        between_free = free.take(edges.i) & free.take(edges.j)
+    def __init__(self, poses: PoseGraph, eliminations: Eliminations) -> None:
+        free = poses.touched.copy()
+        free[poses.roots] = False
+        self.poses, self.free, self.held = poses, free.nonzero()[0], (~free).nonzero()[0]
+        between_free = free.take(poses.i) & free.take(poses.j)
         self.both, self.rest = between_free.nonzero()[0], (~between_free).nonzero()[0]
-        self.decomposition = best_decomposition()
         number = np.cumsum(free) - 1
-        u, v = number.take(edges.i.take(self.both)), number.take(edges.j.take(self.both))
-        self.elimination = eliminations.of(u, v, len(self.free), self.decomposition.order)  # of both systems
-        self._factorizations: dict[
-            int, Factorization
-        ] = {}  # by size of the blocks: in the plane both systems share one
+        u, v = number.take(poses.i.take(self.both)), number.take(poses.j.take(self.both))
+        self.laplacian = Laplacian(u, v, len(self.free), eliminations)  # of both systems
 
     def turned(self, w: Array, T: Array, held: Array) -> Array:
         """Minimizer of sum w |y_j - T y_i|^2, w (m,), T (m, d, d) orthogonal, that keeps ``held`` (h, d, k)."""
-        y, i, j = self._start(held), self.edges.i[self.rest], self.edges.j[self.rest]
+        y, i, j = self._start(held), self.poses.i[self.rest], self.poses.j[self.rest]
         wT_t = w[:, None, None] * T.mT.conj()
         e = product(T[self.rest], y[i]) - y[j]  # 0 between free ones
-        off = wT_t[self.both]  # of H, but for the sign, the blocks (i, j); of (j, i) a `Hessian` keeps the transposed
-        np.conjugate(off, out=off, where=self.elimination.turned[:, None, None])
-        return self._solve(w, off, y, i, j, product(wT_t[self.rest], e), w[self.rest, None, None] * e)
+        return self._solve(w, -wT_t[self.both], y, i, j, product(wT_t[self.rest], e), w[self.rest, None, None] * e)
 
     def moved(self, w: Array, c: Array, held: Array) -> Array:
         """Minimizer of sum w |y_j - y_i - c|^2, w (m,), c (m, 1, k), that keeps ``held`` (h, 1, k)."""
-        y, i, j = self._start(held), self.edges.i, self.edges.j
+        y, i, j = self._start(held), self.poses.i, self.poses.j
         we = w[:, None, None] * (y.take(i, axis=0) + c - y.take(j, axis=0))
-        return self._solve(w, w[self.both, None, None], y, i, j, we, we)
+        return self._solve(w, -w[self.both, None, None], y, i, j, we, we)
 
     def _start(self, held: Array) -> Array:
-        y = np.zeros((self.edges.n, *held.shape[1:]), dtype=held.dtype)
+        y = np.zeros((self.poses.n, *held.shape[1:]), dtype=held.dtype)
         y[self.held] = held
         return y
 
     def _solve(self, w: Array, off: Array, y: Array, i: Index, j: Index, at_i: Array, at_j: Array) -> Array:
-        """y with H^-1 g in its free places, g = sums at j - sums at i; ``off`` are minus the blocks (i, j) of H."""
+        """y with H^-1 g in its free places, g = sums at j - sums at i; ``off`` are the blocks (i, j) of H."""
         V, d, k = len(self.free), *y.shape[1:]
-        diagonal = self.edges.sums(w, w).take(self.free)
-        S = np.concatenate([diagonal[:, None, None] * np.eye(d), -off], dtype=y.dtype)
-        if d not in self._factorizations:
-            begin = np.arange(len(S)) * d * d
-            hessian = Hessian(self.elimination, np.full(V, d), begin[:V], begin[V:])
-            self._factorizations[d] = Factorization(hessian, self.decomposition(hessian, y.dtype.type))
+        on_diagonal = self.poses.sums(w, w).take(self.free)[:, None, None] * np.eye(d, dtype=y.dtype)
         g, at_i, at_j = (x.reshape(-1, d * k) for x in (np.zeros_like(y), at_i, at_j))
         for column in range(d * k):
             np.add.at(g[:, column], j, at_j[:, column])
             np.subtract.at(g[:, column], i, at_i[:, column])
         try:
-            self._factorizations[d].factorize(S.reshape(-1))
+            state = self.laplacian.factorized(on_diagonal, off)
         except SingularSystemError as error:
             cause = (
                 "weights of edges differ too much"
@@ -221,5 +207,5 @@ class _Laplacian:
                 else "some poses have no rotation or no translation measurement"
             )
             raise UnderconstrainedError(f"chordal relaxation: {cause}; start from 'odometry'") from error
-        y[self.free] = self._factorizations[d].solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
+        y[self.free] = state.solve(g.take(self.free, axis=0).reshape(V * d, k)).reshape(V, d, k)
         return y

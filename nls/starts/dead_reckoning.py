@@ -7,9 +7,7 @@ of SE(2); z, pitch and roll are not integrated, `ZPR` has them.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from factors.keys import Keys
 from factors.xyh import XYH
 from factors.zpr import ZPR
 from models import SE2, SE3, euler
@@ -18,8 +16,7 @@ from models.errors import SingularGeometryError
 from models.sensors.heading import refuse_gimbal_lock
 from models.sensors.singular import SingularAt
 from nls.graph import FactorGraph
-from nls.starts.chain import along_chain
-from nls.starts.edges import PoseEdges, edges_of
+from nls.posegraph import Mask, PoseGraph
 from nls.values import Values
 
 __all__ = ["dead_reckoning", "walks"]
@@ -70,42 +67,39 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH) and len(batch)]
     if not batches:
         return values
-    edges = edges_of(graph, values, batches, SE3, SE2)
-    X = np.array(edges.stack(values))
-    tilt, measured = _tilts(graph, values, edges)
+    poses = PoseGraph(graph, values, batches, SE2)
+    X = np.array(poses.stack(values))
+    tilt, measured = _tilts(poses)
 
-    kept = edges.touched & ~measured  # their z, pitch and roll
-    kept[edges.roots[edges.touched[edges.roots]]] = True  # their x, y and yaw
-    state = np.zeros((edges.n, 6))
-    state[kept] = _euler(values, edges, X, kept)
+    kept = poses.touched & ~measured  # their z, pitch and roll
+    kept[poses.roots[poses.touched[poses.roots]]] = True  # their x, y and yaw
+    state = np.zeros((poses.n, 6))
+    state[kept] = _euler(poses, X, kept)
     state[:, Z_PITCH_ROLL] = np.where(measured[:, None], tilt, state[:, Z_PITCH_ROLL])
-    state[:, X_Y_YAW] = along_chain(edges, state[:, X_Y_YAW])
+    state[:, X_Y_YAW] = poses.along(poses.odometry_tree(), state[:, X_Y_YAW])
 
-    moved = edges.touched & ~edges.fixed
+    moved = poses.touched & ~poses.fixed
     X[moved] = euler.to_se3(state[moved])
-    return edges.replaced(values, X)
+    return poses.replaced(values, X)
 
 
-def _tilts(graph: FactorGraph, values: Values, edges: PoseEdges) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _tilts(poses: PoseGraph) -> tuple[Array, Mask]:
     """Measured z, pitch and roll (n, 3) of the nodes, and which nodes (n,) have them."""
-    sizes = [len(values.stacks[kind]) for kind in edges.kinds]
-    first = dict(zip(edges.kinds, np.cumsum([0, *sizes]), strict=False))
-    tilt, measured = np.zeros((edges.n, 3)), np.zeros(edges.n, dtype=bool)
-    for batch in graph.pattern(values).batches:
+    tilt, measured = np.zeros((poses.n, 3)), np.zeros(poses.n, dtype=bool)
+    for batch in poses.pattern.batches:
         if isinstance(batch.model.factor, ZPR):
-            nodes = first[batch.kinds[0]] + batch.index[0]
+            nodes = poses.nodes(batch.variables[0])
             tilt[nodes], measured[nodes] = batch.model.z, True
     return tilt, measured
 
 
-def _euler(values: Values, edges: PoseEdges, X: Array, kept: npt.NDArray[np.bool_]) -> Array:
+def _euler(poses: PoseGraph, X: Array, kept: Mask) -> Array:
     """Euler 6-vectors of some nodes, named where they have none."""
     R = SE3.rotation(X[kept])
     try:
         refuse_gimbal_lock(R)
     except SingularAt as error:
-        names = [key for kind in edges.kinds for key in Keys(kind, values.stacks[kind].numbers)]
-        key = names[np.flatnonzero(kept)[error.index]]
+        key = poses.pattern.key(int(poses.variables[kept][error.index]))
         message = f"dead reckoning from {key}: {error}"
         raise SingularGeometryError(message, keys=[key]) from error
     return euler.from_se3(X[kept])

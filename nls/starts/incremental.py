@@ -22,7 +22,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from factors.between import Between
 from factors.function import FunctionFactor
 from factors.seen import Seen
 from factors.xyh import XYH
@@ -32,6 +31,7 @@ from models.errors import OptionError, UnderconstrainedError
 from models.options import is_whole
 from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
+from nls.posegraph import is_relative
 from nls.sparse.pattern import measured_rows
 from nls.starts.chain import chain
 from nls.starts.dead_reckoning import dead_reckoning
@@ -139,7 +139,7 @@ class _Growth:
 
     def reckoned(self, values: Values, stage: int) -> Values:
         """The poses of a stage chained from those before."""
-        carry = [isinstance(factor, Between | XYH | ZPR) for factor in self.parts.factors]
+        carry = [is_relative(factor) or isinstance(factor, XYH | ZPR) for factor in self.parts.factors]
         steps = [(ripe == stage) & carries for ripe, carries in zip(self.ripe, carry, strict=True)]
         part, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
         return put_back(values, part, dead_reckoning(part, chain(part, within))) if len(part) else values

@@ -11,10 +11,9 @@ import nls
 from factors import Between, Covariance, Diagonal, Isotropic
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
-from nls import FactorGraph, Values
-from nls.certificate import problem as problem_module
+from nls import FactorGraph, Values, posegraph
 from nls.certificate.newton import Optimum, _second_order, nearest, newton, rotations, tangent
-from nls.certificate.problem import PoseGraph, certifiable
+from nls.certificate.problem import Problem, certifiable
 from nls.certificate.spectrum import spectrum
 from nls.certificate.staircase import _rounded, placed, staircase
 from nls.linear.lu import SuperLU
@@ -25,10 +24,10 @@ GROUPS = (SE2, SE3)
 SEED = 3
 
 
-def problem_of(group: LieGroup, seed: int = SEED, start: float = 0.3) -> tuple[PoseGraph, Array, FactorGraph, Values]:
+def problem_of(group: LieGroup, seed: int = SEED, start: float = 0.3) -> tuple[Problem, Array, FactorGraph, Values]:
     sample = pose_graph(group, anchored=False, numbers=ODD, seed=seed, start=start)
     graph = certifiable(sample.graph, sample.values)
-    return graph, graph.matrices(graph.edges.stack(sample.values)), sample.graph, sample.values
+    return graph, graph.matrices(graph.graph.stack(sample.values)), sample.graph, sample.values
 
 
 def ring(turns: int, n: int = 12, sigma: float = 0.1) -> tuple[FactorGraph, Values]:
@@ -81,7 +80,7 @@ def test_the_cost_is_the_sum_over_the_edges(group: LieGroup) -> None:
     assert np.trace(flat.T @ Q @ flat) == pytest.approx(expected, rel=1e-9)
     assert np.allclose(graph.product(M).reshape(-1, d), Q @ flat, rtol=0, atol=1e-9 * np.abs(Q).max())
     back = graph.poses(M)
-    assert np.allclose(group.local(graph.edges.stack(values), back), 0, atol=1e-12)
+    assert np.allclose(group.local(graph.graph.stack(values), back), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
@@ -91,7 +90,7 @@ def test_newtons_model_is_right_to_second_order(group: LieGroup, rows: int) -> N
     rng = np.random.default_rng(SEED)
     M = nearest(np.dstack([M, rng.normal(size=(*M.shape[:2], rows))]))
     E, g, H, off = _second_order(graph, M)
-    i, j = graph.edges.i, graph.edges.j
+    i, j = graph.graph.i, graph.graph.j
     H[graph.held] = 0.0
     delta = rng.normal(size=g.shape)
     linear = 2 * np.sum(g * delta)
@@ -127,12 +126,12 @@ def test_newton_converges_in_a_few_steps(group: LieGroup) -> None:
 # --- eigenvalues ------------------------------------------------------------------------------------------------------
 
 
-def dense(graph: PoseGraph, M: Array) -> Array:
+def dense(graph: Problem, M: Array) -> Array:
     """S with the positions eliminated."""
     n, d, k = graph.n, graph.d, graph.d + 1
     S, QM = np.zeros((n, k, n, k)), graph.product(M)
     S[np.arange(n), :, np.arange(n)] = graph.on_diagonal
-    for i, j, block in zip(graph.edges.i, graph.edges.j, graph.off, strict=True):
+    for i, j, block in zip(graph.graph.i, graph.graph.j, graph.off, strict=True):
         S[i, :, j] += block
         S[j, :, i] += block.T
     for i in range(n):
@@ -175,7 +174,7 @@ def test_the_bound_holds_for_random_pose_graphs() -> None:
 def test_without_cholmod_it_is_the_same(group: LieGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, M, *_ = problem_of(group)
     expected = spectrum(graph, newton(graph, M))
-    monkeypatch.setattr(problem_module, "best_decomposition", lambda: SuperLU)
+    monkeypatch.setattr(posegraph, "best_decomposition", lambda: SuperLU)
     other, *_ = problem_of(group)
     found = spectrum(other, newton(other, M))
     assert found.certified

@@ -14,8 +14,8 @@ from models import SE2, SE3, R
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.posegraph import closures
 from nls.robust import grow
-from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import Neighbors, Odometry, neighbors
 from nls.robust.groups import FITS, WIDE, misfits, witnesses
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
@@ -34,7 +34,7 @@ def city() -> sim.World:
 
 def wrong_closures(world: sim.World, count: int, rng: np.random.Generator, group: int = 1) -> Between:
     """Closures with the measurement of a true one between two other poses, in groups that agree with one another."""
-    masks = loop_closures(world.graph, world.truth)
+    masks = closures(world.graph.pattern(world.truth))
     factor, true = next((f, np.flatnonzero(m)) for f, m in zip(world.graph.factors, masks, strict=True) if m.any())
     truth = world.truth[x]
     manifold, n = world.truth.stack("x").manifold, len(truth)
@@ -107,12 +107,12 @@ def test_covariances_along_paths_are_those_of_the_chain(space: type) -> None:
     step[a > b] = space.inverse(step[a > b])  # type: ignore[attr-defined]
     graph = FactorGraph([Between(x[a], x[b], step, noise)])
     values = nls.starts.chain(graph, Values({x: (space, space.identity(n))}))  # type: ignore[attr-defined]
-    _, links, odometry = chained(graph, values)
-    assert odometry.all()
+    pose_graph = loop_graph(graph, values)
+    assert pose_graph.poses.odometry.all()
     T, i, j = values[x], np.array([0, 7, 3, 5]), np.array([8, 2, 4, 0])
-    Z, C = Odometry(links, T).between(i, j)
+    Z, C = Odometry(pose_graph.edges, T).between(i, j)
     np.testing.assert_allclose(Z, space.compose(space.inverse(T[i]), T[j]), atol=1e-12)  # type: ignore[attr-defined]
-    np.testing.assert_allclose(path_covariances(links, T, i, j, 1.0), C, atol=1e-12)
+    np.testing.assert_allclose(path_covariances(pose_graph.edges, T, i, j, 1.0), C, atol=1e-12)
     for k, (first, last) in enumerate(zip(i, j, strict=True)):  # by the graph itself, that pose held
         held = FactorGraph(graph.factors)
         held.fix(x[int(first)])
@@ -126,8 +126,7 @@ def test_the_shortest_path_is_taken_through_a_closure() -> None:
     short = Between(x[1], x[19], [18.0, 0.0, 0.0], Isotropic(0.2))
     graph = FactorGraph([odometry, short])
     values = Values({x: (SE2, np.c_[np.arange(21.0), np.zeros((21, 2))])})
-    _, links, _ = chained(graph, values)
-    P = path_covariances(links, values[x], np.array([0]), np.array([20]), 1.0)[0]
+    P = path_covariances(loop_graph(graph, values).edges, values[x], np.array([0]), np.array([20]), 1.0)[0]
     assert P[2, 2] == pytest.approx(0.1**2 + 0.2**2 + 0.1**2)
 
 
@@ -138,11 +137,11 @@ def test_the_shortest_path_is_taken_through_a_closure() -> None:
 def test_neighbors_support_each_other_and_tell_the_noise(city: sim.World, factor: float) -> None:
     loops, group = wrong_closures(city, 12, RNG(0)), wrong_closures(city, 10, RNG(1), group=10)
     graph = FactorGraph([*city.graph.factors, loops, group])
-    _, links, odometry = chained(graph, city.truth)
+    pose_graph = loop_graph(graph, city.truth)
     T = nls.starts.chain(graph, city.truth)[x]
-    scaled = [replace(each, C=each.C / factor**2) for each in (links[~odometry], links[odometry])]
+    scaled = [replace(each, C=each.C / factor**2) for each in (pose_graph.closures, pose_graph.odometry)]
     found = neighbors(*scaled, T)
-    true = (~odometry).sum() - 22
+    true = len(pose_graph.closures) - 22
     assert (found.support[:true] > 0).mean() > 0.9
     assert (found.support[true : true + 12] > 0).sum() <= 2
     assert (found.support[-10:] >= 5).all()
@@ -156,8 +155,8 @@ def test_without_neighbors_nothing_is_supported() -> None:
     odometry = Between(x[a], x[a + 1], [1.0, 0.0, 0.0], Isotropic(0.1))
     loops = Between(x[[10, 90]], x[[150, 40]], [0.0, 0.0, 0.0], Isotropic(0.1))
     values = Values({x: (SE2, np.c_[np.arange(201.0), np.zeros((201, 2))])})
-    _, links, along = chained(FactorGraph([odometry, loops]), values)
-    found = neighbors(links[~along], links[along], values[x])
+    pose_graph = loop_graph(FactorGraph([odometry, loops]), values)
+    found = neighbors(pose_graph.closures, pose_graph.odometry, values[x])
     assert found.support.tolist() == [0, 0]
     assert found.cluster.tolist() == [0, 1]
     assert found.sigma0 == 1.0
@@ -290,7 +289,7 @@ def test_what_cannot_be_judged_is_refused_by_name(city: sim.World) -> None:
 def test_loop_closures_are_told_by_place_not_by_number() -> None:
     graph = FactorGraph([Between(x[[10, 20, 10]], x[[20, 40, 40]], np.tile([1.0, 0.0, 0.0], (3, 1)), Isotropic(0.1))])
     values = Values({x: (SE2, np.zeros((3, 3)), np.array([40, 10, 20]))})
-    (mask,) = loop_closures(graph, values)
+    (mask,) = closures(graph.pattern(values))
     assert mask.tolist() == [False, False, True]
     assert len(graph.only([~mask])) == 2
     assert grow(graph, values).masks[0].tolist() == [True, True, False]

@@ -10,11 +10,11 @@ from factors import Between, Diagonal, Information, Isotropic
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from nls import FactorGraph, Values, kinds
+from nls import FactorGraph, Values, kinds, posegraph
 from nls.analysis.chi_squared import chi2_gate
 from nls.robust import grow
-from nls.robust.closures import chained, loop_closures
 from nls.robust.consistency import LOW, neighbors
+from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
 
 (x,) = kinds("x")
@@ -53,14 +53,14 @@ def test_copies_of_a_closure_neither_support_it_nor_tell_the_noise(track: tuple[
     far = closures(values, [0, 15], [10, 39], 0.02)
     back = Between(x[[10]], x[[0]], SE2.inverse(far.z[:1]), SIGMAS)
     graph = FactorGraph([odometry, far, far, back])
-    _, links, along = chained(graph, values)
-    found = neighbors(links[~along], links[along], values[x])
+    pose_graph = loop_graph(graph, values)
+    found = neighbors(pose_graph.closures, pose_graph.odometry, values[x])
     assert found.support.tolist() == [0] * 5
     assert found.sigma0 == 1.0
     assert not nls.gnc(graph, values).rejected
     again = Between(x[[0]], x[[10]], far.z[0] + np.array([0.05, 0.0, 0.0]), SIGMAS)  # measured anew, no copy
-    _, links, along = chained(FactorGraph([odometry, far, again]), values)
-    assert neighbors(links[~along], links[along], values[x]).support.tolist() == [1, 0, 1]
+    pose_graph = loop_graph(FactorGraph([odometry, far, again]), values)
+    assert neighbors(pose_graph.closures, pose_graph.odometry, values[x]).support.tolist() == [1, 0, 1]
 
 
 def test_the_weights_that_say_nothing_are_named(track: tuple[Between, Values]) -> None:
@@ -114,8 +114,8 @@ def test_two_closures_disagree_by_chi2_of_the_loop_they_make(
     z = space.compose(space.between(T[i], T[j]), space.exp(1e-3 * rng.normal(size=(2, d))))
     odometry = Between(x[k], x[k + 1], step, Information(information[:-2]), convention="log")
     loops = Between(x[i], x[j], z, Information(information[-2:]), convention="log")
-    _, links, along = chained(FactorGraph([odometry, loops]), values)
-    found = neighbors(links[~along], links[along], T)
+    pose_graph = loop_graph(FactorGraph([odometry, loops]), values)
+    found = neighbors(pose_graph.closures, pose_graph.odometry, T)
     around = np.r_[2:7, 21:26]  # the closures, and four steps at either end
     loop = FactorGraph([odometry[np.r_[2:6, 21:25]], loops])
     result = loop.optimize(Values({x: (space, T[around], around)}))
@@ -128,8 +128,8 @@ def test_paths_are_compared_in_meters_per_radian() -> None:
     sharp, straight = Diagonal(x=1e-3, y=1e-3, yaw=0.1), Diagonal(x=1.0, y=1.0, yaw=1e-3)
     graph = FactorGraph([Between(x[k], x[k + 1], STEP, sharp), Between(x[0], x[2], STEP, straight)])
     values = Values({x: (SE2, np.zeros((3, 3)))})
-    _, links, _ = chained(graph, values)
-    yaw = [path_covariances(links, values[x], np.array([0]), np.array([2]), m)[0, 2, 2] for m in (1.0, 1e3)]
+    edges = loop_graph(graph, values).edges
+    yaw = [path_covariances(edges, values[x], np.array([0]), np.array([2]), m)[0, 2, 2] for m in (1.0, 1e3)]
     np.testing.assert_allclose(yaw, [2 * 0.1**2, 1e-3**2])
 
 
@@ -137,7 +137,7 @@ def test_what_joins_two_kinds_is_a_closure() -> None:
     y = nls.Kind("y")
     values = Values({x: (SE2, np.zeros((3, 3))), y: (SE2, np.zeros((3, 3)))})
     graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], STEP, SIGMAS), Between(x[[0, 1]], y[[1, 1]], STEP, SIGMAS)])
-    assert [mask.tolist() for mask in loop_closures(graph, values)] == [[False, False], [True, True]]
+    assert [mask.tolist() for mask in posegraph.closures(graph.pattern(values))] == [[False, False], [True, True]]
 
 
 def test_what_nothing_supports_does_not_lead_the_growth(track: tuple[Between, Values]) -> None:
@@ -152,8 +152,7 @@ def test_of_two_links_between_the_same_places_the_sharper_one_counts() -> None:
     k = np.arange(3)
     links = [Between(x[k], x[k + 1], STEP, Isotropic(sigma)) for sigma in (0.3, 0.01, 0.1)]
     values = Values({x: (SE2, np.zeros((4, 3)))})
-    _, every, _ = chained(FactorGraph(links), values)
-    P = path_covariances(every, values[x], np.array([3]), np.array([0]), 1.0)
+    P = path_covariances(loop_graph(FactorGraph(links), values).edges, values[x], np.array([3]), np.array([0]), 1.0)
     assert P[0, 2, 2] == pytest.approx(3 * 0.01**2)
 
 

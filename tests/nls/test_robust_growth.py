@@ -13,9 +13,9 @@ from factors import Between, Diagonal
 from models import SE2
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.posegraph import Edges
 from nls.robust import growth
 from nls.robust import paths as paths_module
-from nls.robust.closures import Links, chained
 from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
 
@@ -52,10 +52,10 @@ def contradicted(values: Values) -> FactorGraph:
     return FactorGraph([odometry(Diagonal(x=0.01, y=0.01, yaw=0.05)), right, wrong])
 
 
-def first_test(graph: FactorGraph, values: Values, cluster: list[int]) -> tuple[Links, Links, tuple[Any, ...]]:
+def first_test(graph: FactorGraph, values: Values, cluster: list[int]) -> tuple[Edges, Edges, tuple[Any, ...]]:
     """The first test of all closures, at odometry."""
-    _, links, along = chained(graph, values)
-    known, loops = links[along], links[~along]
+    pose_graph = loop_graph(graph, values)
+    known, loops = pose_graph.odometry, pose_graph.closures
     P = np.full_like(loops.C, np.nan)
     return known, loops, growth._tested(known, loops, values[x], STATED, np.array(cluster), P)
 
@@ -86,7 +86,7 @@ def test_predictions_are_kept_from_round_to_round(circle: Values, monkeypatch: p
     asked: list[int] = []
     paths = growth.path_covariances
 
-    def counted(known: Links, T: Any, i: Any, j: Any, meters: float) -> Any:
+    def counted(known: Edges, T: Any, i: Any, j: Any, meters: float) -> Any:
         asked.append(len(i))
         return paths(known, T, i, j, meters)
 
@@ -101,21 +101,21 @@ def test_predictions_are_kept_from_round_to_round(circle: Values, monkeypatch: p
 
 
 def test_paths_are_the_same_however_many_are_searched_together(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, links, _ = chained(FactorGraph([odometry()]), circle)
+    edges = loop_graph(FactorGraph([odometry()]), circle).edges
     rng = np.random.default_rng(0)
     i, j = rng.integers(0, N, (2, 30))
-    together = path_covariances(links, circle[x], i, j, 10.0)
+    together = path_covariances(edges, circle[x], i, j, 10.0)
     assert (np.linalg.eigvalsh(together[i != j]) > 0).all()
     for size in (1, 3 * N):
         monkeypatch.setattr(paths_module, "TOGETHER", size)
-        np.testing.assert_array_equal(path_covariances(links, circle[x], i, j, 10.0), together)
+        np.testing.assert_array_equal(path_covariances(edges, circle[x], i, j, 10.0), together)
 
 
 def test_a_quarter_is_accepted_in_a_round(circle: Values, monkeypatch: pytest.MonkeyPatch) -> None:
     waiting: list[int] = []
     tested = growth._tested
 
-    def counted(known: Links, loops: Links, *rest: Any) -> Any:
+    def counted(known: Edges, loops: Edges, *rest: Any) -> Any:
         waiting.append(len(loops))
         return tested(known, loops, *rest)
 
@@ -156,7 +156,7 @@ def test_closures_worse_than_their_neighborhood_widen_the_test_up_to_the_stated_
     scales: list[float] = []
     tested = growth._tested
 
-    def noted(known: Links, loops: Links, T: Any, scale: growth.Scales, *rest: Any) -> Any:
+    def noted(known: Edges, loops: Edges, T: Any, scale: growth.Scales, *rest: Any) -> Any:
         scales.append(scale.sigma0)
         return tested(known, loops, T, scale, *rest)
 

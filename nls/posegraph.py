@@ -1,0 +1,394 @@
+r"""Relative poses as arrays: edges, odometry and closures, covariances, trees, weights, and block matrices.
+
+A relative pose z of node j in node i, both of one group, is an edge with the noise
+
+    T_j = T_i o z o Exp(xi),   xi ~ N(0, C),   C = (A_j'A_j)^-1,   A_j = d b / d xi at residual zero,
+
+so C has the axes of the end j, whatever the convention of the residual. An edge is odometry if its ends follow each
+other in number, and a loop closure otherwise. Weights kappa of rotations and tau of positions reduce the information
+Omega = W'W of an edge to two numbers, for costs that are quadratic in rotation matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from factors.base import Factor, Model
+from factors.between import Between
+from factors.between_sensors import BetweenSensors
+from models import LieGroup
+from models.advice import Advice
+from models.algebra import Array, Index, congruence, gram
+from models.errors import GraphError
+from nls.gauge import fixed_variables
+from nls.graph import FactorGraph
+from nls.linear import best_decomposition
+from nls.linear.factorization import Factorization
+from nls.sparse.components import connected, firsts
+from nls.sparse.elimination import Eliminations
+from nls.sparse.hessian import Hessian
+from nls.sparse.pattern import Batch, Pattern
+from nls.values import Values, take
+
+__all__ = ["Edges", "Laplacian", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs"]
+Mask = npt.NDArray[np.bool_]
+SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
+
+
+def is_relative(factor: Factor, of_sensors: bool = False) -> bool:
+    """Whether a factor measures relative poses: a `Between`; with ``of_sensors`` a `BetweenSensors`, too."""
+    return isinstance(factor, Between) or (of_sensors and isinstance(factor, BetweenSensors))
+
+
+def places(pattern: Pattern) -> Index:
+    """(V,) place of every variable in the order by kind and number."""
+    place = np.empty(len(pattern.dims), dtype=np.intp)
+    for kind, numbers in pattern.numbers.items():
+        begin = pattern.offsets[kind]
+        place[begin + np.argsort(numbers, kind="stable")] = begin + np.arange(len(numbers))
+    return place
+
+
+def odometry(pattern: Pattern) -> list[Mask]:
+    """Per batch (k,) the relative poses, of sensors too, whose ends follow each other in the numbers of one kind.
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> from nls.posegraph import closures, odometry
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Between(x[[10, 20, 10]], x[[20, 40, 40]], [1, 0, 0], Isotropic(1))])
+    >>> pattern = graph.pattern(Values({x: (SE2, SE2.identity(3), [10, 20, 40])}))
+    >>> odometry(pattern)[0].tolist(), closures(pattern)[0].tolist()
+    ([True, True, False], [False, False, True])
+    """
+    place = places(pattern)
+    return [_steps(batch, place) for batch in pattern.batches]
+
+
+def closures(pattern: Pattern) -> list[Mask]:
+    """Per batch (k,) the relative poses, of sensors too, that are no `odometry`: loop closures, matches."""
+    masks = zip(pattern.batches, odometry(pattern), strict=True)
+    return [~follows & is_relative(batch.model.factor, of_sensors=True) for batch, follows in masks]
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Some relative poses with their covariances.
+
+    Attributes
+    ----------
+    group : of the poses.
+    i, j : (m,) places of the poses in the order of their numbers.
+    z : (m, size) measured poses of j in i.
+    C : (m, d, d) covariances in the axes of j: of (x, y, yaw) or (x, y, z, roll, pitch, yaw), in m and rad.
+    """
+
+    group: LieGroup
+    i: Index
+    j: Index
+    z: Array
+    C: Array
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def __getitem__(self, which: Index | Mask) -> Edges:
+        return Edges(self.group, self.i[which], self.j[which], self.z[which], self.C[which])
+
+    def joined(self, other: Edges) -> Edges:
+        """These edges and others."""
+        i, j = np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j])
+        return Edges(self.group, i, j, np.concatenate([self.z, other.z]), np.concatenate([self.C, other.C]))
+
+    def forward(self) -> Edges:
+        """The same edges, each from its earlier to its later pose: z^-1 with Ad(z) C Ad(z)' where they change."""
+        back, z, C = self.i > self.j, self.z.copy(), self.C.copy()
+        z[back] = self.group.inverse(self.z[back])
+        C[back] = congruence(self.group.adjoint(self.z[back]), self.C[back])
+        return replace(self, i=np.minimum(self.i, self.j), j=np.maximum(self.i, self.j), z=z, C=C)
+
+
+class PoseGraph:
+    """Measured differences of elements of one group: m edges between n nodes.
+
+    Parameters
+    ----------
+    graph, values : the factor graph and its variables.
+    batches : its measurements between two variables of one manifold.
+    group : the group of the measurements; of `Between` it is that manifold.
+
+    Attributes
+    ----------
+    group, pattern, batches : as given.
+    kinds : the kinds of variables in the manifold; their stacks, one after the other, are the nodes.
+    n : the number of nodes.
+    variables : (n,) their numbers among all variables.
+    place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
+    fixed : (n,) nodes that the graph holds fixed; no start moves them.
+    i, j : (m,) nodes; z : (m, size) measurements, of all batches one after the other.
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic
+    >>> from models import SE2
+    >>> from nls import FactorGraph, Values, kinds
+    >>> from nls.posegraph import pose_graphs
+    >>> (x,) = kinds("x")
+    >>> graph = FactorGraph([Between(x[[0, 1, 0]], x[[1, 2, 2]], [[1, 0, 0], [1, 0, 0], [2, 0, 0]], Isotropic(0.1))])
+    >>> (poses,) = pose_graphs(graph, Values({x: (SE2, SE2.identity(3))}))
+    >>> poses.odometry.tolist(), poses.C[2].diagonal().round(4).tolist()
+    ([True, True, False], [0.01, 0.01, 0.01])
+    """
+
+    def __init__(self, graph: FactorGraph, values: Values, batches: Sequence[Batch], group: LieGroup) -> None:
+        self.pattern, self.batches, self.group = graph.pattern(values), batches, group
+        offsets, numbers, manifold = self.pattern.offsets, self.pattern.numbers, batches[0].model.manifolds[0]
+        self.kinds = tuple(kind for kind, space in self.pattern.manifolds.items() if space is manifold)
+        self.variables = np.concatenate([offsets[kind] + np.arange(len(numbers[kind])) for kind in self.kinds])
+        self.n = len(self.variables)
+        self.place = self.nodes(places(self.pattern)[self.variables])
+        self.order = np.empty(self.n, dtype=np.intp)
+        self.order[self.place] = np.arange(self.n)
+        held = [keys for keys in graph.fixed if keys.kind in self.kinds]
+        self.fixed = fixed_variables(held, values)[self.variables]
+        self.i, self.j = (self.nodes(np.concatenate([batch.variables[slot] for batch in batches])) for slot in (0, 1))
+        self.z: Array = np.concatenate([batch.model.z for batch in batches])
+
+    def nodes(self, variables: Index) -> Index:
+        """Nodes (k,) of some variables (k,) in the manifold."""
+        node = np.empty(len(self.pattern.dims), dtype=np.intp)
+        node[self.variables] = np.arange(self.n)
+        return node[variables]
+
+    def stack(self, values: Values) -> Array:
+        """The nodes' values (n, size)."""
+        return np.concatenate([values.stacks[kind].X for kind in self.kinds])
+
+    def replaced(self, values: Values, X: Array) -> Values:
+        """Values with these nodes."""
+        ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])
+        return values.replaced(dict(zip(self.kinds, np.split(X, ends[:-1]), strict=True)))
+
+    @cached_property
+    def odometry(self) -> Mask:
+        """(m,) edges that are odometry; all others are closures."""
+        place = places(self.pattern)
+        return np.concatenate([_steps(batch, place) for batch in self.batches])
+
+    @cached_property
+    def C(self) -> Array:
+        """(m, d, d) covariances of Exp at j, of `Between`; a GraphError names weights without some component."""
+        return np.concatenate([_covariances(batch.model) for batch in self.batches])
+
+    def edges(self) -> Edges:
+        """All edges in the order of the measurements, with covariances; raises as `C`."""
+        return Edges(self.group, self.place[self.i], self.place[self.j], self.z, self.C)
+
+    def mean_weights(self) -> tuple[Array, Array]:
+        """kappa and tau (m,), 1/rad^2 and 1/m^2: trace of the block of Omega over its size."""
+        D, d = self.group.dim, self.group.point_dim
+        squares = [np.square(batch.model.W) for batch in self.batches]
+        Omega = self._of_edges([W2 if W2.ndim == 2 else W2.sum(axis=1) for W2 in squares])
+        return Omega[:, d:].sum(axis=1) / (D - d), Omega[:, :d].sum(axis=1) / d
+
+    def isotropic_weights(self) -> tuple[Array, Array]:
+        """kappa and tau (m,) of SE-Sync, 1/rad^2 and 1/m^2, by the traces of inverse blocks; 0 without an inverse.
+
+        tau = d / tr Omega_t^-1; kappa = Omega_33 in the plane and 3 / (2 tr Omega_R^-1) in space.
+        """
+        D, d = self.group.dim, self.group.point_dim
+        W = [batch.model.W for batch in self.batches]
+        Omega = gram(self._of_edges([W_b if W_b.ndim == 3 else W_b[..., None] * np.eye(D) for W_b in W]))
+        rotation, position = (_inverse_trace(block) for block in (Omega[:, d:, d:], Omega[:, :d, :d]))
+        return np.where(rotation < np.inf, Omega[:, 2, 2], 0.0) if d == 2 else 1.5 / rotation, d / position
+
+    def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+        """Numbers (m, ...) of all edges, batch by batch (k, ...)."""
+        return np.split(x, np.cumsum([len(batch) for batch in self.batches])[:-1])
+
+    def _of_edges(self, parts: list[Array]) -> Array:
+        """(m, ...) numbers of all edges, from those of every batch: (k, ...), or (1, ...) where they are the same."""
+        sizes = [len(batch) for batch in self.batches]
+        return np.concatenate([np.broadcast_to(x, (k, *x.shape[1:])) for x, k in zip(parts, sizes, strict=True)])
+
+    def sums(self, at_i: Array, at_j: Array) -> Array:
+        """Sum (n, ...) at every node of the numbers (m, ...) that its edges have there."""
+        if at_i.ndim == 1:
+            return np.asarray(np.bincount(self.i, at_i, self.n) + np.bincount(self.j, at_j, self.n), dtype=float)
+        (m, *shape), (to_i, to_j) = at_i.shape, self._incidence
+        return np.asarray((to_i @ at_i.reshape(m, -1) + to_j @ at_j.reshape(m, -1)).reshape(self.n, *shape))
+
+    @cached_property
+    def _incidence(self) -> tuple[sp.csr_array, sp.csr_array]:
+        """Matrices (n, m) that sum over the edges that begin, and that end, at every node."""
+        m = len(self.i)
+        begins, ends = (sp.csr_array((np.ones(m), (node, np.arange(m))), (self.n, m)) for node in (self.i, self.j))
+        return begins, ends
+
+    @cached_property
+    def component(self) -> Index:
+        """(n,) the connected component of every node, named by its lowest one."""
+        return connected(self.i, self.j, self.n)
+
+    @cached_property
+    def touched(self) -> Mask:
+        """(n,) nodes that have an edge."""
+        return np.bincount(np.concatenate([self.i, self.j]), minlength=self.n) > 0
+
+    @cached_property
+    def roots(self) -> Index:
+        """Nodes that keep their value: all fixed ones, and the first in order of every component without any."""
+        anchored = np.zeros(self.n, dtype=bool)
+        anchored[self.component[self.fixed]] = True
+        waiting = self.touched & ~anchored.take(self.component)
+        return np.concatenate([self.fixed.nonzero()[0], firsts(self.component, self.order[waiting.take(self.order)])])
+
+    def pairs(self) -> Index:
+        """One edge for every joined pair of nodes."""
+        pair = np.minimum(self.i, self.j) * self.n + np.maximum(self.i, self.j)
+        return np.unique(pair, return_index=True)[1]
+
+    def odometry_tree(self) -> tuple[Index, Index]:
+        """`tree` along the order; a gap in it is bridged by the edge that jumps over the fewest places."""
+        pairs = self.pairs()
+        i, j = self.i[pairs], self.j[pairs]
+        jump = np.abs(self.place[i] - self.place[j]).astype(float)
+        steps = pairs[jump == 1]
+        if len(steps) < self.n - 1:
+            from scipy.sparse.csgraph import minimum_spanning_tree
+
+            lookup = sp.csr_array((jump, (i, j)), shape=(self.n, self.n))
+            spanning = sp.coo_array(minimum_spanning_tree(lookup))
+            steps = pairs[np.isin(i * self.n + j, spanning.row.astype(np.intp) * self.n + spanning.col)]
+        return self.tree(steps)
+
+    def tree(self, edges: Index) -> tuple[Index, Index]:
+        """Parent (n,) of every node in the breadth-first tree over some edges, and the edge to it; -1 for roots."""
+        i, j, roots = self.place[self.i[edges]], self.place[self.j[edges]], self.roots
+        later = self.order[np.maximum(i, j)]
+        parent, edge = np.full((2, self.n), -1, dtype=np.intp)
+        parent[later], edge[later] = self.order[np.minimum(i, j)], edges
+        if (np.abs(i - j) == 1).all() and (parent[roots] < 0).all():
+            return parent, edge  # every edge leads to the next node in order, and every root comes first
+        from scipy.sparse.csgraph import breadth_first_order
+
+        source = np.concatenate([self.i[edges], roots])
+        target = np.concatenate([self.j[edges], np.full(len(roots), self.n)])  # one node above all roots
+        name, size = np.concatenate([edges, np.full(len(roots), -1)]), self.n + 1
+        graph = sp.csr_array((np.ones(len(source)), (source, target)), shape=(size, size))
+        _, parent = breadth_first_order(graph, self.n, directed=False, return_predecessors=True)
+        parent = np.where((parent[:-1] < 0) | (parent[:-1] == self.n), -1, parent[:-1]).astype(np.intp)
+        key = np.minimum(source, target) * size + np.maximum(source, target)
+        sort, child = np.argsort(key), np.arange(self.n)
+        wanted = np.minimum(child, parent) * size + np.maximum(child, parent)
+        place = np.minimum(np.searchsorted(key[sort], wanted), len(key) - 1)
+        return parent, np.where(parent < 0, -1, name[sort[place]])
+
+    def along(self, tree: tuple[Index, Index], X: Array) -> Array:
+        """Poses (n, size) composed from the roots of X outward along a tree, by doubling: log2(depth) products.
+
+        Above a root there is itself, with the identity as its step.
+        """
+        parent, edge = tree
+        reached = parent >= 0
+        forward = reached & (self.j[edge] == np.arange(self.n))
+        backward = reached & ~forward
+        step = np.asfortranarray(self.group.identity(self.n))
+        step[forward] = self.z[edge[forward]]
+        step[backward] = self.group.inverse(self.z[edge[backward]])
+        above = np.where(reached, parent, np.arange(self.n))
+        while ((higher := above[above]) != above).any():
+            step = self.group.compose(take(step, above), step)
+            above = higher
+        out = np.array(X)
+        out[reached] = self.group.compose(X[above[reached]], step[reached])
+        return out
+
+
+class Laplacian:
+    """Symmetric matrices of blocks (k, k) at V nodes and at P pairs of them; all sizes k have one elimination order.
+
+    Parameters
+    ----------
+    u, v : (P,) the pairs, repeats allowed: their blocks add up.
+    V : the number of nodes.
+    eliminations : structure kept by others, such as `Pattern.eliminations`; None for a new one.
+    """
+
+    def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
+        self._decomposition = best_decomposition()
+        self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
+        self._factorizations: dict[int, Factorization] = {}
+
+    def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
+        """Factorization of the matrix of diagonal blocks (V, k, k) and blocks (u, v) (P, k, k); (v, u) are adjoint.
+
+        All matrices of one k are real, or all complex. Raises SingularSystemError where one is not positive definite.
+        """
+        S, V, k = np.concatenate([on_diagonal, off]), len(on_diagonal), off.shape[-1]
+        if np.iscomplexobj(S):  # a `Hessian` transposes these blocks
+            np.conjugate(S[V:], out=S[V:], where=self._elimination.turned[:, None, None])
+        if k not in self._factorizations:
+            begin = np.arange(len(S)) * k * k
+            hessian = Hessian(self._elimination, np.full(V, k), begin[:V], begin[V:])
+            self._factorizations[k] = Factorization(hessian, self._decomposition(hessian, S.dtype.type))
+        return self._factorizations[k].factorize(S.reshape(-1))
+
+
+def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
+    """The relative poses of a graph by group, in the order of the groups' names."""
+    batches: dict[LieGroup, list[Batch]] = {}
+    for batch in graph.pattern(values).batches:
+        if is_relative(batch.model.factor) and len(batch):
+            group = batch.model.space
+            assert isinstance(group, LieGroup)
+            batches.setdefault(group, []).append(batch)
+    for group in sorted(batches, key=repr):
+        yield PoseGraph(graph, values, batches[group], group)
+
+
+def _steps(batch: Batch, place: Index) -> Mask:
+    """(k,) relative poses of a batch between neighbors in the numbers of one kind."""
+    if not is_relative(batch.model.factor, of_sensors=True) or batch.kinds[0] != batch.kinds[1]:
+        return np.zeros(len(batch), dtype=bool)
+    return np.asarray(np.abs(place[batch.variables[0]] - place[batch.variables[1]]) == 1)
+
+
+def _inverse_trace(blocks: Array) -> Array:
+    """tr M^-1 (m,) of symmetric matrices (m, k, k); infinite where M has no inverse."""
+    regular = np.linalg.eigvalsh(blocks)[:, 0] > SINGULAR * np.trace(blocks, axis1=1, axis2=2)
+    out = np.full(len(blocks), np.inf)
+    out[regular] = np.trace(np.linalg.inv(blocks[regular]), axis1=1, axis2=2)
+    return out
+
+
+def _covariances(model: Model) -> Array:
+    """(m, d, d) covariances of the measurements of a bound `Between`."""
+    group = model.space
+    assert isinstance(group, LieGroup)
+    (_, A), _ = model.linearize(group.identity(len(model.z)), model.z)
+    information = gram(A)
+    sizes = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+    sizes = np.where(sizes > 0, sizes, 1.0)  # meters and radians in units of their own: a rank is of numbers alike
+    correlation = information / (sizes[:, :, None] * sizes[:, None, :])
+    bad = np.linalg.matrix_rank(correlation, hermitian=True) < group.dim
+    if bad.any():
+        name = model.factor.describe(int(np.argmax(bad)))
+        raise GraphError(
+            f"{name}: its weights say nothing of one of its components, so that no uncertainty of a loop through it "
+            "exists",
+            model.factor.keys,
+            name,
+            advice=[Advice("judge all")],
+        )
+    return np.asarray(np.linalg.inv(information))

@@ -1,0 +1,226 @@
+"""Relative poses as arrays: which are odometry, their covariances and weights, trees, sums and block matrices."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from factors import Between, BetweenSensors, Diagonal, Information, Isotropic, Prior, SqrtInformation
+from models import SE2, SE3, LieGroup
+from models.algebra import Array
+from models.errors import GraphError
+from nls import FactorGraph, Values
+from nls.linear.singular import SingularSystemError
+from nls.posegraph import Edges, Laplacian, PoseGraph, closures, odometry, pose_graphs
+from tests.nls.graphs import ODD, informations, moved, pose_graph, walk, x, y
+
+RNG = np.random.default_rng
+UNIT = Isotropic(1)
+PLACES = (SE2, SE3)
+
+
+def posed(group: LieGroup, i: list[int], j: list[int], n: int, fixed: tuple[int, ...] = ()) -> tuple[PoseGraph, Array]:
+    """Exact edges between poses 0 to n - 1 of a walk."""
+    X = walk(group, n, RNG(0))
+    graph = FactorGraph([Between(x[i], x[j], group.between(X[i], X[j]), UNIT)])
+    if fixed:
+        graph.fix(x[list(fixed)])
+    (poses,) = pose_graphs(graph, Values({x: (group, X)}))
+    return poses, X
+
+
+def test_neighbors_in_number_are_odometry_and_other_relative_poses_closures() -> None:
+    numbers = np.array([30, -5, 10, 20])  # in order: -5, 10, 20, 30
+    z, level = [1.0, 0.0, 0.0], ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    graph = FactorGraph(
+        [
+            Between(x[[-5, 20, -5]], x[[10, 10, 20]], z, UNIT),  # ahead, back, a jump
+            Prior(x[30], z, UNIT),
+            BetweenSensors(x[[30, 30]], x[[20, -5]], z, UNIT, level),
+            Between(x[[-5, 30]], y[[0, 0]], z, UNIT),  # y0 follows x30 in the stack
+            Between(y[0], y[1], z, UNIT),
+        ]
+    )
+    pattern = graph.pattern(Values({x: (SE2, np.zeros((4, 3)), numbers), y: (SE2, np.zeros((2, 3)))}))
+    along = [[True, True, False], [False], [True, False], [False, False], [True]]
+    others = [[False, False, True], [False], [False, True], [True, True], [False]]
+    assert [mask.tolist() for mask in odometry(pattern)] == along
+    assert [mask.tolist() for mask in closures(pattern)] == others
+    assert closures(FactorGraph([]).pattern(Values())) == []
+
+
+def test_nodes_are_the_stacks_one_after_the_other() -> None:
+    X, Y = walk(SE2, 3, RNG(0)), walk(SE2, 2, RNG(1))
+    graph = FactorGraph([Between(y[[3, 1]], x[[9, 7]], [1.0, 0, 0], UNIT), Between(x[8], x[9], [2.0, 0, 0], UNIT)])
+    graph.fix(x[9])
+    values = Values({y: (SE2, Y, np.array([3, 1])), x: (SE2, X, np.array([9, 7, 8])), "s": (SE3, SE3.identity(1))})
+    (poses,) = pose_graphs(graph, values)
+    assert (poses.kinds, poses.n) == (("y", "x"), 5)
+    assert (poses.i.tolist(), poses.j.tolist(), poses.z[:, 0].tolist()) == ([0, 1, 4], [2, 3, 2], [1, 1, 2])
+    assert (poses.order.tolist(), poses.place.tolist()) == ([1, 0, 3, 4, 2], [1, 0, 4, 2, 3])
+    assert poses.fixed.tolist() == [False, False, True, False, False]
+    assert poses.roots.tolist() == [2, 1]  # the fixed one, and the first in order of y1 - x7
+    assert poses.odometry.tolist() == [False, False, True]
+    assert [part.tolist() for part in poses.by_batch(poses.i)] == [[0, 1], [4]]
+    np.testing.assert_array_equal(poses.stack(values), [*Y, *X])
+    other = poses.replaced(values, poses.stack(values) + 1)
+    np.testing.assert_array_equal(other[x[[9, 7, 8]]], X + 1)
+    np.testing.assert_array_equal(other[y[[3, 1]]], Y + 1)
+
+
+@pytest.mark.parametrize("convention", ["log", "g2o", "graphslam", "gtsam"])
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_covariances_are_those_of_a_motion_of_the_end(group: LieGroup, convention: str) -> None:
+    rng, d = RNG(2), group.dim
+    T_i, z = walk(group, 4, rng), walk(group, 4, rng)
+    factor = Between(x[[0, 1, 2, 3]], y[[0, 1, 2, 3]], z, Information(informations(4, d, rng)), convention)
+    ends = group.compose(T_i, z)
+    values = Values({x: (group, T_i), y: (group, ends)})
+    (poses,) = pose_graphs(FactorGraph([factor]), values)
+    h, A = 1e-6, []
+    for step in h * np.eye(d):
+        b = [values.gather(factor)[0].error(T_i, group.retract(ends, sign * np.tile(step, (4, 1)))) for sign in (1, -1)]
+        A.append((b[0] - b[1]) / (2 * h))
+    expected = np.linalg.inv(np.einsum("ank,bnk->nab", A, A))
+    np.testing.assert_allclose(poses.C, expected, rtol=1e-6, atol=1e-9 * expected.max())
+
+
+def test_a_covariance_needs_information_of_every_component_in_units_of_its_own() -> None:
+    weights = [np.diag([4.0, 4.0, 1e20]), np.diag([4.0, 0.0, 1e4])]
+    edges = [Between(x[[0]], x[[1]], [1.0, 0, 0], Information(M), convention="gtsam") for M in weights]
+    values = Values({x: (SE2, np.zeros((2, 3)))})
+    (poses,) = pose_graphs(FactorGraph(edges[:1]), values)
+    np.testing.assert_allclose(poses.C[0], np.diag([0.25, 0.25, 1e-20]))
+    (poses,) = pose_graphs(FactorGraph(edges), values)
+    with pytest.raises(GraphError, match=r"^Between\(x0, x1\): its weights say nothing of one of its components"):
+        _ = poses.C
+
+
+def test_every_group_has_a_pose_graph_by_name() -> None:
+    space, plane = Between(y[0], y[1], SE3.identity(1), UNIT), Between(x[[0, 1]], x[[1, 2]], [1.0, 0, 0], UNIT)
+    values = Values({x: (SE2, np.zeros((3, 3))), y: (SE3, SE3.identity(2))})
+    for factors in ([space, plane, space], [plane, space, space]):
+        graphs = pose_graphs(FactorGraph(factors), values)
+        assert [(poses.group, poses.n, len(poses.i)) for poses in graphs] == [(SE2, 3, 2), (SE3, 2, 2)]
+
+
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_an_edge_turned_forward_says_the_same(group: LieGroup) -> None:
+    rng, d = RNG(3), group.dim
+    z, C = walk(group, 2, rng), informations(2, d, rng)
+    edges = Edges(group, np.array([5, 1]), np.array([2, 4]), z, C).forward()
+    assert (edges.i.tolist(), edges.j.tolist()) == ([2, 1], [5, 4])
+    np.testing.assert_array_equal(edges.z[1], z[1])
+    np.testing.assert_array_equal(edges.C[1], C[1])
+    L = 1e-6 * np.linalg.cholesky(C[0]).T  # rows xi: an end that is off by xi puts the beginning off by eta
+    eta = group.log(group.between(edges.z[[0]], group.inverse(group.compose(z[[0]], group.exp(L)))))
+    np.testing.assert_allclose(1e12 * eta.T @ eta, edges.C[0], rtol=1e-4, atol=1e-4)
+    both = edges[np.array([False, True])].joined(edges[np.array([0])])
+    assert (len(both), both.i.tolist(), both.j.tolist()) == (2, [1, 2], [4, 5])
+    np.testing.assert_array_equal(both.C, edges.C[::-1])
+
+
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_weights_are_means_of_information_and_of_covariance(group: LieGroup) -> None:
+    D, d, rng = group.dim, group.point_dim, RNG(4)
+    I, z = informations(2, D, rng), walk(group, 2, rng)
+    noises = [Information(I), Diagonal(np.arange(1.0, D + 1)), SqrtInformation(np.linalg.cholesky(I[0]).T)]
+    graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], z, noise) for noise in noises])
+    (poses,) = pose_graphs(graph, Values({x: (group, walk(group, 3, rng))}))
+    Omega = np.array([*I, *2 * [np.diag(np.arange(1.0, D + 1) ** -2)], I[0], I[0]])
+    kappa, tau = poses.mean_weights()
+    np.testing.assert_allclose(kappa, [np.trace(M[d:, d:]) / (D - d) for M in Omega])
+    np.testing.assert_allclose(tau, [np.trace(M[:d, :d]) / d for M in Omega])
+    kappa, tau = poses.isotropic_weights()
+    np.testing.assert_allclose(tau, [d / np.trace(np.linalg.inv(M[:d, :d])) for M in Omega])
+    inverse = [np.trace(np.linalg.inv(M[d:, d:])) for M in Omega]
+    np.testing.assert_allclose(kappa, [1 / t if d == 2 else 1.5 / t for t in inverse])
+
+
+def test_weights_without_an_inverse_are_zero() -> None:
+    blind = np.array([np.diag([1.0, 0, 1]), np.diag([1.0, 1, 0]), np.eye(3), [[1.0, 1, 0], [1, 1, 0], [0, 0, 1]]])
+    graph = FactorGraph([Between(x[[0, 0, 0, 0]], x[[1, 1, 1, 1]], [1.0, 0, 0], Information(blind))])
+    (poses,) = pose_graphs(graph, Values({x: (SE2, np.zeros((2, 3)))}))
+    kappa, tau = poses.isotropic_weights()
+    assert (kappa.tolist(), tau.tolist()) == ([1, 0, 1, 1], [0, 1, 1, 0])
+
+
+def test_sums_collect_at_the_ends() -> None:
+    poses, _ = posed(SE2, [0, 1, 2, 0, 0], [1, 2, 0, 1, 3], 5)
+    rng = RNG(5)
+    for shape in ((), (2,), (3, 2)):
+        at_i, at_j = rng.normal(size=(2, 5, *shape))
+        expected = np.zeros((5, *shape))
+        for k, (i, j) in enumerate(zip(poses.i, poses.j, strict=True)):
+            expected[i] += at_i[k]
+            expected[j] += at_j[k]
+        np.testing.assert_allclose(poses.sums(at_i, at_j), expected)
+    assert poses.touched.tolist() == [True, True, True, True, False]
+    assert poses.component.tolist() == [0, 0, 0, 0, 4]
+
+
+def test_a_tree_has_the_fewest_edges_to_its_roots() -> None:
+    rng, n = RNG(6), 30
+    first = rng.integers(0, n, 45)
+    i, j = first.tolist(), ((first + rng.integers(1, n, 45)) % n).tolist()
+    poses, X = posed(SE2, i, j, n, fixed=(7, 20))
+    depth, queue = dict.fromkeys(poses.roots.tolist(), 0), deque(poses.roots.tolist())
+    while queue:
+        node = queue.popleft()
+        for a, b in [*zip(i, j, strict=True), *zip(j, i, strict=True)]:
+            if a == node and b not in depth:
+                depth[b] = depth[a] + 1
+                queue.append(b)
+    parent, edge = poses.tree(poses.pairs())
+    kept = sorted({*poses.roots.tolist(), *(set(range(n)) - {*i, *j})})
+    assert [k for k in range(n) if parent[k] < 0] == kept
+    for child in np.flatnonzero(parent >= 0).tolist():
+        assert {i[edge[child]], j[edge[child]]} == {child, int(parent[child])}
+        assert depth[child] == depth[int(parent[child])] + 1
+    start = moved(SE2, X, 1.0, rng)
+    start[kept] = X[kept]
+    np.testing.assert_allclose(SE2.local(X, poses.along((parent, edge), start)), 0, atol=1e-12)
+
+
+def test_odometry_bridges_a_gap_by_the_shortest_jump() -> None:
+    poses, _ = posed(SE3, [0, 4, 1, 0, 2, 2], [1, 3, 2, 4, 0, 4], 5)  # 2 to 3 is missing; 2 to 4 jumps over less
+    parent, edge = poses.odometry_tree()
+    assert (parent.tolist(), edge.tolist()) == ([-1, 0, 1, 4, 2], [-1, 0, 2, 1, 5])
+
+
+@pytest.mark.parametrize("dtype", [float, complex])
+@pytest.mark.parametrize("k", [1, 3])
+def test_block_matrices_are_those_written_out(k: int, dtype: type) -> None:
+    rng = RNG(7)
+    u, v, V = np.array([0, 3, 2, 4, 0, 3]), np.array([1, 1, 4, 0, 1, 2]), 5  # (0, 1) twice
+    off = rng.normal(size=(6, k, k)) + (1j * rng.normal(size=(6, k, k)) if dtype is complex else 0)
+    on = np.tile(20.0 * np.eye(k, dtype=dtype), (V, 1, 1)) * (1 + np.arange(V))[:, None, None]
+    H = np.zeros((V, k, V, k), dtype=dtype)
+    H[np.arange(V), :, np.arange(V)] = on
+    for a, b, block in zip(u, v, off, strict=True):
+        H[a, :, b] += block
+        H[b, :, a] += block.conj().T
+    H, g = H.reshape(V * k, V * k), rng.normal(size=(V * k, 2)).astype(dtype)
+    given, laplacian = off.copy(), Laplacian(u, v, V)
+    np.testing.assert_allclose(laplacian.factorized(on, off).solve(g), np.linalg.solve(H, g), rtol=1e-10)
+    twice = H + np.diag(np.diagonal(on, axis1=1, axis2=2).ravel())
+    np.testing.assert_allclose(laplacian.factorized(2 * on, off).solve(g), np.linalg.solve(twice, g), rtol=1e-10)
+    np.testing.assert_array_equal(off, given)
+    with pytest.raises(SingularSystemError):
+        laplacian.factorized(0.01 * on, off)
+
+
+@pytest.mark.parametrize("group", PLACES, ids=str)
+def test_numbers_that_are_not_sorted_change_nothing(group: LieGroup) -> None:
+    (plain,), (odd,) = (
+        pose_graphs(sample.graph, sample.values) for sample in (pose_graph(group), pose_graph(group, numbers=ODD))
+    )
+    for name in ("i", "j", "z", "C"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(odd, name))
+    assert np.array(ODD)[odd.order].tolist() == sorted(ODD)
+    edges, order = odd.edges(), np.array(sorted(ODD))
+    assert order[edges.i].tolist() == np.array(ODD)[odd.i].tolist()
+    assert order[edges.j].tolist() == np.array(ODD)[odd.j].tolist()
+    assert edges.C is odd.C
