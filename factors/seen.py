@@ -59,7 +59,7 @@ class Seen(Factor):
     """
 
     relative = True
-    each = ("offset",)
+    per_measurement = ("offset",)
     locates: ClassVar[bool] = False
 
     def __init__(
