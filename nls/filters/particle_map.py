@@ -105,8 +105,8 @@ class ParticleMap:
     def start_alone(self, factor: Factor, at: Array) -> None:
         """Put new landmarks where measurements of them alone have them, from start values at (n, size)."""
         for k, key in enumerate(factor.keys[0]):  # one landmark each: of a chart, once
-            one: Copies = copies(factor[[k]], [self.manifold], 1)
-            L, Lambda = most_likely([(one, 0, ())], self.manifold, at[[k]], key)
+            single: Copies = copies(factor[[k]], [self.manifold], 1)
+            L, Lambda = most_likely([(single, 0, ())], self.manifold, at[[k]], key)
             shape = (self.particles, 1, 1)
             self.add(key, np.tile(L, shape), np.tile(np.linalg.inv(Lambda), (*shape, 1)))
 

@@ -16,12 +16,12 @@ from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState
 
-__all__ = ["Piece", "associated", "distances", "part", "stacked"]
+__all__ = ["Measurements", "associated", "distances", "select", "stacked"]
 
-Piece = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
+Measurements = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
 
 
-def part(piece: Piece, mask: npt.NDArray[np.bool_] | None) -> Piece:
+def select(piece: Measurements, mask: npt.NDArray[np.bool_] | None) -> Measurements:
     """Some of the measurements by a mask (n,); None for all."""
     factor, numbers = piece
     if mask is None or mask.all():
