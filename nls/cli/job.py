@@ -69,7 +69,7 @@ class Job:
         """Seconds by stage so far."""
         return self.clock.timings(self.result.timings, self.stages)
 
-    def told(self) -> dict[str, Any]:
+    def additions(self) -> dict[str, Any]:
         """What a mission, a choice and a certificate add to the report for programs."""
         from nls.cli import certified, outliers
 
