@@ -34,14 +34,14 @@ class Iterated(NamedTuple):
     ----------
     x : (k, n) solutions, one a row.
     steps : taken.
-    there : whether every side has reached its goal.
+    converged : whether every side has reached its goal.
     coefficients : (alpha, beta) of every step, by side.
     flat : (j, n) the directions p it ended with where p'H p was not above 0; None where it did not end so.
     """
 
     x: Array
     steps: int
-    there: bool
+    converged: bool
     coefficients: list[list[tuple[float, float]]]
     flat: Array | None = None
 
