@@ -47,7 +47,7 @@ FLOOR = {
 CIRCLES = [  # files that import each other; none may be added
     {"models.manifolds.euler", "models.manifolds.se3"},
     {"nls.explanation.findings", "nls.explanation.words"},
-    {"factors.base", "factors.differences", "factors.function", "factors.returned"},
+    {"factors.base", "factors.differences", "factors.function", "factors.return_values"},
 ]
 ENGINE = (*FLOOR, "covariance")
 FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
@@ -55,6 +55,9 @@ ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"},
 ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
 SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}
+
+NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
+OLD_NAMES_IN = ("analysis", "certificate", "explanation", "robust", "starts", "track.py")  # of nls: still to be renamed
 
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
@@ -218,6 +221,29 @@ def test_public_names_exist_and_are_documented(module: ModuleType) -> None:
 def test_packages_state_their_public_names(package: ModuleType) -> None:
     assert package.__all__
     assert package.__doc__
+
+
+def names_given_in(path: Path) -> set[str]:
+    """Names that a file gives to variables, arguments, attributes and functions, without leading underscores."""
+    names = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            names.add(node.name)
+        elif isinstance(node, ast.arg):
+            names.add(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names.add(node.attr)
+    return {name.strip("_").lower() for name in names}
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_names_are_nouns_and_verbs(path: Path) -> None:
+    parts = path.relative_to(ROOT).parts
+    if parts[0] == "nls" and parts[1] in OLD_NAMES_IN:
+        pytest.skip("still to be renamed")
+    assert not names_given_in(path) & NO_NAMES, name_of(path)
 
 
 def test_tests_are_short_too() -> None:
