@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Kind
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
@@ -300,7 +300,7 @@ def precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> Score:
     return Score(right / int(later.sum()) if later.any() else 1.0, right / due if due else 1.0)
 
 
-def identified(sightings: Seen, associations: npt.ArrayLike, kind: Kind) -> Seen:
+def identified(sightings: Sighting, associations: npt.ArrayLike, kind: Kind) -> Sighting:
     """Sightings with the landmarks they were given to, those left out left out: for a graph of the same data.
 
     Parameters
@@ -330,7 +330,7 @@ def identified(sightings: Seen, associations: npt.ArrayLike, kind: Kind) -> Seen
     of = np.empty_like(numbers)
     of[np.argsort(sightings.keys[0].numbers, kind="stable")] = numbers
     associated = sightings[of >= 0]
-    assert isinstance(associated, Seen)
+    assert isinstance(associated, Sighting)
     substitute = copy(associated)
     substitute.keys = (associated.keys[0], kind[of[of >= 0]], *associated.keys[2:])
     return substitute

@@ -25,7 +25,7 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
@@ -219,7 +219,7 @@ class EKF(Filter):
         known = [select(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
         self._update([self._within(piece) for piece in known])
         unknown = [select(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
-        self._update(self._spent(unknown, lambda factor: isinstance(factor, Seen) and factor.locates, self._locate))
+        self._update(self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate))
 
     def _identified(self, factor: Factor) -> Measurements:
         """The factor, and the landmark of each measurement, as the graph says or as the association finds."""
@@ -239,7 +239,7 @@ class EKF(Filter):
             raise GraphError(f"EKF: {factor!r} joins landmarks to each other; use a graph", factor.keys, factor.name)
         if not slots:
             return factor, None
-        if self.associate is None or not isinstance(factor, Seen):
+        if self.associate is None or not isinstance(factor, Sighting):
             return factor, factor.keys[slots[0]].numbers
         numbers = associated(self.state, self.associate, factor, self._copies(factor).model.manifolds)
         self.associations += numbers.tolist()
@@ -248,7 +248,7 @@ class EKF(Filter):
     def _within(self, piece: Measurements) -> Measurements:
         """Without the sightings of known landmarks that are outside of their gate."""
         factor, numbers = piece
-        if self.gate is None or numbers is None or not len(factor) or not isinstance(factor, Seen):
+        if self.gate is None or numbers is None or not len(factor) or not isinstance(factor, Sighting):
             return piece
         model = self._copies(factor).model
         within = distances(self.state, model, self.state.rows(numbers))[0] <= chi2_gate(model.dim, self.gate)
@@ -280,7 +280,7 @@ class EKF(Filter):
 
     def _locate(self, factor: Factor, numbers: Index) -> None:
         """New landmarks (r,) where the latest pose saw them."""
-        assert isinstance(factor, Seen)
+        assert isinstance(factor, Sighting)
         state = self.state
         pose, landmark = state.spaces
         if self.initial == "independent":

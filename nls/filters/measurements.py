@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Model
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold
 from models.algebra import Array, Index
 from nls.analysis.chi_squared import chi2_gate
@@ -73,7 +73,7 @@ def distances(state: MapState, model: Model, rows: Index) -> tuple[Array, Array]
     return np.asarray((b * np.linalg.solve(S, b[..., None])[..., 0]).sum(axis=1)), b
 
 
-def associated(state: MapState, associate: Association, factor: Seen, manifolds: tuple[Manifold, ...]) -> Index:
+def associated(state: MapState, associate: Association, factor: Sighting, manifolds: tuple[Manifold, ...]) -> Index:
     """Number of the landmark (n,) of each sighting: a known one, a new one, or -1 for one to be left out."""
     n, m = len(factor), len(state.L)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)

@@ -16,7 +16,7 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, Manifold
 from models.algebra import Array, Index, apply, gram, product
 from models.errors import GraphError
@@ -83,7 +83,7 @@ class ParticleMap:
         GraphError
             One such measurement does not say where its landmark is.
         """
-        if not isinstance(factor, Seen) or not factor.locates:
+        if not isinstance(factor, Sighting) or not factor.locates:
             raise GraphError(
                 f"{factor.describe(0)} is the first to see {factor.keys[1][[0]]}, and one such measurement does not "
                 "say where it is: give a Prior of the landmark, or measure bearing and range together",
@@ -92,7 +92,7 @@ class ParticleMap:
             )
         many = copies(factor, [group, self.manifold], self.particles)
         assert isinstance(group, LieGroup)
-        assert isinstance(many.factor, Seen)
+        assert isinstance(many.factor, Sighting)
         (X_each,) = many.stacked(X)
         L = many.factor.locate(group, many.factor.sensor_pose(group, X_each), many.model.z)
         (_, A_l), _ = many.model.linearize(X_each, L)

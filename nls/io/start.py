@@ -10,7 +10,7 @@ from factors.between_sensors import BetweenSensors
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, R
 from nls.graph import FactorGraph
 from nls.io.lines import Lines
@@ -79,7 +79,7 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
     """Points from a prior, else from where they were seen, else along measured differences of points."""
     before = values.stack(POINT)
     prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
-    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Seen)])
+    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Sighting)])
     joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
     for numbers in prior:
         sightings.fix(Keys(POINT, numbers))
@@ -89,7 +89,7 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
         line = int(min(block.at.min() for _, block in bound))
         raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
     moved = (values.stack(POINT).X != before.X).any(axis=1)
-    complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Seen) and f.locates]
+    complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Sighting) and f.locates]
     located_ids = np.concatenate([before.numbers[moved], *prior, *complete])
     if joined.factors:
         if len(located_ids):
