@@ -67,7 +67,7 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
     from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
-    from nls.io.unused import left_out
+    from nls.io.unused_lines import left_out
 
     if form in TRAJECTORIES:
         data, notes = _trajectory(path, form, graph, values, report)
@@ -92,7 +92,7 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     GraphError
     """
     from nls.io.dialects import FORMATS
-    from nls.io.unused import appended
+    from nls.io.unused_lines import appended
     from nls.io.write import refuse_unwritable_graph
 
     if form not in FORMATS:

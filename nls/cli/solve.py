@@ -206,7 +206,7 @@ def _draw(job: Job) -> None:
 def _report(job: Job) -> None:
     """The report for programs and the table."""
     from models.errors import GraphFileError
-    from nls.cli import certified, outliers
+    from nls.cli import certificate, outliers
     from nls.cli.solve_report import record_of, table
 
     options, written = job.options, job.options.phase.written
@@ -222,7 +222,7 @@ def _report(job: Job) -> None:
         job.failed.append(error)
     if not options.quiet and options.json != "-":
         rows = [] if job.choice is None else outliers.rows(job.choice)
-        rows += [] if job.certificate is None else certified.rows(job.certificate)
+        rows += [] if job.certificate is None else certificate.rows(job.certificate)
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 

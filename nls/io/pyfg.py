@@ -41,11 +41,11 @@ from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.files import write_bytes
-from nls.io.misspelt import refuse_misspelt
+from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused import appended, keep_unknown, note_comments
+from nls.io.unused_lines import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 

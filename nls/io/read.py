@@ -19,13 +19,13 @@ from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
-from nls.io.misspelt import refuse_misspelt
+from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport, Source
 from nls.io.roles import Roles
 from nls.io.start import started
 from nls.io.text import Text, printable, several
-from nls.io.unused import keep, keep_unknown, note_comments
+from nls.io.unused_lines import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.stages import stage
 from nls.values import Stack, Values

@@ -22,7 +22,7 @@ from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.io.files import write_bytes
 from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
-from nls.io.unused import note_comments
+from nls.io.unused_lines import note_comments
 from nls.values import Values
 
 __all__ = ["kitti_text", "lifted", "load_trajectory", "read_kitti", "read_tum", "tum_text", "write_kitti", "write_tum"]

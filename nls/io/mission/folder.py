@@ -12,7 +12,7 @@ from nls.io.dialects import SUFFIXES
 from nls.io.mission.columns import COLUMNS, LOG, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.unused import note_comments
+from nls.io.unused_lines import note_comments
 
 __all__ = ["EXPECTED", "read_tables"]
 
