@@ -1,7 +1,7 @@
 r"""What every filter shares: the graph cut into steps, the interface of a filter, the record of a run.
 
-A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is (`seen`). They
-are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
+A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is
+(`observations`). They are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
 
     steps(graph, values)            -> [Step, Step, ...]        by rising number of the pose
     filter.start(step, values)      first step: what is believed of the first pose, and what is seen from there
@@ -106,7 +106,7 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     ... ])
     >>> values = Values({x: (SE2, SE2.identity(3), [3, 5, 6]), l: (R(2), [[3, 0], [3, 1]], [8, 9])})
     >>> for step in steps(graph, values):
-    ...     print(step.pose, step.motion, step.seen)
+    ...     print(step.pose, step.motion, step.observations)
     x3 [] [Prior(x3)]
     x5 [Between(x3, x5)] [Landmark(x5, l8)]
     x6 [Between(x5, x6)] [Landmark(x[6, 6], l[8, 9])]

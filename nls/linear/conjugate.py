@@ -87,7 +87,7 @@ def conjugate(
     >>> import numpy as np
     >>> H = np.array([[4.0, 1.0], [1.0, 3.0]])
     >>> found = conjugate(lambda P: P @ H, lambda R: R, np.array([[1.0, 2.0]]), lambda first: 1e-20 * first, 9)
-    >>> found.steps, found.there, (found.x @ H).round(6).tolist()
+    >>> found.steps, found.converged, (found.x @ H).round(6).tolist()
     (2, True, [[1.0, 2.0]])
     """
     R, x, P = R.copy(), np.zeros_like(R), np.zeros_like(R)
