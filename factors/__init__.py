@@ -19,7 +19,7 @@ from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
-from factors.seen import Seen
+from factors.sighting import Sighting
 from factors.sonar import sonar_factors
 from factors.wheels import Wheels
 from factors.xyh import XYH
@@ -56,7 +56,7 @@ __all__ = [
     "Range",
     "RangeAzimuth",
     "Robust",
-    "Seen",
+    "Sighting",
     "SqrtInformation",
     "Tukey",
     "Welsch",

@@ -23,7 +23,7 @@ from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
 from factors.noise import SQUARABLE, Noise, weights, whiten
-from factors.returned import checked_jacobians, checked_prediction, checked_space, refuse_extreme
+from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
@@ -60,8 +60,8 @@ class Factor(Abstract):
         of a graph all of whose factors say so has a gauge that may be held.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor: they neither
         anchor a part of the graph nor join two parts.
-    each : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part of the batch
-        takes its rows of them.
+    per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part
+        of the batch takes its rows of them.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
@@ -71,7 +71,7 @@ class Factor(Abstract):
     slots: ClassVar[tuple[Manifold | None, ...]] = ()
     relative: ClassVar[bool] = False
     unmoved: ClassVar[tuple[int, ...]] = ()
-    each: ClassVar[tuple[str, ...]] = ()
+    per_measurement: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
     damped: ClassVar[bool] = False
@@ -125,19 +125,19 @@ class Factor(Abstract):
         """
         n, index = len(self), places(index, len(self), self.name)
         sizes = self.sizes() if self._model is None else (self._model.space.size,)
-        if (each := one_each(self._z, n, sizes)) is None:
+        if (per_row := one_each(self._z, n, sizes)) is None:
             raise GraphError(
                 f"{self!r}: z of shape ({n},) may be {n} measurements or one of {n} numbers; give it as (n, size)",
                 self.keys,
                 self.name,
             )
-        other = copy(self)
-        other.keys = tuple(k[index] for k in self.keys)
-        other._z = rows(self._z, index, n) if each else self._z
-        other._noise = self.noise.take(index, n)
-        for name in self.each:
-            setattr(other, name, rows(getattr(self, name), index, n))
-        return other
+        subset = copy(self)
+        subset.keys = tuple(k[index] for k in self.keys)
+        subset._z = rows(self._z, index, n) if per_row else self._z
+        subset._noise = self.noise.take(index, n)
+        for name in self.per_measurement:
+            setattr(subset, name, rows(getattr(self, name), index, n))
+        return subset
 
     def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
         """The attributes without the model, which is bound anew, and the names of the read-only arrays."""
@@ -196,9 +196,9 @@ class Factor(Abstract):
 
     def robust(self, kernel: Kernel) -> Factor:
         """The same measurements under a robust kernel, instead of the one they may have."""
-        other = copy(self)
-        other._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
-        return other
+        robust_factor = copy(self)
+        robust_factor._noise = Robust(self.noise.noise if isinstance(self.noise, Robust) else self.noise, kernel)
+        return robust_factor
 
     @abstractmethod
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
@@ -238,9 +238,11 @@ class Factor(Abstract):
                     self.keys,
                     name,
                 )
-            for wanted, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
-                if wanted is not None and wanted is not manifold:
-                    raise GraphError(f"{name}: {keys[[0]]} is in {manifold}, this factor needs {wanted}", [keys], name)
+            for required, manifold, keys in zip(self.slots, manifolds, self.keys, strict=True):
+                if required is not None and required is not manifold:
+                    raise GraphError(
+                        f"{name}: {keys[[0]]} is in {manifold}, this factor needs {required}", [keys], name
+                    )
             space = checked_space(self, self.space(manifolds))
             try:
                 z = space.stack(self.z)
@@ -325,7 +327,7 @@ class Model:
         return len(self.names)
 
     def refuse_extreme(self) -> None:
-        """Refuse a measurement or weight whose square is no number, see `factors.returned.refuse_extreme`."""
+        """Refuse a measurement or weight whose square is no number, see `factors.return_values.refuse_extreme`."""
         refuse_extreme(self.factor, self.z, self.W, self.names)
 
     @np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused below, by name
@@ -381,11 +383,11 @@ class Model:
         if np.isfinite(np.add.reduce(array, axis=None)) or np.isfinite(array).all():
             return
         index = int(np.argmax(~np.isfinite(array).reshape(len(array), -1).all(axis=1)))
-        what = "residual" if slot is None else f"Jacobian with respect to {self.factor.keys[slot][[index]]}"
+        quantity = "residual" if slot is None else f"Jacobian with respect to {self.factor.keys[slot][[index]]}"
         raise EvaluationError(
-            f"{self.factor.describe(index)}: its {what} is not finite: {array[index].tolist()}; "
+            f"{self.factor.describe(index)}: its {quantity} is not finite: {array[index].tolist()}; "
             "check the values of its variables and the function",
             self.factor.name,
             [k[[index]] for k in self.factor.keys],
-            where=what,
+            where=quantity,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold, Measured
 from models.algebra import Array
 from models.sensors import direction
@@ -10,7 +10,7 @@ from models.sensors import direction
 __all__ = ["Bearing"]
 
 
-class Bearing(Seen):
+class Bearing(Sighting):
     r"""Direction from the sensor to a target, relative to the sensor's axes.
 
     .. math:: h(X, l) = \mathrm{atan2}(p_y, p_x) \quad [, \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2})], \quad

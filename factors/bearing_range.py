@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold, Measured
 from models.algebra import Array
 from models.sensors import direction, distance, point_from_direction_range
@@ -12,7 +12,7 @@ from models.sensors import direction, distance, point_from_direction_range
 __all__ = ["BearingRange"]
 
 
-class BearingRange(Seen):
+class BearingRange(Sighting):
     r"""Direction and distance from the sensor to a target.
 
     .. math:: h(X, l) = (\mathrm{atan2}(p_y, p_x) \; [, \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2})], \; |p|), \quad

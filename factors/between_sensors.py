@@ -56,7 +56,7 @@ class BetweenSensors(Factor):
     """
 
     relative = True
-    each = ("offset",)
+    per_measurement = ("offset",)
 
     def __init__(
         self,

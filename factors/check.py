@@ -89,20 +89,20 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
         slope = np.abs(numeric).max(axis=1, keepdims=True)
         size = np.fmax(column, slope)
         relative = excess / np.where(size > 0, size, 1.0)
-        found = float(relative.max(initial=0.0))
-        if found > rtol:
+        deviation = float(relative.max(initial=0.0))
+        if deviation > rtol:
             n, row, d = (int(i) for i in np.unravel_index(np.argmax(relative), relative.shape))
-            analytic, other = float(A_k[n, row, d]), float(numeric[n, row, d])
+            analytic, difference = float(A_k[n, row, d]), float(numeric[n, row, d])
             raise JacobianError(
                 f"{factor.describe(n)}: whitened Jacobian, residual row {row}, component "
                 f"{manifold.components[d]} of {factor.keys[slot][[n]]}: analytic {analytic:.9g}, central "
-                f"difference {other:.9g} +- {error[n, row, d]:.1g}{_likely_cause(A_k, numeric, model.W)}",
+                f"difference {difference:.9g} +- {error[n, row, d]:.1g}{_likely_cause(A_k, numeric, model.W)}",
                 factor.name,
                 (slot, n, row, d),
                 analytic,
-                other,
+                difference,
             )
-        worst = max(worst, found)
+        worst = max(worst, deviation)
         error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
         most = np.maximum(most, rounding.max(axis=1)[:, None, None] / (EPS * extent))
         matters = (column > floor) | (slope > DUST * most) | np.isinf(error)

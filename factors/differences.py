@@ -156,7 +156,7 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
     step = np.where(size > EPS, np.maximum(first * np.cbrt(size), LEAST * size), first)  # 0 has no size: as if 1
     most = MOST * np.maximum(size, 1.0)
     D, error = np.full(rounding.shape, np.nan), np.full(rounding.shape, np.inf)
-    lowest, taken, going = np.full(n, np.inf), np.full(n, np.inf), np.ones(n, dtype=bool)
+    lowest, best_step, going = np.full(n, np.inf), np.full(n, np.inf), np.ones(n, dtype=bool)
     silent = np.zeros(n, dtype=bool)
     low, high = np.zeros(n), np.full(n, np.inf)  # largest step with too much rounding, smallest beyond the smooth part
     for k in range(TRIALS):
@@ -171,11 +171,11 @@ def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first
             continue
         relative, rounded = trial.relative, trial.rounded
         new, old = trial.error.max(axis=1), error.max(axis=1)
-        apart, below = np.abs(trial.D - D).max(axis=1) > SAFE * (new + old), step < taken
+        apart, below = np.abs(trial.D - D).max(axis=1) > SAFE * (new + old), step < best_step
         apart &= ~trial.silent & ~silent  # no change at all may be the rounding of inner numbers
         better = going & np.where(below, apart | (relative <= lowest), ~apart & (new < old) & (relative <= lowest))
         D[better], error[better] = trial.D[better], trial.error[better]
-        lowest[better], taken[better], silent[better] = relative[better], step[better], trial.silent[better]
+        lowest[better], best_step[better], silent[better] = relative[better], step[better], trial.silent[better]
         low, high = np.where(rounded, np.maximum(low, step), low), np.where(rounded, high, np.minimum(high, step))
         wide = rounded & (step >= np.where(trial.silent, 2 * first * np.maximum(size, 1.0), most))
         worth = better | ~rounded | (below & (lowest > SMOOTH))  # not smooth, and no better: noise, or a fine structure

@@ -108,7 +108,7 @@ class EpipolarArc(Factor):
     """
 
     relative = True
-    each = ("offset",)
+    per_measurement = ("offset",)
     eliminated = 3
     damped = True
     slots = (SE3, SE3)

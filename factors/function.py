@@ -84,9 +84,9 @@ class FunctionFactor(Factor):
         return self.__deepcopy__(None)
 
     def __deepcopy__(self, memo: dict[int, Any] | None) -> FunctionFactor:
-        other, state = object.__new__(type(self)), self.__getstate__()
-        other.__setstate__(state if memo is None else deepcopy(state, memo))
-        return other
+        clone, state = object.__new__(type(self)), self.__getstate__()
+        clone.__setstate__(state if memo is None else deepcopy(state, memo))
+        return clone
 
     @property
     def name(self) -> str:
@@ -104,8 +104,8 @@ class FunctionFactor(Factor):
 
     def _call(self, function: Callable[..., Sequence[Array]], *X: Array) -> tuple[Array, ...]:
         try:
-            found = function(*(np.array(stack, order="C") for stack in X))  # copies: it may change or keep them
-            return tuple(np.array(array, dtype=float) for array in found)
+            arrays = function(*(np.array(stack, order="C") for stack in X))  # copies: it may change or keep them
+            return tuple(np.array(array, dtype=float) for array in arrays)
         except LeadlineError:
             raise  # it says its own name: a singular geometry, for example, is a place to avoid
         except Exception as error:  # the user's code may raise anything; it comes through, named and chained

@@ -52,7 +52,7 @@ def joined(models: Sequence[Model]) -> list[Factor]:
             groups.append([model])
         else:
             alike.append(model)
-    return [group[0].factor if len(group) == 1 else _one(group) for group in groups]
+    return [group[0].factor if len(group) == 1 else _batch_of(group) for group in groups]
 
 
 def _alike(a: Model, b: Model) -> bool:
@@ -65,7 +65,7 @@ def _alike(a: Model, b: Model) -> bool:
         [k.kind for k in f.keys] == [k.kind for k in g.keys]
         and mine.keys() == other.keys()
         and all(
-            type(mine[name]) is type(other[name]) if name in f.each else _equal(mine[name], other[name])
+            type(mine[name]) is type(other[name]) if name in f.per_measurement else _equal(mine[name], other[name])
             for name in mine
         )
     )
@@ -79,14 +79,14 @@ def _equal(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _one(group: list[Model]) -> Factor:
+def _batch_of(group: list[Model]) -> Factor:
     whole, kernel = copy(group[0].factor), group[0].factor.kernel
     whole.keys = tuple(_rows([m.factor.keys[slot] for m in group], group) for slot in range(len(whole.keys)))
     whole._z = np.concatenate([model.z for model in group])
     whole._z.setflags(write=False)
     noise = SqrtInformation(np.concatenate([_square(model) for model in group]))
     whole._noise = noise if kernel is None else Robust(noise, kernel)
-    for name in whole.each:
+    for name in whole.per_measurement:
         setattr(whole, name, _rows([getattr(model.factor, name) for model in group], group))
     return whole
 
@@ -97,8 +97,8 @@ def _rows(parts: Sequence[Any], group: list[Model]) -> Any:
         return Keys(parts[0].kind, np.concatenate([keys.numbers for keys in parts]))
     if isinstance(parts[0], np.ndarray):
         counts = [len(model.z) for model in group]
-        each = [part if part.ndim > 1 else part[None] for part in parts]
-        return np.concatenate([np.broadcast_to(p, (n, *p.shape[1:])) for p, n in zip(each, counts, strict=True)])
+        stacks = [array if array.ndim > 1 else array[None] for array in parts]
+        return np.concatenate([np.broadcast_to(p, (n, *p.shape[1:])) for p, n in zip(stacks, counts, strict=True)])
     return parts[0]
 
 

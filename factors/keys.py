@@ -90,9 +90,9 @@ class Kind:
 
     def __getitem__(self, numbers: npt.ArrayLike | slice) -> Keys:
         if isinstance(numbers, slice):
-            given = (numbers.start, numbers.stop, numbers.step)
-            if not all(end is None or (isinstance(end, int | np.integer) and abs(int(end)) < 2**63) for end in given):
-                shown = ":".join(f"{end!r:.30}" for end in given if end is not None)
+            ends = (numbers.start, numbers.stop, numbers.step)
+            if not all(end is None or (isinstance(end, int | np.integer) and abs(int(end)) < 2**63) for end in ends):
+                shown = ":".join(f"{end!r:.30}" for end in ends if end is not None)
                 raise GraphError(f"{self.name}[{shown}]: expected whole numbers below 2^63, as in {self.name}[0:10]")
             start, stop, step = numbers.start or 0, numbers.stop, numbers.step or 1
             if stop is None or stop < start or start < 0:

@@ -6,14 +6,14 @@ import numpy.typing as npt
 
 from factors.keys import Keys
 from factors.noise import Noise
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold, R
 from models.algebra import Array
 
 __all__ = ["Landmark"]
 
 
-class Landmark(Seen):
+class Landmark(Sighting):
     r"""A point in the frame of the sensor: stereo camera, lidar or profiler feature, laser corner.
 
     .. math:: h(X, l) = (X \circ O)^{-1} l, \quad H_S = [-I, [p]_\times], \quad H_l = R_S^T

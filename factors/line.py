@@ -8,7 +8,7 @@ import numpy.typing as npt
 from factors.keys import Keys
 from factors.mount import check_offset
 from factors.noise import Noise
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LINE, SE2, LieGroup, Manifold
 from models.algebra import Array, product
 from models.sensors import line_from_frame, line_in_frame
@@ -16,7 +16,7 @@ from models.sensors import line_from_frame, line_in_frame
 __all__ = ["Line"]
 
 
-class Line(Seen):
+class Line(Sighting):
     r"""A line as it is in the frame of the sensor: direction of its normal and distance along it.
 
     .. math:: h(X, l) = (\alpha - \theta, \; r - x \cos\alpha - y \sin\alpha), \quad

@@ -39,7 +39,9 @@ def fixed_offset(factor: Factor, offset: npt.ArrayLike) -> Array:
     return array
 
 
-def check_offset(factor: Factor, offset: Array | Keys | None, space: Manifold, given: Manifold | None = None) -> None:
+def check_offset(
+    factor: Factor, offset: Array | Keys | None, space: Manifold, manifold: Manifold | None = None
+) -> None:
     """Refuse an offset that is not an element of a space, one for all measurements or one for each.
 
     Parameters
@@ -47,16 +49,16 @@ def check_offset(factor: Factor, offset: Array | Keys | None, space: Manifold, g
     factor : for the message.
     offset : fixed array, variable, or None.
     space : what it has to be in.
-    given : the space of the variable.
+    manifold : the space of the variable.
 
     Raises
     ------
     GraphError
     """
     if isinstance(offset, Keys):
-        if given is not space:
+        if manifold is not space:
             raise GraphError(
-                f"{factor!r}: the offset {offset[[0]]} is in {given}, expected {space} like the pose",
+                f"{factor!r}: the offset {offset[[0]]} is in {manifold}, expected {space} like the pose",
                 factor.keys,
                 factor.name,
             )

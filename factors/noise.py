@@ -51,10 +51,10 @@ def component_names(names: Sequence[str] | str) -> tuple[str, ...]:
     GraphError
         Not names.
     """
-    given = (names,) if isinstance(names, str) else names
-    if not isinstance(given, Sequence) or not all(isinstance(name, str) for name in given):
+    sequence = (names,) if isinstance(names, str) else names
+    if not isinstance(sequence, Sequence) or not all(isinstance(name, str) for name in sequence):
         raise GraphError(f"components: expected names such as ('x', 'y'), got {names!r:.60}")
-    return tuple(ALIASES.get(name, name) for name in given)
+    return tuple(ALIASES.get(name, name) for name in sequence)
 
 
 class Noise(Abstract):
@@ -86,11 +86,11 @@ class Noise(Abstract):
         >>> Isotropic([0.1, 0.2, 0.3]).take(np.array([2, 0]), 3).sigma, Isotropic(0.1).take(np.array([2, 0]), 3).sigma
         (array([0.3, 0.1]), array([0.1]))
         """
-        other = copy(self)
+        subset = copy(self)
         for name, value in vars(self).items():
-            part = value.take(index, n) if isinstance(value, Noise) else rows(value, index, n)
-            setattr(other, name, part)
-        return other
+            value_of_rows = value.take(index, n) if isinstance(value, Noise) else rows(value, index, n)
+            setattr(subset, name, value_of_rows)
+        return subset
 
     def __repr__(self) -> str:
         return type(self).__name__
@@ -146,8 +146,8 @@ class Diagonal(Noise):
             raise NoiseModelError(
                 f"Diagonal: sigmas are given for {sorted(self.named)}, the measurement's components are {list(names)}"
             )
-        each = [_shared_or_each(self.named[name], n, f"sigma of {name}") for name in names]
-        return _inverse_sigmas(np.stack(np.broadcast_arrays(*each), axis=-1), names)
+        columns = [_shared_or_each(self.named[name], n, f"sigma of {name}") for name in names]
+        return _inverse_sigmas(np.stack(np.broadcast_arrays(*columns), axis=-1), names)
 
 
 class _Matrix(Noise):
@@ -188,8 +188,8 @@ class Covariance(_Matrix):
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         Sigma = self._symmetric(n, names)
-        if (found := _diagonal(Sigma)) is not None:
-            return _inverse_sigmas(np.sqrt(np.where(found > 0, found, np.nan)), names, "Covariance", found)
+        if (variances := _diagonal(Sigma)) is not None:
+            return _inverse_sigmas(np.sqrt(np.where(variances > 0, variances, np.nan)), names, "Covariance", variances)
         L, bad = _cholesky(Sigma)
         if bad.any():
             k = int(np.argmax(bad))
@@ -209,8 +209,8 @@ class Information(_Matrix):
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         Omega = self._symmetric(n, names)
-        if (found := _diagonal(Omega)) is not None and (found >= 0).all():
-            return np.sqrt(found)
+        if (weights := _diagonal(Omega)) is not None and (weights >= 0).all():
+            return np.sqrt(weights)
         L, bad = _cholesky(Omega)
         W = L.mT
         if bad.any():
@@ -274,32 +274,36 @@ def square(W: Array) -> Array:
     return W if W.ndim == 3 else W[..., None] * np.eye(W.shape[-1])
 
 
-def _numbers(value: npt.ArrayLike, what: str, ndim: int) -> Array:
+def _numbers(value: npt.ArrayLike, name: str, ndim: int) -> Array:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise NoiseModelError(f"{what}: expected numbers, got {value!r:.60}", what) from error
+        raise NoiseModelError(f"{name}: expected numbers, got {value!r:.60}", name) from error
     if array.ndim > ndim:
-        raise NoiseModelError(f"{what} has shape {array.shape}, expected at most {ndim} axes", what)
+        raise NoiseModelError(f"{name} has shape {array.shape}, expected at most {ndim} axes", name)
     if not np.isfinite(array).all():
-        each = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
-        k = int(np.argmax(~np.isfinite(each.reshape(len(each), -1)).all(axis=1)))
-        raise NoiseModelError(f"{what} of measurement {k} has a number that is not finite", what, k)
+        stack = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
+        k = int(np.argmax(~np.isfinite(stack.reshape(len(stack), -1)).all(axis=1)))
+        raise NoiseModelError(f"{name} of measurement {k} has a number that is not finite", name, k)
     return array
 
 
-def _shared_or_each(array: Array, n: int, what: str) -> Array:
+def _shared_or_each(array: Array, n: int, name: str) -> Array:
     if len(array) not in (1, n):
-        raise NoiseModelError(f"{what}: given for {len(array)} measurements, there are {n}; give one, or {n}", what)
+        raise NoiseModelError(f"{name}: given for {len(array)} measurements, there are {n}; give one, or {n}", name)
     return array
 
 
-def _inverse_sigmas(sigmas: Array, names: tuple[str, ...], what: str = "sigma", shown: Array | None = None) -> Array:
+def _inverse_sigmas(
+    sigmas: Array, names: tuple[str, ...], quantity: str = "sigma", shown: Array | None = None
+) -> Array:
     bad = ~(sigmas > 0)
     if bad.any():
         k, j = (int(i) for i in np.argwhere(bad)[0])
         value = float((sigmas if shown is None else shown)[k, j])
-        raise NoiseModelError(f"{what} of {names[j]}, measurement {k}, is {value:g}, expected > 0", what, k, value)
+        raise NoiseModelError(
+            f"{quantity} of {names[j]}, measurement {k}, is {value:g}, expected > 0", quantity, k, value
+        )
     return np.asarray(1.0 / sigmas)
 
 
@@ -322,8 +326,8 @@ def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """
     L, bad = np.zeros((*M.shape[1:], len(M))), np.zeros(len(M), dtype=bool)
     for begin in range(0, len(M), BLOCK):
-        part = slice(begin, begin + BLOCK)
-        _factorize(np.ascontiguousarray(M[part].transpose(1, 2, 0)), L[..., part], bad[part])
+        block = slice(begin, begin + BLOCK)
+        _factorize(np.ascontiguousarray(M[block].transpose(1, 2, 0)), L[..., block], bad[block])
     return L.transpose(2, 0, 1), bad
 
 

@@ -56,7 +56,7 @@ class Position(Factor):
     """
 
     slots = (None,)
-    each = ("offset",)
+    per_measurement = ("offset",)
 
     def __init__(
         self,
@@ -77,10 +77,10 @@ class Position(Factor):
         group = pose_group(self, manifolds[0], "; a point is measured by a Prior")
         world = R(group.point_dim)
         check_offset(self, self.offset, world)
-        wanted = world.components if self.components is None else self.components
-        if not wanted or not set(wanted) <= set(world.components) or len(set(wanted)) < len(wanted):
-            raise GraphError(f"{self!r}: components {wanted} of {world.components}", self.keys, self.name)
-        return Measured(*wanted)
+        names = world.components if self.components is None else self.components
+        if not names or not set(names) <= set(world.components) or len(set(names)) < len(names):
+            raise GraphError(f"{self!r}: components {names} of {world.components}", self.keys, self.name)
+        return Measured(*names)
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         group = manifolds[0]

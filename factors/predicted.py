@@ -41,7 +41,7 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
     >>> again, again.z.ravel(), again.noise.sigma
     (Range(x[1, 1], l[0, 1]), array([ 5., 10.]), array([0.1, 0.2]))
     """
-    other = replaced(factor, keys)
+    template = replaced(factor, keys)
     if factor.eliminated:
         raise GraphError(
             f"{factor!r}: its target is no variable, so nothing says what is measured of it from elsewhere; take "
@@ -49,5 +49,5 @@ def predicted(factor: Factor, keys: Sequence[Keys], values: Any) -> Factor:
             factor.keys,
             factor.name,
         )
-    model, X = values.gather(other)
-    return replaced(other, z=other.predict(model.manifolds, *X)[0])
+    model, X = values.gather(template)
+    return replaced(template, z=template.predict(model.manifolds, *X)[0])

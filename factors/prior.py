@@ -57,7 +57,7 @@ class Prior(Factor):
     """
 
     slots = (None,)
-    each = ("offset",)
+    per_measurement = ("offset",)
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold, Measured
 from models.algebra import Array
 from models.sensors import distance
@@ -10,7 +10,7 @@ from models.sensors import distance
 __all__ = ["Range"]
 
 
-class Range(Seen):
+class Range(Sighting):
     r"""Distance from the sensor to a target.
 
     .. math:: h(X, l) = |p|, \quad p = (X \circ O)^{-1} l, \quad J_g = p^T / |p|

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from factors.keys import Keys
 from factors.noise import Noise
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import SE3, Manifold, Measured
 from models.algebra import Array
 from models.sensors import cartesian, range_azimuth
@@ -15,7 +15,7 @@ from models.sensors import cartesian, range_azimuth
 __all__ = ["InSpace", "RangeAzimuth"]
 
 
-class InSpace(Seen):
+class InSpace(Sighting):
     """What a sonar that looks into space says of a target, in the order of `measures`.
 
     Attributes

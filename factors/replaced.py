@@ -37,7 +37,7 @@ def replaced(factor: Factor, keys: Sequence[Keys] | None = None, z: Array | None
     >>> replaced(step, keys=step.keys[::-1], z=np.array([[1.0, 0.0, -0.5]]))
     Between(x1, x0)
     """
-    other = copy(factor)
+    substitute = copy(factor)
     if keys is not None:
         if [len(k) for k in keys] != [len(factor)] * len(factor.keys):
             raise GraphError(
@@ -46,14 +46,14 @@ def replaced(factor: Factor, keys: Sequence[Keys] | None = None, z: Array | None
                 factor.keys,
                 factor.name,
             )
-        other.keys = tuple(keys)
-        for name in factor.each:
+        substitute.keys = tuple(keys)
+        for name in factor.per_measurement:
             if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
-                setattr(other, name, other.keys[factor.keys.index(held)])
+                setattr(substitute, name, substitute.keys[factor.keys.index(held)])
     if z is not None:
         if len(z) != len(factor):
             raise GraphError(f"{factor!r}: {len(z)} measured values, expected {len(factor)}", factor.keys, factor.name)
-        other._z = z.copy()
-        other._z.setflags(write=False)
-    other._model = None
-    return other
+        substitute._z = z.copy()
+        substitute._z.setflags(write=False)
+    substitute._model = None
+    return substitute

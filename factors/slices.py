@@ -13,7 +13,7 @@ from models.errors import GraphError
 __all__ = ["one_each", "places", "rows"]
 
 
-def places(index: Any, n: int, what: str) -> Index:
+def places(index: Any, n: int, name: str) -> Index:
     """Places (k,) in a batch of n that a whole number, a slice, an array of whole numbers or a mask (n,) means.
 
     Raises
@@ -30,23 +30,23 @@ def places(index: Any, n: int, what: str) -> Index:
         try:
             return np.arange(n)[index]
         except TypeError as error:
-            raise GraphError(f"{what}: index {index}: {error}") from error
+            raise GraphError(f"{name}: index {index}: {error}") from error
     try:
         array = np.asarray(index)
     except ValueError as error:
-        raise GraphError(f"{what}: index {index!r:.60}: {error}") from error
+        raise GraphError(f"{name}: index {index!r:.60}: {error}") from error
     if array.dtype == bool and array.ndim == 1:
         if len(array) != n:
-            raise GraphError(f"{what}: a mask of {len(array)} for {n} measurements; expected one entry for each")
+            raise GraphError(f"{name}: a mask of {len(array)} for {n} measurements; expected one entry for each")
         return np.flatnonzero(array)
     if array.ndim > 1 or (array.size and array.dtype.kind not in "iu"):
         raise GraphError(
-            f"{what}: index {index!r:.60} has type {array.dtype} and shape {array.shape}; expected a whole number, a "
+            f"{name}: index {index!r:.60} has type {array.dtype} and shape {array.shape}; expected a whole number, a "
             "slice, an array of whole numbers or a mask"
         )
     array = np.atleast_1d(array)
     if (wrong := (array < -n) | (array >= n)).any():
-        raise GraphError(f"{what}: there is no measurement {array[wrong][0]}; the batch has {n}, counted from 0")
+        raise GraphError(f"{name}: there is no measurement {array[wrong][0]}; the batch has {n}, counted from 0")
     return np.where(array < 0, array + n, array).astype(np.intp)
 
 
@@ -55,13 +55,13 @@ def rows(value: Any, index: Index, n: int) -> Any:
     if isinstance(value, Keys):
         return value[index]
     if isinstance(value, np.ndarray) and value.ndim and len(value) == n:
-        part = value[index]
-        part.setflags(write=value.flags.writeable)
-        return part
+        subset = value[index]
+        subset.setflags(write=value.flags.writeable)
+        return subset
     if isinstance(value, tuple):
-        return tuple(rows(each, index, n) for each in value)
+        return tuple(rows(item, index, n) for item in value)
     if isinstance(value, dict):
-        return {name: rows(each, index, n) for name, each in value.items()}
+        return {name: rows(item, index, n) for name, item in value.items()}
     return value
 
 

@@ -114,19 +114,19 @@ def _pairs(contacts: RangeAzimuth, limit: float) -> EpipolarArc:
     if isinstance(O, Keys):
         message = f"{contacts!r}: the offset {O[[0]]} is a variable; the search needs it known"
         raise GraphError(message, contacts.keys, contacts.name)
-    given = contacts.bind(SE3, R(3))
+    model = contacts.bind(SE3, R(3))
     if O is not None and len(O) > 1:
         if (turned := (O[start] != O[later]).any(axis=1)).any():
             k = [int(start[np.argmax(turned)]), int(later[np.argmax(turned)])]
             message = f"{contacts[k]!r}: two offsets, {O[k].tolist()}; the search needs one for both contacts of a pair"
             raise GraphError(message, contacts.keys, contacts.name)
         O = O[later]
-    each = np.broadcast_to(square(given.W), (len(contacts), given.dim, given.dim))
+    whiteners = np.broadcast_to(square(model.W), (len(contacts), model.dim, model.dim))
     W = np.zeros((len(later), 4, 4))
     pairs = np.bincount(start, minlength=len(contacts))[start]
-    W[:, :2, :2], W[:, 2:, 2:] = each[start] / np.sqrt(pairs)[:, None, None], each[later]
+    W[:, :2, :2], W[:, 2:, 2:] = whiteners[start] / np.sqrt(pairs)[:, None, None], whiteners[later]
     noise = SqrtInformation(W) if contacts.kernel is None else Robust(SqrtInformation(W), contacts.kernel)
-    return EpipolarArc(pose[start], pose[later], np.hstack([given.z[start], given.z[later]]), noise, limit, O)
+    return EpipolarArc(pose[start], pose[later], np.hstack([model.z[start], model.z[later]]), noise, limit, O)
 
 
 def first_contacts(pose: Keys, target: Keys) -> npt.NDArray[np.intp]:

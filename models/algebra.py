@@ -63,8 +63,8 @@ def components(X: npt.ArrayLike) -> Array:
 def pack(parts: Sequence[npt.ArrayLike]) -> Array:
     """Stack (..., k) of k <= 64 broadcastable arrays (...), components first in memory."""
     out = np.empty((len(parts), *np.broadcast(*parts).shape))
-    for k, part in enumerate(parts):
-        out[k] = part
+    for k, entries in enumerate(parts):
+        out[k] = entries
     return out.transpose(*range(1, out.ndim), 0)
 
 
@@ -245,11 +245,11 @@ def _series(x: Array, lowest: int, highest: int) -> dict[int, Array]:
     """The two highest by their sums, both at once, and c_k = 1/k! - x c_{k+2}, where nothing cancels."""
     inverse = _INVERSE[:, highest - 1 : highest + 1].reshape(-1, 2, *(1,) * x.ndim)
     minus_x = np.array([-x, -x])
-    both = inverse[-1] + 0.0 * minus_x
+    pair = inverse[-1] + 0.0 * minus_x
     for j in range(len(inverse) - 2, -1, -1):
-        both *= minus_x
-        both += inverse[j]
-    c = {highest - 1: both[0], highest: both[1]}
+        pair *= minus_x
+        pair += inverse[j]
+    c = {highest - 1: pair[0], highest: pair[1]}
     for k in range(highest - 2, lowest - 1, -1):
         c[k] = _INVERSE[0, k] - x * c[k + 2]
     return c

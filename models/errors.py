@@ -174,8 +174,8 @@ class UnderconstrainedError(LeadlineError, np.linalg.LinAlgError):
 class ResourceLimitError(LeadlineError, MemoryError):
     """More memory would be needed than is allowed; refused before it was taken."""
 
-    def __init__(self, message: str, needed: float = 0.0, limit: float = 0.0, what: str = "") -> None:
-        self.needed, self.limit, self.what = needed, limit, what
+    def __init__(self, message: str, needed: float = 0.0, limit: float = 0.0, subject: str = "") -> None:
+        self.needed, self.limit, self.subject = needed, limit, subject
         super().__init__(message)
 
 
@@ -210,8 +210,8 @@ class OptionError(LeadlineError, ValueError):
 
     def lines(self, shell: bool = False) -> list[str]:
         """The message; on the command line with the name of its option there."""
-        given = shell and self.option.isidentifier()
-        return [self._sentence(f"--{self.option.replace('_', '-')}" if given else self.option)]
+        as_option = shell and self.option.isidentifier()
+        return [self._sentence(f"--{self.option.replace('_', '-')}" if as_option else self.option)]
 
 
 class GraphWarning(UserWarning):

@@ -11,12 +11,12 @@ from models.errors import GraphError
 __all__ = ["finite"]
 
 
-def finite(who: str, what: str, X: npt.ArrayLike) -> Array:
+def finite(who: str, name: str, X: npt.ArrayLike) -> Array:
     """An array of finite numbers.
 
     Parameters
     ----------
-    who, what : the function and its argument, for the message.
+    who, name : the function and its argument, for the message.
     X : anything.
 
     Raises
@@ -27,7 +27,7 @@ def finite(who: str, what: str, X: npt.ArrayLike) -> Array:
     try:
         array = np.asarray(X, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"{who}: {what} is not an array of numbers: {error}") from error
+        raise GraphError(f"{who}: {name} is not an array of numbers: {error}") from error
     if not np.isfinite(array).all():
-        raise GraphError(f"{who}: {what} has a number that is not finite, {array[~np.isfinite(array)][0]}")
+        raise GraphError(f"{who}: {name} has a number that is not finite, {array[~np.isfinite(array)][0]}")
     return array

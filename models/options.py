@@ -44,5 +44,7 @@ def did_you_mean(name: object, names: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     known = list(names)
-    near = [other for other in known if name and other.startswith(str(name))] or get_close_matches(str(name), known, 1)
+    near = [candidate for candidate in known if name and candidate.startswith(str(name))] or get_close_matches(
+        str(name), known, 1
+    )
     return f"; did you mean {near[0]!r}?" if near else ""

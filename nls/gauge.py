@@ -53,7 +53,7 @@ class Gauge:
     pattern: Pattern
     held: npt.NDArray[np.bool_]
     fixed: npt.NDArray[np.bool_]
-    said: str = ""
+    description: str = ""
     free: bool = False
 
 
@@ -68,7 +68,7 @@ def component_labels(pattern: Pattern) -> Index:
 
     A calibration that two trajectories share does not join them: each has its own gauge.
     """
-    pairs = [(slots[0], other) for slots in map(_moved, pattern.batches) for other in slots[1:]]
+    pairs = [(slots[0], variables) for slots in map(_moved, pattern.batches) for variables in slots[1:]]
     i, j = np.concatenate([np.zeros((2, 0), dtype=np.intp), *pairs], axis=1)
     return connected(i, j, len(pattern.dims))
 
@@ -99,7 +99,7 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
     if not isinstance(name, str) or name not in GAUGES:
         raise OptionError("gauge", name, "one of " + ", ".join(GAUGES))
     if name == "none":
-        return Gauge(pattern, fixed, fixed, said="nothing is held")
+        return Gauge(pattern, fixed, fixed, description="nothing is held")
     label = component_labels(pattern)
     touched, (anchored, moving) = touched_variables(pattern), np.zeros((2, len(fixed)), dtype=bool)
     anchored[label[fixed]] = True
@@ -110,17 +110,17 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
             anchored[label[batch.variables[0]]] = True
     if not (touched | fixed).all():
         isolated = np.flatnonzero(~touched & ~fixed)
-        them = "it" if len(isolated) == 1 else "them"
+        pronoun = "it" if len(isolated) == 1 else "them"
         warnings.warn(
-            f"{_named(pattern, isolated)}: no measurement touches {them}; held at the start value. Add the factors "
-            f"that are missing, or leave {them} out of the values",
+            f"{_named(pattern, isolated)}: no measurement touches {pronoun}; held at the start value. Add the factors "
+            f"that are missing, or leave {pronoun} out of the values",
             GraphWarning,
             stacklevel=_outside(),
         )
         fixed = fixed | ~touched
     chosen = _first_of_components(label, pattern, moving, anchored)
     if not len(chosen):
-        return Gauge(pattern, fixed, fixed, said="fixed by the graph itself")
+        return Gauge(pattern, fixed, fixed, description="fixed by the graph itself")
     named = _named(pattern, chosen)
     if name == "prior":
         keys = [pattern.key(int(v)) for v in chosen]
@@ -130,8 +130,8 @@ def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray
     held = fixed.copy()
     held[chosen] = True
     if name == "free":
-        return Gauge(pattern, held, fixed, said=f"free, shortest step; computed with {named} held", free=True)
-    return Gauge(pattern, held, fixed, said=f"{named} held")
+        return Gauge(pattern, held, fixed, description=f"free, shortest step; computed with {named} held", free=True)
+    return Gauge(pattern, held, fixed, description=f"{named} held")
 
 
 def _outside() -> int:

@@ -117,16 +117,16 @@ class FactorGraph:
         GraphError
             Not one mask for every factor, or one of another length.
         """
-        given = [np.asarray(mask) for mask in masks] if isinstance(masks, Iterable) else []
-        shapes, types = [mask.shape for mask in given], {str(mask.dtype) for mask in given} - {"bool"}
+        arrays = [np.asarray(mask) for mask in masks] if isinstance(masks, Iterable) else []
+        shapes, types = [mask.shape for mask in arrays], {str(mask.dtype) for mask in arrays} - {"bool"}
         if types or shapes != [(len(factor),) for factor in self.factors]:
             got = f"{len(shapes)} of shapes {shapes!s:.60} {', '.join(sorted(types))}".rstrip()
             raise GraphError(
                 f"FactorGraph.only: expected a mask of True and False for each of {len(self.factors)} factors, as long "
                 f"as it has measurements, got {got}"
             )
-        kept = [f if m.all() else f[m] for f, m in zip(self.factors, given, strict=True) if m.any()]
-        return FactorGraph(kept, self.fixed)
+        factors = [f if m.all() else f[m] for f, m in zip(self.factors, arrays, strict=True) if m.any()]
+        return FactorGraph(factors, self.fixed)
 
     def chi2(self, values: Values) -> float:
         """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""
@@ -210,7 +210,7 @@ class FactorGraph:
             chi2_final=watch.lowest,
             dof=dof + len(free),
             linear_solver=problem.analysis.description,
-            gauge=decided.said,
+            gauge=decided.description,
             timings=problem.timings,
             method=", then ".join(watch.methods),
             rule=watch.rule,

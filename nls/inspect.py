@@ -47,7 +47,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
         "components": len(sizes),
         "component_sizes": sizes[:10].tolist(),
         "isolated_variables": int((~touched).sum()),
-        "gauge": gauge.said,
+        "gauge": gauge.description,
         "rows_of_A": pattern.m,
         "columns_of_A": int(pattern.dims[~gauge.held].sum()),
         "numbers_in_A": pattern.numbers_in_A,

@@ -138,9 +138,9 @@ def _rigid(group: LieGroup, p: Array, q: Array) -> Array:
     try:
         return align(q, p)[None]
     except SingularAt as error:
-        what = "on one spot" if group is SE2 else "on one line"
+        shape = "on one spot" if group is SE2 else "on one line"
         raise SingularGeometryError(
-            f"ate: {len(p)} positions {what} do not determine the rotation of a rigid alignment; use align='first'"
+            f"ate: {len(p)} positions {shape} do not determine the rotation of a rigid alignment; use align='first'"
         ) from error
     except GraphError as error:  # the positions are finite: their squares are not
         raise _too_far() from error

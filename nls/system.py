@@ -68,14 +68,14 @@ class LinearSystem:
         widths of its slots side by side. Columns of held variables are left out of it when there are any.
         """
         pattern = self.pattern
-        indices, indptr, kept = pattern.structure
+        indices, indptr, places = pattern.structure
         data, begin = np.empty(pattern.numbers_in_A), 0
         for batch, A in zip(pattern.batches, self.blocks, strict=True):
             width = sum(A_k.shape[2] for A_k in A)
             end = begin + len(batch) * batch.model.dim * width
             np.concatenate(A, axis=2, out=data[begin:end].reshape(len(batch), batch.model.dim, width))
             begin = end
-        return sp.csr_array((data if kept is None else data[kept], indices, indptr), shape=(pattern.m, pattern.n))
+        return sp.csr_array((data if places is None else data[places], indices, indptr), shape=(pattern.m, pattern.n))
 
     @cached_property
     def balanced(self) -> LinearSystem:

@@ -43,10 +43,10 @@ class Stack:
 
     def moved(self, X: Array) -> Stack:
         """The same variables at other places."""
-        other = object.__new__(Stack)
-        other.kind, other.manifold, other.numbers = self.kind, self.manifold, self.numbers
-        other._order, other._sorted, other.X = self._order, self._sorted, np.asfortranarray(X)
-        return other
+        stack = object.__new__(Stack)
+        stack.kind, stack.manifold, stack.numbers = self.kind, self.manifold, self.numbers
+        stack._order, stack._sorted, stack.X = self._order, self._sorted, np.asfortranarray(X)
+        return stack
 
     def index(self, keys: Keys) -> npt.NDArray[np.intp]:
         """Rows of the stack that hold these variables, (n,).
@@ -60,13 +60,13 @@ class Stack:
             raise GraphError(f"{keys[[0]]} has no value: Values hold no variable of kind {self.kind}", [keys])
         if self._order is None:  # consecutive numbers: the row is a subtraction
             index: npt.NDArray[np.intp] = (keys.numbers - self.numbers[0]).astype(np.intp)
-            found = (keys.numbers >= self.numbers[0]) & (keys.numbers <= self.numbers[-1])
+            present = (keys.numbers >= self.numbers[0]) & (keys.numbers <= self.numbers[-1])
         else:
             place = np.minimum(np.searchsorted(self._sorted, keys.numbers), len(self) - 1)
             index = self._order[place]
-            found = self._sorted[place] == keys.numbers
-        if not found.all():
-            missing = keys[~found]
+            present = self._sorted[place] == keys.numbers
+        if not present.all():
+            missing = keys[~present]
             raise GraphError(
                 f"{missing[[0]]} has no value ({len(missing)} such of kind {self.kind}); Values hold {len(self)} "
                 f"variables from {self.kind}{self._sorted[0]} to {self.kind}{self._sorted[-1]}. Add a start value, or "

@@ -27,8 +27,8 @@ class Parser(argparse.ArgumentParser):
 
 def parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """The parameters that are options: all but the generator."""
-    found = inspect.signature(make).parameters
-    return {option: parameter for option, parameter in found.items() if parameter.default is not parameter.empty}
+    signature = inspect.signature(make).parameters
+    return {option: parameter for option, parameter in signature.items() if parameter.default is not parameter.empty}
 
 
 def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset: bool = False) -> None:
@@ -49,10 +49,10 @@ def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset
         )
 
 
-def command(name: str, seed: int, given: dict[str, Any]) -> str:
+def command(name: str, seed: int, arguments: dict[str, Any]) -> str:
     """The command that makes the same again, with every option spelled out."""
     words = [f"nls-sim {name} --seed {seed}"]
-    for option, value in given.items():
+    for option, value in arguments.items():
         if isinstance(value, list | tuple):
             words.append(f"{flag(option)} {' '.join(map(str, value))}")
         elif value is not None and value is not False:

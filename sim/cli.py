@@ -80,24 +80,24 @@ def main(argv: Sequence[str] | None = None, phase: Phase | None = None) -> int:
 
 def _main(argv: Sequence[str] | None, phase: Phase) -> int:
     known, unknown = parser().parse_known_args(argv)
-    given = vars(known)
+    arguments = vars(known)
     if unknown:
         return complain(f"{unknown[0]} is no option of {known.NAME}; see nls-sim {known.NAME} --help")
-    name, seed, out = given.pop("NAME"), given.pop("seed"), given.pop("out")
+    name, seed, out = arguments.pop("NAME"), arguments.pop("seed"), arguments.pop("out")
     try:
         if out == "":
             raise OptionError("out", out, "a folder")
-        call = command(name, seed, given)
-        kept = given.get("resume")
-        phase.now(f"while running {name}" + (f", finished runs are in {kept}" if kept else ""))
+        call = command(name, seed, arguments)
+        record_file = arguments.get("resume")
+        phase.now(f"while running {name}" + (f", finished runs are in {record_file}" if record_file else ""))
         if name in SCENES or name == "compare":
-            table, files, said, failed = estimated(name, seed, given, out is not None)
+            table, files, description, failed = estimated(name, seed, arguments, out is not None)
         else:
-            world = MADE[name](np.random.default_rng(seed), **given)
-            (table, files), said, failed = simulated(world, out), world.description, None
+            world = MADE[name](np.random.default_rng(seed), **arguments)
+            (table, files), description, failed = simulated(world, out), world.description, None
         if out is not None:
             phase.now(f"while writing {out}")
-            phase.written += write(out, files, said, aligned(table), call)
+            phase.written += write(out, files, description, aligned(table), call)
             table.append(("written", ", ".join(phase.written)))
         print(aligned(table))
     except OptionError as error:
@@ -178,12 +178,12 @@ def graph_files(world: World) -> tuple[dict[str, bytes], str]:
     )
 
 
-def write(folder: str, files: Files, said: str, table: str, call: str) -> list[str]:
+def write(folder: str, files: Files, description: str, table: str, call: str) -> list[str]:
     """Write files and README.txt into the folder, which is made, all or none; returns their names."""
     from nls.io.files import write_folder
 
     contents, holds = files()
-    readme = f"{textwrap.fill(said, 100)}\n\n{table}\n\n{holds}Made by: {call}\n"
+    readme = f"{textwrap.fill(description, 100)}\n\n{table}\n\n{holds}Made by: {call}\n"
     return write_folder(folder, {**contents, "README.txt": readme.encode()})
 
 
@@ -199,12 +199,12 @@ def parser() -> Parser:
     worlds = top.add_subparsers(dest="NAME", metavar="NAME", required=True, title="worlds", parser_class=Parser)
     for name, make in MADE.items():
         doc = inspect.getdoc(make) or ""
-        said = re.split(r"\nParameters\n-+\n", doc)[0]
+        summary = re.split(r"\nParameters\n-+\n", doc)[0]
         kind = "world" if name in WORLDS else "mission" if name in MISSIONS else "rig" if name in RIGS else "scene"
         sub = worlds.add_parser(
             name,
-            help=said.splitlines()[0].replace("%", "%%"),
-            description=said.replace("`", ""),
+            help=summary.splitlines()[0].replace("%", "%%"),
+            description=summary.replace("`", ""),
             epilog=f"example:\n  nls-sim {name} --seed 1 --out {name}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,

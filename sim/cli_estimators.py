@@ -85,14 +85,14 @@ def add_compare(worlds: Any) -> None:
     _add_settings(sub)
 
 
-def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> Estimated:
+def estimated(name: str, seed: int, arguments: dict[str, Any], pictured: bool) -> Estimated:
     """The table of a scene or of ``compare``, what writes its files, what the scene is, and which runs failed.
 
     Parameters
     ----------
     name : of a scene, or ``compare``.
     seed : the first one.
-    given : the options of the command line.
+    arguments : the options of the command line.
     pictured : whether the files are going to be written: pictures of landmarks need their covariances at each step.
 
     Raises
@@ -100,28 +100,28 @@ def estimated(name: str, seed: int, given: dict[str, Any], pictured: bool) -> Es
     OptionError
         Options that do not go together, or with values they cannot have.
     """
-    options = dict(given)
+    options = dict(arguments)
     if (limit := options.pop("scaling", None)) is not None:
         return *_scaled(seed, limit, options), None
-    memory, count, kept = options.pop("memory", False), options.pop("runs"), options.pop("resume")
+    memory, count, file = options.pop("memory", False), options.pop("runs"), options.pop("resume")
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
     scene = options.pop("world", "subsea" if name == "compare" else name)
     names = options.pop("estimators", list(ESTIMATORS)) if name == "compare" else [options.pop("estimator")]
     _refuse(scene, names, options, settings)
-    if kept is not None and (count is None or not kept):
-        raise OptionError("resume", kept, "the name of a file, together with --runs")
+    if file is not None and (count is None or not file):
+        raise OptionError("resume", file, "the name of a file, together with --runs")
     if memory and count is not None:
         raise OptionError("--memory and --runs do not go together; leave one out")
     world = SCENES[scene](np.random.default_rng(seed), **options)
-    for each in names:
-        estimator(world, each, **settings)  # refused here, not in the processes that run it
-    said = {"world": scene, "seed": seed, "options": options, "settings": settings}
+    for method in names:
+        estimator(world, method, **settings)  # refused here, not in the processes that run it
+    request = {"world": scene, "seed": seed, "options": options, "settings": settings}
     head = scene_rows(world)
     if count is not None:
-        return _many(world, head, said, names, count, kept)
+        return _many(world, head, request, names, count, file)
     if name == "compare":
-        return *_compared(world, head, said, names, memory), None
-    return *_single(world, head, said, names[0], pictured), None
+        return *_compared(world, head, request, names, memory), None
+    return *_single(world, head, request, names[0], pictured), None
 
 
 def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
@@ -136,20 +136,24 @@ def scene_rows(world: LandmarkWorld) -> list[tuple[str, str]]:
 
 
 def _single(
-    world: LandmarkWorld, head: list[tuple[str, str]], said: dict[str, Any], name: str, pictured: bool
+    world: LandmarkWorld, head: list[tuple[str, str]], request: dict[str, Any], name: str, pictured: bool
 ) -> tuple[list[tuple[str, str]], Files, str]:
     from nls.filters.consistency import nees_bounds
 
-    settings = said["settings"]
+    settings = request["settings"]
     track, history = followed(world, name, **settings) if pictured else (tracked(world, name, **settings), [])
-    found = errors(world, track)
+    statistics = errors(world, track)
     low, high = nees_bounds(track.manifold.dim, 1)
-    nees = f"{found['nees']:.4g} of the last pose" if "nees" in found else "not defined: the covariance is singular"
+    nees = (
+        f"{statistics['nees']:.4g} of the last pose"
+        if "nees" in statistics
+        else "not defined: the covariance is singular"
+    )
     rows = [
         ("estimator", track.method),
-        ("ATE", f"{found['ate']:.4g} m, {found['aligned']:.4g} m after the best rigid motion"),
-        ("smoothed", f"{found['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
-        ("final", f"{found['final']:.4g} m off; 3 sigma {3 * found['sigma']:.4g} m per axis"),
+        ("ATE", f"{statistics['ate']:.4g} m, {statistics['aligned']:.4g} m after the best rigid motion"),
+        ("smoothed", f"{statistics['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
+        ("final", f"{statistics['final']:.4g} m off; 3 sigma {3 * statistics['sigma']:.4g} m per axis"),
         ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
     ]
 
@@ -157,7 +161,7 @@ def _single(
         from nls.plot.filters import estimator_figure
 
         figure = estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}")
-        report = {**said, "estimator": name, "method": track.method, **found}
+        report = {**request, "estimator": name, "method": track.method, **statistics}
         return _pictured("estimate", figure, report), (
             "estimate.png: the map, sigmas of vehicle and landmarks, errors within 3 sigma.\n"
             "estimate.json: options and errors, m.\n"
@@ -167,33 +171,33 @@ def _single(
 
 
 def _compared(
-    world: LandmarkWorld, head: list[tuple[str, str]], said: dict[str, Any], names: list[str], memory: bool
+    world: LandmarkWorld, head: list[tuple[str, str]], request: dict[str, Any], names: list[str], memory: bool
 ) -> tuple[list[tuple[str, str]], Files, str]:
-    found = compare(world, names, said["settings"], memory)
+    comparison = compare(world, names, request["settings"], memory)
 
     def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import several
 
-        figure = several([each.track for each in found], world.truth, f"{world.name}, seed {world.seed}")
+        figure = several([entry.track for entry in comparison], world.truth, f"{world.name}, seed {world.seed}")
         report = {
-            each.name: {
-                "method": each.track.method,
-                **each.errors,
-                "seconds": each.seconds,
-                "megabytes": each.megabytes,
+            entry.name: {
+                "method": entry.track.method,
+                **entry.errors,
+                "seconds": entry.seconds,
+                "megabytes": entry.megabytes,
             }
-            for each in found
+            for entry in comparison
         }
-        contents = _pictured("compare", figure, {**said, "estimators": report})
+        contents = _pictured("compare", figure, {**request, "estimators": report})
         return contents, "compare.png: tracks, errors, 3 sigma, NEES.\ncompare.json: the table, m and s.\n"
 
-    return [*head, *compared_rows(world, found)], files, world.description
+    return [*head, *compared_rows(world, comparison)], files, world.description
 
 
-def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[str, str]], Files, str]:
+def _scaled(seed: int, limit: float, arguments: dict[str, Any]) -> tuple[list[tuple[str, str]], Files, str]:
     if limit <= 0:
         raise OptionError("scaling", limit, "a number of seconds above 0")
-    options = {option: value for option, value in given.items() if value is not None and value is not False}
+    options = {option: value for option, value in arguments.items() if value is not None and value is not False}
     names = options.pop("estimators", list(SCALED))
     settings = {setting: options.pop(setting) for setting in SETTINGS if setting in options}
     if options:
@@ -201,15 +205,15 @@ def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[
     _refuse("", names, {}, settings)
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        found = costs(seed, names, settings, limit)
-    rows = [("world", f"circuit, seed {seed}"), *scaling_rows(found)]
+        all_costs = costs(seed, names, settings, limit)
+    rows = [("world", f"circuit, seed {seed}"), *scaling_rows(all_costs)]
     rows += [("note", str(note.message)) for note in noted]
 
     def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import power_laws
 
-        report = {"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in found]}
-        contents = _pictured("scaling", power_laws(panels(found), FITTED, "landmarks"), report)
+        report = {"seed": seed, "settings": settings, "estimators": [asdict(cost) for cost in all_costs]}
+        contents = _pictured("scaling", power_laws(panels(all_costs), FITTED, "landmarks"), report)
         return contents, "scaling.png: seconds against landmarks.\nscaling.json: the same, s.\n"
 
     return rows, files, "Circuits: rings with 100 to 12,800 landmarks, each gone round once and 20 steps more."
@@ -218,19 +222,19 @@ def _scaled(seed: int, limit: float, given: dict[str, Any]) -> tuple[list[tuple[
 def _many(
     world: LandmarkWorld,
     head: list[tuple[str, str]],
-    said: dict[str, Any],
+    request: dict[str, Any],
     names: list[str],
     count: int,
-    kept: str | None,
+    file: str | None,
 ) -> Estimated:
-    seeds = range(said["seed"], said["seed"] + count)
+    seeds = range(request["seed"], request["seed"] + count)
     function = partial(
-        of_seed, scene=said["world"], estimators=names, options=said["options"], settings=said["settings"]
+        of_seed, scene=request["world"], estimators=names, options=request["options"], settings=request["settings"]
     )
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
         try:
-            records, failed = dict(zip(seeds, runs(function, seeds, resume=kept, progress=True), strict=True)), None
+            records, failed = dict(zip(seeds, runs(function, seeds, resume=file, progress=True), strict=True)), None
         except FailedRunsError as error:
             if not error.records:
                 raise
@@ -242,7 +246,7 @@ def _many(
     def files() -> tuple[dict[str, bytes], str]:
         from nls.cli.outputs import json_text
 
-        report = {**said, "runs": [{"seed": seed, **record} for seed, record in records.items()]}
+        report = {**request, "runs": [{"seed": seed, **record} for seed, record in records.items()]}
         if failed is not None:
             report["failed"] = [{"seed": seed, "error": sentence(error)} for seed, error in failed.failures.items()]
         return {"runs.json": json_text(report).encode()}, "runs.json: options, and the errors of every seed, m.\n"
@@ -282,8 +286,8 @@ def _refuse(scene: str, names: list[str], options: dict[str, Any], settings: dic
 
 
 def _add_settings(sub: argparse.ArgumentParser) -> None:
-    for setting, (_, said) in SETTINGS.items():
-        sub.add_argument(flag(setting), type=whole_number, default=argparse.SUPPRESS, metavar="N", help=said)
+    for setting, (_, meaning) in SETTINGS.items():
+        sub.add_argument(flag(setting), type=whole_number, default=argparse.SUPPRESS, metavar="N", help=meaning)
     sub.add_argument("--runs", type=run_number, metavar="N", help="so many seeds, from --seed on, on all cores")
     sub.add_argument("--resume", metavar="FILE", help="keep the records of --runs here, and go on where they end")
 

@@ -80,22 +80,22 @@ def compare(
     return out
 
 
-def compared_rows(world: LandmarkWorld, found: Sequence[Compared]) -> list[tuple[str, str]]:
+def compared_rows(world: LandmarkWorld, entries: Sequence[Compared]) -> list[tuple[str, str]]:
     """The table, one (label, text) a line."""
-    low, high = nees_bounds(found[0].track.manifold.dim, 1)
-    memory = found[0].megabytes is not None
+    low, high = nees_bounds(entries[0].track.manifold.dim, 1)
+    memory = entries[0].megabytes is not None
     head = [*TITLES, "NEES", "ms/step", *(["MB"] if memory else [])]
     rows = [
         ("estimator", "".join(f"{title:>10s}" for title in head)),
         ("dead reckoning", f"{world.ate(world.start):10.3f}"),
     ]
-    for each in found:
-        e = each.errors
+    for entry in entries:
+        e = entry.errors
         numbers = [*(f"{e[c]:.3f}" for c in COLUMNS), f"{3 * e['sigma']:.3f}"]
         numbers += [f"{e['nees']:.4g}" if "nees" in e else SINGULAR]
-        numbers += [f"{1e3 * each.seconds / len(each.track.x):.2f}"]
-        numbers += [f"{each.megabytes:.2f}"] if each.megabytes is not None else []
-        rows.append((each.name, "".join(f"{text:>10s}" for text in numbers)))
+        numbers += [f"{1e3 * entry.seconds / len(entry.track.x):.2f}"]
+        numbers += [f"{entry.megabytes:.2f}"] if entry.megabytes is not None else []
+        rows.append((entry.name, "".join(f"{text:>10s}" for text in numbers)))
     return [*rows, ("NEES", f"of the last pose; {low:.2f} to {high:.2f} with 95 %"), *quality(rows)]
 
 
@@ -106,30 +106,30 @@ def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) 
     rows = [("runs", f"{count}, seeds {seeds[0]} to {seeds[-1]}; means over them, ATE also smallest and largest")]
     rows.append(("estimator", "".join(f"{title:>10s}" for title in (*TITLES, "NEES", "ATE from", "to"))))
     for name in records[0]:
-        each = [record[name] for record in records]
-        found = {key: np.array([e[key] for e in each]) for key in each[0] if key != "nees"}
-        numbers = [f"{found[c].mean():.3f}" if c in found else "" for c in COLUMNS]
-        if "sigma" in found:
-            regular = all("nees" in e for e in each)
-            numbers += [f"{3 * found['sigma'].mean():.3f}"]
-            numbers += [f"{np.mean([e['nees'] for e in each]):.4g}" if regular else SINGULAR]
+        records_of_name = [record[name] for record in records]
+        columns = {key: np.array([e[key] for e in records_of_name]) for key in records_of_name[0] if key != "nees"}
+        numbers = [f"{columns[c].mean():.3f}" if c in columns else "" for c in COLUMNS]
+        if "sigma" in columns:
+            regular = all("nees" in e for e in records_of_name)
+            numbers += [f"{3 * columns['sigma'].mean():.3f}"]
+            numbers += [f"{np.mean([e['nees'] for e in records_of_name]):.4g}" if regular else SINGULAR]
         else:
             numbers += ["", ""]
-        numbers += [f"{found['ate'].min():.3f}", f"{found['ate'].max():.3f}"]
+        numbers += [f"{columns['ate'].min():.3f}", f"{columns['ate'].max():.3f}"]
         rows.append((name, "".join(f"{text:>10s}" for text in numbers)))
     return [*rows, ("NEES", f"of the last pose, mean; {low:.2f} to {high:.2f} with 95 %"), *quality(rows)]
 
 
 def quality(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """What the columns of these rows are."""
-    said = [
+    lines = [
         ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
         ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),
         ("final, 3 sigma", "m, error of the last position, and what is said of it, per axis"),
     ]
     if any(SINGULAR in text for _, text in rows):
-        said.append((SINGULAR, "no NEES: a covariance of the last pose, in one run at least, gives errors no size"))
-    return said
+        lines.append((SINGULAR, "no NEES: a covariance of the last pose, in one run at least, gives errors no size"))
+    return lines
 
 
 def _held(world: LandmarkWorld, name: str, settings: Mapping[str, int]) -> float:

@@ -95,12 +95,12 @@ def outliers(
     if len(i) < count:
         raise OptionError("fraction", fraction, f"less for a world of {n} poses: too few pairs are far from the truth")
     keys_i, keys_j = closures.keys
-    both = Between(
+    right_and_wrong = Between(
         x[np.concatenate([keys_i.numbers, i])],
         x[np.concatenate([keys_j.numbers, j])],
         np.concatenate([z_right, z]),
         closures.noise,
         closures.convention,
     )
-    said = f"{world.description} {count} wrong loop closures were added{f', {run} in a row' if grouped else ''}."
-    return replace(world, graph=FactorGraph([odometry, both]), description=said), wrong
+    description = f"{world.description} {count} wrong loop closures were added{f', {run} in a row' if grouped else ''}."
+    return replace(world, graph=FactorGraph([odometry, right_and_wrong]), description=description), wrong

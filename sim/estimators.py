@@ -137,7 +137,7 @@ def errors(world: LandmarkWorld, track: Track) -> dict[str, float]:
     truth = world.truth
     last, X = track.x[[len(track.x) - 1]], truth[track.x][-1:]
     away = track.manifold.position(track.X[-1:]) - track.manifold.position(X)
-    found = {
+    statistics = {
         "ate": track.ate(truth).rmse,
         "aligned": track.ate(truth, "rigid").rmse,
         "smoothed": track.ate(truth, smoothed=True).rmse,
@@ -145,8 +145,8 @@ def errors(world: LandmarkWorld, track: Track) -> dict[str, float]:
         "sigma": float(np.sqrt(np.trace(track.P[-1, :2, :2]) / 2)),
     }
     if regular(track.P[-1:])[0]:
-        found["nees"] = float(nees(last, track.manifold, track.X[-1:], track.P[-1:], X)[0])
-    return found
+        statistics["nees"] = float(nees(last, track.manifold, track.X[-1:], track.P[-1:], X)[0])
+    return statistics
 
 
 def of_seed(

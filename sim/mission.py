@@ -189,7 +189,7 @@ def survey(
         ]
     )
     truth = Values({x: (SE3, X), l: (R(3), points)})
-    said = (
+    sentences = (
         f"{description} {n} poses, {len(points)} landmarks seen three times or more, {len(i)} contacts. Sonar: range "
         f"{sonar.window[0]:g} to {sonar.window[1]:g} m, {np.degrees(sonar.fan):g} deg wide, "
         f"{np.degrees(sonar.aperture):g} deg high. Standard deviations: steps 0.01 m and 0.25 deg of heading; depth "
@@ -197,7 +197,7 @@ def survey(
         f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. The first pose is known."
     )
     wrong = np.zeros(len(i), dtype=bool)
-    return Mission(name, truth, graph, _start(graph, truth), sonar, offset, elevation, wrong, seed_of(rng), said)
+    return Mission(name, truth, graph, _start(graph, truth), sonar, offset, elevation, wrong, seed_of(rng), sentences)
 
 
 def visible(X: Array, points: Array, sonar: ImagingSonar, offset: Array) -> tuple[Index, Index]:
@@ -215,8 +215,8 @@ def visible(X: Array, points: Array, sonar: ImagingSonar, offset: Array) -> tupl
     middle = SE3.act(S, np.array([[ahead, 0.0, 0.0]]))
     reach = cKDTree(middle).sparse_distance_matrix(cKDTree(points), radius, output_type="coo_matrix")
     i, k = reach.row, reach.col
-    seen = sonar.sees(SE3.act(SE3.inverse(S)[i], points[k]))
-    i, k = i[seen].astype(np.intp), k[seen].astype(np.intp)
+    visible = sonar.sees(SE3.act(SE3.inverse(S)[i], points[k]))
+    i, k = i[visible].astype(np.intp), k[visible].astype(np.intp)
     order = np.lexsort((k, i))
     return i[order], k[order]
 
@@ -238,7 +238,7 @@ def rebuilt(
     odometry: XYH | None = None,
     contacts: RangeAzimuth | None = None,
     wrong: npt.NDArray[np.bool_] | None = None,
-    said: str = "",
+    note: str = "",
 ) -> Mission:
     """The mission with other odometry or other contacts: landmarks without contacts leave it, the start is made anew.
 
@@ -247,7 +247,7 @@ def rebuilt(
     mission : not changed.
     odometry, contacts : in place of those it has.
     wrong : which of the contacts are wrong.
-    said : a sentence that is added to the description.
+    note : a sentence that is added to the description.
     """
     odometry = mission.odometry if odometry is None else odometry
     contacts = mission.contacts if contacts is None else contacts
@@ -258,10 +258,10 @@ def rebuilt(
     )
     graph = FactorGraph([odometry, *mission.graph.factors[1:4], *sighted])
     x, l = mission.truth.stack("x"), mission.truth.stack("l")
-    seen = np.isin(l.numbers, target.numbers)
-    truth = Values({"x": (SE3, x.X, x.numbers), "l": (R(3), l.X[seen], l.numbers[seen])})
-    said = f"{mission.description} {said}".strip()
-    return replace(mission, truth=truth, graph=graph, start=_start(graph, truth), wrong=wrong, description=said)
+    observed = np.isin(l.numbers, target.numbers)
+    truth = Values({"x": (SE3, x.X, x.numbers), "l": (R(3), l.X[observed], l.numbers[observed])})
+    note = f"{mission.description} {note}".strip()
+    return replace(mission, truth=truth, graph=graph, start=_start(graph, truth), wrong=wrong, description=note)
 
 
 def _start(graph: FactorGraph, truth: Values) -> Values:

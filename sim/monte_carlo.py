@@ -117,7 +117,7 @@ def runs(
             raise OptionError("seeds", seed, "whole numbers of at least 0")
     if len(set(seeds)) < len(seeds):
         raise OptionError("seeds", seeds, "every seed once")
-    done = {} if resume is None else _kept(Path(resume), _signature(function))
+    done = {} if resume is None else _records_of(Path(resume), _signature(function))
     todo = [int(seed) for seed in seeds if seed not in done]
     failures: dict[int, Exception] = {}
     with ExitStack() as stack:
@@ -146,8 +146,8 @@ def runs(
             for future in pending:
                 future.cancel()
     if failures:
-        kept = {seed: done[seed] for seed in seeds if seed in done}
-        raise FailedRunsError(kept, {seed: failures[seed] for seed in seeds if seed in failures})
+        records = {seed: done[seed] for seed in seeds if seed in done}
+        raise FailedRunsError(records, {seed: failures[seed] for seed in seeds if seed in failures})
     return [done[seed] for seed in seeds]
 
 
@@ -231,7 +231,7 @@ def _signature(function: Callable[[int], Record]) -> dict[str, Any]:
     return signature
 
 
-def _kept(path: Path, signature: dict[str, Any]) -> dict[int, Record]:
+def _records_of(path: Path, signature: dict[str, Any]) -> dict[int, Record]:
     """Records by seed; the file is made, or rid of a last line that is not whole."""
     data = read_bytes(path) if path.exists() else b""
     head = json.dumps(signature).encode() + b"\n"
@@ -250,9 +250,9 @@ def _kept(path: Path, signature: dict[str, Any]) -> dict[int, Record]:
         write_bytes(path, whole or head)
     done: dict[int, Record] = {}
     for number, line in enumerate(lines[1:], 2):
-        found = _object(path, number, line)
-        seed, record = found.get("seed"), found.get("record")
-        if set(found) != {"seed", "record"} or not isinstance(seed, int) or not isinstance(record, dict):
+        entry = _object(path, number, line)
+        seed, record = entry.get("seed"), entry.get("record")
+        if set(entry) != {"seed", "record"} or not isinstance(seed, int) or not isinstance(record, dict):
             raise GraphFileError('is not a record; expected {"seed": 3, "record": {...}}', str(path), number)
         if done.setdefault(seed, record) != record:
             raise GraphFileError(f"seed {seed} has two records that differ; remove one", str(path), number)
@@ -261,14 +261,14 @@ def _kept(path: Path, signature: dict[str, Any]) -> dict[int, Record]:
 
 def _object(path: Path, number: int, line: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(line)
+        entry = json.loads(line)
     except ValueError as error:  # not UTF-8 either
         raise GraphFileError(
             f"is not JSON: {error}; remove the line or give another file", str(path), number
         ) from error
-    if not isinstance(found, dict):
+    if not isinstance(entry, dict):
         raise GraphFileError("is not a JSON object; give a file that was written here", str(path), number)
-    return found
+    return entry
 
 
 class _Appending:

@@ -119,6 +119,6 @@ def meetings(
     pairs = tree.query_pairs(radius, output_type="ndarray")
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= gap]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]  # the tree's own order is nobody's promise
-    wanted = min(len(pairs), round(closure_ratio * len(positions)))
-    chosen = pairs[np.sort(rng.choice(len(pairs), size=wanted, replace=False))] if wanted else pairs[:0]
+    count = min(len(pairs), round(closure_ratio * len(positions)))
+    chosen = pairs[np.sort(rng.choice(len(pairs), size=count, replace=False))] if count else pairs[:0]
     return chosen[:, 0].astype(np.intp), chosen[:, 1].astype(np.intp)

@@ -61,9 +61,9 @@ class Cost:
     total: list[float] = field(default_factory=list)
     stopped: str = ""
 
-    def law(self, what: str) -> float:
+    def law(self, quantity: str) -> float:
         """p of m^p for the times of ``step`` or ``total`` and the landmarks m, at the largest sizes."""
-        return exponent(self.landmarks[-FITTED:], getattr(self, what)[-FITTED:])
+        return exponent(self.landmarks[-FITTED:], getattr(self, quantity)[-FITTED:])
 
 
 def circuit(rng: np.random.Generator, landmarks: int) -> LandmarkWorld:
@@ -114,9 +114,9 @@ def circuit(rng: np.random.Generator, landmarks: int) -> LandmarkWorld:
     )
     truth = Values({x: (SE2, X), l: (R(2), L)})
     start = locate_points(graph, Values({x: (SE2, chain(SE2, first[0], odometry)), l: (R(2), np.zeros_like(L))}))
-    said = f"Circuit: a ring of {2 * radius:.4g} m across, {n} poses, {landmarks} landmarks."
+    description = f"Circuit: a ring of {2 * radius:.4g} m across, {n} poses, {landmarks} landmarks."
     rows = measured_rows(graph.pattern(truth))
-    return LandmarkWorld("circuit", truth, graph, start, rows, "correlated", seed_of(rng), said)
+    return LandmarkWorld("circuit", truth, graph, start, rows, "correlated", seed_of(rng), description)
 
 
 def costs(
@@ -136,9 +136,9 @@ def costs(
     -------
     list of `Cost`, one an estimator.
     """
-    found = [Cost(name) for name in names]
+    all_costs = [Cost(name) for name in names]
     for landmarks in sizes:
-        going = [cost for cost in found if not cost.stopped]
+        going = [cost for cost in all_costs if not cost.stopped]
         world = circuit(np.random.default_rng(seed), landmarks) if going else None
         for cost in going:
             if (time := _foreseen(cost, landmarks)) > seconds:
@@ -146,12 +146,12 @@ def costs(
                 cost.stopped = f"{cost.name} stops before {landmarks} landmarks, which would take about {about} s"
                 continue
             assert world is not None
-            each = _times(world, cost.name, settings)
+            times = _times(world, cost.name, settings)
             cost.landmarks.append(landmarks)
             cost.poses.append(world.poses)
-            cost.step.append(float(np.median(each[-AGAIN:])))
-            cost.total.append(float(each.sum()))
-    return found
+            cost.step.append(float(np.median(times[-AGAIN:])))
+            cost.total.append(float(times.sum()))
+    return all_costs
 
 
 @single_thread()
@@ -192,26 +192,26 @@ def exponent(n: Sequence[int], y: Sequence[float]) -> float:
     return float(np.polyfit(np.log(n), np.log(y), 1)[0]) if len(n) > 1 else float("nan")
 
 
-def scaling_rows(found: Sequence[Cost]) -> list[tuple[str, str]]:
+def scaling_rows(all_costs: Sequence[Cost]) -> list[tuple[str, str]]:
     """The table, one (label, text) a line."""
-    sizes = max((cost.landmarks for cost in found), key=len)
-    poses = max((cost.poses for cost in found), key=len)
-    rows = [("landmarks", "".join(f"{text:>12s}" for text in ("poses", *(cost.name for cost in found))))]
-    for what, unit, scale in (("step", "ms a step", 1e3), ("total", "s in all", 1.0)):
+    sizes = max((cost.landmarks for cost in all_costs), key=len)
+    poses = max((cost.poses for cost in all_costs), key=len)
+    rows = [("landmarks", "".join(f"{text:>12s}" for text in ("poses", *(cost.name for cost in all_costs))))]
+    for quantity, unit, scale in (("step", "ms a step", 1e3), ("total", "s in all", 1.0)):
         rows.append((unit, ""))
         for k, (size, n) in enumerate(zip(sizes, poses, strict=True)):
-            cells = [f"{scale * getattr(c, what)[k]:.4g}" if k < len(c.landmarks) else "" for c in found]
+            cells = [f"{scale * getattr(c, quantity)[k]:.4g}" if k < len(c.landmarks) else "" for c in all_costs]
             rows.append((str(size), "".join(f"{text:>12s}" for text in (str(n), *cells))))
-        laws = [f"m^{c.law(what):.2f}" for c in found]
+        laws = [f"m^{c.law(quantity):.2f}" for c in all_costs]
         rows.append(("law", "".join(f"{text:>12s}" for text in ("", *laws))))
-    rows += [("fitted to", f"{c.name}: {', '.join(map(str, c.landmarks[-FITTED:]))} landmarks m") for c in found]
+    rows += [("fitted to", f"{c.name}: {', '.join(map(str, c.landmarks[-FITTED:]))} landmarks m") for c in all_costs]
     rows.append(("a step", f"median of {AGAIN} with all landmarks known; of batch, with all covariances, the mean"))
-    return rows + [("stopped", cost.stopped) for cost in found if cost.stopped]
+    return rows + [("stopped", cost.stopped) for cost in all_costs if cost.stopped]
 
 
-def panels(found: Sequence[Cost]) -> dict[str, dict[str, tuple[list[int], list[float], float]]]:
+def panels(all_costs: Sequence[Cost]) -> dict[str, dict[str, tuple[list[int], list[float], float]]]:
     """The two panels of `nls.plot.filters.power_laws`: what a step costs, and all of them."""
     return {
-        title: {cost.name: (cost.landmarks, getattr(cost, what), cost.law(what)) for cost in found}
-        for title, what in (("one step [s]", "step"), ("all steps [s]", "total"))
+        title: {cost.name: (cost.landmarks, getattr(cost, quantity), cost.law(quantity)) for cost in all_costs}
+        for title, quantity in (("one step [s]", "step"), ("all steps [s]", "total"))
     }

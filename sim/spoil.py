@@ -50,17 +50,17 @@ def drop_contacts(mission: Mission, drop_outs: float, rng: np.random.Generator) 
     lost = _drawn(rng, np.arange(len(mission.contacts)), round(drop_outs * len(mission.contacts)))
     if not len(lost):
         return mission
-    kept = np.ones(len(mission.contacts), dtype=bool)
-    kept[lost] = False
+    mask = np.ones(len(mission.contacts), dtype=bool)
+    mask[lost] = False
     landmark = mission.contacts.keys[1].numbers
-    which, counts = np.unique(landmark[kept], return_counts=True)
-    kept &= np.isin(landmark, which[counts >= FEWEST])
-    if not kept.any():
+    landmarks, counts = np.unique(landmark[mask], return_counts=True)
+    mask &= np.isin(landmark, landmarks[counts >= FEWEST])
+    if not mask.any():
         raise OptionError("drop_outs", drop_outs, f"less: no landmark keeps {FEWEST} contacts")
-    contacts = mission.contacts[np.flatnonzero(kept)]
+    contacts = mission.contacts[np.flatnonzero(mask)]
     assert isinstance(contacts, RangeAzimuth)
-    said = f"{len(lost)} contacts were lost, {len(contacts)} are left of landmarks with three or more."
-    return rebuilt(mission, contacts=contacts, wrong=mission.wrong[kept], said=said)
+    note = f"{len(lost)} contacts were lost, {len(contacts)} are left of landmarks with three or more."
+    return rebuilt(mission, contacts=contacts, wrong=mission.wrong[mask], note=note)
 
 
 def false_contacts(mission: Mission, outliers: float, rng: np.random.Generator) -> Mission:
@@ -145,9 +145,9 @@ def exchange_contacts(mission: Mission, wrong_associations: float, rng: np.rando
     if count > len(a):
         raise OptionError("wrong_associations", wrong_associations, f"less: there are {len(a)} pairs of neighbors")
     a = _drawn(rng, a, count)
-    both, exchanged = np.concatenate([a, nearest[a]]), np.concatenate([nearest[a], a])
-    z[both] = z[exchanged]
-    return _with_contacts(mission, z, both, f"{len(both)} contacts are exchanged with that of a neighbor.")
+    changed, exchanged = np.concatenate([a, nearest[a]]), np.concatenate([nearest[a], a])
+    z[changed] = z[exchanged]
+    return _with_contacts(mission, z, changed, f"{len(changed)} contacts are exchanged with that of a neighbor.")
 
 
 def poor_odometry(mission: Mission, fraction: float, rng: np.random.Generator, times: float = 10.0) -> Mission:
@@ -186,8 +186,8 @@ def poor_odometry(mission: Mission, fraction: float, rng: np.random.Generator, t
     z[:, 2] = wrap(z[:, 2])
     sigmas[chosen] *= times
     i, j = mission.odometry.keys
-    said = f"{len(chosen)} steps of the odometry are {times:g} times as noisy."
-    return rebuilt(mission, odometry=XYH(i, j, z, Diagonal(sigmas), mission.odometry.form), said=said)
+    note = f"{len(chosen)} steps of the odometry are {times:g} times as noisy."
+    return rebuilt(mission, odometry=XYH(i, j, z, Diagonal(sigmas), mission.odometry.form), note=note)
 
 
 def spoiled(
@@ -211,10 +211,10 @@ def _apart(z: Array, y: Array) -> Array:
     return np.asarray(np.linalg.norm(d / SIGMA_SONAR, axis=1))
 
 
-def _with_contacts(mission: Mission, z: Array, chosen: Index, said: str) -> Mission:
+def _with_contacts(mission: Mission, z: Array, chosen: Index, note: str) -> Mission:
     """The mission with contacts z of which the chosen ones are wrong."""
     pose, target = mission.contacts.keys[:2]
     contacts = RangeAzimuth(pose, target, z, mission.contacts.noise, mission.offset)
     wrong = mission.wrong.copy()
     wrong[chosen] = True
-    return rebuilt(mission, contacts=contacts, wrong=wrong, said=said)
+    return rebuilt(mission, contacts=contacts, wrong=wrong, note=note)

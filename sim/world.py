@@ -148,13 +148,13 @@ def build(
     closures = measure(rng, group, X[i], X[j], sigmas, noise_scale)
     graph = FactorGraph([Between(x[step], x[step + 1], odometry, Diagonal(sigmas))])
     graph.add(Between(x[i], x[j], closures, Diagonal(sigmas)))
-    said = (
+    sentences = (
         f"{description} {n} poses in {group}, {n - 1} odometry measurements and {len(i)} loop closures; standard "
         f"deviation {noise_scale * sigma_t:g} m and {noise_scale * sigma_r:g} rad per component, weighted as "
         f"{sigma_t:g} m and {sigma_r:g} rad. Relative measurements only: the gauge is free."
     )
     truth = Values({x: (group, X)})
-    return World(name, truth, graph, start_from_odometry(truth, odometry), seed_of(rng), said)
+    return World(name, truth, graph, start_from_odometry(truth, odometry), seed_of(rng), sentences)
 
 
 def start_from_odometry(truth: Values, odometry: Array) -> Values:

@@ -257,10 +257,10 @@ def trees(data: Path, images: Path | None) -> list[str]:
     found = {}
     for associate in (JointCompatibility(0.99), Nearest(0.99)):
         ekf, track, seconds = identify(park, associate)
-        found[type(associate).__name__] = np.array(ekf.found)
-        graph, start = park.named(ekf.found, track.X)
+        found[type(associate).__name__] = np.array(ekf.associations)
+        graph, start = park.named(ekf.associations, track.X)
         table.append(park_row(track.method, park.gps_error(track.X), trees_of(graph), seconds))
-    names = np.array(ekf.found)
+    names = np.array(ekf.associations)
     differ = int((found["JointCompatibility"] != names).sum())
     solved, seconds = solve(graph, start)
     table.append(park_row("graph, trees of the EKF", park.gps_error(solved[x]), trees_of(graph), seconds))

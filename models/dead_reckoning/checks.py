@@ -69,8 +69,8 @@ def attitudes(value: npt.ArrayLike, n: int) -> Array:
     _finite("attitude", x)
     if x.shape[1] == 3:
         return quaternion_from_angles(x)
-    if (found := not_unit(x)) is not None:
-        raise GraphError(f"integrate: attitude[{found[0]}]: {found[1]}")
+    if (problem := not_unit(x)) is not None:
+        raise GraphError(f"integrate: attitude[{problem[0]}]: {problem[1]}")
     return x
 
 
@@ -123,10 +123,10 @@ def not_negative(name: str, sigma: npt.ArrayLike) -> Array:
     return np.broadcast_to(x, (3,))
 
 
-def unused(name: str, sigma: npt.ArrayLike | None, given: str) -> None:
+def unused(name: str, sigma: npt.ArrayLike | None, alternative: str) -> None:
     """Refuse the sigma of the sensor that is not given."""
     if sigma is not None:
-        raise OptionError(name, sigma, f"None where {given} is given")
+        raise OptionError(name, sigma, f"None where {alternative} is given")
 
 
 def bridge(sigma: float | None, begin: float, end: float) -> float:
@@ -158,21 +158,21 @@ def turning(sigma: npt.ArrayLike | None, m: int, begin: float, end: float) -> Ar
     return np.broadcast_to(x, (m, 3))
 
 
-def within(b: Array, t: Array, what: str) -> None:
+def within(b: Array, t: Array, record: str) -> None:
     """Refuse boundaries outside of samples: nothing is extrapolated."""
     bad = (b < t[0]) | (b > t[-1])
     if bad.any():
         k = int(np.argmax(bad))
         raise GraphError(
-            f"integrate: boundaries[{k}] = {float(b[k])!r} s is outside of the {what}, which last from "
+            f"integrate: boundaries[{k}] = {float(b[k])!r} s is outside of the {record}, which last from "
             f"{float(t[0])!r} to {float(t[-1])!r} s"
         )
 
 
 def _shaped(name: str, x: Array, n: int, sizes: tuple[int, ...]) -> Array:
     if x.ndim != 2 or len(x) != n or x.shape[1] not in sizes:
-        wanted = " or ".join(f"({n}, {size})" for size in sizes)
-        raise GraphError(f"integrate: {name} has shape {x.shape}, expected {wanted}: one row for each of {n} times")
+        shapes = " or ".join(f"({n}, {size})" for size in sizes)
+        raise GraphError(f"integrate: {name} has shape {x.shape}, expected {shapes}: one row for each of {n} times")
     return x
 
 

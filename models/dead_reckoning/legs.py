@@ -73,13 +73,13 @@ class Legs:
         return len(self.z)
 
     def __str__(self) -> str:
-        said = (
+        summary = (
             f"{len(self)} legs over {self.t[-1] - self.t[0]:.6g} s; the velocity is bridged for "
             f"{self.bridged.sum():.3g} s, in {np.count_nonzero(self.bridged)} of them"
         )
         if self.unturned.any():
-            said += f"; the attitude for {self.unturned.sum():.3g} s, in {np.count_nonzero(self.unturned)}"
-        return said
+            summary += f"; the attitude for {self.unturned.sum():.3g} s, in {np.count_nonzero(self.unturned)}"
+        return summary
 
     def track(self, start: npt.ArrayLike) -> Array:
         """Poses (k + 1, 7) at the boundaries, dead-reckoned from the pose start (7,)."""

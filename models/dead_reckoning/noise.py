@@ -88,6 +88,6 @@ def from_samples(C: Array, leg: Index, mix: Mixture, sigma: Array, k: int, weigh
 def sum_by_leg(terms: Array, leg: Index, k: int) -> Array:
     """Sums (k, ...) of terms (m, ...) over their legs (m,), rising; 0 for a leg without terms."""
     out = np.zeros((k, *terms.shape[1:]))
-    found, first = np.unique(leg, return_index=True)
-    out[found] = np.add.reduceat(terms, first)
+    legs, first = np.unique(leg, return_index=True)
+    out[legs] = np.add.reduceat(terms, first)
     return out

@@ -105,9 +105,9 @@ class Manifold(Abstract):
             raise GraphError(
                 f"{self.name}: elements have shape {np.shape(X)}, expected (n, {self.size}): one element per row"
             )
-        found = self.invalid(Y)
-        if found is not None:
-            raise GraphError(f"{self.name}: element {found[0]} is {Y[found[0]].tolist()}: {found[1]}")
+        problem = self.invalid(Y)
+        if problem is not None:
+            raise GraphError(f"{self.name}: element {problem[0]} is {Y[problem[0]].tolist()}: {problem[1]}")
         return Y
 
     def __repr__(self) -> str:

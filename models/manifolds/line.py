@@ -45,8 +45,8 @@ class LinesOfThePlane(Manifold):
     def local(self, X: Array, Y: Array) -> Array:
         (alpha_x, r_x), (alpha_y, r_y) = components(X), components(Y)
         turn = wrap(alpha_y - alpha_x)
-        other = np.cos(turn) < 0  # the other normal of Y is nearer
-        return pack([np.where(other, wrap(turn + np.pi), turn), np.where(other, -r_y, r_y) - r_x])
+        flipped = np.cos(turn) < 0  # the other normal of Y is nearer
+        return pack([np.where(flipped, wrap(turn + np.pi), turn), np.where(flipped, -r_y, r_y) - r_x])
 
     def identity(self, n: int = 1) -> Array:
         return np.zeros((n, 2))

@@ -144,13 +144,13 @@ class Contacts:
             As `fit`.
         """
         grid = np.linspace(-self.limit, self.limit, 2 * NODES + 1)
-        near, found = self.fit(G, np.insert(self.z[:, :2], 2, -self.limit, axis=1))[0], []
+        near, fits = self.fit(G, np.insert(self.z[:, :2], 2, -self.limit, axis=1))[0], []
         for el in grid:
             near, chi2, _ = self.fit(G, at(el, near))
-            found.append((near, chi2))
-        h, chi2 = np.stack([h for h, _ in found]), np.stack([chi2 for _, chi2 in found])
-        both = [self._bottom(G, h[side], chi2[side]) for side in (slice(NODES + 1), slice(NODES, None))]
-        return np.stack([h for h, _ in both]), np.stack([chi2 for _, chi2 in both])
+            fits.append((near, chi2))
+        h, chi2 = np.stack([h for h, _ in fits]), np.stack([chi2 for _, chi2 in fits])
+        bottoms = [self._bottom(G, h[side], chi2[side]) for side in (slice(NODES + 1), slice(NODES, None))]
+        return np.stack([h for h, _ in bottoms]), np.stack([chi2 for _, chi2 in bottoms])
 
     def best(self, G: Array) -> Array:
         """The points (m, 3) of lowest chi2; of those that fit alike the one on the plane el = 0, then that below it.

@@ -189,11 +189,11 @@ class Camera:
         """
         p = np.asarray(p, dtype=float)
         X, Y, Z = components(np.where(np.isfinite(p).all(axis=-1, keepdims=True), p, [0.0, 0.0, -1.0]))
-        seen: npt.NDArray[np.bool_] = np.logical_and(~_behind(X, Y, Z), np.hypot(X, Y) / self.reach < Z)
+        visible: npt.NDArray[np.bool_] = np.logical_and(~_behind(X, Y, Z), np.hypot(X, Y) / self.reach < Z)
         if self.size is not None:
-            h, _ = self.project(np.where(seen[:, None], p, [0.0, 0.0, 1.0]))
-            seen &= ((h >= 0) & (h <= self.size)).all(axis=-1)
-        return seen
+            h, _ = self.project(np.where(visible[:, None], p, [0.0, 0.0, 1.0]))
+            visible &= ((h >= 0) & (h <= self.size)).all(axis=-1)
+        return visible
 
     def _distorted(self, m: Array) -> tuple[Array, Array]:
         """d(m) (n, 2) and D (n, 2, 2)."""
@@ -222,9 +222,9 @@ class Camera:
             step = product(_inverse(self._distorted(m)[1]), e[..., None])[..., 0]
             trial = m + t[:, None] * step
             left = d - self._distorted(trial)[0]
-            taken = (dot(trial, trial) < self.reach**2) & (dot(left, left) < dot(e, e)) & ~done
-            m, e = np.where(taken[:, None], trial, m), np.where(taken[:, None], left, e)
-            t = np.where(taken, np.minimum(2 * t, 1.0), t / 2)
+            accepted = (dot(trial, trial) < self.reach**2) & (dot(left, left) < dot(e, e)) & ~done
+            m, e = np.where(accepted[:, None], trial, m), np.where(accepted[:, None], left, e)
+            t = np.where(accepted, np.minimum(2 * t, 1.0), t / 2)
         return m, np.asarray(dot(e, e) <= EXACT**2)
 
 

@@ -53,8 +53,8 @@ def dvl_velocity(v: Array, w: Array, mount: Array) -> tuple[Array, tuple[Array, 
     R_inv = rotation3(q).mT  # R_bd'
     v_d = apply(R_inv, v + np.cross(w, a))
     H_mount = np.concatenate([skew(apply(R_inv, w)), skew(v_d)], axis=-1)
-    each = (len(v_d), 3, 3)
-    return v_d, (np.broadcast_to(R_inv, each), np.broadcast_to(-product(R_inv, skew(a)), each), H_mount)
+    shape = (len(v_d), 3, 3)
+    return v_d, (np.broadcast_to(R_inv, shape), np.broadcast_to(-product(R_inv, skew(a)), shape), H_mount)
 
 
 @dataclass(frozen=True)

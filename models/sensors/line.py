@@ -48,9 +48,9 @@ def line_in_frame(X: Array, l: Array) -> tuple[Array, tuple[Array, Array]]:
     x, y, theta = components(X)
     alpha, r = components(l)
     c, s = np.cos(alpha), np.sin(alpha)
-    seen = wrap(alpha - theta)
-    H_X = matrix([[0.0, 0.0, -1.0], [-np.cos(seen), -np.sin(seen), 0.0]])
-    return pack([seen, r - (x * c + y * s)]), (H_X, matrix([[1.0, 0.0], [x * s - y * c, 1.0]]))
+    azimuth = wrap(alpha - theta)
+    H_X = matrix([[0.0, 0.0, -1.0], [-np.cos(azimuth), -np.sin(azimuth), 0.0]])
+    return pack([azimuth, r - (x * c + y * s)]), (H_X, matrix([[1.0, 0.0], [x * s - y * c, 1.0]]))
 
 
 def line_from_frame(X: Array, z: Array) -> Array:
@@ -63,8 +63,8 @@ def line_from_frame(X: Array, z: Array) -> Array:
     array([[ 0., 10.]])
     """
     x, y, theta = components(X)
-    seen, r = components(z)
-    alpha = wrap(seen + theta)
+    azimuth, r = components(z)
+    alpha = wrap(azimuth + theta)
     return pack([alpha, r + x * np.cos(alpha) + y * np.sin(alpha)])
 
 

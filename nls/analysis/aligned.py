@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Position, Seen
+from factors import Position, Sighting
 from models import SE2, SE3
 from models.alignment import align
 from models.errors import UnderconstrainedError
@@ -54,7 +54,7 @@ def aligned(graph: FactorGraph, values: Values) -> Values:
         measured.append(model.z)
         here.append(model.factor.predict(model.manifolds, *X)[0])
     T = align(np.concatenate(measured), np.concatenate(here))
-    points = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Seen)}
+    points = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting)}
     moved = {}
     for kind, stack in start.stacks.items():
         if stack.manifold is group:

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import numpy.typing as npt
 
-from factors import Prior, Seen
+from factors import Prior, Sighting
 from factors.base import Factor
 from factors.keys import Keys
 from factors.replaced import replaced
@@ -31,7 +31,7 @@ def landmark_factors(graph: FactorGraph, values: Values) -> list[int]:
     """Numbers of the factors that see landmarks."""
     seen = []
     for k, factor in enumerate(graph.factors):
-        if isinstance(factor, Seen):
+        if isinstance(factor, Sighting):
             manifolds = values.gather(factor)[0].manifolds
             if manifolds[1] is not manifolds[0]:
                 seen.append(k)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import Seen
+from factors import Sighting
 from factors.keys import Keys
 from models import LieGroup
 from models.algebra import Array
@@ -47,7 +47,7 @@ def sights(pattern: Pattern, values: Values, points: Index) -> dict[int, Sight]:
     count = np.zeros(len(pattern.dims), dtype=np.intp)
     for batch in pattern.batches:
         factor = batch.model.factor
-        if not isinstance(factor, Seen) or batch.model.manifolds[1] is batch.model.manifolds[0]:
+        if not isinstance(factor, Sighting) or batch.model.manifolds[1] is batch.model.manifolds[0]:
             continue
         which = np.flatnonzero(np.isin(batch.variables[1], points))
         if not len(which):

@@ -151,7 +151,7 @@ def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pa
             f"observability: {key} is what gauge {gauge!r} holds, so it is known by choice; fix another variable",
             [key],
         )
-    return decided.pattern, decided.held, decided.said
+    return decided.pattern, decided.held, decided.description
 
 
 def _place(pattern: Pattern, key: Keys) -> int:

@@ -22,15 +22,15 @@ def explain(options: argparse.Namespace) -> int:
     import nls
     from nls.cli import outliers
     from nls.cli.formats import read
-    from nls.cli.prepared import prepared
+    from nls.cli.preparation import prepare
     from nls.cli.progress import Progress
 
     refuse_unwritable(json=options.json, read=options.file)
-    if outliers.wanted(options.robust):
+    if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)
     options.phase.doing = f"while explaining {options.file}"
-    graph = prepared(as_read, values, report, options)
+    graph = prepare(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)
@@ -78,5 +78,5 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
     explanation = nls.explain(graph, values)
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, values))
     finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
-    others = tuple(other for other in explanation.findings if other.kind is not FindingKind.NO_OPTIMUM)
-    return replace(explanation, findings=(finding, *others)), how
+    findings = tuple(entry for entry in explanation.findings if entry.kind is not FindingKind.NO_OPTIMUM)
+    return replace(explanation, findings=(finding, *findings)), how

@@ -67,7 +67,7 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
     from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
-    from nls.io.unused import left_out
+    from nls.io.unused_lines import left_out
 
     if form in TRAJECTORIES:
         data, notes = _trajectory(path, form, graph, values, report)
@@ -79,9 +79,9 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
-    with _renamed(graph, values, form) as (graph, values, said):
+    with _renamed(graph, values, form) as (graph, values, changes):
         data, notes = io.rendered(path, graph, values, report, form)
-    return data, said + notes
+    return data, changes + notes
 
 
 def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> None:
@@ -92,7 +92,7 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     GraphError
     """
     from nls.io.dialects import FORMATS
-    from nls.io.unused import appended
+    from nls.io.unused_lines import appended
     from nls.io.write import refuse_unwritable_graph
 
     if form not in FORMATS:
@@ -107,13 +107,13 @@ def _renamed(graph: FactorGraph, values: Values, form: str) -> Iterator[tuple[Fa
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
     from nls.io.dialects import FORMATS
-    from nls.io.renamed import renamed
+    from nls.io.kind_names import with_known_kinds
 
-    graph, values, said = renamed(graph, values, FORMATS[form].apart)
+    graph, values, changes = with_known_kinds(graph, values, FORMATS[form].apart)
     try:
-        yield graph, values, said
+        yield graph, values, changes
     except GraphError as error:
-        raise GraphError("; ".join([str(error), *said]), error.keys, error.factor) from error
+        raise GraphError("; ".join([str(error), *changes]), error.keys, error.factor) from error
 
 
 def _trajectory(

@@ -26,18 +26,18 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     options : of ``nls solve``.
     written : files that exist by now.
     """
-    wrong = outliers.wanted(options.robust)
+    wrong = outliers.is_gnc(options.robust)
     if wrong and options.output in written and options.to is None:
         return shlex.join(["nls", "explain", _named(options.output)])
     words = ["nls", "explain", _named(options.file)]
-    given = {
+    options_of_solve = {
         "--dialect": options.dialect if options.dialect != "auto" else None,
         "--convention": options.convention if options.convention != "g2o" else None,
         "--elevation": options.elevation,
         "--init": options.init if options.init != "auto" else None,
         "--robust": None if wrong else options.robust,
     }
-    words += [word for name, value in given.items() if value is not None for word in (name, value)]
+    words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
     words += ["--repair-information"] * options.repair_information
     words += [word for kind in options.hold for word in ("--hold", kind)]
     return shlex.join(words)

@@ -19,13 +19,13 @@ def info(options: argparse.Namespace) -> int:
     refuse_unwritable(json=options.json, read=options.file)
     graph, values, report = read(options)
     options.phase.doing = f"while inspecting {options.file}"
-    found = inspect(graph, values)
+    facts = inspect(graph, values)
     head = {"input": report.path, "format": report.format, "dimension": report.dimension}
     options.phase.now("while writing the report")
-    write_json(head | {"tags": report.tags, "notes": report.notes} | found, options.json)
+    write_json(head | {"tags": report.tags, "notes": report.notes} | facts, options.json)
     if options.json != "-":
         print(replace(report, notes=[note for note in report.notes if note not in report.warnings]))  # already said
-        print("\n".join(f"  {name.replace('_', ' '):26s} {_shown(value)}" for name, value in found.items()))
+        print("\n".join(f"  {name.replace('_', ' '):26s} {_shown(value)}" for name, value in facts.items()))
     return 0
 
 

@@ -69,10 +69,10 @@ class Job:
         """Seconds by stage so far."""
         return self.clock.timings(self.result.timings, self.stages)
 
-    def told(self) -> dict[str, Any]:
+    def additions(self) -> dict[str, Any]:
         """What a mission, a choice and a certificate add to the report for programs."""
-        from nls.cli import certified, outliers
+        from nls.cli import certificate, outliers
 
         record: dict[str, Any] = {} if self.solved is None else {"mission": self.solved.record()}
         record |= {} if self.choice is None else outliers.record(self.choice)
-        return record | ({} if self.certificate is None else {"certificate": certified.record(self.certificate)})
+        return record | ({} if self.certificate is None else {"certificate": certificate.record(self.certificate)})

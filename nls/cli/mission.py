@@ -43,10 +43,10 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
     if Path(folder).suffix in SUFFIXES and not os.path.isdir(folder):
         raise OptionError("output folder", folder, "a folder: the solution of a mission is several files")
     path = Path(folder)
-    there = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
-    if not folder or folder == "-" or not os.path.isdir(there):
+    existing = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
+    if not folder or folder == "-" or not os.path.isdir(existing):
         raise OptionError("output folder", folder, "a folder, or the name of one to be made: the input is a mission")
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not os.access(existing, os.W_OK | os.X_OK):
         raise OptionError("output folder", folder, "a folder you may write to")
     if os.path.exists(path) and os.path.samefile(path, mission):
         raise OptionError("output folder", folder, "another folder than that of the mission")
@@ -136,11 +136,11 @@ class Solved:
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
         """What to write where: functions that take the name of the file, and the names."""
         writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
-        seen = self.contacts and self.report.sonar is not None
+        has_elevations = self.contacts and self.report.sonar is not None
         return [
             (write, str(Path(folder, name)))
             for write, name in zip(writers, FILES, strict=True)
-            if seen or name.startswith("tra")
+            if has_elevations or name.startswith("tra")
         ]
 
     def _tum(self, path: str) -> None:
@@ -202,18 +202,18 @@ class Solved:
             "judge": first.against,
             "distance_m": first.distance,
         }
-        for name, found in self.tracks.items():
+        for name, track in self.tracks.items():
             out[name.replace(" ", "_")] = {
-                "drift_percent": 100 * found.drift,
-                "end_error_m": found.end,
-                "ate_rmse_m": found.ate.rmse,
-                "ate_alignment": found.ate.align,
+                "drift_percent": 100 * track.drift,
+                "end_error_m": track.end,
+                "ate_rmse_m": track.ate.rmse,
+                "ate_alignment": track.ate.align,
             }
         if self.contacts and "l" in self.report.truth.stacks:
             known = self.report.truth.stack("l").numbers
-            both = l[known[np.isin(known, self.values.stack("l").numbers)]]
-            away = self.values[both] - self.report.truth[both]
-            out["landmark_rmse_m"] = float(np.sqrt(np.square(away).sum(axis=1).mean())) if len(both) else None
+            landmarks = l[known[np.isin(known, self.values.stack("l").numbers)]]
+            away = self.values[landmarks] - self.report.truth[landmarks]
+            out["landmark_rmse_m"] = float(np.sqrt(np.square(away).sum(axis=1).mean())) if len(landmarks) else None
         if "elevations" in vars(self) and (known := np.isfinite(self.elevations.sigma)).any():  # with files
             sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}

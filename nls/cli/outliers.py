@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["chosen", "doubtful", "kept", "left_out", "record", "rows", "wanted"]
+__all__ = ["chosen", "doubtful", "is_gnc", "left_out", "record", "rows", "without_rejected"]
 
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
 SHOWN = 6  # rejected measurements in the table
 
 
-def wanted(robust: str | None) -> bool:
+def is_gnc(robust: str | None) -> bool:
     """Whether the option asks for graduated non-convexity, not for a kernel."""
     return bool(robust and robust.rpartition("=")[2].startswith(NAME))
 
@@ -51,14 +51,14 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     return nls.gnc(graph, values, loss, probability)
 
 
-def record(found: Robustified) -> dict[str, Any]:
+def record(choice: Robustified) -> dict[str, Any]:
     """For programs."""
     return {
-        "doubted": found.doubted,
-        "sigma0": found.sigma0,
-        "sigma0_between_neighbors": found.local,
-        "strain": found.strain,
-        "rejected": [{"factor": each.factor, "sigmas": each.sigmas} for each in found.rejected],
+        "doubted": choice.doubted,
+        "sigma0": choice.sigma0,
+        "sigma0_between_neighbors": choice.local,
+        "strain": choice.strain,
+        "rejected": [{"factor": measurement.factor, "sigmas": measurement.sigmas} for measurement in choice.rejected],
         "doubts": [
             {
                 "kind": d.kind.name,
@@ -68,7 +68,7 @@ def record(found: Robustified) -> dict[str, Any]:
                 "part": d.part,
                 "sentence": str(d),
             }
-            for d in found.doubts
+            for d in choice.doubts
         ],
         "unverified": [
             {
@@ -78,32 +78,32 @@ def record(found: Robustified) -> dict[str, Any]:
                 "rms": group.rms,
                 "sigmas": group.sigmas,
             }
-            for group in found.unverified
+            for group in choice.unverified
         ],
     }
 
 
-def rows(found: Robustified) -> list[str]:
+def rows(choice: Robustified) -> list[str]:
     """For the table."""
-    first, *others = found.report(SHOWN)
-    return [f"rejected    {first}", *(f"          {line}" for line in others)]
+    first, *lines = choice.report(SHOWN)
+    return [f"rejected    {first}", *(f"          {line}" for line in lines)]
 
 
-def doubtful(found: Robustified | None, allowed: bool) -> bool:
+def doubtful(choice: Robustified | None, allowed: bool) -> bool:
     """Whether the choice is in doubt, and the user did not allow that; said on standard error."""
-    if found is None or allowed or not found.doubts:
+    if choice is None or allowed or not choice.doubts:
         return False
-    reasons = "; ".join(map(str, found.doubts))
+    reasons = "; ".join(map(str, choice.doubts))
     print(f"nls: doubtful: {reasons}; take the estimate with --allow-doubtful", file=sys.stderr)
     return True
 
 
-def kept(as_read: FactorGraph, found: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:
+def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[FactorGraph, LoadReport]:
     """The graph as read without the rejected measurements, and its report: the times and lines of the rest.
 
     The given report stays that of the whole graph; both have one list of notes.
     """
-    masks = [weight > 0 for weight in found.weights]
+    masks = [weight > 0 for weight in choice.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
     factor_times = [
@@ -117,7 +117,7 @@ def kept(as_read: FactorGraph, found: Robustified, report: LoadReport) -> tuple[
     return graph, replace(report, factor_times=factor_times, sources=sources)
 
 
-def left_out(found: Robustified, output: str | None) -> list[str]:
+def left_out(choice: Robustified, output: str | None) -> list[str]:
     """The note on what the output does not hold."""
-    count = len(found.rejected)
+    count = len(choice.rejected)
     return [f"{output} holds the graph without the {count} rejected measurements"] if output and count else []

@@ -57,10 +57,10 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
     from models.errors import OptionError
     from nls.io.files import descriptor, names_folder
 
-    seen: set[object] = set()
+    identities: set[object] = set()
     for name in [graph, *names, None if json == "-" else json]:
         if name is not graph and read:
-            seen |= _inputs(read)
+            identities |= _inputs(read)
         if name is None:
             continue
         if name == "-":
@@ -75,7 +75,7 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
         folder = os.path.dirname(os.path.realpath(name)) if number is None else "/"
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
             raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
-        if _identity(name) in seen:
+        if _identity(name) in identities:
             same = "this is the input" if read and _identity(name) in _inputs(read) else "another output has this one"
             raise OptionError("output file", name, f"another name: {same}")
         special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
@@ -88,7 +88,7 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
         elif not special and not os.access(folder, os.W_OK | os.X_OK):
             raise OptionError("output file", name, "a file in a folder you may write to")
         if not special:
-            seen.add(_identity(name))
+            identities.add(_identity(name))
 
 
 def _writable(number: int) -> bool:

@@ -80,8 +80,8 @@ class Parser(argparse.ArgumentParser):
 class Once(argparse.Action):
     """An option that is refused where it is given twice: the first would be lost."""
 
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *given: Any) -> None:
-        value, option = given
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *arguments: Any) -> None:
+        value, option = arguments
         if getattr(namespace, self.dest) is not None:
             parser.error(f"{option} is given twice; expected one")
         setattr(namespace, self.dest, value)
@@ -100,11 +100,11 @@ def parser() -> Parser:
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(name: str, what: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    def command(name: str, summary: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
-        about = f"{what[0].upper()}{what[1:]}."
+        about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
-        added = commands.add_parser(name, help=what, description=about, epilog=epilog, formatter_class=form)
+        added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=run)
         _input(added)
         return added

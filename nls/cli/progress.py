@@ -16,21 +16,21 @@ class Progress:
 
     Parameters
     ----------
-    what : is done.
+    title : is done.
     most : iterations, as far as that is known.
     quiet : nothing on a terminal either.
     """
 
-    def __init__(self, what: str, most: int | None = None, quiet: bool = False) -> None:
+    def __init__(self, title: str, most: int | None = None, quiet: bool = False) -> None:
         self.bar: Any = None
-        self.wanted = sys.stderr.isatty() and not quiet
-        self.what, self.most = what, most
+        self.active = sys.stderr.isatty() and not quiet
+        self.title, self.most = title, most
 
     def __enter__(self) -> Progress:
-        if self.wanted:
+        if self.active:
             from tqdm import tqdm
 
-            self.bar = tqdm(total=self.most, desc=self.what, unit="it", leave=False)
+            self.bar = tqdm(total=self.most, desc=self.title, unit="it", leave=False)
         return self
 
     def show(self, iteration: Iteration) -> None:
@@ -39,10 +39,10 @@ class Progress:
             self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")
             self.bar.update()
 
-    def next(self, what: str) -> None:
+    def next(self, title: str) -> None:
         """Something else is done now."""
         if self.bar is not None:
-            self.bar.set_description_str(what)
+            self.bar.set_description_str(title)
 
     def __exit__(self, *_: object) -> None:
         if self.bar is not None:

@@ -42,8 +42,8 @@ def _checked(options: argparse.Namespace) -> Job:
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
-    others = options.covariance, options.plot, options.report
-    refuse_unwritable(*others, json=options.json, graph=None if mission else options.output, read=options.file)
+    output_files = options.covariance, options.plot, options.report
+    refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=options.file)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
@@ -70,7 +70,7 @@ def _refuse_output(job: Job) -> None:
     if form in FORMATS and not FORMATS[form].holds_values:
         allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
         raise OptionError("output file", options.output, allowed)
-    if outliers.wanted(options.robust):
+    if outliers.is_gnc(options.robust):
         refuse_loss(options, f"{options.robust} leaves out the measurements it rejects")
 
 
@@ -78,7 +78,7 @@ def _read(job: Job) -> None:
     """Graph, values and start."""
     from nls.cli import formats
     from nls.cli.outputs import refuse_loss
-    from nls.cli.prepared import prepared
+    from nls.cli.preparation import prepare
     from nls.stages import collected
 
     options = job.options
@@ -87,7 +87,7 @@ def _read(job: Job) -> None:
         if job.form and job.form != job.report.format:
             refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
-        job.graph = prepared(job.as_read, job.values, job.report, options)
+        job.graph = prepare(job.as_read, job.values, job.report, options)
         job.clock.lap("read")
         _start(job)
         job.chi2_read = _chi2_read(job)
@@ -102,7 +102,7 @@ def _start(job: Job) -> None:
     from nls.cli.solve_outputs import write_free
 
     options = job.options
-    if not outliers.wanted(options.robust):
+    if not outliers.is_gnc(options.robust):
         job.start, job.init, job.starts = nls.initialize(job.graph, job.values, options.init)
         return
     try:
@@ -112,7 +112,7 @@ def _start(job: Job) -> None:
         write_free(job, error)
         raise
     job.graph, job.start, job.init = choice.graph, choice.result.values, options.robust
-    job.as_read, job.report = outliers.kept(job.as_read, choice, job.report)
+    job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
     job.report.notes += outliers.left_out(choice, options.output)
     job.starts = {job.init: choice.result.chi2_final}
 
@@ -206,7 +206,7 @@ def _draw(job: Job) -> None:
 def _report(job: Job) -> None:
     """The report for programs and the table."""
     from models.errors import GraphFileError
-    from nls.cli import certified, outliers
+    from nls.cli import certificate, outliers
     from nls.cli.solve_report import record_of, table
 
     options, written = job.options, job.options.phase.written
@@ -222,7 +222,7 @@ def _report(job: Job) -> None:
         job.failed.append(error)
     if not options.quiet and options.json != "-":
         rows = [] if job.choice is None else outliers.rows(job.choice)
-        rows += [] if job.certificate is None else certified.rows(job.certificate)
+        rows += [] if job.certificate is None else certificate.rows(job.certificate)
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
 

@@ -20,7 +20,7 @@ Output = tuple[Callable[[str], None], str | None]
 def write_outputs(job: Job) -> None:
     """Write every output but the reports."""
     from models.errors import GraphFileError
-    from nls.io.files import made
+    from nls.io.files import new_folder
 
     options = job.options
     outputs: list[Output] = [(lambda path: _covariance(job, path), options.covariance)]
@@ -33,7 +33,7 @@ def write_outputs(job: Job) -> None:
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
     try:
-        with made(options.output):
+        with new_folder(options.output):
             attempt(job, job.solved.outputs(options.output))
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)

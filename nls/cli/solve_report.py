@@ -20,7 +20,7 @@ def record_of(job: Job) -> dict[str, Any]:
     from nls.cli.hint import doubts, separate_parts
     from nls.cli.timing import peak_rss_mb
 
-    options, result, report, told = job.options, job.result, job.report, job.told()
+    options, result, report, additions = job.options, job.result, job.report, job.additions()
     parts = separate_parts(job.graph, result.values)
     return {
         "schema": SCHEMA,
@@ -28,7 +28,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "format": report.format,
         "dimension": report.dimension,
         "variables": len(job.values),
-        "factors": len(job.graph) + len(told.get("rejected", ())),
+        "factors": len(job.graph) + len(additions.get("rejected", ())),
         "convention": report.convention,
         "robust": options.robust,
         "held": options.hold,
@@ -48,7 +48,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "rule": result.rule,
         "reused": result.reused,
         "attempts": [vars(attempt) | {"status": attempt.status.name} for attempt in result.attempts],
-        **told,
+        **additions,
         "history": [_record(iteration) for iteration in result.history],
         "timings": job.timings,
         "underconstrained": list(result.underconstrained),

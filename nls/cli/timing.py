@@ -17,7 +17,7 @@ PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iter
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)
 AFTER = ("other", "write", "certify", "report", "process")
 SUMS = ("solved", "total", "process")
-SAID = {
+MEANINGS = {
     "startup": "interpreter, up to the command line; processor time",
     "imports": "NumPy, SciPy, the library, the linear solver",
     "read": "file, numbers, graph",
@@ -61,8 +61,8 @@ class Clock:
         out = {"read": seconds["read"], "init": seconds["init"], **optimize}
         out["other"] = whole - sum(optimize.values())
         out["solved"] = seconds["read"] + seconds["init"] + whole
-        told = ("check", "write", "certify", "report", "startup", "imports")
-        out |= {name: seconds[name] for name in told if name in seconds}
+        optional = ("check", "write", "certify", "report", "startup", "imports")
+        out |= {name: seconds[name] for name in optional if name in seconds}
         out["total"] = out["solved"] + sum(out.get(name, 0.0) for name in ("check", "write", "certify", "report"))
         out["process"] = out["total"] + out["startup"] + out["imports"]
         return out | stages
@@ -79,7 +79,7 @@ def table(timings: dict[str, float]) -> list[str]:
     whole = timings["process"]
     lines = ["time               ms       %"]
     for row in rows(timings):
-        lines.append(f"{row:11s} {_shares(timings[row], whole)}   {SAID.get(row, '')}".rstrip())
+        lines.append(f"{row:11s} {_shares(timings[row], whole)}   {MEANINGS.get(row, '')}".rstrip())
         inside = [(name, s) for name, s in timings.items() if name.startswith(f"{row} ")]
         lines += [f"  {name.removeprefix(row):9s} {_shares(s, whole)}" for name, s in inside]
     return lines
@@ -87,11 +87,13 @@ def table(timings: dict[str, float]) -> list[str]:
 
 def iterations(history: Sequence[Iteration]) -> list[str]:
     """Lines: milliseconds of the parts of every iteration; the start is only linearized."""
-    parts = dict.fromkeys((*PARTS, *(part for it in history for part in it.seconds)))
-    lines = ["iteration " + "".join(f"{part:>11s}" for part in parts) + "          ms"]
-    for it in history:
-        seconds = [it.seconds.get(part, 0.0) for part in parts]
-        lines.append(f"{it.number:9d} " + "".join(f"{1e3 * s:11.2f}" for s in seconds) + f"{1e3 * sum(seconds):12.2f}")
+    parts = dict.fromkeys((*PARTS, *(stage for iteration in history for stage in iteration.seconds)))
+    lines = ["iteration " + "".join(f"{stage:>11s}" for stage in parts) + "          ms"]
+    for iteration in history:
+        seconds = [iteration.seconds.get(stage, 0.0) for stage in parts]
+        lines.append(
+            f"{iteration.number:9d} " + "".join(f"{1e3 * s:11.2f}" for s in seconds) + f"{1e3 * sum(seconds):12.2f}"
+        )
     return lines
 
 

@@ -73,7 +73,7 @@ def free_part(
     ResourceLimitError
         There are so many components that the columns would not fit.
     """
-    gauge, rest = gauge_columns(held, free)
+    gauge, complement = gauge_columns(held, free)
     needed = 6 * 8.0 * free.n * len(gauge)
     if needed > memory_limit:
         raise ResourceLimitError(
@@ -85,7 +85,8 @@ def free_part(
         )
     A = LinearSystem.at(free, values).A
     try:
-        directions = free_directions(A, gauge, rest, factorization.solve((A[:, rest].T @ A[:, gauge]).toarray()))
+        unheld = factorization.solve((A[:, complement].T @ A[:, gauge]).toarray())
+        directions = free_directions(A, gauge, complement, unheld)
     except SingularSystemError as error:
         raise GraphError(
             "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
@@ -94,5 +95,5 @@ def free_part(
     of_all = np.flatnonzero(np.repeat(~free.held, free.dims))
     Q, B = np.zeros((2, int(free.dims.sum()), len(gauge)))
     Q[of_all] = directions
-    B[of_all[rest]] = factorization.solve(Q[of_all[rest]])
+    B[of_all[complement]] = factorization.solve(Q[of_all[complement]])
     return FreePart(Q, B)

@@ -114,7 +114,7 @@ class Marginals:
             self._factorization = factorize(system, linear_solver)
         except SingularSystemError as error:
             raise underconstrained(system) from error
-        self.gauge = decided.said
+        self.gauge = decided.description
         self._free: FreePart | None = None
         if decided.free:
             self._free = free_part(
@@ -203,8 +203,8 @@ class Marginals:
         for _ in range(2):  # J Sigma, then J (J Sigma)' = J Sigma J'
             ends = np.cumsum([c.size for c in columns])[:-1]
             rows = [
-                part if J is None else (J @ part.reshape(*c.shape, -1)).reshape(-1, part.shape[1])
-                for part, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
+                block if J is None else (J @ block.reshape(*c.shape, -1)).reshape(-1, block.shape[1])
+                for block, c, (J, _) in zip(np.split(Sigma, ends), columns, shown, strict=True)
             ]
             Sigma = np.concatenate(rows).T
         widths = [len(names) for batch, (_, names) in zip(batches, shown, strict=True) for _ in batch]
@@ -257,10 +257,10 @@ class Marginals:
         Sigma, a = np.zeros((k, k)), self._column[columns]
         free = np.flatnonzero(a >= 0)
         for begin in range(0, len(free), ONE_BLOCK):
-            part = free[begin : begin + ONE_BLOCK]
-            E = np.zeros((n, len(part)))
-            E[a[part], np.arange(len(part))] = 1.0
-            Sigma[free[:, None], part] = self._factorization.solve(E)[a[free]]
+            span = free[begin : begin + ONE_BLOCK]
+            E = np.zeros((n, len(span)))
+            E[a[span], np.arange(len(span))] = 1.0
+            Sigma[free[:, None], span] = self._factorization.solve(E)[a[free]]
         if self._free is not None:
             Sigma = self._free.moved(Sigma, columns, columns)
         return (Sigma + Sigma.T) / 2

@@ -146,7 +146,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         measurements=len(graph),
         rows=measured_rows(pattern),
         components=_sizes(pattern, moving(pattern)),
-        gauge=gauge.said,
+        gauge=gauge.description,
         nullity=free.count,
         capped=free.more,
         chi2=chi2,

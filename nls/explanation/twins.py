@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import Seen
+from factors import Sighting
 from factors.keys import Keys
 from models import R
 from models.advice import Advice
@@ -53,7 +53,7 @@ def _poses(pattern: Pattern, points: Index) -> dict[int, set[int]]:
     """From which variables each point is seen."""
     seen: dict[int, set[int]] = {int(v): set() for v in points}
     for batch in pattern.batches:
-        if isinstance(batch.model.factor, Seen):
+        if isinstance(batch.model.factor, Sighting):
             which = np.isin(batch.variables[1], points)
             for v, pose in zip(batch.variables[1][which].tolist(), batch.variables[0][which].tolist(), strict=True):
                 seen[v].add(pose)

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Kind
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
@@ -103,9 +103,9 @@ def assignment(d2: Array, gate: float) -> Index:
     outside = d2 > gate
     cost = np.concatenate([np.where(outside, 2 * gate, d2), np.full((n, n), gate)], axis=1)  # n places for what is left
     _, at = linear_sum_assignment(cost)
-    found = at < m
-    found[found] = ~outside[found, at[found]]
-    return np.where(found, at, -1)
+    paired = at < m
+    paired[paired] = ~outside[paired, at[paired]]
+    return np.where(paired, at, -1)
 
 
 def jcbb(pairs: Index, nu: Array, S: Array, n: int, probability: float) -> Index:
@@ -146,7 +146,7 @@ def jcbb(pairs: Index, nu: Array, S: Array, n: int, probability: float) -> Index
     best: list[int] = []
     least, nodes = 0.0, 0
 
-    def branch(i: int, chosen: list[int], taken: frozenset[int], W: Array, y: Array, d2: float) -> None:
+    def branch(i: int, chosen: list[int], used: frozenset[int], W: Array, y: Array, d2: float) -> None:
         """Pairings of sightings i and later, below those chosen; S_chosen = L L', W = L^-1 S[chosen], y = L^-1 nu."""
         nonlocal best, least, nodes
         nodes += 1
@@ -164,7 +164,7 @@ def jcbb(pairs: Index, nu: Array, S: Array, n: int, probability: float) -> Index
             return
         for k in options[i]:
             landmark = int(pairs[k, 1])
-            if landmark in taken:
+            if landmark in used:
                 continue
             at = slice(k * m, k * m + m)
             L = np.linalg.cholesky(S[at, at] - W[:, at].T @ W[:, at])
@@ -172,14 +172,14 @@ def jcbb(pairs: Index, nu: Array, S: Array, n: int, probability: float) -> Index
             longer = d2 + float(more @ more)
             if longer <= gates[len(chosen) + 1]:
                 rows = np.linalg.solve(L, S[at] - W[:, at].T @ W)
-                branch(i + 1, [*chosen, k], taken | {landmark}, np.vstack([W, rows]), np.concatenate([y, more]), longer)
-        branch(i + 1, chosen, taken, W, y, d2)
+                branch(i + 1, [*chosen, k], used | {landmark}, np.vstack([W, rows]), np.concatenate([y, more]), longer)
+        branch(i + 1, chosen, used, W, y, d2)
 
     branch(0, [], frozenset(), np.zeros((0, len(S))), np.zeros(0), 0.0)
-    found = np.full(n, -1)
+    landmarks = np.full(n, -1)
     for k in best:
-        found[pairs[k, 0]] = pairs[k, 1]
-    return found
+        landmarks[pairs[k, 0]] = pairs[k, 1]
+    return landmarks
 
 
 @dataclass(frozen=True)
@@ -259,12 +259,12 @@ class Score(NamedTuple):
     recall: float
 
 
-def precision_recall(found: npt.ArrayLike, true: npt.ArrayLike) -> Score:
+def precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> Score:
     """How well sightings were given to landmarks, whatever numbers the landmarks were given.
 
     Parameters
     ----------
-    found : (n,) landmark each sighting was given to, in the order of time; -1 where it was left out.
+    associations : (n,) landmark each sighting was given to, in the order of time; -1 where it was left out.
     true : (n,) landmark each sighting is of.
 
     Returns
@@ -285,29 +285,29 @@ def precision_recall(found: npt.ArrayLike, true: npt.ArrayLike) -> Score:
     >>> precision_recall([0, 0, 1, 0], [7, 7, 7, 8])
     Score(precision=0.5, recall=0.5)
     """
-    labels, truth = np.asarray(found), np.asarray(true)
+    labels, truth = np.asarray(associations), np.asarray(true)
     if labels.shape != truth.shape or labels.ndim != 1:
         raise GraphError(f"precision_recall: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
-    given = np.flatnonzero(labels >= 0)
-    _, begin, which = np.unique(labels[given], return_index=True, return_inverse=True)
-    makers, later = given[begin], np.ones(len(given), dtype=bool)
+    paired = np.flatnonzero(labels >= 0)
+    _, begin, label_of = np.unique(labels[paired], return_index=True, return_inverse=True)
+    makers, later = paired[begin], np.ones(len(paired), dtype=bool)
     later[begin] = False
-    right = int((truth[makers][which] == truth[given])[later].sum())
-    made = np.full(len(truth), len(truth))  # when the landmark of each sighting was made
+    right = int((truth[makers][label_of] == truth[paired])[later].sum())
+    creation = np.full(len(truth), len(truth))  # when the landmark of each sighting was made
     for maker in np.sort(makers)[::-1].tolist():
-        made[truth == truth[maker]] = maker
-    due = int((made < np.arange(len(truth))).sum())
+        creation[truth == truth[maker]] = maker
+    due = int((creation < np.arange(len(truth))).sum())
     return Score(right / int(later.sum()) if later.any() else 1.0, right / due if due else 1.0)
 
 
-def identified(sightings: Seen, found: npt.ArrayLike, kind: Kind) -> Seen:
+def identified(sightings: Sighting, associations: npt.ArrayLike, kind: Kind) -> Sighting:
     """Sightings with the landmarks they were given to, those left out left out: for a graph of the same data.
 
     Parameters
     ----------
     sightings : whatever landmarks its measurements name.
-    found : (n,) numbers of landmarks in the order of time (by pose, those of one pose in the order of the factor), -1
-        for a sighting that was left out: `EKF.found`.
+    associations : (n,) numbers of landmarks in the order of time (by pose, those of one pose in the order of the
+        factor), -1 for a sighting that was left out: `EKF.associations`.
     kind : of the landmarks.
 
     Raises
@@ -324,13 +324,13 @@ def identified(sightings: Seen, found: npt.ArrayLike, kind: Kind) -> Seen:
     >>> identified(seen, [5, -1, 6], l), identified(seen, [5, -1, 6], l).z.tolist()
     (Landmark(x[0, 1], l[5, 6]), [[2.0, 0.0], [3.0, 0.0]])
     """
-    numbers = np.asarray(found)
+    numbers = np.asarray(associations)
     if numbers.shape != (len(sightings),):
         raise GraphError(f"{sightings.name}: {numbers.shape} landmarks found for {len(sightings)} sightings")
     of = np.empty_like(numbers)
     of[np.argsort(sightings.keys[0].numbers, kind="stable")] = numbers
-    kept = sightings[of >= 0]
-    assert isinstance(kept, Seen)
-    other = copy(kept)
-    other.keys = (kept.keys[0], kind[of[of >= 0]], *kept.keys[2:])
-    return other
+    associated = sightings[of >= 0]
+    assert isinstance(associated, Sighting)
+    substitute = copy(associated)
+    substitute.keys = (associated.keys[0], kind[of[of >= 0]], *associated.keys[2:])
+    return substitute

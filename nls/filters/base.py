@@ -1,7 +1,7 @@
 r"""What every filter shares: the graph cut into steps, the interface of a filter, the record of a run.
 
-A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is (`seen`). They
-are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
+A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is
+(`observations`). They are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
 
     steps(graph, values)            -> [Step, Step, ...]        by rising number of the pose
     filter.start(step, values)      first step: what is believed of the first pose, and what is seen from there
@@ -48,13 +48,13 @@ class Step:
     ----------
     pose : the pose of this step, one variable.
     motion : factors between the pose before and this one, one measurement each; empty at the first step.
-    seen : all other factors whose latest pose this is, as batches: first priors of landmarks that are seen here for the
-        first time, then the rest in the order of the graph.
+    observations : all other factors whose latest pose this is, as batches: first priors of landmarks that are seen here
+        for the first time, then the rest in the order of the graph.
     """
 
     pose: Keys
     motion: list[Factor] = field(default_factory=list)
-    seen: list[Factor] = field(default_factory=list)
+    observations: list[Factor] = field(default_factory=list)
 
 
 def landmark_kind(graph: FactorGraph) -> str | None:
@@ -65,14 +65,14 @@ def landmark_kind(graph: FactorGraph) -> str | None:
     GraphError
         Several such kinds.
     """
-    others = {keys.kind: keys for factor in graph.factors for keys in factor.keys if keys.kind != POSE}
-    if len(others) > 1:
+    kinds = {keys.kind: keys for factor in graph.factors for keys in factor.keys if keys.kind != POSE}
+    if len(kinds) > 1:
         raise GraphError(
-            f"filters know poses, kind {POSE}, and one kind of landmarks; this graph has kinds {', '.join(others)}. "
+            f"filters know poses, kind {POSE}, and one kind of landmarks; this graph has kinds {', '.join(kinds)}. "
             "Use one number range for all landmarks; what is fixed, such as the offset of a sensor, give as numbers",
-            [keys[[0]] for keys in others.values()],
+            [keys[[0]] for keys in kinds.values()],
         )
-    return next(iter(others), None)
+    return next(iter(kinds), None)
 
 
 def steps(graph: FactorGraph, values: Values) -> list[Step]:
@@ -106,7 +106,7 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     ... ])
     >>> values = Values({x: (SE2, SE2.identity(3), [3, 5, 6]), l: (R(2), [[3, 0], [3, 1]], [8, 9])})
     >>> for step in steps(graph, values):
-    ...     print(step.pose, step.motion, step.seen)
+    ...     print(step.pose, step.motion, step.observations)
     x3 [] [Prior(x3)]
     x5 [Between(x3, x5)] [Landmark(x5, l8)]
     x6 [Between(x5, x6)] [Landmark(x[6, 6], l[8, 9])]
@@ -136,20 +136,20 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
         at = np.searchsorted(numbers, np.stack(poses))  # (slots, n)
         last, earliest = at.max(axis=0), at.min(axis=0)
         moves = len(poses) == len(factor.keys) == 2
-        for here, rows in _groups(last):
+        for k, rows in _groups(last):
             follow = (last[rows] - earliest[rows] == 1) & moves
-            cut[here].motion.extend(_part(factor, row[None]) for row in rows[follow])
+            cut[k].motion.extend(_rows_of(factor, row[None]) for row in rows[follow])
             if not follow.all():
-                cut[here].seen.append(_part(factor, rows[~follow]))
+                cut[k].observations.append(_rows_of(factor, rows[~follow]))
         for keys in factor.keys:
             if keys.kind != POSE:
-                for here, rows in _groups(last):
+                for k, rows in _groups(last):
                     for number in keys.numbers[rows].tolist():
-                        first[number] = min(first.get(number, here), here)
+                        first[number] = min(first.get(number, k), k)
     for factor in reversed(alone):
-        seen = np.array([[first.get(n, 0) for n in keys.numbers.tolist()] for keys in factor.keys])
-        for here, rows in _groups(seen.max(axis=0)):
-            cut[here].seen.insert(0, _part(factor, rows))
+        steps_of_first = np.array([[first.get(n, 0) for n in keys.numbers.tolist()] for keys in factor.keys])
+        for k, rows in _groups(steps_of_first.max(axis=0)):
+            cut[k].observations.insert(0, _rows_of(factor, rows))
     for before, step in pairwise(cut):
         if not step.motion:
             raise GraphError(
@@ -160,7 +160,7 @@ def steps(graph: FactorGraph, values: Values) -> list[Step]:
     return cut
 
 
-def _part(factor: Factor, rows: Index) -> Factor:
+def _rows_of(factor: Factor, rows: Index) -> Factor:
     """Some measurements of a factor; all of them are the factor itself, which may be one that cannot be cut."""
     return factor if len(rows) == len(factor) else factor[rows]
 

@@ -99,8 +99,8 @@ def regular(P: Array) -> npt.NDArray[np.bool_]:
 
 def _spectra(P: Array) -> tuple[Array, Array, Array]:
     """Eigenvalues (n, d) and vectors of the correlation matrices, and sigmas (n, d); nan where P is no covariance."""
-    there = np.logical_and(np.isfinite(P).all(axis=(1, 2)), (np.diagonal(P, axis1=1, axis2=2) > 0).all(axis=1))
-    P = np.where(there[:, None, None], P, np.eye(P.shape[-1]))
+    valid = np.logical_and(np.isfinite(P).all(axis=(1, 2)), (np.diagonal(P, axis1=1, axis2=2) > 0).all(axis=1))
+    P = np.where(valid[:, None, None], P, np.eye(P.shape[-1]))
     scale = np.sqrt(np.diagonal(P, axis1=1, axis2=2))  # meters and radians do not decide what is singular
     values, vectors = np.linalg.eigh(P / (scale[:, :, None] * scale[:, None, :]))
-    return np.where(there[:, None], values, np.nan), vectors, scale
+    return np.where(valid[:, None], values, np.nan), vectors, scale

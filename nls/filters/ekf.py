@@ -25,7 +25,7 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
@@ -34,8 +34,8 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
 from nls.filters.map_state import MapState
+from nls.filters.measurements import Measurements, associated, distances, select, stacked
 from nls.filters.motion import Copies, jacobians, most_likely, slot_of
-from nls.filters.pieces import Piece, associated, distances, part, stacked
 from nls.values import Values
 
 __all__ = ["EKF"]
@@ -118,8 +118,8 @@ class EKF(Filter):
         if not isinstance(associate, Association | None):
             raise OptionError("associate", associate, "an association such as JointCompatibility(0.95), or None")
         if not is_whole(iterations) or iterations < 1 or (first_estimates and iterations > 1):
-            said = "a whole number of at least 1; 1 with first_estimates, which keep their Jacobians"
-            raise OptionError("iterations", iterations, said)
+            expected = "a whole number of at least 1; 1 with first_estimates, which keep their Jacobians"
+            raise OptionError("iterations", iterations, expected)
         self.initial, self.first_estimates, self.prior_sigma = landmarks, first_estimates, sigmas
         self.associate, self.iterations = associate, int(iterations)
         if gate is not None and associate is not None:
@@ -127,7 +127,7 @@ class EKF(Filter):
         if gate is not None and not (is_number(gate) and 0 < gate < 1):
             raise OptionError("gate", gate, "a probability between 0 and 1, such as 0.999, or None")
         self.gate, self.left_out = gate, 0
-        self.found: list[int] = []
+        self.associations: list[int] = []
         self._state: MapState | None = None
 
     @property
@@ -163,19 +163,19 @@ class EKF(Filter):
 
     def start(self, step: Step, values: Values) -> None:
         pose = values.stack(POSE)
-        others = [stack for name, stack in values.stacks.items() if name != POSE]
-        seen = {keys.kind for factor in step.seen for keys in factor.keys} - {POSE}
-        self._kind = next(iter(seen), others[0].kind if others else "l")
-        landmark = values.stack(self._kind).manifold if others else R(2)
+        landmark_stacks = [stack for name, stack in values.stacks.items() if name != POSE]
+        kinds = {keys.kind for factor in step.observations for keys in factor.keys} - {POSE}
+        self._kind = next(iter(kinds), landmark_stacks[0].kind if landmark_stacks else "l")
+        landmark = values.stack(self._kind).manifold if landmark_stacks else R(2)
         self._values, self._spaces = values, {POSE: pose.manifold, self._kind: landmark}
         if self.prior_sigma.ndim and len(self.prior_sigma) != landmark.dim:
             raise OptionError("prior_sigma", self.prior_sigma.tolist(), f"one number, or {landmark.dim} for {landmark}")
-        self._pose, self.found, self.left_out = step.pose, [], 0
-        own = [factor for factor in step.seen if all(keys.kind == POSE for keys in factor.keys)]
+        self._pose, self.associations, self.left_out = step.pose, [], 0
+        own = [factor for factor in step.observations if all(keys.kind == POSE for keys in factor.keys)]
         parts = [(replace(self._copies(factor), n=len(factor)), 0, ()) for factor in own]
         X, Lambda = most_likely(parts, pose.manifold, values[step.pose][None], step.pose)
         self._state = MapState((pose.manifold, landmark), X[0], _inverse(Lambda)[0], self.first_estimates)
-        self._see([factor for factor in step.seen if not any(factor is each for each in own)])
+        self._see([factor for factor in step.observations if not any(factor is own_factor for own_factor in own)])
 
     def step(self, step: Step) -> None:
         state, before = self.state, self._pose
@@ -190,15 +190,15 @@ class EKF(Filter):
         A_i, A_j = jacobians(parts, state.first[None], X_j)
         F = -np.asarray(np.linalg.lstsq(A_j, A_i)[0], dtype=float)
         if np.abs(A_i + A_j @ F).max() > SPENT * np.abs(A_i).max():
-            said = ", ".join(map(repr, step.motion))
+            factors = ", ".join(map(repr, step.motion))
             raise GraphError(
-                f"EKF: {said} together say something of {before} as well, which is past; fuse them to one, or use a "
+                f"EKF: {factors} together say something of {before} as well, which is past; fuse them to one, or use a "
                 "graph",
                 [before, step.pose],
             )
         self._pose = step.pose
         state.predict(X_j[0], F, _inverse(Lambda)[0])
-        self._see(step.seen)
+        self._see(step.observations)
 
     def _copies(self, factor: Factor) -> Copies:
         """The factor for `most_likely`, one measurement for each copy of its variables."""
@@ -216,21 +216,21 @@ class EKF(Filter):
         pieces = [self._identified(factor) for factor in factors]
         pieces = self._spent(pieces, lambda factor: len(factor.keys) == 1, self._chart)
         rows = [None if numbers is None else self.state.rows(numbers) for _, numbers in pieces]
-        known = [part(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
+        known = [select(piece, None if r is None else r >= 0) for piece, r in zip(pieces, rows, strict=True)]
         self._update([self._within(piece) for piece in known])
-        unknown = [part(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
-        self._update(self._spent(unknown, lambda factor: isinstance(factor, Seen) and factor.locates, self._locate))
+        unknown = [select(piece, r < 0) for piece, r in zip(pieces, rows, strict=True) if r is not None]
+        self._update(self._spent(unknown, lambda factor: isinstance(factor, Sighting) and factor.locates, self._locate))
 
-    def _identified(self, factor: Factor) -> Piece:
+    def _identified(self, factor: Factor) -> Measurements:
         """The factor, and the landmark of each measurement, as the graph says or as the association finds."""
         slots = [slot for slot, keys in enumerate(factor.keys) if keys.kind != POSE]
         for keys in factor.keys:
             if keys.kind not in self._spaces:
                 raise GraphError(f"EKF: {factor!r}: landmarks are of kind {self._kind}, not {keys.kind}", factor.keys)
-            if keys.kind == POSE and (other := keys.numbers != self._pose.numbers[0]).any():
-                past = keys[[int(np.argmax(other))]]
+            if keys.kind == POSE and (past_pose := keys.numbers != self._pose.numbers[0]).any():
+                past = keys[[int(np.argmax(past_pose))]]
                 raise GraphError(
-                    f"EKF at {self._pose}: {factor.describe(int(np.argmax(other)))} needs {past}, which is past; a "
+                    f"EKF at {self._pose}: {factor.describe(int(np.argmax(past_pose)))} needs {past}, which is past; a "
                     "filter of the latest pose closes no loops between poses: use FixedLag or a graph",
                     [past],
                     factor.name,
@@ -239,37 +239,37 @@ class EKF(Filter):
             raise GraphError(f"EKF: {factor!r} joins landmarks to each other; use a graph", factor.keys, factor.name)
         if not slots:
             return factor, None
-        if self.associate is None or not isinstance(factor, Seen):
+        if self.associate is None or not isinstance(factor, Sighting):
             return factor, factor.keys[slots[0]].numbers
         numbers = associated(self.state, self.associate, factor, self._copies(factor).model.manifolds)
-        self.found += numbers.tolist()
-        return part((factor, numbers), numbers >= 0)
+        self.associations += numbers.tolist()
+        return select((factor, numbers), numbers >= 0)
 
-    def _within(self, piece: Piece) -> Piece:
+    def _within(self, piece: Measurements) -> Measurements:
         """Without the sightings of known landmarks that are outside of their gate."""
         factor, numbers = piece
-        if self.gate is None or numbers is None or not len(factor) or not isinstance(factor, Seen):
+        if self.gate is None or numbers is None or not len(factor) or not isinstance(factor, Sighting):
             return piece
         model = self._copies(factor).model
         within = distances(self.state, model, self.state.rows(numbers))[0] <= chi2_gate(model.dim, self.gate)
         self.left_out += int((~within).sum())
-        return part(piece, within)
+        return select(piece, within)
 
     def _spent(
-        self, pieces: list[Piece], wanted: Callable[[Factor], bool], add: Callable[[Factor, Index], None]
-    ) -> list[Piece]:
+        self, pieces: list[Measurements], accept: Callable[[Factor], bool], add: Callable[[Factor, Index], None]
+    ) -> list[Measurements]:
         """New landmarks added, each from its first measurement by a factor that is wanted; the measurements left."""
-        rest = []
+        remainder = []
         for factor, numbers in pieces:
             left = np.ones(len(factor), dtype=bool)
-            if numbers is not None and wanted(factor):
+            if numbers is not None and accept(factor):
                 _, first = np.unique(numbers, return_index=True)
                 first = np.sort(first[self.state.rows(numbers[first]) < 0])
                 left[first] = False
                 if len(first):
                     add(factor[first], numbers[first])
-            rest.append(part((factor, numbers), left))
-        return rest
+            remainder.append(select((factor, numbers), left))
+        return remainder
 
     def _chart(self, factor: Factor, numbers: Index) -> None:
         """New landmarks (r,) as their priors say."""
@@ -280,7 +280,7 @@ class EKF(Filter):
 
     def _locate(self, factor: Factor, numbers: Index) -> None:
         """New landmarks (r,) where the latest pose saw them."""
-        assert isinstance(factor, Seen)
+        assert isinstance(factor, Sighting)
         state = self.state
         pose, landmark = state.spaces
         if self.initial == "independent":
@@ -306,7 +306,7 @@ class EKF(Filter):
             G = -np.asarray(np.linalg.solve(A_l, A_x))
         state.add(numbers, L, G, Q)
 
-    def _update(self, pieces: list[Piece]) -> None:
+    def _update(self, pieces: list[Measurements]) -> None:
         """All measurements of known variables at once."""
         state, known = self.state, []
         for factor, numbers in pieces:
@@ -332,10 +332,10 @@ class EKF(Filter):
             if np.abs(delta - before).max() < SETTLED:
                 break
             before = delta
-            there = state.moved(delta)
-            A, columns, b = stacked(there, known)
+            target = state.moved(delta)
+            A, columns, b = stacked(target, known)
             # J_r(delta) in its place lets a shift of everything be seen: NEES 18, not 3.4, of correlated landmarks
-            A[:, :d] = A[:, :d] @ state.turn(state.X, there.X)
+            A[:, :d] = A[:, :d] @ state.turn(state.X, target.X)
             b = b + A @ delta[columns]
         state.update(A, columns, b, self._pose)
 

@@ -97,12 +97,14 @@ class FastSLAM(Filter):
 
     def start(self, step: Step, values: Values) -> None:
         """Draw the first pose from what is measured of it alone, and see what is seen from there."""
-        self.given, self.manifold = values, values.stack(step.pose.kind).manifold
+        self.start_values, self.manifold = values, values.stack(step.pose.kind).manifold
         self.map: ParticleMap | None = None
         self.log_w, self._copied = np.zeros(self.particles), dict[int, tuple[Factor, Copies]]()
-        alone = [f for f in step.seen if self._about(f, step.pose) == "pose"]
+        alone = [f for f in step.observations if self._about(f, step.pose) == "pose"]
         X = np.tile(values[step.pose], (self.particles, 1))
-        self._move(step.pose, X, [(self._copies(f), 0, ()) for f in alone], [f for f in step.seen if f not in alone])
+        self._move(
+            step.pose, X, [(self._copies(f), 0, ()) for f in alone], [f for f in step.observations if f not in alone]
+        )
 
     def step(self, step: Step) -> None:
         """Move every particle to the next pose and weigh it by what is seen there."""
@@ -110,7 +112,7 @@ class FastSLAM(Filter):
         if effective(self.weights) < self.particles / 2:
             self._resample()
         motion = [(self._copies(f), slot_of(f, step.pose), (self.X,)) for f in step.motion]
-        self._move(step.pose, self.X, motion, step.seen)
+        self._move(step.pose, self.X, motion, step.observations)
 
     @property
     def weights(self) -> Array:
@@ -131,13 +133,13 @@ class FastSLAM(Filter):
             return Keys("l", np.zeros(0, dtype=np.int64)), np.zeros((0, 0)), np.zeros((0, 0, 0))
         return self.map.estimate(self.weights)
 
-    def _move(self, pose: Keys, X: Array, motion: Motion, seen: list[Factor]) -> None:
+    def _move(self, pose: Keys, X: Array, motion: Motion, observations: list[Factor]) -> None:
         """Draw the new pose of every particle from the proposal, weigh it, and update the landmarks there."""
-        about = [(f, self._about(f, pose)) for f in seen]
-        for factor in (f for f, what in about if what == "landmark"):
+        about = [(f, self._about(f, pose)) for f in observations]
+        for factor in (f for f, role in about if role == "landmark"):
             self._know(factor)
-        sightings = [f for f, what in about if what == "sighting"]
-        alone = [self._copies(f) for f, what in about if what == "pose"]
+        sightings = [f for f, role in about if role == "sighting"]
+        alone = [self._copies(f) for f, role in about if role == "pose"]
 
         m, Lambda = most_likely(motion, self.manifold, X, pose)
         g = np.zeros((self.particles, self.manifold.dim))
@@ -150,7 +152,7 @@ class FastSLAM(Filter):
         self.X = self.manifold.retract(m, np.linalg.solve(U.mT, white[..., None])[..., 0])
 
         log_q = np.log(np.diagonal(U, axis1=1, axis2=2)).sum(axis=1) - np.square(epsilon).sum(axis=1) / 2
-        log_p = [-copied.chi2(*others[:slot], self.X, *others[slot:]) / 2 for copied, slot, others in motion]
+        log_p = [-copied.chi2(*states[:slot], self.X, *states[slot:]) / 2 for copied, slot, states in motion]
         log_p += [-copied.chi2(self.X) / 2 for copied in alone]
         self.log_w = self.log_w + np.sum(log_p, axis=0) - log_q
         for factor in sightings:
@@ -190,7 +192,7 @@ class FastSLAM(Filter):
             if known is not None:
                 self.log_w = self.log_w + of.update(self._copies(known))
             if new is not None:
-                of.start_alone(new, self.given[new.keys[0]])
+                of.start_alone(new, self.start_values[new.keys[0]])
 
     def _resample(self) -> None:
         parents = systematic(self.weights, self.rng)
@@ -200,13 +202,13 @@ class FastSLAM(Filter):
 
     def _map(self, kind: str) -> ParticleMap:
         if self.map is None:
-            self.map = ParticleMap(kind, self.given.stack(kind).manifold, self.particles)
+            self.map = ParticleMap(kind, self.start_values.stack(kind).manifold, self.particles)
         return self.map
 
     def _copies(self, factor: Factor) -> Copies:
         """The factor for every particle; kept for the step, in which proposal and update both take it."""
         if id(factor) not in self._copied:
-            manifolds = [self.given.stack(keys.kind).manifold for keys in factor.keys]
+            manifolds = [self.start_values.stack(keys.kind).manifold for keys in factor.keys]
             self._copied[id(factor)] = (factor, copies(factor, manifolds, self.particles))
         return self._copied[id(factor)][1]
 

@@ -83,7 +83,7 @@ class FixedLag(Smoother):
         self.past: dict[int, tuple[Array, Array]] = {}  # landmarks, and their covariances
 
     def _grow(self, step: Step, X: Array) -> None:
-        for factor in step.seen:
+        for factor in step.observations:
             for keys in factor.keys:
                 gone = np.array([keys.kind == POSE and number in self.left for number in keys.numbers.tolist()])
                 if gone.any():
@@ -125,8 +125,8 @@ class FixedLag(Smoother):
             for keys in factor.keys
             if keys.kind == POSE
         ]
-        there = self.values.stack(kind).numbers
-        return Keys(kind, there[~np.isin(there, numbers_of(staying, kind))])
+        numbers = self.values.stack(kind).numbers
+        return Keys(kind, numbers[~np.isin(numbers, numbers_of(staying, kind))])
 
     @property
     def landmarks(self) -> tuple[Keys, Array, Array]:
@@ -134,7 +134,7 @@ class FixedLag(Smoother):
         gone = [number for number in self.past if number not in keys.numbers.tolist()]
         if not gone:
             return keys, L, P
-        L_gone, P_gone = (np.stack(each) for each in zip(*(self.past[number] for number in gone), strict=True))
+        L_gone, P_gone = (np.stack(stacks) for stacks in zip(*(self.past[number] for number in gone), strict=True))
         return (
             Keys(keys.kind, np.concatenate([keys.numbers, gone])),
             np.concatenate([L.reshape(-1, L_gone.shape[1]), L_gone]),

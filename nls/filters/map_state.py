@@ -125,10 +125,10 @@ class MapState:
 
     def moved(self, delta: Array) -> MapState:
         """Where a step (n,) leads, to linearize there; P is that of here, in the tangent space of here."""
-        there, d = copy(self), self.spaces[0].dim
-        there.X = there.first = self.spaces[0].retract(self.X[None], delta[None, :d])[0]
-        there.L = there.L_first = self._landmarks_at(delta)
-        return there
+        target, d = copy(self), self.spaces[0].dim
+        target.X = target.first = self.spaces[0].retract(self.X[None], delta[None, :d])[0]
+        target.L = target.L_first = self._landmarks_at(delta)
+        return target
 
     def _gain(self, A: Array, columns: Index, b: Array, pose: Keys) -> tuple[Array, Array]:
         """V = C^-1 A P and y = C^-1 b, S = C C': P - V'V is what is left of P, and V'y the step."""
@@ -182,13 +182,13 @@ class MapState:
         return np.asarray(np.linalg.solve(G_y, G_x))
 
 
-def rows_of(wanted: Index, numbers: Index) -> Index:
+def rows_of(landmarks: Index, numbers: Index) -> Index:
     """Places (n,) of the wanted numbers (n,) among numbers (m,) in any order; -1 for one that is not there."""
     if not len(numbers):
-        return np.full(len(wanted), -1)
+        return np.full(len(landmarks), -1)
     order = np.argsort(numbers)
-    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(order) - 1)]
-    return np.where(numbers[at] == wanted, at, -1)
+    at = order[np.minimum(np.searchsorted(numbers, landmarks, sorter=order), len(order) - 1)]
+    return np.where(numbers[at] == landmarks, at, -1)
 
 
 def _symmetric(P: Array) -> Array:

@@ -120,11 +120,13 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     >>> left, FactorGraph(left).optimize(values).values[p].ravel().round(6), abs(left[0].A).round(6)
     ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
     """
-    touching, rest = _split(factors, leaving)
+    touching, untouched = _split(factors, leaving)
     near = {kind: numbers_of(touching, kind) for kind in values.stacks}
-    part = Values.of(_kept(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values())
-    pattern = Pattern(touching, part)
-    system = LinearSystem.at(pattern, part)
+    near_values = Values.of(
+        _masked(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values()
+    )
+    pattern = Pattern(touching, near_values)
+    system = LinearSystem.at(pattern, near_values)
     variables = [pattern.key(k) for k in range(len(pattern.dims))]
     goes = np.array([any(key.kind == g.kind and key.numbers[0] in g.numbers for g in leaving) for key in variables])
     order = np.argsort(~goes, kind="stable")
@@ -146,38 +148,38 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     left = without(values, leaving)
     rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
     if stays and len(rows):
-        rest.append(MarginalPrior(stays, [part[key] for key in stays], rows[:, e:-1], rows[:, -1]))
-    return rest, left
+        untouched.append(MarginalPrior(stays, [near_values[key] for key in stays], rows[:, e:-1], rows[:, -1]))
+    return untouched, left
 
 
 def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:
     """The measurements that touch what leaves, and the others."""
     touching: list[Factor] = []
-    rest: list[Factor] = []
+    untouched: list[Factor] = []
     for factor in factors:
         touches = np.zeros(len(factor), dtype=bool)
         for keys in factor.keys:
             for gone in leaving:
                 touches |= (keys.kind == gone.kind) & np.isin(keys.numbers, gone.numbers)
-        for part, which in ((touching, touches), (rest, ~touches)):
-            if which.any():
-                part.append(factor if which.all() else factor[np.flatnonzero(which)])
-    return touching, rest
+        for subset, mask in ((touching, touches), (untouched, ~touches)):
+            if mask.any():
+                subset.append(factor if mask.all() else factor[np.flatnonzero(mask)])
+    return touching, untouched
 
 
 def without(values: Values, leaving: Sequence[Keys]) -> Values:
     """The values of the other variables."""
     stacks = dict(values.stacks)
     for gone in leaving:
-        stacks[gone.kind] = _kept(stacks[gone.kind], ~np.isin(stacks[gone.kind].numbers, gone.numbers))
+        stacks[gone.kind] = _masked(stacks[gone.kind], ~np.isin(stacks[gone.kind].numbers, gone.numbers))
     return Values.of(stacks.values())
 
 
-def _kept(stack: Stack, which: npt.NDArray[np.bool_]) -> Stack:
-    return Stack(stack.kind, stack.manifold, stack.X[which], stack.numbers[which])
+def _masked(stack: Stack, mask: npt.NDArray[np.bool_]) -> Stack:
+    return Stack(stack.kind, stack.manifold, stack.X[mask], stack.numbers[mask])
 
 
 def numbers_of(factors: Sequence[Factor], kind: str) -> npt.NDArray[np.int64]:
     """Numbers of the variables of a kind that factors touch, rising."""
-    found = [keys.numbers for factor in factors for keys in factor.keys if keys.kind == kind]
-    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))
+    numbers = [keys.numbers for factor in factors for keys in factor.keys if keys.kind == kind]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *numbers]))

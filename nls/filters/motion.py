@@ -82,8 +82,8 @@ def jacobians(motion: Sequence[tuple[Copies, int, tuple[Array, ...]]], X_i: Arra
     ----------
     motion : as for `most_likely`, slot that of the pose after.
     """
-    each = [(copied.linearize(*((X_i, X_j) if slot else (X_j, X_i)))[0], slot) for copied, slot, _ in motion]
-    return np.concatenate([A[1 - slot][0] for A, slot in each]), np.concatenate([A[slot][0] for A, slot in each])
+    blocks = [(copied.linearize(*((X_i, X_j) if slot else (X_j, X_i)))[0], slot) for copied, slot, _ in motion]
+    return np.concatenate([A[1 - slot][0] for A, slot in blocks]), np.concatenate([A[slot][0] for A, slot in blocks])
 
 
 def most_likely(
@@ -114,17 +114,17 @@ def most_likely(
         raise GraphError(f"{key}: nothing is measured of it alone; a filter has to begin with a Prior of it", [key])
     for _ in range(STEPS):
         parts = []
-        for copied, slot, others in factors:
-            A, b = copied.linearize(*others[:slot], X, *others[slot:])
+        for copied, slot, states in factors:
+            A, b = copied.linearize(*states[:slot], X, *states[slot:])
             parts.append((A[slot], b))
         Lambda, g = information(parts, len(X))
         d = np.sqrt(np.diagonal(Lambda, axis1=1, axis2=2))
         D = 1 / np.where(d > 0, d, 1.0)  # to a diagonal of ones: units do not decide
         scaled = D[:, :, None] * Lambda * D[:, None, :]
         if not np.linalg.det(scaled).min() > FREE:
-            said = ", ".join(sorted({copied.factor.name for copied, _, _ in factors}))
+            names = ", ".join(sorted({copied.factor.name for copied, _, _ in factors}))
             raise UnderconstrainedError(
-                f"{key}: what is measured of it ({said}) leaves a direction free; a filter has to begin with all of "
+                f"{key}: what is measured of it ({names}) leaves a direction free; a filter has to begin with all of "
                 f"it. Add a Prior of {key} with the sigmas it is known to, however large",
                 [key],
             )

@@ -16,7 +16,7 @@ import numpy as np
 
 from factors.base import Factor
 from factors.keys import Keys
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, Manifold
 from models.algebra import Array, Index, apply, gram, product
 from models.errors import GraphError
@@ -83,7 +83,7 @@ class ParticleMap:
         GraphError
             One such measurement does not say where its landmark is.
         """
-        if not isinstance(factor, Seen) or not factor.locates:
+        if not isinstance(factor, Sighting) or not factor.locates:
             raise GraphError(
                 f"{factor.describe(0)} is the first to see {factor.keys[1][[0]]}, and one such measurement does not "
                 "say where it is: give a Prior of the landmark, or measure bearing and range together",
@@ -92,7 +92,7 @@ class ParticleMap:
             )
         many = copies(factor, [group, self.manifold], self.particles)
         assert isinstance(group, LieGroup)
-        assert isinstance(many.factor, Seen)
+        assert isinstance(many.factor, Sighting)
         (X_each,) = many.stacked(X)
         L = many.factor.locate(group, many.factor.sensor_pose(group, X_each), many.model.z)
         (_, A_l), _ = many.model.linearize(X_each, L)
@@ -105,8 +105,8 @@ class ParticleMap:
     def start_alone(self, factor: Factor, at: Array) -> None:
         """Put new landmarks where measurements of them alone have them, from start values at (n, size)."""
         for k, key in enumerate(factor.keys[0]):  # one landmark each: of a chart, once
-            one: Copies = copies(factor[[k]], [self.manifold], 1)
-            L, Lambda = most_likely([(one, 0, ())], self.manifold, at[[k]], key)
+            single: Copies = copies(factor[[k]], [self.manifold], 1)
+            L, Lambda = most_likely([(single, 0, ())], self.manifold, at[[k]], key)
             shape = (self.particles, 1, 1)
             self.add(key, np.tile(L, shape), np.tile(np.linalg.inv(Lambda), (*shape, 1)))
 

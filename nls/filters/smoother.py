@@ -39,7 +39,7 @@ class Smoother(Filter):
         self.optimizer = optimizer
 
     def start(self, step: Step, values: Values) -> None:
-        self.given, self.iterations, self.graph = values, list[int](), FactorGraph()
+        self.start_values, self.iterations, self.graph = values, list[int](), FactorGraph()
         self.values = Values.of(Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in values.stacks.values())
         self.landmark_kind = next((kind for kind in values.stacks if kind != POSE), None)
         self._begin()
@@ -95,13 +95,13 @@ class Smoother(Filter):
         known = [Keys(stack.kind, stack.numbers) for stack in self.values.stacks.values() if len(stack)]
         self.values = self.values.extended(step.pose, X[None])
         if (kind := self.landmark_kind) is not None:
-            seen = numbers_of(step.seen, kind)
-            new = Keys(kind, seen[~np.isin(seen, self.values.stack(kind).numbers)])
-            self.values = self.values.extended(new, self.given[new]) if len(new) else self.values
-        graph = FactorGraph(step.seen)
+            numbers = numbers_of(step.observations, kind)
+            new = Keys(kind, numbers[~np.isin(numbers, self.values.stack(kind).numbers)])
+            self.values = self.values.extended(new, self.start_values[new]) if len(new) else self.values
+        graph = FactorGraph(step.observations)
         for keys in known:
             graph.fix(keys)
-        self.values = locate_points(graph, self.values) if step.seen else self.values
+        self.values = locate_points(graph, self.values) if step.observations else self.values
         self.graph = FactorGraph(
-            joined([self.values.gather(f)[0] for f in (*self.graph.factors, *step.motion, *step.seen)])
+            joined([self.values.gather(f)[0] for f in (*self.graph.factors, *step.motion, *step.observations)])
         )

@@ -17,7 +17,7 @@ from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
-from nls.io.unused import appended, left_out
+from nls.io.unused_lines import appended, left_out
 from nls.stages import stage
 from nls.values import Values
 

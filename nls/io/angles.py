@@ -17,12 +17,12 @@ __all__ = ["turns"]
 TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
-def turns(found: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> list[str]:
+def turns(angles_by_tag: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> list[str]:
     """What is to be said of angles of more than a turn: nothing, or one sentence.
 
     Parameters
     ----------
-    found : by tag the lines (n,), counted from 0, and their angles (n, k), rad.
+    angles_by_tag : by tag the lines (n,), counted from 0, and their angles (n, k), rad.
 
     Examples
     --------
@@ -31,7 +31,7 @@ def turns(found: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> list[str]
     """
     first: list[tuple[int, str, float]] = []
     count = 0
-    for tag, lines, angles in found:
+    for tag, lines, angles in angles_by_tag:
         beyond = np.flatnonzero((np.abs(angles) > TURN).any(axis=1))
         count += len(beyond)
         if len(beyond):

@@ -63,28 +63,29 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     if min(cameras, points, observations) < 1:
         raise text.error("expected at least one camera, one point and one observation", int(lines[0]))
 
-    seen = lines[1 : 1 + min(observations, len(lines))]
-    if (wrong := count[seen] != 4).any():
+    rows = lines[1 : 1 + min(observations, len(lines))]
+    if (wrong := count[rows] != 4).any():
         k = int(np.argmax(wrong))
         raise text.error(
-            f"observation {k} of {observations} has {count[seen[k]]} numbers, expected 4: camera point x y",
-            int(seen[k]),
+            f"observation {k} of {observations} has {count[rows[k]]} numbers, expected 4: camera point x y",
+            int(rows[k]),
         )
-    if len(seen) < observations:
+    if len(rows) < observations:
         raise text.error(
-            f"the file ends after {len(seen)} observations, its first line announces {observations}", int(lines[-1])
+            f"the file ends after {len(rows)} observations, its first line announces {observations}",
+            int(lines[-1]),
         )
-    i = _index(text, seen, 0, cameras, "camera")
-    j = _index(text, seen, 1, points, "point")
-    z = text.numbers((text.first[seen][:, None] + np.array([2, 3])).reshape(-1), seen, 2).reshape(-1, 2)
+    i = _index(text, rows, 0, cameras, "camera")
+    j = _index(text, rows, 1, points, "point")
+    z = text.numbers((text.first[rows][:, None] + np.array([2, 3])).reshape(-1), rows, 2).reshape(-1, 2)
 
-    first, last = int(text.first[seen[-1] + 1]), len(text.starts)
+    first, last = int(text.first[rows[-1] + 1]), len(text.starts)
     needed = 9 * cameras + 3 * points
     if last - first != needed:
-        said = f"{last - first} numbers follow the observations, expected 9 x {cameras} + 3 x {points} = {needed}"
+        message = f"{last - first} numbers follow the observations, expected 9 x {cameras} + 3 x {points} = {needed}"
         missing = last - first < needed
         raise text.error(
-            f"{said}; the file is cut off here" if missing else f"{said}; this is the first too many",
+            f"{message}; the file is cut off here" if missing else f"{message}; this is the first too many",
             _line(text, np.array([last - 1 if missing else first + needed]))[0],
         )
     tokens = np.arange(first, last)
@@ -93,18 +94,18 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
 
     values = Values({"c": (CAMERA, camera[:, :6]), "k": (LENS, camera[:, 6:]), "l": (R(3), point)})
     graph = FactorGraph([BundleProjection(Keys("c", i), Keys("k", i), Keys("l", j), z, PIXEL)])
-    report = LoadReport(path, "bal", "3-D", "none", sources=[Source(path, seen + 1)])
+    report = LoadReport(path, "bal", "3-D", "none", sources=[Source(path, rows + 1)])
     report.tags = {"cameras": cameras, "points": points, "observations": observations}
     report.notes.append("the file states no noise: 1 pixel is taken")
     return graph, values, report
 
 
-def _index(text: Text, lines: npt.NDArray[np.intp], column: int, count: int, what: str) -> npt.NDArray[np.int64]:
+def _index(text: Text, lines: npt.NDArray[np.intp], column: int, count: int, noun: str) -> npt.NDArray[np.int64]:
     """Cameras or points of the observations, each counted from 0."""
     index = text.whole(lines, column)
     if (outside := (index < 0) | (index >= count)).any():
         k = int(np.argmax(outside))
-        raise text.error(f"{what} {index[k]} is none of the {count}, which are counted from 0", int(lines[k]))
+        raise text.error(f"{noun} {index[k]} is none of the {count}, which are counted from 0", int(lines[k]))
     return index
 
 

@@ -69,14 +69,14 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     columns: dict[str, None] = {}
     of_kind: dict[str, list[str]] = {}
     for stack in stacks:
-        names, said = stack.manifold.components, frame if stack.manifold.body_axes else "world"
-        of_kind[stack.kind] = [f"{said}_{a}_{b}" for k, a in enumerate(names) for b in names[k:]]
+        names, axes = stack.manifold.components, frame if stack.manifold.body_axes else "world"
+        of_kind[stack.kind] = [f"{axes}_{a}_{b}" for k, a in enumerate(names) for b in names[k:]]
         columns |= dict.fromkeys(of_kind[stack.kind])
     place = {name: k for k, name in enumerate(columns)}
     lines = [",".join(["kind", "number", "status", *columns])]
     for stack in stacks:
         status = marginals.status(stack.kind)
-        for keys in (each for each in free if each.kind == stack.kind):
+        for keys in (group for group in free if group.kind == stack.kind):
             for row in stack.index(keys).tolist():
                 status[row] = "free"
         known = np.array([word not in EMPTY for word in status], dtype=bool)

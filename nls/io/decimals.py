@@ -64,13 +64,13 @@ def decimals(marks: bytes, starts: Index, ends: Index) -> tuple[Array, Bytes]:
         integer, behind, plain = _integers(window, ends[block], length)
         np.divide(integer, SCALES.take(behind + SIGN.take(negative), mode="clip"), out=value[block])
         np.left_shift(plain.view(np.uint8), behind != NO_POINT, out=form[block])
-    rest = (form == UNREAD).nonzero()[0]
-    rest = rest[mark[ends[rest] - 4] == EXPONENT]
-    for begin in range(0, len(rest), BLOCK):
-        part = rest[begin : begin + BLOCK]
-        negative, length = _unsigned(mark, starts[part], ends[part])
-        value[part], form[part] = _with_exponent(window, mark, ends[part], length)
-        value[part] *= 1.0 - 2.0 * negative
+    unread = (form == UNREAD).nonzero()[0]
+    unread = unread[mark[ends[unread] - 4] == EXPONENT]
+    for begin in range(0, len(unread), BLOCK):
+        chunk = unread[begin : begin + BLOCK]
+        negative, length = _unsigned(mark, starts[chunk], ends[chunk])
+        value[chunk], form[chunk] = _with_exponent(window, mark, ends[chunk], length)
+        value[chunk] *= 1.0 - 2.0 * negative
     return value, form
 
 

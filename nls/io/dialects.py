@@ -37,7 +37,7 @@ from nls.io.text import Text, printable
 __all__ = ["FORMATS", "SUFFIXES", "check_dialect", "choose", "format_of", "no_information"]
 
 POSES = ("pose", "pose")
-SEEN = ("pose", "point")
+POSE_AND_POINT = ("pose", "point")
 ANGLES = Element(SE3, "x y z roll pitch yaw", angles=True)
 TORO_ORDER = "11 12 22 33 13 23"
 
@@ -58,19 +58,19 @@ TORO = Format(
 GRAPH = Format("graph", TORO_PLANE, "covariance", "covariance in the order of TORO")
 ISAM_PLANE = (
     Record(b"EDGE2", SE2, POSES, STEP2, Between),
-    Record(b"LANDMARK", SE2, SEEN, POINT2, Landmark),
+    Record(b"LANDMARK", SE2, POSE_AND_POINT, POINT2, Landmark),
 )
 ISAM = Format(
     "isam",
     (
         *ISAM_PLANE,
         Record(b"EDGE3", SE3, POSES, ANGLES, Between),
-        Record(b"POINT3", SE3, SEEN, POINT3, Landmark),
+        Record(b"POINT3", SE3, POSE_AND_POINT, POINT3, Landmark),
     ),
     "square root",
     "upper square root of the information, row by row",
     aliases=((b"ODOMETRY", b"EDGE2"), (b"Constraint2", b"EDGE2")),
-    others=(b"SOLVE", b"VERTEX", b"POSE3D_TRUE", b"EDGE3_TRUE", b"EDGE2_TRUE", b"POSE3D_INIT", b"EDGE3_INIT"),
+    ignored_tags=(b"SOLVE", b"VERTEX", b"POSE3D_TRUE", b"EDGE3_TRUE", b"EDGE2_TRUE", b"POSE3D_INIT", b"EDGE3_INIT"),
     apart=True,
 )
 ISAM_COVARIANCE = Format(
@@ -84,9 +84,9 @@ ISAM_COVARIANCE = Format(
 FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
 SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal")}
 READINGS = {  # dialects by tag
-    tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.others}
+    tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.ignored_tags}
     for known in FORMATS.values()
-    for tag in (*known.tags, *known.others)
+    for tag in (*known.tags, *known.ignored_tags)
 }
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
@@ -142,7 +142,7 @@ def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str 
             raise _no_graph(text, tags, comments, [format])
         return format, "as asked for"
     candidates = {tag: READINGS[tag] for tag in tags if tag in READINGS}
-    if all(tag in ISAM.others for tag in candidates):
+    if all(tag in ISAM.ignored_tags for tag in candidates):
         raise _no_graph(text, tags, comments, list(FORMATS.values()))
     left = set(FORMATS)
     for tag, names in candidates.items():
@@ -179,19 +179,19 @@ def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: l
     if unknown:
         line, word = int(tags[unknown[0]][0]), unknown[0]
         if b"," in text.line(line):
-            what, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission")]
+            problem, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission")]
         elif word.lstrip(b"+-.")[:1].isdigit():
-            what = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
+            problem = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
         else:
-            what = f"is no graph: {printable(word, 30)!r} is no tag of a graph"
+            problem = f"is no graph: {printable(word, 30)!r} is no tag of a graph"
     elif tags:
-        line, what = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
+        line, problem = int(tags[b"FIX"][0]), "fixes vertices and has neither a vertex nor an edge"
     elif len(comments):
-        line, what = int(comments.min()), "has nothing but comments"
+        line, problem = int(comments.min()), "has nothing but comments"
     else:
-        line, what = 0, "is empty"
-    wanted = EXAMPLES
+        line, problem = 0, "is empty"
+    examples = EXAMPLES
     if len(formats) == 1:
         named = ", ".join(r.tag.decode() for r in formats[0].records if r.factor is not None)
-        wanted = f"{named} (dialect {formats[0].name})"
-    return text.error(f"{what}; expected lines such as {wanted}", line, advice)
+        examples = f"{named} (dialect {formats[0].name})"
+    return text.error(f"{problem}; expected lines such as {examples}", line, advice)

@@ -21,7 +21,7 @@ import numpy as np
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["descriptor", "made", "names_folder", "read_bytes", "read_stream", "write_bytes", "write_folder"]
+__all__ = ["descriptor", "names_folder", "new_folder", "read_bytes", "read_stream", "write_bytes", "write_folder"]
 
 CHUNK = 1 << 20
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
@@ -142,12 +142,12 @@ class _Pieces:
 
     Parameters
     ----------
-    what : the file and a verb, for the message.
+    subject : the file and a verb, for the message.
     limit : of memory, bytes; the default when None.
     """
 
-    def __init__(self, what: str, limit: float | None) -> None:
-        self.what, self.limit = what, default_limit() if limit is None else limit
+    def __init__(self, subject: str, limit: float | None) -> None:
+        self.subject, self.limit = subject, default_limit() if limit is None else limit
         self.chunks: list[bytes] = []
         self.size = self.words = self.content = 0
         self.weighed = self.counted = 0  # chunks whose content, whose words are counted: only where it can matter
@@ -166,8 +166,8 @@ class _Pieces:
         self.word = 0 if BETWEEN.search(chunk) else self.word + len(chunk)
         if self.word > WORD:
             raise ResourceLimitError(
-                f"{self.what} a word of {self.word:,} bytes or more, the limit is {WORD:,}; expected tags and numbers "
-                "with blanks between them",
+                f"{self.subject} a word of {self.word:,} bytes or more, the limit is {WORD:,}; expected tags and "
+                "numbers with blanks between them",
                 self.word,
                 WORD,
                 "word",
@@ -185,7 +185,7 @@ class _Pieces:
         """Refuse more bytes of blanks, commas and comments than are allowed beside the content."""
         if idle > allowed:
             raise ResourceLimitError(
-                f"{self.what} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others, "
+                f"{self.subject} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others, "
                 f"the limit is {allowed:,}; take them out",
                 idle,
                 allowed,
@@ -202,7 +202,7 @@ class _Pieces:
         needed = float(PER_BYTE * size + PER_WORD * words)
         if needed > self.limit:
             raise ResourceLimitError(
-                f"{self.what} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more, the "
+                f"{self.subject} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more, the "
                 f"limit is {gigabytes(self.limit)}; split the file or leave lines out",
                 needed,
                 self.limit,
@@ -289,13 +289,13 @@ def write_folder(folder: str | Path, files: Mapping[str, bytes]) -> list[str]:
     GraphFileError
         The folder cannot be made, or a file cannot be written. The folder is as it was.
     """
-    with made(folder):
+    with new_folder(folder):
         _write_all({str(Path(folder, name)): data for name, data in files.items()})
     return [str(Path(folder, name)) for name in files]
 
 
 @contextmanager
-def made(folder: str | Path) -> Iterator[None]:
+def new_folder(folder: str | Path) -> Iterator[None]:
     """A folder that is there, made where it is not; one that was made goes again if nothing was written into it.
 
     Raises

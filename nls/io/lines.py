@@ -70,8 +70,8 @@ def read_lines(text: Text, record: Record, at: Index) -> Lines:
     if record.element.angles and (locked := np.abs(np.cos(numbers[:, 4])) < GIMBAL_LOCK).any():
         raise text.error("the pitch is +-90 deg (gimbal lock): roll and yaw are one number", int(at[np.argmax(locked)]))
     X = record.element.decode(np.asfortranarray(numbers[:, :width]))
-    if (found := record.element.space.invalid(X)) is not None:
-        raise text.error(found[1], int(at[found[0]]))
+    if (invalid := record.element.space.invalid(X)) is not None:
+        raise text.error(invalid[1], int(at[invalid[0]]))
     if len(ids) > 1 and record.slots[0] == record.slots[1] and (same := ids[0] == ids[1]).any():
         k = int(np.argmax(same))
         raise text.error(f"the edge joins vertex {ids[0][k]} to itself", int(at[k]))
@@ -97,7 +97,7 @@ def different(numbers: Numbers) -> Numbers:
     return rising[first]
 
 
-def by_number(text: Text, lines: list[Lines], what: str) -> tuple[Numbers, Index]:
+def by_number(text: Text, lines: list[Lines], noun: str) -> tuple[Numbers, Index]:
     """Ids of vertices or parameters, rising, and the place of each in these lines taken together.
 
     Raises
@@ -105,15 +105,15 @@ def by_number(text: Text, lines: list[Lines], what: str) -> tuple[Numbers, Index
     GraphFileError
         An id given twice.
     """
-    ids = joined([part.ids[0] for part in lines])
+    ids = joined([block.ids[0] for block in lines])
     if (ids[1:] > ids[:-1]).all():
         return ids, np.arange(len(ids))
-    at = joined([part.at for part in lines])
+    at = joined([block.at for block in lines])
     order = np.lexsort((at, ids))
     again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
     if len(again):
         k, first = order[again[0] + 1], order[again[0]]
-        raise text.error(f"{what} {ids[k]} was given before, on line {at[first] + 1}", int(at[k]))
+        raise text.error(f"{noun} {ids[k]} was given before, on line {at[first] + 1}", int(at[k]))
     return ids[order], order
 
 

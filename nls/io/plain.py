@@ -20,13 +20,13 @@ def or_compressed(folder: str | Path, name: str) -> Path:
     return twin if twin.exists() and not path.exists() else path
 
 
-def plain_lines(path: str | Path, what: str) -> tuple[Text, Index, Index, int]:
+def plain_lines(path: str | Path, problem: str) -> tuple[Text, Index, Index, int]:
     """The text of a file, its lines (n,) that are neither blank nor comments, how many words each has, comments.
 
     Raises
     ------
     GraphFileError
-        It cannot be read, or has no such line; `what` is what was expected.
+        It cannot be read, or has no such line; `problem` is the message.
     """
     text = Text(read_bytes(path), str(path))
     count = np.diff(text.first)
@@ -34,11 +34,11 @@ def plain_lines(path: str | Path, what: str) -> tuple[Text, Index, Index, int]:
     comment = text.characters(text.first[lines], 1)[:, 0] == ord("#")
     lines = lines[~comment]
     if not len(lines):
-        raise text.error(f"has {what}", 0)
+        raise text.error(f"has {problem}", 0)
     return text, lines, count[lines], int(comment.sum())
 
 
-def plain_table(path: str | Path, columns: int, what: str, of: str = "row") -> tuple[Text, Index, Array, int]:
+def plain_table(path: str | Path, columns: int, expected: str, of: str = "row") -> tuple[Text, Index, Array, int]:
     """The text, its lines (n,), their numbers (n, columns), how many comments.
 
     Raises
@@ -46,10 +46,10 @@ def plain_table(path: str | Path, columns: int, what: str, of: str = "row") -> t
     GraphFileError
         With the line: another count of words than columns, or a word that is no finite number.
     """
-    text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {what}")
+    text, lines, count, comments = plain_lines(path, f"no {of}; expected lines of {columns} numbers: {expected}")
     if (wrong := count != columns).any():
         k = int(np.argmax(wrong))
-        raise text.error(f"{count[k]} numbers, expected {columns}: {what}", int(lines[k]))
+        raise text.error(f"{count[k]} numbers, expected {columns}: {expected}", int(lines[k]))
     tokens = text.first[lines][:, None] + np.arange(columns)
     return text, lines, text.numbers(tokens.reshape(-1), lines, columns).reshape(-1, columns), comments
 
@@ -65,5 +65,5 @@ def refuse_late(text: Text, lines: Index, times: Array, repeated: bool = False) 
     late = np.flatnonzero(times[1:] < times[:-1] if repeated else times[1:] <= times[:-1])
     if len(late):
         k = int(late[0]) + 1
-        said = "is before the" if repeated else "does not rise over"
-        raise text.error(f"time {float(times[k])!r} {said} {float(times[k - 1])!r} before it", int(lines[k]))
+        relation = "is before the" if repeated else "does not rise over"
+        raise text.error(f"time {float(times[k])!r} {relation} {float(times[k - 1])!r} before it", int(lines[k]))

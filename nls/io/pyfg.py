@@ -41,11 +41,11 @@ from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.files import write_bytes
-from nls.io.misspelt import refuse_misspelt
+from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
-from nls.io.unused import appended, keep_unknown, note_comments
+from nls.io.unused_lines import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
@@ -77,8 +77,8 @@ class Tag:
     @property
     def columns(self) -> str:
         """What stands after the tag, in words."""
-        what = ["time"] * self.timed + ["name", "name"][: self.names] + [f"{self.space.size} numbers"]
-        return " ".join(what + [f"{self.noise} of covariance"] * (self.factor is not None))
+        columns = ["time"] * self.timed + ["name", "name"][: self.names] + [f"{self.space.size} numbers"]
+        return " ".join(columns + [f"{self.noise} of covariance"] * (self.factor is not None))
 
 
 @dataclass(frozen=True)
@@ -144,16 +144,16 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
     keep_unknown(text, unknown, report)
     note_comments(report, comments)
 
-    found: dict[str, list[tuple[LieGroup, Batch]]] = {}
+    vertices: dict[str, list[tuple[LieGroup, Batch]]] = {}
     for name, tag in dialect.items():
         if tag.factor is None and name in tags:
             for batch in _batches(text, name, tag, tags[name]):
-                found.setdefault(batch.kinds[0], []).append((tag.space, batch))
+                vertices.setdefault(batch.kinds[0], []).append((tag.space, batch))
     values = Values()
-    for kind, parts in found.items():
+    for kind, parts in vertices.items():
         space, batch = parts[0]
         if len(parts) > 1:
-            line = max(int(part.lines[0]) for _, part in parts)
+            line = max(int(block.lines[0]) for _, block in parts)
             raise text.error(f"kind {kind} is in {space} and in {parts[1][0]}, expected one", line)
         number = batch.numbers[0]
         _once(text, kind, number, batch.lines)
@@ -162,8 +162,10 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
             report.vertex_times[kind] = batch.times
 
     graph = FactorGraph()
-    given = [("VERTEX_SE2", part.lines, part.table[:, 2:3]) for of in found.values() for s, part in of if s is SE2]
-    report.notes += turns(given)
+    angles_by_tag = [
+        ("VERTEX_SE2", block.lines, block.table[:, 2:3]) for of in vertices.values() for s, block in of if s is SE2
+    ]
+    report.notes += turns(angles_by_tag)
     measured = []
     for name, tag in dialect.items():
         if tag.factor is not None and name in tags:
@@ -179,13 +181,13 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
 
 def _dialect(text: Text, tags: dict[str, Index]) -> dict[str, Tag]:
     """The tags of the dimension of a file."""
-    found = [d for d in (PLANE, SPACE) if any(tag in tags and tag != "EDGE_RANGE" for tag in d)]
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    dialects = [d for d in (PLANE, SPACE) if any(tag in tags and tag != "EDGE_RANGE" for tag in d)]
+    if len(dialects) == 1:
+        return dialects[0]
+    if not dialects:
         expected = ", ".join(list(PLANE)[:2] + list(SPACE)[:2])
         raise text.error(f"no vertices; expected lines such as {expected}", int(next(iter(tags.values()), [0])[0]))
-    line = max(min(int(tags[tag][0]) for tag in d if tag in tags and tag != "EDGE_RANGE") for d in found)
+    line = max(min(int(tags[tag][0]) for tag in d if tag in tags and tag != "EDGE_RANGE") for d in dialects)
     raise text.error("mixes the plane and space; expected one dimension in a file", line)
 
 
@@ -201,11 +203,11 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
     times = text.numbers(first + 1, lines, 1) if tag.timed else np.zeros(len(lines))
     names = [_names(text, lines, 1 + tag.timed + k) for k in range(tag.names)]
     table = text.numbers((first[:, None] + lead + np.arange(wide)).reshape(-1), lines, wide).reshape(-1, wide)
-    if (found := tag.space.invalid(table[:, : tag.space.size])) is not None:
-        raise text.error(found[1], int(lines[found[0]]))
-    pairs, which = np.unique(np.stack([kind for kind, _ in names], axis=1), axis=0, return_inverse=True)
+    if (invalid := tag.space.invalid(table[:, : tag.space.size])) is not None:
+        raise text.error(invalid[1], int(lines[invalid[0]]))
+    pairs, pair_of = np.unique(np.stack([kind for kind, _ in names], axis=1), axis=0, return_inverse=True)
     for k, pair in enumerate(pairs):
-        mine = np.flatnonzero(which.reshape(-1) == k)
+        mine = np.flatnonzero(pair_of.reshape(-1) == k)
         kinds = tuple(word.decode() for word in pair.tolist())
         yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 

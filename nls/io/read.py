@@ -19,13 +19,13 @@ from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
-from nls.io.misspelt import refuse_misspelt
+from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport, Source
 from nls.io.roles import Roles
 from nls.io.start import started
 from nls.io.text import Text, printable, several
-from nls.io.unused import keep, keep_unknown, note_comments
+from nls.io.unused_lines import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.stages import stage
 from nls.values import Stack, Values
@@ -67,8 +67,8 @@ def read_graph(
     report.tags = {printable(tag): len(lines) for tag, lines in tags.items()}
     unknown = {t: n for t, n in tags.items() if t not in format.tags and not (format.fix and t == b"FIX")}
     known = {t: record.words for t, record in format.tags.items()} | ({b"FIX": 0} if format.fix else {})
-    refuse_misspelt(text, {t: n for t, n in unknown.items() if t not in format.others}, known)
-    keep_unknown(text, unknown, report, format.others)
+    refuse_misspelt(text, {t: n for t, n in unknown.items() if t not in format.ignored_tags}, known)
+    keep_unknown(text, unknown, report, format.ignored_tags)
     note_comments(report, len(comments))
 
     lines: dict[bytes, list[Index]] = {}
@@ -76,30 +76,30 @@ def read_graph(
         lines.setdefault(record.tag, []).append(tags[tag])
     with stage("read numbers"):
         read = [read_lines(text, format.tags[tag], np.sort(np.concatenate(at))) for tag, at in lines.items()]
-    edges = [part for part in read if part.record.factor is not None]
-    vertices = [part for part in read if part.record.factor is None and part.record.slots]
-    offsets = _Offsets(text, [part for part in read if not part.record.slots], group)
+    edges = [block for block in read if block.record.factor is not None]
+    vertices = [block for block in read if block.record.factor is None and block.record.slots]
+    offsets = _Offsets(text, [block for block in read if not block.record.slots], group)
     roles = Roles(text, vertices, edges, unknown, format.apart)
     bound: list[tuple[Factor, Lines]] = []
     with stage("read factors"):
-        for part in edges:
-            if not part.record.used:
-                name = part.record.tag.decode()
+        for block in edges:
+            if not block.record.used:
+                name = block.record.tag.decode()
                 report.notes.append(f"{name} lines name a parameter that their error does not use")
-            noises = _matrices(text, part, format, repair_information, report)
-            for mine in roles.kinds_of(part):
-                bound.append((_factor(text, part, mine, noises, offsets, roles, format, convention, group), part))
-                report.sources.append(Source(path, part.at[mine] + 1))
+            noises = _matrices(text, block, format, repair_information, report)
+            for mine in roles.kinds_of(block):
+                bound.append((_factor(text, block, mine, noises, offsets, roles, format, convention, group), block))
+                report.sources.append(Source(path, block.at[mine] + 1))
     graph = FactorGraph([factor for factor, _ in bound])
-    if len(roles.given):
-        values = _given(vertices, roles, group)
+    if len(roles.vertex_ids):
+        values = _vertex_values(vertices, roles, group)
     else:
         report.vertices_given = False
         with stage("read chain"):
             values = started(text, bound, roles, group, report)
     _note_rounded(read, report)
     for part_of, say in ((vertices, report.notes.append), (edges, report.warn)):
-        for message in turns((part.record.tag.decode(), part.at, part.angles) for part in part_of):
+        for message in turns((block.record.tag.decode(), block.at, block.angles) for block in part_of):
             say(message)
     offsets.keep_unused(report)
     if format.fix and b"FIX" in tags:
@@ -126,18 +126,18 @@ class _Offsets:
         self.text, self.group = text, group
         self.tag = f"PARAMS_{group.name}OFFSET"
         self.ids, order = by_number(text, lines, "parameter")
-        self.X = np.concatenate([group.identity(0), *(part.X for part in lines)])[order]
-        self.at = joined([part.at for part in lines])[order]
+        self.X = np.concatenate([group.identity(0), *(block.X for block in lines)])[order]
+        self.at = joined([block.at for block in lines])[order]
         self.unused = np.ones(len(self.ids), dtype=bool)
 
-    def of(self, part: Lines) -> Array:
+    def of(self, block: Lines) -> Array:
         """Offsets (n, k, size) the lines of an edge name."""
-        wanted = part.parameters
-        if (missing := ~among(wanted, self.ids)).any():
+        parameters = block.parameters
+        if (missing := ~among(parameters, self.ids)).any():
             k = int(np.argmax(missing.any(axis=1)))
-            number = wanted[k][missing[k]][0]
-            raise self.text.error(f"the edge needs parameter {number}, which no {self.tag} line has", int(part.at[k]))
-        index = np.searchsorted(self.ids, wanted)
+            number = parameters[k][missing[k]][0]
+            raise self.text.error(f"the edge needs parameter {number}, which no {self.tag} line has", int(block.at[k]))
+        index = np.searchsorted(self.ids, parameters)
         self.unused[index] = False
         return self.X[index]
 
@@ -149,26 +149,26 @@ class _Offsets:
             keep(self.text, lines, report)
 
 
-def _matrices(text: Text, part: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
+def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: LoadReport) -> Array:
     """Matrices (n, m, m) of the lines of an edge, as the file has them, repaired where that was asked for."""
-    M = matrix(part.record, part.numbers[:, part.record.element.width :], format.matrix)
+    M = matrix(block.record, block.numbers[:, block.record.element.width :], format.matrix)
     if repair:
         M, changed = repaired(M)
         if changed.any():
-            count, tag, line = int(changed.sum()), part.record.tag.decode(), part.at[np.argmax(changed)] + 1
-            matrices, were, ones = ("matrices", "were", "ones") if count > 1 else ("matrix", "was", "one")
+            count, tag, line = int(changed.sum()), block.record.tag.decode(), block.at[np.argmax(changed)] + 1
+            matrices, were, noun = ("matrices", "were", "ones") if count > 1 else ("matrix", "was", "one")
             report.warn(
                 f"{count} information {matrices} of {tag} had negative eigenvalues, first on line {line}, and {were} "
-                f"replaced by the nearest semi-definite {ones}"
+                f"replaced by the nearest semi-definite {noun}"
             )
-            rows, columns = part.record.places
-            part.numbers[:, part.record.element.width :] = M[:, rows, columns]
+            rows, columns = block.record.places
+            block.numbers[:, block.record.element.width :] = M[:, rows, columns]
     return M
 
 
 def _factor(
     text: Text,
-    part: Lines,
+    block: Lines,
     mine: Index | slice,
     matrices: Array,
     offsets: _Offsets,
@@ -178,43 +178,43 @@ def _factor(
     group: LieGroup,
 ) -> Factor:
     """One batch of measurements of these lines."""
-    record, at = part.record, part.at[mine]
-    keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, part.ids, strict=True)]
-    z, numbers = part.X[mine], part.numbers[mine]
+    record, at = block.record, block.at[mine]
+    keys = [Keys(roles.kind(slot, ids[mine]), ids[mine]) for slot, ids in zip(record.slots, block.ids, strict=True)]
+    z, numbers = block.X[mine], block.numbers[mine]
     try:
         noise = noise_of(record, format.matrix, matrices[mine], numbers[:, : record.element.width], convention)
         shared: list[Array] = []
         if record.parameters or record.element.angles:
-            given = offsets.of(part)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
-            noise = AsRead(noise, format.name, record.tag, convention, z, numbers, part.parameters[mine], given)
-            each = [given[:, k] for k in range(record.parameters)]
-            shared = [O[:1] if (O == O[0]).all() else O for O in each]
+            all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
+            noise = AsRead(noise, format.name, record.tag, convention, z, numbers, block.parameters[mine], all_offsets)
+            columns = [all_offsets[:, k] for k in range(record.parameters)]
+            shared = [O[:1] if (O == O[0]).all() else O for O in columns]
         factor = record.build(keys, z, noise, shared, convention)
         spaces = {"point": R(group.point_dim)}
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
     except NoiseModelError as error:
-        said = str(error).split(": ", 1)[-1]
+        message = str(error).split(": ", 1)[-1]
         advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
-        raise text.error(said, int(at[error.index]), advice) from error
+        raise text.error(message, int(at[error.index]), advice) from error
     except GraphError as error:
         raise text.error(str(error), int(at[error.index])) from error
     return factor
 
 
-def _given(vertices: list[Lines], roles: Roles, group: LieGroup) -> Values:
+def _vertex_values(vertices: list[Lines], roles: Roles, group: LieGroup) -> Values:
     """The file's vertices as values, in the order of the file."""
     stacks: dict[str, Stack] = {}
-    for part in vertices:
-        (slot,) = part.record.slots
-        for mine in roles.kinds_of(part, slot):
-            ids = part.ids[0][mine]
+    for block in vertices:
+        (slot,) = block.record.slots
+        for mine in roles.kinds_of(block, slot):
+            ids = block.ids[0][mine]
             kind = roles.kind("either" if slot == "pose" else slot, ids)
-            stacks[kind] = Stack(kind, part.record.element.space, part.X[mine], ids)
+            stacks[kind] = Stack(kind, block.record.element.space, block.X[mine], ids)
     return Values.of(stacks[kind] for kind in KINDS.values() if kind in stacks)
 
 
 def _note_rounded(read: list[Lines], report: LoadReport) -> None:
-    rounded = joined([part.rounded for part in read])
+    rounded = joined([block.rounded for block in read])
     if len(rounded):
         report.warn(
             f"the length of {several(len(rounded), 'quaternion')} is off by more than {UNIT_ROUNDED:g}, first on line "
@@ -233,11 +233,11 @@ def _fixed(text: Text, lines: Index, roles: Roles, records: dict[bytes, Record])
     missing = ~np.isin(numbers, np.concatenate(list(kinds.values())))
     if missing.any():
         k = int(np.argmax(missing))
-        given = len(roles.given) > 0
-        named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == given and r.slots)
+        has_vertices = len(roles.vertex_ids) > 0
+        named = " or ".join(t.decode() for t, r in records.items() if (r.factor is None) == has_vertices and r.slots)
         raise text.error(
             f"FIX names vertex {numbers[k]}, which no {named} line has; add one, or take {numbers[k]} out",
             int(owner[k]),
         )
-    found = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]
-    return [keys for keys in found if len(keys)]
+    fixed = [Keys(kind, np.unique(numbers[np.isin(numbers, ids)])) for kind, ids in kinds.items()]
+    return [keys for keys in fixed if len(keys)]

@@ -86,8 +86,8 @@ class Record:
     @cached_property
     def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Rows and columns of the matrix entries."""
-        m, given = 0 if self.factor is None else self.element.space.dim, self.entries.split()
-        pairs = [(int(pair[0]) - 1, int(pair[1]) - 1) for pair in given] or [
+        m, entries = 0 if self.factor is None else self.element.space.dim, self.entries.split()
+        pairs = [(int(pair[0]) - 1, int(pair[1]) - 1) for pair in entries] or [
             *combinations_with_replacement(range(m), 2)
         ]
         rows, columns = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
@@ -153,7 +153,7 @@ class Format:
         information.
     says : what tells it from the others, for the refusal of a file that could be several.
     fix : whether lines ``FIX id [id ...]`` hold vertices.
-    others : tags that belong to it and are not used.
+    ignored_tags : tags that belong to it and are not used.
     aliases : other names of tags, which are read and not written.
     apart : whether points have a numbering of their own: there may be a pose 0 and a point 0.
     """
@@ -163,7 +163,7 @@ class Format:
     matrix: str
     says: str
     fix: bool = False
-    others: tuple[bytes, ...] = ()
+    ignored_tags: tuple[bytes, ...] = ()
     aliases: tuple[tuple[bytes, bytes], ...] = ()
     apart: bool = False
 
@@ -175,19 +175,19 @@ class Format:
     @cached_property
     def tags(self) -> dict[bytes, Record]:
         """Records by tag and alias."""
-        found = {record.tag: record for record in self.records}
-        return found | {alias: found[tag] for alias, tag in self.aliases}
+        by_tag = {record.tag: record for record in self.records}
+        return by_tag | {alias: by_tag[tag] for alias, tag in self.aliases}
 
     def vertex(self, role: str, group: LieGroup) -> Record | None:
         """The record of vertices of a role in the plane or in space; None where the format has none."""
-        wanted = "pose" if role == "mount" else role
-        found = [r for r in self.records if r.factor is None and r.slots == (wanted,) and r.group is group]
-        return found[0] if found else None
+        slot = "pose" if role == "mount" else role
+        records = [r for r in self.records if r.factor is None and r.slots == (slot,) and r.group is group]
+        return records[0] if records else None
 
     def offset(self, group: LieGroup) -> Record | None:
         """The record of parameters."""
-        found = [r for r in self.records if r.factor is None and not r.slots and r.group is group]
-        return found[0] if found else None
+        records = [r for r in self.records if r.factor is None and not r.slots and r.group is group]
+        return records[0] if records else None
 
 
 def a_file(format: str) -> str:

@@ -12,7 +12,7 @@ from nls.io.records import KINDS
 from nls.io.text import Text, printable
 
 __all__ = ["Roles"]
-SAID = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
+ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 
 
 class Roles:
@@ -26,7 +26,7 @@ class Roles:
 
     Attributes
     ----------
-    given : ids of all vertex lines; empty when the file has none.
+    vertex_ids : ids of all vertex lines; empty when the file has none.
     poses, points, mounts : ids of each role.
 
     Raises
@@ -39,12 +39,12 @@ class Roles:
         self, text: Text, vertices: list[Lines], edges: list[Lines], unknown: Mapping[bytes, Index], apart: bool = False
     ) -> None:
         self.text, self.edges, self.unknown = text, edges, unknown
-        self.given, _ = by_number(text, vertices, "vertex")
+        self.vertex_ids, _ = by_number(text, vertices, "vertex")
         self.mounts = different(self._used("mount"))
-        if len(self.given):
-            lines = {part.record.slots[0]: part for part in vertices}
-            self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.given[:0]
-            self.poses = np.sort(lines["pose"].ids[0]) if "pose" in lines else self.given[:0]
+        if len(self.vertex_ids):
+            lines = {block.record.slots[0]: block for block in vertices}
+            self.points = np.sort(lines["point"].ids[0]) if "point" in lines else self.vertex_ids[:0]
+            self.poses = np.sort(lines["pose"].ids[0]) if "pose" in lines else self.vertex_ids[:0]
             self._refuse_missing(lines)
             self._refuse_clash("pose", self.mounts, "mount")
             self.poses = self.poses[~np.isin(self.poses, self.mounts)] if len(self.mounts) else self.poses
@@ -66,64 +66,66 @@ class Roles:
             slot = "mount" if among(ids[:1], self.mounts).all() else "pose"
         return KINDS[slot]
 
-    def kinds_of(self, part: Lines, slot: str = "either") -> Iterator[Index | slice]:
+    def kinds_of(self, block: Lines, slot: str = "either") -> Iterator[Index | slice]:
         """The lines of an edge or vertices, apart where this slot of theirs holds variables of two kinds."""
-        if slot not in part.record.slots or not len(self.mounts):
+        if slot not in block.record.slots or not len(self.mounts):
             yield slice(None)
             return
-        mount = among(part.ids[part.record.slots.index(slot)], self.mounts)
+        mount = among(block.ids[block.record.slots.index(slot)], self.mounts)
         for mine in (np.flatnonzero(~mount), np.flatnonzero(mount)):
             if len(mine):
                 yield mine
 
     def _used(self, slot: str) -> Numbers:
         """Ids in all slots of this name."""
-        ids = [i for part in self.edges for s, i in zip(part.record.slots, part.ids, strict=True) if s == slot]
+        ids = [i for block in self.edges for s, i in zip(block.record.slots, block.ids, strict=True) if s == slot]
         return joined(ids)
 
     def first_line(self, slots: tuple[str, ...], number: int) -> int:
         """First line (from 0) that uses a vertex in one of these slots; -1 when none does."""
-        found = [
-            int(part.at[np.argmax(ids == number)])
-            for part in self.edges
-            for slot, ids in zip(part.record.slots, part.ids, strict=True)
+        lines = [
+            int(block.at[np.argmax(ids == number)])
+            for block in self.edges
+            for slot, ids in zip(block.record.slots, block.ids, strict=True)
             if slot in slots and (ids == number).any()
         ]
-        return min(found, default=-1)
+        return min(lines, default=-1)
 
-    def _refuse_clash(self, slot: str, others: Numbers, role: str) -> None:
+    def _refuse_clash(self, slot: str, claimed_ids: Numbers, role: str) -> None:
         """Refuse vertices in slots of this name that are something else in other lines."""
-        if not len(others):
+        if not len(claimed_ids):
             return
         used = self._used(slot)
-        clash = used[np.isin(used, others)]
+        clash = used[np.isin(used, claimed_ids)]
         if len(clash):
             number = int(clash[0])
-            here, there = self.first_line((slot,), number), self.first_line((role,), number)
-            one, other = SAID.get(slot, "pose"), SAID[role]
-            if here < there:
-                here, there, one, other = there, here, other, one
-            raise self.text.error(f"vertex {number} is used as {one} here, and as {other} on line {there + 1}", here)
+            line, other_line = self.first_line((slot,), number), self.first_line((role,), number)
+            use, other_use = ROLE_NAMES.get(slot, "pose"), ROLE_NAMES[role]
+            if line < other_line:
+                line, other_line, use, other_use = other_line, line, other_use, use
+            raise self.text.error(
+                f"vertex {number} is used as {use} here, and as {other_use} on line {other_line + 1}", line
+            )
 
     def _refuse_missing(self, lines: dict[str, Lines]) -> None:
         """Refuse an edge to a vertex that no line gives, or that is of another role."""
-        for part in self.edges:
-            for slot, ids in zip(part.record.slots, part.ids, strict=True):
+        for block in self.edges:
+            for slot, ids in zip(block.record.slots, block.ids, strict=True):
                 role = "point" if slot == "point" else "pose"
-                known, other = (self.points, "pose") if role == "point" else (self.poses, "point")
-                if (found := among(ids, known)).all():
+                known, other_role = (self.points, "pose") if role == "point" else (self.poses, "point")
+                if (is_known := among(ids, known)).all():
                     continue
-                k = int(np.argmin(found))
-                if other in lines and (ids[k] == lines[other].ids[0]).any():
-                    line = int(lines[other].at[np.argmax(lines[other].ids[0] == ids[k])])
-                    message = f"the edge needs a {role}, vertex {ids[k]} is a {other} (line {line + 1})"
-                    raise self.text.error(message, int(part.at[k]))
+                k = int(np.argmin(is_known))
+                if other_role in lines and (ids[k] == lines[other_role].ids[0]).any():
+                    line = int(lines[other_role].at[np.argmax(lines[other_role].ids[0] == ids[k])])
+                    message = f"the edge needs a {role}, vertex {ids[k]} is a {other_role} (line {line + 1})"
+                    raise self.text.error(message, int(block.at[k]))
                 tag = lines[role].record.tag.decode() if role in lines else f"{role} vertex"
-                self._refuse_unknown(int(ids[k]), int(part.at[k]), tag)
+                self._refuse_unknown(int(ids[k]), int(block.at[k]), tag)
                 raise self.text.error(
                     f"the edge needs vertex {ids[k]}, which no {tag} line has (others are there); add it, or take out "
                     "all vertices to have poses chained along the edges",
-                    int(part.at[k]),
+                    int(block.at[k]),
                 )
 
     def _refuse_unknown(self, number: int, edge: int, tag: str) -> None:

@@ -10,7 +10,7 @@ from factors.between_sensors import BetweenSensors
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup, R
 from nls.graph import FactorGraph
 from nls.io.lines import Lines
@@ -58,7 +58,7 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
         )
         report.notes.append(f"no vertices in the file: {places} at the vehicle's own")
     if not all(np.isfinite(stack.X).all() for stack in values.stacks.values()):
-        line = int(min(part.at.min() for _, part in bound))
+        line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
 
@@ -79,24 +79,24 @@ def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values:
     """Points from a prior, else from where they were seen, else along measured differences of points."""
     before = values.stack(POINT)
     prior = [f.keys[0].numbers for f, _ in bound if isinstance(f, Prior) and f.keys[0].kind == POINT]
-    seen = FactorGraph([f for f, _ in bound if isinstance(f, Seen)])
+    sightings = FactorGraph([f for f, _ in bound if isinstance(f, Sighting)])
     joined = FactorGraph([f for f, _ in bound if isinstance(f, Between) and f.keys[0].kind == POINT])
     for numbers in prior:
-        seen.fix(Keys(POINT, numbers))
+        sightings.fix(Keys(POINT, numbers))
     try:
-        values = locate_points(seen, values)
+        values = locate_points(sightings, values)
     except np.linalg.LinAlgError as error:
-        line = int(min(part.at.min() for _, part in bound))
+        line = int(min(block.at.min() for _, block in bound))
         raise text.error(f"numbers too large to place the points ({error}); give vertices", line) from error
     moved = (values.stack(POINT).X != before.X).any(axis=1)
-    complete = [f.keys[1].numbers for f in seen.factors if isinstance(f, Seen) and f.locates]
-    found = np.concatenate([before.numbers[moved], *prior, *complete])
+    complete = [f.keys[1].numbers for f in sightings.factors if isinstance(f, Sighting) and f.locates]
+    located_ids = np.concatenate([before.numbers[moved], *prior, *complete])
     if joined.factors:
-        if len(found):
-            joined.fix(Keys(POINT, np.unique(found)))
+        if len(located_ids):
+            joined.fix(Keys(POINT, np.unique(located_ids)))
         values = chain(joined, values)
-        found = np.concatenate([found, *(keys.numbers for f in joined.factors for keys in f.keys)])
-    lost = roles.points[~np.isin(roles.points, found)]
+        located_ids = np.concatenate([located_ids, *(keys.numbers for f in joined.factors for keys in f.keys)])
+    lost = roles.points[~np.isin(roles.points, located_ids)]
     if len(lost):
         raise text.error(
             f"the file has no vertices, and its measurements do not say where point {lost[0]} is; add vertices",

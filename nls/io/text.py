@@ -110,10 +110,10 @@ class Text:
         )  # half the memory where it can be
         edges, newlines = [], []
         for begin in range(0, len(marks), BLOCK):
-            part = marks[begin : begin + BLOCK + 1]
-            blank = part >= BLANK
+            block = marks[begin : begin + BLOCK + 1]
+            blank = block >= BLANK
             edges.append((blank[1:] != blank[:-1]).nonzero()[0].astype(kind) + (begin + 1))
-            newlines.append((part[:BLOCK] == LINE_END).nonzero()[0].astype(kind) + begin)
+            newlines.append((block[:BLOCK] == LINE_END).nonzero()[0].astype(kind) + begin)
         tokens: Index = np.concatenate(edges)  # tokens and blanks alternate; the bytes begin blank
         self.starts, self.ends = tokens[0::2], tokens[1::2]
         self._newlines: Index = np.concatenate(newlines)
@@ -142,15 +142,15 @@ class Text:
         starts = self.starts.take(heads).astype(np.intp)
         length = self.ends.take(heads) - starts
         window = windows(self._bytes)
-        found: dict[bytes, Index] = {}
-        while len(lines) and len(found) < FEW and length[0] <= SHORT:
+        lines_of_tag: dict[bytes, Index] = {}
+        while len(lines) and len(lines_of_tag) < FEW and length[0] <= SHORT:
             same, first = length == length[0], int(length[0])
             for k in range(first, 0, -8):
                 word = window[starts + (k - 8)] >> max(0, 64 - 8 * k)  # of these eight bytes, those of the tag
                 same &= word == word[0]
-            found[self.token(int(heads[0]))] = lines[same]
-            others = (~same).nonzero()[0]
-            lines, heads, starts, length = (each.take(others) for each in (lines, heads, starts, length))
+            lines_of_tag[self.token(int(heads[0]))] = lines[same]
+            other_lines = (~same).nonzero()[0]
+            lines, heads, starts, length = (array.take(other_lines) for array in (lines, heads, starts, length))
         if (needed := float(PER_TAG * len(lines))) > default_limit():
             raise ResourceLimitError(
                 f"{self.path}: {len(lines):,} lines with first words of many kinds, to tell them apart takes "
@@ -159,11 +159,11 @@ class Text:
                 default_limit(),
                 "first words",
             )
-        rest: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
+        by_word: dict[bytes, list[int]] = {}  # a file of many or long first words is no graph: one look at each line
         for line, head in zip(lines.tolist(), heads.tolist(), strict=True):
-            rest.setdefault(self.token(head), []).append(line)
-        found |= {tag: np.array(same, dtype=np.intp) for tag, same in rest.items()}
-        return found
+            by_word.setdefault(self.token(head), []).append(line)
+        lines_of_tag |= {tag: np.array(same, dtype=np.intp) for tag, same in by_word.items()}
+        return lines_of_tag
 
     def characters(self, tokens: Index, width: int) -> npt.NDArray[np.uint8]:
         """The first bytes of tokens, (n, width), zeros behind their ends."""
@@ -177,7 +177,7 @@ class Text:
         marks, self._marks = self._marks, b""  # needed once: 340 MB of a million edges in space
         return decimals(marks, self.starts, self.ends)
 
-    def table(self, lines: Index, columns: int, what: str, entries: int = 0) -> Array:
+    def table(self, lines: Index, columns: int, expected: str, entries: int = 0) -> Array:
         """The numbers after the first word of these lines, (n, columns); the last ones the entries of a matrix.
 
         Raises
@@ -189,9 +189,9 @@ class Text:
         count = self.first.take(lines + 1) - first - 1
         if (wrong := count != columns).any():
             k = int(np.argmax(wrong))
-            found, needed = int(count[k]), columns - entries
-            said = f"; these are {found - needed} entries for {entries}" if entries and found >= needed else ""
-            raise self.error(f"{found} numbers after the tag, expected {columns}: {what}{said}", int(lines[k]))
+            numbers, needed = int(count[k]), columns - entries
+            surplus = f"; these are {numbers - needed} entries for {entries}" if entries and numbers >= needed else ""
+            raise self.error(f"{numbers} numbers after the tag, expected {columns}: {expected}{surplus}", int(lines[k]))
         begin, end = int(first[0]), int(first[-1]) + width
         if end - begin > len(lines) * width:  # other lines between
             tokens = first[:, None] + np.arange(1, width)
@@ -212,7 +212,7 @@ class Text:
             A word that is no whole number, or too large.
         """
         tokens = self.first.take(lines) + column
-        number, form = (each.take(tokens) for each in self._decimals)
+        number, form = (array.take(tokens) for array in self._decimals)
         with np.errstate(invalid="ignore"):  # what is too large for it is read again below
             value: npt.NDArray[np.int64] = number.astype(np.int64)
         for place in zip(*(form != WHOLE).nonzero(), strict=True):
@@ -226,8 +226,8 @@ class Text:
     def numbers(self, tokens: Index, lines: Index, columns: int) -> Array:
         """Correctly rounded numbers of tokens; token k is on ``lines[k // columns]``."""
         value, form = self._decimals
-        rest = np.flatnonzero(form[tokens] == UNREAD)
-        self._read(tokens[rest], lines[rest // columns])
+        unread = np.flatnonzero(form[tokens] == UNREAD)
+        self._read(tokens[unread], lines[unread // columns])
         return value[tokens]
 
     def _read(self, tokens: Index, lines: Index) -> None:

@@ -22,7 +22,7 @@ from models.manifolds.so3 import quaternion_from_matrix, rotation3
 from nls.io.files import write_bytes
 from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
-from nls.io.unused import note_comments
+from nls.io.unused_lines import note_comments
 from nls.values import Values
 
 __all__ = ["kitti_text", "lifted", "load_trajectory", "read_kitti", "read_tum", "tum_text", "write_kitti", "write_tum"]
@@ -70,8 +70,8 @@ def _tum(path: str | Path) -> tuple[Array, Array, int]:
     """Times, poses and how many comments."""
     text, lines, table, comments = plain_table(path, 8, "timestamp tx ty tz qx qy qz qw", "pose")
     times, poses = table[:, 0], table[:, 1:]
-    if (found := SE3.invalid(poses)) is not None:
-        raise text.error(found[1], int(lines[found[0]]))
+    if (invalid := SE3.invalid(poses)) is not None:
+        raise text.error(invalid[1], int(lines[invalid[0]]))
     refuse_late(text, lines, times)
     return times, poses, comments
 
@@ -129,8 +129,8 @@ def _kitti(path: str | Path) -> tuple[Array, int]:
     off = np.abs(R @ R.mT - np.eye(3)).max(axis=(1, 2), initial=0.0)
     if (bad := ~(off <= ORTHONORMAL) | (np.linalg.det(R) < 0)).any():
         k = int(np.argmax(bad))
-        what = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
-        raise text.error(f"no rotation matrix: {what}", int(lines[k]))
+        problem = f"R R' is off the identity by {off[k]:.3g}" if off[k] > ORTHONORMAL else "its determinant is -1"
+        raise text.error(f"no rotation matrix: {problem}", int(lines[k]))
     return np.hstack([T[:, :, 3], quaternion_from_matrix(R)]), comments
 
 

@@ -55,8 +55,8 @@ def graph_text(
     for tag, numbers, held, columns in content.vertices:
         lines = _lines(tag, [numbers], columns)
         if held.any():
-            each = zip(lines, numbers.tolist(), held.tolist(), strict=True)
-            lines = [line for row, n, h in each for line in ([row, f"FIX {n}"] if h else [row])]
+            rows_of_vertices = zip(lines, numbers.tolist(), held.tolist(), strict=True)
+            lines = [line for row, n, h in rows_of_vertices for line in ([row, f"FIX {n}"] if h else [row])]
         out += lines
     for table in content.edges:
         out += _lines(*table)
@@ -115,25 +115,25 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
     """SE2 or SE3; every kind in the space the format has for it, each number once where kinds share a numbering."""
     kinds = {stack.kind: stack.manifold for stack in values.stacks.values()}
     group = SE3 if {SE3, R(3)} & set(kinds.values()) else SE2
-    wanted = {KINDS["pose"]: group, KINDS["point"]: R(group.point_dim), KINDS["mount"]: group}
+    spaces = {KINDS["pose"]: group, KINDS["point"]: R(group.point_dim), KINDS["mount"]: group}
     for kind, manifold in kinds.items():
-        if wanted.get(kind) is not manifold:
-            said = ", ".join(f"{k} in {space}" for k, space in wanted.items())
+        if spaces.get(kind) is not manifold:
+            expected = ", ".join(f"{k} in {space}" for k, space in spaces.items())
             raise GraphError(
                 f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
-                f"points and places of sensors of one dimension: here {said}; build the graph with these kinds, "
+                f"points and places of sensors of one dimension: here {expected}; build the graph with these kinds, "
                 "or let `nls convert` rename them, which takes one kind of poses and one of points"
             )
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
     unique, times = np.unique(numbers, return_counts=True)
     if (times > 1).any() and not format.apart:
         number = int(unique[np.argmax(times > 1)])
-        both = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
+        clash = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
         raise GraphError(
-            f"{path}: {both[0]!r} and {both[1]!r} have one number, the vertices of {a_file(format.name)} share one "
+            f"{path}: {clash[0]!r} and {clash[1]!r} have one number, the vertices of {a_file(format.name)} share one "
             "numbering; give points numbers of their own, such as those of the poses and above: "
             "`nls convert` does",
-            both,
+            clash,
         )
     return group
 
@@ -176,24 +176,24 @@ class _Offsets:
 
     def __init__(self, ignored: list[str], group: LieGroup) -> None:
         self.group = group
-        found = [PARAMETER.match(line) for line in ignored]
-        self.taken = {int(m[1]) for m in found if m}
+        parameters = [PARAMETER.match(line) for line in ignored]
+        self.used_ids = {int(m[1]) for m in parameters if m}
         self.rows: dict[int, bytes] = {}
         self.known: dict[
             bytes, int
         ] = {}  # the first id of every row: a search through `rows` made 8000 take 3.6 s, not 0.2
-        self.free = max(self.taken, default=-1) + 1
+        self.free = max(self.used_ids, default=-1) + 1
 
-    def ids(self, offsets: Array, wanted: Numbers) -> Numbers:
+    def ids(self, offsets: Array, wanted_ids: Numbers) -> Numbers:
         """Ids (n,) of offsets (n, size), the wanted ones (n,) where they are free or say the same; -1: any."""
-        pairs = np.column_stack([offsets.view(np.int64), wanted])  # equal bits, not equal numbers: -0.0 stays
-        unique, which = np.unique(pairs, axis=0, return_inverse=True)
+        pairs = np.column_stack([offsets.view(np.int64), wanted_ids])  # equal bits, not equal numbers: -0.0 stays
+        unique, row_of = np.unique(pairs, axis=0, return_inverse=True)
         number = [self._id(row[:-1].tobytes(), int(row[-1])) for row in unique]
-        return np.array(number, dtype=np.int64)[which.reshape(-1)]
+        return np.array(number, dtype=np.int64)[row_of.reshape(-1)]
 
-    def _id(self, row: bytes, wanted: int) -> int:
-        if wanted >= 0 and wanted not in self.taken and self.rows.get(wanted, row) == row:
-            return self._add(wanted, row)
+    def _id(self, row: bytes, wanted_id: int) -> int:
+        if wanted_id >= 0 and wanted_id not in self.used_ids and self.rows.get(wanted_id, row) == row:
+            return self._add(wanted_id, row)
         return self.known[row] if row in self.known else self._add(self.free, row)
 
     def _add(self, number: int, row: bytes) -> int:
@@ -201,7 +201,7 @@ class _Offsets:
         self.known.setdefault(row, number)
         self.free = max(self.free, number + 1)
         if self.free == 2**63:  # no id: the first that is left
-            self.free = next(k for k in count() if k not in self.rows and k not in self.taken)
+            self.free = next(k for k in count() if k not in self.rows and k not in self.used_ids)
         return number
 
     def lines(self, format: Format) -> list[str]:
@@ -241,13 +241,13 @@ def _edges(
         except GraphError as error:
             raise GraphError(f"{path}: {error}", factor.keys, factor.name) from error
     ids = [keys.numbers for keys in factor.keys]
-    wanted = np.full((n, record.parameters), -1, dtype=np.int64)
+    parameters = np.full((n, record.parameters), -1, dtype=np.int64)
     offset = [np.broadcast_to(O, (n, group.size)) for O in (fixed or any_ * record.parameters)]
-    if isinstance(noise, AsRead) and noise.parameters.shape == wanted.shape:
-        wanted = noise.parameters
+    if isinstance(noise, AsRead) and noise.parameters.shape == parameters.shape:
+        parameters = noise.parameters
         offset = offset if record.used else [noise.offsets[:, k] for k in range(record.parameters)]
     for k in range(record.parameters):
-        ids.append(offsets.ids(np.ascontiguousarray(offset[k]), wanted[:, k]))
+        ids.append(offsets.ids(np.ascontiguousarray(offset[k]), parameters[:, k]))
     return record.tag, ids, numbers
 
 

@@ -107,8 +107,8 @@ class LinearSolver(Abstract):
         ------
         MissingSolverError
         """
-        if (what := self.missing()) is not None:
-            raise MissingSolverError(f"linear solver {self.name!r}: {what}")
+        if (problem := self.missing()) is not None:
+            raise MissingSolverError(f"linear solver {self.name!r}: {problem}")
 
     @abstractmethod
     def analyze(self, pattern: Pattern) -> Analysis:
@@ -118,7 +118,7 @@ class LinearSolver(Abstract):
         """A'A of a linearization, factorized; None of a solver that does not factorize it."""
         return None
 
-    def seen(self, system: LinearSystem) -> LinearSystem:
+    def held_system(self, system: LinearSystem) -> LinearSystem:
         """The system whose singularity `solve` reports: the one given, unless the solver holds something itself."""
         return system
 

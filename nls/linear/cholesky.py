@@ -70,12 +70,12 @@ class Cholmod(Decomposition):
         amd = _order(graph, "amd")
         if len(u) <= LARGE:
             return amd
-        one = np.ones(V, dtype=np.intp)
-        flops = counted(one, u, v, amd).flops
+        unit_dims = np.ones(V, dtype=np.intp)
+        flops = counted(unit_dims, u, v, amd).flops
         if flops <= COSTLY * len(u):
             return amd
         metis = _order(graph, "metis")
-        return metis if counted(one, u, v, metis).flops < flops else amd
+        return metis if counted(unit_dims, u, v, metis).flops < flops else amd
 
     def __init__(self, hessian: Hessian, dtype: type = float) -> None:
         module = cholmod()

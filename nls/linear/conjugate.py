@@ -34,14 +34,14 @@ class Iterated(NamedTuple):
     ----------
     x : (k, n) solutions, one a row.
     steps : taken.
-    there : whether every side has reached its goal.
+    converged : whether every side has reached its goal.
     coefficients : (alpha, beta) of every step, by side.
     flat : (j, n) the directions p it ended with where p'H p was not above 0; None where it did not end so.
     """
 
     x: Array
     steps: int
-    there: bool
+    converged: bool
     coefficients: list[list[tuple[float, float]]]
     flat: Array | None = None
 
@@ -87,7 +87,7 @@ def conjugate(
     >>> import numpy as np
     >>> H = np.array([[4.0, 1.0], [1.0, 3.0]])
     >>> found = conjugate(lambda P: P @ H, lambda R: R, np.array([[1.0, 2.0]]), lambda first: 1e-20 * first, 9)
-    >>> found.steps, found.there, (found.x @ H).round(6).tolist()
+    >>> found.steps, found.converged, (found.x @ H).round(6).tolist()
     (2, True, [[1.0, 2.0]])
     """
     R, x, P = R.copy(), np.zeros_like(R), np.zeros_like(R)

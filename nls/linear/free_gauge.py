@@ -22,7 +22,7 @@ def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
     return gauge, np.setdiff1d(np.arange(free.n), gauge)
 
 
-def free_directions(A: sp.csr_array, gauge: Index, rest: Index, unheld: Array) -> Array:
+def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Array) -> Array:
     """Orthonormal basis (n, k) of the free gauge, N = [-pinv(A_f) A_h; I], from ``unheld``, pinv(A_f) A_h.
 
     Raises
@@ -31,7 +31,7 @@ def free_directions(A: sp.csr_array, gauge: Index, rest: Index, unheld: Array) -
         The held columns are no free directions: N changes a measurement.
     """
     N = np.zeros((A.shape[1], len(gauge)))
-    N[rest], N[gauge] = -unheld, np.eye(len(gauge))
+    N[complement], N[gauge] = -unheld, np.eye(len(gauge))
     if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
@@ -57,7 +57,7 @@ class FreeGauge(LinearSolver):
     def analyze(self, pattern: Pattern) -> FreeAnalysis:
         return FreeAnalysis(self, self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
 
-    def seen(self, system: LinearSystem) -> LinearSystem:
+    def held_system(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)
 
 
@@ -67,24 +67,24 @@ class FreeAnalysis(Analysis):
     Parameters
     ----------
     solver, analysis : of the free gauge; of the columns that are not held.
-    gauge, rest : columns that are the gauge, and all others.
+    gauge, complement : columns that are the gauge, and all others.
     """
 
-    def __init__(self, solver: FreeGauge, analysis: Analysis, gauge: Index, rest: Index) -> None:
+    def __init__(self, solver: FreeGauge, analysis: Analysis, gauge: Index, complement: Index) -> None:
         super().__init__(solver.name)
-        self.solver, self.analysis, self.gauge, self.rest = solver, analysis, gauge, rest
+        self.solver, self.analysis, self.gauge, self.complement = solver, analysis, gauge, complement
 
     @property
     def description(self) -> str:
         return self.analysis.description
 
     def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
-        held = self.solver.seen(system)
-        step = self.analysis.solve(held, None if damping is None else damping[self.rest])
+        held = self.solver.held_system(system)
+        step = self.analysis.solve(held, None if damping is None else damping[self.complement])
         t0 = perf_counter()
         x = np.zeros(system.pattern.n)
-        x[self.rest] = step.dx
+        x[self.complement] = step.dx
         unheld = self.analysis.columns(held, system.A[:, self.gauge])
-        Q = free_directions(system.A, self.gauge, self.rest, unheld)
+        Q = free_directions(system.A, self.gauge, self.complement, unheld)
         seconds = {**step.seconds, "solve": step.seconds.get("solve", 0.0) + perf_counter() - t0}
         return LinearSolution(x - Q @ (Q.T @ x), seconds)

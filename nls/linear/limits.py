@@ -84,10 +84,10 @@ def refuse_above(limit: float, per_number: float, hessian: Hessian, solver: str)
     fill = counted(hessian.dims, elimination.u, elimination.v, elimination.variables)
     needed = per_number * fill.nnz
     if needed > limit:
-        other = "" if solver == "cholesky" else "take linear solver 'cholesky', which needs least, "
+        alternative = "" if solver == "cholesky" else "take linear solver 'cholesky', which needs least, "
         raise ResourceLimitError(
             f"linear solver {solver!r}: R of {hessian.n:,} unknowns has {fill.nnz:,} numbers, its factorization needs "
-            f"{gigabytes(needed)}, the limit is {gigabytes(limit)}; {other}leave out variables or "
+            f"{gigabytes(needed)}, the limit is {gigabytes(limit)}; {alternative}leave out variables or "
             "the measurements that join far parts, fix variables, or allow more with memory_limit",
             needed,
             limit,

@@ -103,9 +103,9 @@ def single_directions(system: LinearSystem) -> sp.csc_array:
         numbers.append(V[v, :, k].ravel())
         count.append(np.full(len(v), d))
     indptr = np.cumsum(np.concatenate(count))
-    found = sp.csc_array((np.concatenate(numbers), np.concatenate(rows), indptr), (len(norms), len(indptr) - 1))
-    said = np.sqrt(np.asarray((A @ found).power(2).sum(axis=0)).ravel())
-    return sp.csc_array(found[:, np.flatnonzero(said <= NULL)])
+    candidates = sp.csc_array((np.concatenate(numbers), np.concatenate(rows), indptr), (len(norms), len(indptr) - 1))
+    lengths = np.sqrt(np.asarray((A @ candidates).power(2).sum(axis=0)).ravel())
+    return sp.csc_array(candidates[:, np.flatnonzero(lengths <= NULL)])
 
 
 def _blocks(system: LinearSystem, variables: Index, d: int) -> Array:
@@ -116,8 +116,8 @@ def _blocks(system: LinearSystem, variables: Index, d: int) -> Array:
     for batch, blocks in zip(system.pattern.batches, system.blocks, strict=True):
         for index, A in zip(batch.variables, blocks, strict=True):
             at = place[index]
-            if (here := at >= 0).any():
-                np.add.at(H, at[here], gram(A[here]))
+            if (rows := at >= 0).any():
+                np.add.at(H, at[rows], gram(A[rows]))
     return H
 
 

@@ -76,14 +76,14 @@ class KeptFactorization(Factorization):
         self._h = h[self.hessian.permutation]
 
     @property
-    def kept(self) -> bool:
+    def exists(self) -> bool:
         """Whether there is a factorization of a regular H, old or new."""
         return self._h is not None
 
     @property
     def current(self) -> bool:
         """Whether the factorization is of the H solved last."""
-        return self.kept and self._newer is None
+        return self.exists and self._newer is None
 
     def iterate(self, S: Array, g: Array, tol: float, max_steps: int) -> Array | None:
         """H^-1 g (n,), columns in the order of A, by conjugate gradients; None where a factorization has to be made.
@@ -114,7 +114,7 @@ class KeptFactorization(Factorization):
     ) -> tuple[Array | None, int]:
         """The solution, or None, and the steps taken. H is a lower triangle, all is in elimination order."""
         upper = H.T
-        found = conjugate(
+        solution = conjugate(
             lambda P: np.stack([H @ p + upper @ p - diagonal * p for p in P]),
             lambda R: self.decomposition.solve(R.T).T,
             np.stack([g, h]),
@@ -122,8 +122,8 @@ class KeptFactorization(Factorization):
             max_steps,
             TRIED,
         )
-        solved = found.there and _softest(found.coefficients[1]) > SOFT
-        return found.x[0] if solved else None, found.steps
+        solved = solution.converged and _softest(solution.coefficients[1]) > SOFT
+        return solution.x[0] if solved else None, solution.steps
 
     def solve(self, g: Array) -> Array:
         self._renew()
@@ -190,8 +190,10 @@ class CholeskyPCG(Cholesky):
         self.tol, self.max_steps = checked_settings(tol, max_steps)
 
     def analyze(self, pattern: Pattern) -> KeptAnalysis:
-        made = self.prepared(pattern)
-        return KeptAnalysis(KeptFactorization(made.hessian, made.decomposition), self.tol, self.max_steps)
+        factorization = self.prepared(pattern)
+        return KeptAnalysis(
+            KeptFactorization(factorization.hessian, factorization.decomposition), self.tol, self.max_steps
+        )
 
 
 class KeptAnalysis(NormalAnalysis):
@@ -199,35 +201,37 @@ class KeptAnalysis(NormalAnalysis):
 
     Parameters
     ----------
-    kept : the factorization.
+    factorization : the factorization.
     tol, max_steps : as in `CholeskyPCG`.
     """
 
-    def __init__(self, kept: KeptFactorization, tol: float, max_steps: int) -> None:
-        super().__init__(CholeskyPCG.name, kept)
-        self._kept, self._tol, self._max_steps = kept, tol, max_steps
+    def __init__(self, factorization: KeptFactorization, tol: float, max_steps: int) -> None:
+        super().__init__(CholeskyPCG.name, factorization)
+        self._factorization, self._tol, self._max_steps = factorization, tol, max_steps
 
     def solve(self, system: LinearSystem, damping: Array | None = None) -> LinearSolution:
         seconds = {"assemble": 0.0, "factorize": 0.0, "solve": 0.0}
-        if self._kept.kept:
+        if self._factorization.exists:
             dx = self._iterated(system, damping, seconds)
             if dx is not None:
                 return LinearSolution(dx, seconds)
         solution = super().solve(system, damping)
         t0 = perf_counter()
-        self._kept.keep(system, damping)
+        self._factorization.keep(system, damping)
         seconds["factorize"] += perf_counter() - t0
-        return LinearSolution(solution.dx, {part: seconds[part] + taken for part, taken in solution.seconds.items()})
+        return LinearSolution(
+            solution.dx, {stage: seconds[stage] + duration for stage, duration in solution.seconds.items()}
+        )
 
     def again(self, system: LinearSystem) -> LinearSolution | None:
-        return super().again(system) if self._kept.current else None
+        return super().again(system) if self._factorization.current else None
 
     @property
     def description(self) -> str:
         """Name, factorizations and steps of conjugate gradients since `analyze`, in words."""
-        kept = self._kept
-        many, steps = "" if kept.factorizations == 1 else "s", "" if kept.steps == 1 else "s"
-        return f"{self.name}, {kept.factorizations} factorization{many}, {kept.steps} CG step{steps}"
+        factorization = self._factorization
+        many, steps = "" if factorization.factorizations == 1 else "s", "" if factorization.steps == 1 else "s"
+        return f"{self.name}, {factorization.factorizations} factorization{many}, {factorization.steps} CG step{steps}"
 
     def _iterated(self, system: LinearSystem, damping: Array | None, seconds: dict[str, float]) -> Array | None:
         """The step by conjugate gradients, or None; the time it took is added to `seconds`."""
@@ -236,8 +240,8 @@ class KeptAnalysis(NormalAnalysis):
             S, g = system.H_blocks, system.gradient
         if damping is not None:
             S = S.copy()
-            self._kept.hessian.damp(S, damping)
+            self._factorization.hessian.damp(S, damping)
         t1 = perf_counter()
-        dx = self._kept.iterate(S, g, self._tol, self._max_steps)
+        dx = self._factorization.iterate(S, g, self._tol, self._max_steps)
         seconds["assemble"], seconds["solve"] = t1 - t0, perf_counter() - t1
         return dx

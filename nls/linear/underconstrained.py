@@ -54,9 +54,9 @@ def underconstrained(
     if not null.any() or _longest(weighted) > FAR:
         return _unlike(weighted, values)
     singles = single_directions(system)
-    others = separated(N[:, null], singles, norms)
-    carried = _carriers(others, norms, _component_ids(pattern, owner, component))
-    moved = [*carriers_of_singles(singles, INVOLVED), *(np.flatnonzero(each) for each in carried.T)]
+    directions_of_several = separated(N[:, null], singles, norms)
+    carried = _carriers(directions_of_several, norms, _component_ids(pattern, owner, component))
+    moved = [*carriers_of_singles(singles, INVOLVED), *(np.flatnonzero(column) for column in carried.T)]
     any_of_them = np.unique(np.concatenate(moved))
     named = _by_variable(pattern, owner[any_of_them], component[any_of_them])
     keys = [key for key, _ in named]
@@ -66,7 +66,7 @@ def underconstrained(
         f"the measurements leave {count} free: {where}",
         keys,
         len(moved),
-        [_listed(_by_variable(pattern, owner[each], component[each])) for each in moved],
+        [_listed(_by_variable(pattern, owner[unknowns], component[unknowns])) for unknowns in moved],
         values,
         advice,
     )
@@ -122,7 +122,7 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
     if _longest(system) > FAR:
         largest = [np.abs(batch.model.z).max(axis=1, initial=0.0) for batch in system.pattern.batches]
         far = [(size > FAR * weight).any(axis=1) for weight, size in system.row_sizes]
-        values = [np.where(there, z, -1.0) for there, z in zip(far, largest, strict=True)]
+        values = [np.where(is_far, z, -1.0) for is_far, z in zip(far, largest, strict=True)]
         batch = int(np.argmax([z.max(initial=-1.0) for z in values]))
         index = int(np.argmax(values[batch]))
         row = int(np.argmax(sizes[batch][index]))
@@ -142,9 +142,9 @@ def _extreme(system: LinearSystem) -> tuple[int, int, int, float, str, list[Advi
     return batch, index, row, max(times, 1 / times), size, advice
 
 
-def directions(count: int, found: int | None = None) -> str:
+def directions(count: int, null_dim: int | None = None) -> str:
     """So many free directions, in words; of those that move several variables `MAX_DIRECTIONS` are looked for."""
-    most = (count if found is None else found) == MAX_DIRECTIONS
+    most = (count if null_dim is None else null_dim) == MAX_DIRECTIONS
     return "1 direction" if count == 1 else f"{'at least ' if most else ''}{count} directions"
 
 
@@ -222,14 +222,14 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
     listed = "; ".join(parts[:6]) + (f"; and {len(parts) - 6} more components" if len(parts) > 6 else "")
     components = np.unique(label[moving])
-    kept: dict[int, str] = {}  # component -> a factor that keeps the gauge from being held there
+    anchors: dict[int, str] = {}  # component -> a factor that keeps the gauge from being held there
     for batch in pattern.batches:
         if not batch.model.factor.relative:
             at, first = np.unique(label[batch.variables[0]], return_index=True)
             for k in np.flatnonzero(np.isin(at, components)):
-                kept.setdefault(int(at[k]), batch.model.factor.describe(int(first[k])))
+                anchors.setdefault(int(at[k]), batch.model.factor.describe(int(first[k])))
     advice = [Advice("fix", ("a pose",)), Advice("prior", ("one pose",))]
-    advice += [] if len(kept) == len(components) else [Advice("gauge")]
+    advice += [] if len(anchors) == len(components) else [Advice("gauge")]
     advice += [Advice("join")] if len(np.unique(label[touched_variables(pattern)])) > 1 else []
-    advice += [Advice("relative", (factor,)) for factor in list(kept.values())[:1]]
+    advice += [Advice("relative", (factor,)) for factor in list(anchors.values())[:1]]
     return listed, advice

@@ -79,11 +79,11 @@ class Automatic(Optimizer):
         try:
             GaussNewton(self.stop, self.callback, reuse=True).follow(problem, X, system, watch)
         except UnderconstrainedError as error:
-            if not watch.taken:
+            if not watch.step_count:
                 raise
-            watch.end(Status.DIVERGED, f"the linear system of iteration {watch.taken + 1} is singular", "singular")
+            watch.end(Status.DIVERGED, f"the linear system of iteration {watch.step_count + 1} is singular", "singular")
             refusal = error
-        if watch.status in FAILED and watch.taken < self.stop.max_iterations:
+        if watch.status in FAILED and watch.step_count < self.stop.max_iterations:
             watch.resume()
             watch.after_a_step = stop.AFTER_A_STEP
             Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)

@@ -72,9 +72,9 @@ class Optimizer(Abstract):
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.analysis.description)
         except SingularSystemError as error:
-            raise underconstrained(problem.solver.seen(problem.latest), watch.best, error) from error
+            raise underconstrained(problem.solver.held_system(problem.latest), watch.best, error) from error
         except (EvaluationError, SingularGeometryError) as error:
-            step = watch.taken + 1
+            step = watch.step_count + 1
             if isinstance(error, EvaluationError):
                 error.iteration = step
             at_start = step == 1 and getattr(error, "where", "") == "A'A"
@@ -83,4 +83,4 @@ class Optimizer(Abstract):
                 raise
             watch.end(Status.DIVERGED, f"the step of iteration {step} led where {error}", "evaluation")
         except KeyboardInterrupt:
-            watch.end(Status.INTERRUPTED, f"after {watch.taken} iterations", "interrupt")
+            watch.end(Status.INTERRUPTED, f"after {watch.step_count} iterations", "interrupt")

@@ -72,7 +72,7 @@ def _dogleg(system: LinearSystem, D: Array, gn: Array, radius: float) -> Array:
     if near >= radius:
         return c * (radius / near)
     p, q = D * c, D * (gn - c)  # |p + beta q|^2 = radius^2, the root between 0 and 1, without cancellation
-    a, half, rest = float(q @ q), float(p @ q), radius**2 - float(p @ p)
-    root = math.sqrt(half * half + a * rest)
-    beta = rest / (half + root) if half > 0 else (root - half) / a
+    a, half, gap = float(q @ q), float(p @ q), radius**2 - float(p @ p)
+    root = math.sqrt(half * half + a * gap)
+    beta = gap / (half + root) if half > 0 else (root - half) / a
     return np.asarray(c + beta * (gn - c))

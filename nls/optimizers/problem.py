@@ -70,7 +70,7 @@ class Problem:
     def glance(self, values: Values, dx: Array) -> tuple[Values, float]:
         """Where a trial step leads, and chi2 there, infinite where it cannot be evaluated; errors as for `attempt`."""
         evaluate = self.pattern.chi2
-        moved, chi2, _ = self._reached(values, dx, lambda there: self._timed("linearize", lambda: evaluate(there)))
+        moved, chi2, _ = self._reached(values, dx, lambda trial: self._timed("linearize", lambda: evaluate(trial)))
         return moved, math.inf if chi2 is None else chi2
 
     def _reached(self, values: Values, dx: Array, evaluate: Callable[[Values], U]) -> tuple[Values, U | None, str]:
@@ -88,20 +88,20 @@ class Problem:
         lap, self._lap = self._lap, {}
         return lap
 
-    def _timed(self, part: str, work: Callable[[], U]) -> U:
+    def _timed(self, stage: str, work: Callable[[], U]) -> U:
         start = perf_counter()
         done = work()
-        self._add(part, perf_counter() - start)
+        self._add(stage, perf_counter() - start)
         return done
 
     def _counted(self, solution: LinearSolution) -> Array:
-        for part, seconds in solution.seconds.items():
-            self._add(part, seconds)
+        for stage, seconds in solution.seconds.items():
+            self._add(stage, seconds)
         return solution.dx
 
-    def _add(self, part: str, seconds: float) -> None:
-        self.timings[part] = self.timings.get(part, 0.0) + seconds
-        self._lap[part] = self._lap.get(part, 0.0) + seconds
+    def _add(self, stage: str, seconds: float) -> None:
+        self.timings[stage] = self.timings.get(stage, 0.0) + seconds
+        self._lap[stage] = self._lap.get(stage, 0.0) + seconds
 
 
 def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None = None) -> Array:
@@ -135,4 +135,4 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     try:
         return solver.analyze(system.pattern).solve(system).dx
     except SingularSystemError as error:
-        raise underconstrained(solver.seen(system), cause=error) from error
+        raise underconstrained(solver.held_system(system), cause=error) from error

@@ -52,7 +52,7 @@ class Record:
         self._longest: Array | float = 0.0  # column of A of each unknown
 
     @property
-    def taken(self) -> int:
+    def step_count(self) -> int:
         """Steps so far."""
         return self.history[-1].number
 
@@ -64,8 +64,8 @@ class Record:
     def resume(self) -> None:
         """Another method continues from the best point; it knows nothing of the one before."""
         assert self.status is not None
-        self.attempts.append(Attempt(self.methods[-1], self.status, self.reason, self.taken))
-        self.earlier, self.history = self.records, [Iteration(self.taken, self.lowest)]
+        self.attempts.append(Attempt(self.methods[-1], self.status, self.reason, self.step_count))
+        self.earlier, self.history = self.records, [Iteration(self.step_count, self.lowest)]
         self.status, self.reason, self.rule = None, "", ""
         self._begin()
 
@@ -85,7 +85,7 @@ class Record:
 
     def take(self, new: Iteration, values: Values) -> None:
         """Record a step, and whether it led to the best point; its number follows from the record."""
-        self.history.append(replace(new, number=self.taken + 1))
+        self.history.append(replace(new, number=self.step_count + 1))
         self.since_best += 1
         if new.chi2 < self.lowest:
             self.best, self.lowest, self.since_best = values, new.chi2, 0

@@ -18,12 +18,12 @@ def level_refused(step: Step) -> Verdict | None:
 
 def promise_small(step: Step) -> Verdict | None:
     """promise <= chi2_rtol chi2, and the undamped step agrees."""
-    part = step.promised / step.system.chi2
-    if not (step.tol.chi2_rtol > 0 and part <= step.tol.chi2_rtol and step.agreed):
+    ratio = step.promised / step.system.chi2
+    if not (step.tol.chi2_rtol > 0 and ratio <= step.tol.chi2_rtol and step.agreed):
         return None
     if step.watch.level_steps >= PLATEAU:
         return levels_off(step)
-    reason = f"promised relative decrease of chi2 {part:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)"
+    reason = f"promised relative decrease of chi2 {ratio:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)"
     return Verdict(Status.CONVERGED, reason)
 
 
@@ -33,9 +33,9 @@ def promise_invisible(step: Step) -> Verdict | None:
         return None
     if step.watch.level_steps >= PLATEAU:
         return levels_off(step)
-    part = step.promised / step.system.chi2
+    ratio = step.promised / step.system.chi2
     return Verdict(
-        Status.CONVERGED, f"noise floor of 16 digits: no step promises a relative decrease of chi2 above {part:.1e}"
+        Status.CONVERGED, f"noise floor of 16 digits: no step promises a relative decrease of chi2 above {ratio:.1e}"
     )
 
 

@@ -115,8 +115,8 @@ class Result:
     @property
     def ending(self) -> str:
         """The reason, and the last max|dx|."""
-        given = not self.last_update or self.last_update in self.reason
-        return self.reason if given else f"{self.reason}; last max|dx| {self.last_update}"
+        is_stated = not self.last_update or self.last_update in self.reason
+        return self.reason if is_stated else f"{self.reason}; last max|dx| {self.last_update}"
 
     @property
     def reused(self) -> int:
@@ -159,9 +159,11 @@ class Result:
     def steps(self) -> list[str]:
         """Lines: chi2, update and seconds of every iteration."""
         lines = ["iteration          chi2    max|dx|   seconds"]
-        for it in self.history:
-            update = "" if it.number == 0 else f"{it.update:.3e}"
-            lines.append(f"{it.number:9d}  {it.chi2:12.6g}  {update:>9}  {sum(it.seconds.values()):8.4f}")
+        for iteration in self.history:
+            update = "" if iteration.number == 0 else f"{iteration.update:.3e}"
+            lines.append(
+                f"{iteration.number:9d}  {iteration.chi2:12.6g}  {update:>9}  {sum(iteration.seconds.values()):8.4f}"
+            )
         return lines
 
     def __str__(self) -> str:

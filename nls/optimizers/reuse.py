@@ -37,11 +37,11 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
     if last:
         Y, chi2 = problem.glance(X, dx)
         return (Y, system) if _ends(Step(watch, Y, system, dx, promised, chi2), problem, watch) else None
-    Y, there, _ = problem.attempt(X, dx)
-    if there is None:
+    Y, trial, _ = problem.attempt(X, dx)
+    if trial is None:
         return None
-    watch.step(Y, there, dx, promised, problem.lap(), reused=True)
-    return Y, there
+    watch.step(Y, trial, dx, promised, problem.lap(), reused=True)
+    return Y, trial
 
 
 def _nearly(watch: Watch) -> bool:

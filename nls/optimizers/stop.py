@@ -120,8 +120,8 @@ def relative_decrease(step: Step) -> Verdict | None:
     """fall <= chi2_rtol chi2, and the sum of falls to come; dx is shorter than before; the undamped step agrees."""
     if not (step.tol.chi2_rtol > 0 and step.ending and step.shorter and step.agreed):
         return None
-    part = step.fall / step.old.chi2
-    return Verdict(Status.CONVERGED, f"relative decrease of chi2 {part:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)")
+    ratio = step.fall / step.old.chi2
+    return Verdict(Status.CONVERGED, f"relative decrease of chi2 {ratio:.1e}, below {step.tol.chi2_rtol:g} (chi2_rtol)")
 
 
 def noise_floor(step: Step) -> Verdict | None:
@@ -170,7 +170,7 @@ def up_and_down(step: Step) -> Verdict | None:
     before, latest = since[:-ROUND], since[-ROUND:]
     falls = sum(b < a for a, b in pairwise(latest))
     swings = len(before) >= ROUND and max(latest) <= max(before) and 0 < falls < ROUND - 1
-    if not (swings and watch.taken >= watch.stop.max_iterations):
+    if not (swings and watch.step_count >= watch.stop.max_iterations):
         return None
     words = f"chi2 has gone up and down for {watch.since_best} steps, at {watch.history[-1].chi2:.6g} now"
     return Verdict(Status.CYCLING, f"{words}; the lowest is {watch.lowest:.6g}")
@@ -178,9 +178,9 @@ def up_and_down(step: Step) -> Verdict | None:
 
 def iteration_limit(step: Step) -> Verdict | None:
     """steps >= max_iterations."""
-    taken = step.watch.taken
+    count = step.watch.step_count
     return (
-        Verdict(Status.MAX_ITERATIONS, f"after {taken} iterations") if taken >= step.watch.stop.max_iterations else None
+        Verdict(Status.MAX_ITERATIONS, f"after {count} iterations") if count >= step.watch.stop.max_iterations else None
     )
 
 

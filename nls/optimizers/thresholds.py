@@ -85,7 +85,7 @@ class Stop:
     @property
     def in_force(self) -> Thresholds:
         """Those given, the others off; all three where none is given."""
-        given = self.update_tol, self.chi2_rtol, self.gradient_tol
-        if given == (None, None, None):
+        tolerances = self.update_tol, self.chi2_rtol, self.gradient_tol
+        if tolerances == (None, None, None):
             return Thresholds()
-        return Thresholds(*(threshold or 0.0 for threshold in given))
+        return Thresholds(*(threshold or 0.0 for threshold in tolerances))

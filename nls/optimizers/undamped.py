@@ -65,15 +65,15 @@ class Undamped:
             return dx
         except SingularSystemError:
             dx, self.free = self._faint(system, D), system
-        if len(dx) > SMALL or self.problem.solver.seen(system) is not system:
+        if len(dx) > SMALL or self.problem.solver.held_system(system) is not system:
             return dx
         s, N = weakest(system)
         if not (s <= NULL).any():
             self.free = None
         N = N[:, s > UNSEEN]
-        A_N, rest = system.A @ N, system.b - system.times(dx)
+        A_N, residual = system.A @ N, system.b - system.times(dx)
         lengths = np.linalg.norm(A_N, axis=0)
-        farther = np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, rest)[0])
+        farther = np.asarray(dx + (N / lengths) @ np.linalg.lstsq(A_N / lengths, residual)[0])
         return farther if system.promised(farther) - system.promised(dx) > GAIN * system.chi2 else dx
 
     def _faint(self, system: LinearSystem, D: Array) -> Array:

@@ -96,13 +96,13 @@ class Watch(Record):
         """Show the latest step to the callback, which may stop."""
         self._halted = self.callback is not None and bool(self.callback(self.history[-1]))
         if self._halted and self.status is None:
-            self.end(Status.STOPPED, f"after {self.taken} iterations", "callback")
+            self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
 
     def reopen(self) -> None:
         """Not over after all, unless the callback or a limit ends it here."""
         self.status, self.reason, self.rule = None, "", ""
         if self._halted:
-            self.end(Status.STOPPED, f"after {self.taken} iterations", "callback")
+            self.end(Status.STOPPED, f"after {self.step_count} iterations", "callback")
         elif self.latest is not None:
             self._ask(stop.LIMITS, self.latest)
 
@@ -128,7 +128,7 @@ class Watch(Record):
         """It has converged by the steps of a solver that is not exact: ask again at the best point."""
         self._ask(stop.AT_THE_END, Step(self, self.best, system, np.zeros(0), words=solver))
 
-    def _ask(self, asked: Sequence[stop.Rule], step: Step) -> bool:
-        if verdict := stop.ask(asked, step):
+    def _ask(self, rules: Sequence[stop.Rule], step: Step) -> bool:
+        if verdict := stop.ask(rules, step):
             self.end(verdict.status, verdict.reason, verdict.rule)
         return self.status is not None

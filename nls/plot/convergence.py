@@ -34,8 +34,8 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
 
     if axes is None:
         axes = Figure(figsize=(5, 4), layout="constrained").add_subplot()
-    number = [it.number for it in result.history]
-    chi2 = np.array([it.chi2 for it in result.history])
+    number = [iteration.number for iteration in result.history]
+    chi2 = np.array([iteration.chi2 for iteration in result.history])
     positive = bool((chi2 > 0).all())
     (first,) = (axes.semilogy if positive else axes.plot)(number, chi2, "o-", color=CHI2, label="chi2")
     axes.set_xlabel("iteration")
@@ -43,11 +43,11 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     lines = [first]
     if len(number) > 1:
-        other = axes.twinx()
-        (second,) = other.semilogy(
-            number[1:], [it.update for it in result.history[1:]], "s--", color=UPDATE, label="max |dx|"
+        twin = axes.twinx()
+        (second,) = twin.semilogy(
+            number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=UPDATE, label="max |dx|"
         )
-        other.set_ylabel("max |dx|", color=UPDATE)
+        twin.set_ylabel("max |dx|", color=UPDATE)
         lines.append(second)
     axes.legend(handles=lines, loc="upper right")
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")

@@ -144,9 +144,9 @@ def elevation_map(
 def _after(sonar: ImagingSonar, G: npt.ArrayLike, points: Array, motion_covariance: npt.ArrayLike | None) -> Array:
     """Standard deviation of the elevation of points (..., 3), deg; nan where the second view does not see them."""
     p, _ = cartesian(points.reshape(-1, 3))
-    seen = sonar.sees(SE3.act(SE3.inverse(SE3.stack(G)), p)).reshape(points.shape[:-1])
+    visible = sonar.sees(SE3.act(SE3.inverse(SE3.stack(G)), p)).reshape(points.shape[:-1])
     sigma = np.degrees(elevation_information(G, points, sonar.noise_sigmas, motion_covariance))
-    return np.where(seen, sigma, np.nan)
+    return np.where(visible, sigma, np.nan)
 
 
 def _answer(good: list[str]) -> str:

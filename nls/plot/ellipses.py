@@ -100,7 +100,7 @@ def ellipses(
             position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": POSE if pose else POINT, "linewidth": 0.8}
-        label = f"{100 * probability:g} % ellipse of {_which(step)}{stack.kind}"
+        label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}"
         label += "" if scale == 1 else f", {scale:g} times as large"
         _outlines(axes, position[chosen], _around(Sigma, radius), label=label, **style)
         if alone:
@@ -140,7 +140,7 @@ def _outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:
         axes.add_collection(shape)
 
 
-def _which(step: int) -> str:
+def _every(step: int) -> str:
     if step == 1:
         return "every "
     ending = {1: "st", 2: "nd", 3: "rd"}.get(step % 10, "th") if step % 100 not in (11, 12, 13) else "th"
@@ -153,9 +153,9 @@ def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> f
     places = [(kind, stacks[kind].manifold.position(stacks[kind].X)) for kind in kinds or stacks]
     extent = max((float(np.ptp(t[:, :2], axis=0).max()) for _, t in places if t.shape[1]), default=0.0)
     largest = max((_largest(marginals, kind) for kind, t in places if t.shape[1]), default=0.0)
-    wanted = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
+    scale = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
     steps = [m * 10.0**k for k in range(6) for m in (1, 2, 5)]
-    return max((step for step in steps if step <= wanted), default=1.0)
+    return max((step for step in steps if step <= scale), default=1.0)
 
 
 def _largest(marginals: Marginals, kind: str) -> float:

@@ -158,25 +158,25 @@ def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
 def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: Axes) -> None:
     """Sigma of each landmark against the step: of the position, or of each component where it has none."""
     axes.set(title="sigma of the landmarks", xlabel="step", ylabel="sigma [m]")
-    found: dict[int, tuple[list[int], list[Array]]] = {}
+    by_landmark: dict[int, tuple[list[int], list[Array]]] = {}
     for step, (keys, P) in zip(track.x.numbers.tolist(), history, strict=True):
         for number, P_k in zip(keys.numbers.tolist(), P, strict=True):
-            at, variances = found.setdefault(number, ([], []))
+            at, variances = by_landmark.setdefault(number, ([], []))
             at.append(step)
             variances.append(np.diagonal(P_k))
-    if not found:
+    if not by_landmark:
         return
     line = track.values.stack(track.landmarks.kind).manifold is LINE
     right = axes.twinx() if line else None
-    for k, (number, (at, variances)) in enumerate(sorted(found.items())):
+    for k, (number, (at, variances)) in enumerate(sorted(by_landmark.items())):
         variance, style = np.array(variances), {"color": COLORS[k % len(COLORS)], "linewidth": 1.0}
         sigma = np.sqrt(variance[:, 1] if line else variance.mean(axis=1))
         axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
         if right is not None:
             right.plot(at, np.degrees(np.sqrt(variance[:, 0])), linestyle=":", **style)  # type: ignore[arg-type]
-    for each in (axes, right):
-        if each is not None:
-            each.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in each.lines))
+    for panel in (axes, right):
+        if panel is not None:
+            panel.set_ylim(0, ROOM * max(np.max(line.get_ydata()) for line in panel.lines))
     if right is not None:
         axes.set_ylabel("sigma of r [m]")
         right.set_ylabel("sigma of alpha [deg], dotted")
@@ -215,8 +215,8 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
         places.plot(*p.T, **style)
         errors.plot(steps, np.linalg.norm(p - q, axis=1), **style)
         sigmas.plot(steps, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
-        e2, there = np.full(len(steps), np.nan), regular(track.P)
-        e2[there] = nees_of(track.x[there], manifold, track.X[there], track.P[there], truth[track.x[there]])
+        e2, valid = np.full(len(steps), np.nan), regular(track.P)
+        e2[valid] = nees_of(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
         nees.plot(steps, e2, **style)
     for bound in nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")

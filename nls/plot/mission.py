@@ -65,14 +65,14 @@ def track(
     axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
     axes[0].set_aspect("equal", adjustable="datalim")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
-    for (name, found), color in zip((errors or {}).items(), (DEAD, SOLUTION), strict=False):
-        axes[1].plot(found.along, found.error, color=color, label=f"{name}, against the {found.against}")
+    for (name, error), color in zip((errors or {}).items(), (DEAD, SOLUTION), strict=False):
+        axes[1].plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
         axes[1].set(xlabel="distance travelled [m]", ylabel="error of the position [m]", title="Error along the way")
         axes[1].legend(loc="upper left", fontsize=8)
     if errors:
-        most = max([LEAST, *(float(found.error.max()) for found in errors.values())])
+        most = max([LEAST, *(float(error.error.max()) for error in errors.values())])
         axes[1].set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
-        ends = ", ".join(f"{name} {round(found.end, 4):.2g} m" for name, found in errors.items())
+        ends = ", ".join(f"{name} {round(error.end, 4):.2g} m" for name, error in errors.items())
         first = next(iter(errors.values()))
         figure.suptitle(f"After {first.distance:.3g} m: {ends} from the {first.against}")
     return figure
@@ -80,8 +80,8 @@ def track(
 
 def _dead_reckoning(dead: Values, values: Values) -> str:
     """How dead reckoning is called in the legend: where it is hidden under the solution, it says so."""
-    both = x[np.intersect1d(dead.stack(x).numbers, values.stack(x).numbers)]
-    p, q = (np.asarray(each.stack(x).manifold.position(each[both]))[:, :2] for each in (dead, values))
+    common = x[np.intersect1d(dead.stack(x).numbers, values.stack(x).numbers)]
+    p, q = (np.asarray(estimates.stack(x).manifold.position(estimates[common]))[:, :2] for estimates in (dead, values))
     apart = float(np.linalg.norm(p - q, axis=1).max(initial=0.0))
     if apart > HIDDEN * float(np.ptp(q, axis=0).max(initial=0.0)):
         return "dead reckoning"
@@ -89,14 +89,14 @@ def _dead_reckoning(dead: Values, values: Values) -> str:
 
 
 def landmark_map(
-    values: Values, found: Elevations, truth: Values | None = None, aperture: float | None = None
+    values: Values, elevations: Elevations, truth: Values | None = None, aperture: float | None = None
 ) -> Figure:
     """Landmarks from above and from the side, each with the arc of one sigma of its elevation.
 
     Parameters
     ----------
     values : poses ``x`` and landmarks ``l``.
-    found : `nls.io.mission.elevations` at these values; without sigmas the landmarks alone are drawn.
+    elevations : `nls.io.mission.elevations` at these values; without sigmas the landmarks alone are drawn.
     truth : true landmarks.
     aperture : of the sonar, rad: the colors end at aperture / sqrt(12), what it says of an elevation by itself; at the
         largest sigma when omitted.
@@ -108,10 +108,10 @@ def landmark_map(
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
-    points = values[l[found.landmarks]]
-    known = np.isfinite(found.sigma)
-    sigma = np.degrees(found.sigma)
-    reach = (found.range * found.sigma)[:, None] * found.along  # one sigma along the arc, m
+    points = values[l[elevations.landmarks]]
+    known = np.isfinite(elevations.sigma)
+    sigma = np.degrees(elevations.sigma)
+    reach = (elevations.range * elevations.sigma)[:, None] * elevations.along  # one sigma along the arc, m
     path = np.asarray(values.stack(x).manifold.position(values[x]))
     low, high = _box(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
     north, east, down = high - low

@@ -124,24 +124,24 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     ['measured here: range and azimuth', 'estimate', 'where it may be, says its farthest other contact']
     """
     of, target = contacts.keys[:2]
-    here = np.flatnonzero(of.numbers == pose.numbers[0])
-    if not len(here):
+    own = np.flatnonzero(of.numbers == pose.numbers[0])
+    if not len(own):
         raise GraphError(f"{pose!r} has no contact among {contacts!r}", [pose])
     _, X = values.gather(contacts)
     S = np.asarray(contacts.sensor_pose(SE3, X[0], *X[2:]))
-    away = np.linalg.norm(SE3.position(S) - SE3.position(S[here[:1]]), axis=1)
+    away = np.linalg.norm(SE3.position(S) - SE3.position(S[own[:1]]), axis=1)
     order = np.lexsort((away, target.numbers))
     last = np.append(target.numbers[order][1:] != target.numbers[order][:-1], True)  # of each landmark the farthest
     farthest = order[last]
-    farthest = farthest[np.isin(target.numbers[farthest], target.numbers[here]) & (away[farthest] > 0)]
+    farthest = farthest[np.isin(target.numbers[farthest], target.numbers[own]) & (away[farthest] > 0)]
 
-    from_here = SE3.inverse(S[here[:1]])
+    from_here = SE3.inverse(S[own[:1]])
     elevation = np.linspace(-sonar.aperture / 2, sonar.aperture / 2, ALONG)
-    each = np.repeat(farthest, ALONG)
-    p = cartesian(np.column_stack([contacts.z[each], np.tile(elevation, len(farthest))]))[0]
-    arc = plane_projection(SE3.act(from_here, SE3.act(S[each], p))).reshape(-1, ALONG, 2)
-    landmark = plane_projection(SE3.act(from_here, X[1][here]))
-    r, azimuth = contacts.z[here].T
+    repeated = np.repeat(farthest, ALONG)
+    p = cartesian(np.column_stack([contacts.z[repeated], np.tile(elevation, len(farthest))]))[0]
+    arc = plane_projection(SE3.act(from_here, SE3.act(S[repeated], p))).reshape(-1, ALONG, 2)
+    landmark = plane_projection(SE3.act(from_here, X[1][own]))
+    r, azimuth = contacts.z[own].T
 
     from matplotlib.collections import LineCollection
 
@@ -162,12 +162,14 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
         axes.set_xlim(1.5 * edges[0].min(), 1.5 * edges[0].max())
         if len(farthest):
             longest = int(np.argmax(np.linalg.norm(np.diff(arc, axis=1), axis=2).sum(axis=1)))
-            seen = farthest[longest]
-            k = int(np.argmax(target.numbers[here] == target.numbers[seen]))
+            target_index = farthest[longest]
+            k = int(np.argmax(target.numbers[own] == target.numbers[target_index]))
             end = arc[longest, np.argmax(np.linalg.norm(arc[longest] - [at[1][k], at[0][k]], axis=1)), ::-1]
-            said = f"it may be anywhere\nalong this arc, says\n{of[[seen]]!r}: its elevation\nis not measured"
-            _point_at(axes, (at[0][k], at[1][k]), True, f"{target[[seen]]!r}:\nmeasured\nhere", CONTACT)
-            _point_at(axes, (end[0], end[1]), False, said, ARC)
+            message = (
+                f"it may be anywhere\nalong this arc, says\n{of[[target_index]]!r}: its elevation\nis not measured"
+            )
+            _point_at(axes, (at[0][k], at[1][k]), True, f"{target[[target_index]]!r}:\nmeasured\nhere", CONTACT)
+            _point_at(axes, (end[0], end[1]), False, message, ARC)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
     return _as_map(axes)
 

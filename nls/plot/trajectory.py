@@ -118,8 +118,10 @@ def trajectory(
 
 def _points(values: Values) -> Array:
     """All positions of the largest kind of positions, (n, 2 or 3)."""
-    found = [np.asarray(s.manifold.position(s.X)) for s in values.stacks.values() if s.manifold.position(s.X).shape[1]]
-    return max(found, key=lambda X: (X.shape[1], len(X)), default=np.zeros((0, 2)))
+    positions = [
+        np.asarray(s.manifold.position(s.X)) for s in values.stacks.values() if s.manifold.position(s.X).shape[1]
+    ]
+    return max(positions, key=lambda X: (X.shape[1], len(X)), default=np.zeros((0, 2)))
 
 
 def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:

@@ -60,15 +60,15 @@ class RelativePose:
         """G (1, 7), of the sonar."""
         return SE3.compose(SE3.inverse(self.O), SE3.compose(T, self.O))[None]
 
-    def sonar(self, T: Array, both: bool, arcs: Arcs | None = None, N: Array | None = None) -> Sonar:
+    def sonar(self, T: Array, two_places: bool, arcs: Arcs | None = None, N: Array | None = None) -> Sonar:
         """What the sonar says at T, each point eliminated; at its best place, or where it has two hypotheses at both.
 
         Which points have two (as in `arcs`), and the weights N (m, 4, 4), are found anew where they are not given.
         """
         arcs = search(self.contacts, self.motion(T), arcs)
-        A_T, A_l, b, weights = self.linearize(arcs, T, both)
+        A_T, A_l, b, weights = self.linearize(arcs, T, two_places)
         N = weights if N is None else N
-        stays = arcs.at_limit | (arcs.weak & both)  # pressed against the end of the aperture; put where it is
+        stays = arcs.at_limit | (arcs.weak & two_places)  # pressed against the end of the aperture; put where it is
         A_l = np.where(stays[:, None, None], A_l * [1.0, 1.0, 0.0], A_l)
         NA_T, NA_l = product(N, A_T), product(N, A_l)
         H_pp, H_pl, H_ll = product(A_T.mT, NA_T), product(A_T.mT, NA_l), product(A_l.mT, NA_l)
@@ -79,12 +79,12 @@ class RelativePose:
         chi2 = float((dot(b, apply(N, b)) - dot(g_l, apply(P, g_l))).sum())
         return Sonar(arcs, N, (S + S.T) / 2, g, chi2)
 
-    def linearize(self, arcs: Arcs, T: Array, both: bool) -> tuple[Array, Array, Array, Array]:
+    def linearize(self, arcs: Arcs, T: Array, two_places: bool) -> tuple[Array, Array, Array, Array]:
         """A_T (m, 4, 6), A_l (m, 4, 3), b (m, 4) and N (m, 4, 4) of all points."""
         Ad = SE3.adjoint_inverse(self.O)  # T Exp(d) moves the sonar by G Exp(Ad d)
         G = self.motion(T)
         A_G, A_l, b = self.contacts.linearize(G, arcs.h[0])
-        if not (both and arcs.two.any()):
+        if not (two_places and arcs.two.any()):
             return product(A_G, Ad), A_l, b, np.eye(4)[None]
         B_G, B_l, c = self.contacts.linearize(G, np.where(arcs.two[:, None], arcs.h[1], arcs.h[0]))
         B_l = np.where(arcs.two[:, None, None], B_l * [1.0, 1.0, -1.0], B_l)  # measured away from el = 0
@@ -100,20 +100,20 @@ class RelativePose:
 
 
 def descended(
-    problem: RelativePose, T: Array, both: bool, arcs: Arcs | None = None, N: Array | None = None
+    problem: RelativePose, T: Array, two_places: bool, arcs: Arcs | None = None, N: Array | None = None
 ) -> tuple[Array, int, bool]:
     """The pose of lowest chi2 by Levenberg and Marquardt, the iterations, and whether the undamped step became small.
 
     Undamped steps go to and fro where the range, but for the curvature of the sphere, says nothing about the heave.
     """
-    H, g, chi2 = problem.normal(problem.sonar(T, both, arcs, N), T)
+    H, g, chi2 = problem.normal(problem.sonar(T, two_places, arcs, N), T)
     lam = 1e-3
     for iteration in range(ITERATIONS):
-        if g @ np.linalg.solve(H + TINY * problem.known, g) < (MEAN if both else SMALL) ** 2:
+        if g @ np.linalg.solve(H + TINY * problem.known, g) < (MEAN if two_places else SMALL) ** 2:
             return T, iteration, True
         dT = np.asarray(np.linalg.solve(H + lam * np.diag(np.diag(H) + np.diag(problem.known)), g))
         trial = SE3.retract(T, dT)
-        H_trial, g_trial, lower = problem.normal(problem.sonar(trial, both, arcs, N), trial)
+        H_trial, g_trial, lower = problem.normal(problem.sonar(trial, two_places, arcs, N), trial)
         if lower <= chi2:
             T, H, g, chi2, lam = trial, H_trial, g_trial, lower, lam / 10
         else:

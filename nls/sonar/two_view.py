@@ -60,7 +60,7 @@ class TwoView:
     sqrt_information : (6, 6) W, W'W = information, with a row of zeros for every direction left out.
     gains : (6,) information of the sonar over that of the odometry, along the directions in which they compare, rising.
     directions : (6, 6) these directions, one a row, of one standard deviation of the odometry.
-    kept : (6,) which of them are in `information`.
+    kept_directions : (6,) which of them are in `information`.
     h : (2, m, 3) range, azimuth and elevation of every point in the first view, both hypotheses, the better one first.
     chi2 : (2, m) of the four measurements of every point, under either.
     ambiguous : (m,) points whose mirror image fits as well: both hypotheses stand.
@@ -75,7 +75,7 @@ class TwoView:
     sqrt_information: Array
     gains: Array
     directions: Array
-    kept: npt.NDArray[np.bool_]
+    kept_directions: npt.NDArray[np.bool_]
     h: Array
     chi2: Array
     ambiguous: npt.NDArray[np.bool_]
@@ -170,22 +170,22 @@ def two_views(
     else:
         known = prior = _positive(odometry_information)
     problem = RelativePose(contacts, O[0], Z[0], known, prior)
-    T, iterations, converged = descended(problem, Z[0], both=False)
-    sonar = problem.sonar(T, both=True)
+    T, iterations, converged = descended(problem, Z[0], two_places=False)
+    sonar = problem.sonar(T, two_places=True)
     if sonar.arcs.two.any():
         for _ in range(ROUNDS):  # which points have two places is decided once, how much they weigh in every round
             T, more, converged = descended(problem, T, True, sonar.arcs, sonar.N)
             iterations, sonar = iterations + more, problem.sonar(T, True, sonar.arcs)
-    said = _shortest(sonar.S, known, tau, sonar.g)
+    step = _shortest(sonar.S, known, tau, sonar.g)
     arcs = sonar.arcs
     return TwoView(
         pose=T,
-        z=SE3.retract(T, said.step),
-        information=said.W.T @ said.W,
-        sqrt_information=said.W,
-        gains=said.gains,
-        directions=said.directions,
-        kept=said.kept,
+        z=SE3.retract(T, step.step),
+        information=step.W.T @ step.W,
+        sqrt_information=step.W,
+        gains=step.gains,
+        directions=step.directions,
+        kept_directions=step.kept_directions,
         h=arcs.h,
         chi2=arcs.chi2,
         ambiguous=arcs.ambiguous,
@@ -196,24 +196,24 @@ def two_views(
 
 
 @dataclass(frozen=True)
-class _Said:
+class _Step:
     """S = W'W along the directions kept, and the step S^+ g, the shortest in the metric."""
 
     gains: Array
     directions: Array
-    kept: npt.NDArray[np.bool_]
+    kept_directions: npt.NDArray[np.bool_]
     W: Array
     step: Array
 
 
-def _shortest(S: Array, known: Array, tau: float, g: Array) -> _Said:
+def _shortest(S: Array, known: Array, tau: float, g: Array) -> _Step:
     """S v = w Lambda v: what S says, in units of Lambda = L'L, where w > tau."""
     L = np.linalg.cholesky(known).T
     L_inv = np.linalg.inv(L)
     w, U = np.linalg.eigh(L_inv.T @ S @ L_inv)
-    V, kept = (L_inv @ U).T, w > tau  # rows v_k, v_k' Lambda v_k = 1
-    W = np.sqrt(np.where(kept, w, 0.0))[:, None] * (U.T @ L)
-    return _Said(w, V, kept, W, V[kept].T @ (V[kept] @ g / w[kept]))
+    V, mask = (L_inv @ U).T, w > tau  # rows v_k, v_k' Lambda v_k = 1
+    W = np.sqrt(np.where(mask, w, 0.0))[:, None] * (U.T @ L)
+    return _Step(w, V, mask, W, V[mask].T @ (V[mask] @ g / w[mask]))
 
 
 def _contacts(z_i: npt.ArrayLike, z_j: npt.ArrayLike, sigmas: npt.ArrayLike, limit: float) -> Contacts:

@@ -59,10 +59,10 @@ class Blocks:
         for k, batch in enumerate(slots):
             for (a, (i, d)), (c, (j, e)) in combinations(enumerate(batch), 2):
                 p, q = number[i], number[j]
-                both = np.flatnonzero((p >= 0) & (q >= 0))
-                u.append(p[both])
-                v.append(q[both])
-                off.append(self.size + both * d * e)
+                pairs = np.flatnonzero((p >= 0) & (q >= 0))
+                u.append(p[pairs])
+                v.append(q[pairs])
+                off.append(self.size + pairs * d * e)
                 self.pairs.append((k, a, c, slice(self.size, self.size + len(p) * d * e)))
                 self.size += len(p) * d * e
         none = [np.zeros(0, dtype=np.intp)]

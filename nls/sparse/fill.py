@@ -75,8 +75,8 @@ def rows_below(widths: Index, row: Index, column: Index) -> Index:
     row, column : (P,) blocks below the diagonal, row > column; repeats allowed.
     """
     V = len(widths)
-    here = np.arange(V)
-    place = np.concatenate([row * V + column, here * (V + 1)])
+    nodes = np.arange(V)
+    place = np.concatenate([row * V + column, nodes * (V + 1)])
     place.sort()
     place = place[np.append(True, place[1:] != place[:-1])[: len(place)]]
     r, c = np.divmod(place, max(V, 1))  # every neighbor once, by rows and then columns; the last of a row is itself
@@ -118,8 +118,8 @@ def _touch(place: Index, first: Index, parent: Index) -> bool:
     V = len(first)
     child = np.flatnonzero(parent < V)
     # never past the end: a row ends with itself
-    found = place[np.searchsorted(place, parent[child] * V + first[child])]
-    return bool((found <= parent[child] * V + child).all())
+    rows = place[np.searchsorted(place, parent[child] * V + first[child])]
+    return bool((rows <= parent[child] * V + child).all())
 
 
 def _tree(row: Index, column: Index, V: int) -> list[int]:

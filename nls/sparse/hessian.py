@@ -91,7 +91,7 @@ class Hessian:
             self.indices[target] = rows
             self.source[target] = source
         repeats = [(target.reshape(-1), source.reshape(-1)) for target, source, _ in entries(e.again, above[e.twin])]
-        self._add = [np.concatenate(part) for part in zip(*repeats, strict=True)] or None
+        self._add = [np.concatenate(arrays) for arrays in zip(*repeats, strict=True)] or None
 
     @cached_property
     def _on_diagonal(self) -> Index:

@@ -98,11 +98,11 @@ class Pattern:
 
     def holding(self, held: npt.NDArray[np.bool_]) -> Pattern:
         """The same rows and variables, with others of them held."""
-        other = copy(self)
+        pattern = copy(self)
         for structure in ("structure", "blocks"):
-            other.__dict__.pop(structure, None)
-        other._hold(held)
-        return other
+            pattern.__dict__.pop(structure, None)
+        pattern._hold(held)
+        return pattern
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
         """Whether it is the numbering of these factors over these variables, wherever they are."""
@@ -163,8 +163,8 @@ class Pattern:
             counts.append(np.repeat((columns >= 0).sum(axis=1), batch.model.dim))
         every = np.concatenate(indices)
         indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-        kept = np.flatnonzero(every >= 0) if self.held.any() else None
-        return every if kept is None else every[kept], indptr, kept
+        places = np.flatnonzero(every >= 0) if self.held.any() else None
+        return every if places is None else every[places], indptr, places
 
     @cached_property
     def blocks(self) -> Blocks:

@@ -29,10 +29,10 @@ class Scatter:
         self.slots, self.first, self.size, self.inner = slots, first, size, inner
         self._places: dict[tuple[int, int], Index] = {}  # by batch and slot
 
-    def add(self, total: Array, batch: int, slot: int, part: Array) -> None:
+    def add(self, total: Array, batch: int, slot: int, addend: Array) -> None:
         """Add a part (c, k), components first, of k measurements to ``total`` (size,)."""
         places = self._places.get((batch, slot))
         if places is None:
             variables, d = self.slots[batch][slot]
             places = self._places[batch, slot] = (self.first[variables] + self.inner(d)[:, None]).reshape(-1)
-        total += np.bincount(places, part.reshape(-1), self.size)
+        total += np.bincount(places, addend.reshape(-1), self.size)

@@ -67,10 +67,10 @@ class Supernodes:
 
         # Where the rows S are in the front of the parent: the keys (front, block row) rise.
         up = self.parent[owner[of_S]]
-        found = np.searchsorted(owner * V + blocks, up * V + blocks[of_S])
-        there, tall_S = begin[found] - self._front[up], tall[of_S]
+        places = np.searchsorted(owner * V + blocks, up * V + blocks[of_S])
+        rows, tall_S = begin[places] - self._front[up], tall[of_S]
         ends = np.cumsum(tall_S)
-        self._place = np.repeat(there - (ends - tall_S), tall_S) + np.arange(int(tall_S.sum()))
+        self._place = np.repeat(rows - (ends - tall_S), tall_S) + np.arange(int(tall_S.sum()))
         self._below = np.concatenate([[0], np.cumsum(self.height)])
 
     def __len__(self) -> int:
@@ -136,8 +136,8 @@ def _merged(widths: Index, row: Index, column: Index) -> tuple[list[list[int]], 
             below[parent] |= rows
             below[parent].discard(parent)
             children[parent].append(j)
-    kept = [j for j in range(V) if members[j]]
-    return [sorted(members[j]) for j in kept], [sorted(below[j]) for j in kept]
+    roots = [j for j in range(V) if members[j]]
+    return [sorted(members[j]) for j in roots], [sorted(below[j]) for j in roots]
 
 
 def _seconds(w: int, h: int) -> float:
@@ -146,8 +146,8 @@ def _seconds(w: int, h: int) -> float:
 
 
 def _lengths(lists: list[list[int]]) -> Index:
-    return np.array([len(one) for one in lists], dtype=np.intp)
+    return np.array([len(numbers) for numbers in lists], dtype=np.intp)
 
 
 def _joined(lists: list[list[int]]) -> Index:
-    return np.array([number for one in lists for number in one], dtype=np.intp)
+    return np.array([number for numbers in lists for number in numbers], dtype=np.intp)

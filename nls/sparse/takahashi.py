@@ -77,10 +77,10 @@ def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Ind
     Sigma = np.empty(int(size.sum()))
     parts = [_places(nodes, start, dims, i, j, offset, pairs) for pairs in (inside, ~inside)]
     with single_thread():
-        for k, *found in takahashi(L, nodes):
-            for (source, target, first), block in zip(parts, found, strict=True):
-                part = slice(first[k], first[k + 1])
-                Sigma[target[part]] = np.take(block, source[part])
+        for k, *blocks in takahashi(L, nodes):
+            for (source, target, first), block in zip(parts, blocks, strict=True):
+                span = slice(first[k], first[k + 1])
+                Sigma[target[span]] = np.take(block, source[span])
     return Sigma
 
 

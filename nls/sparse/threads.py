@@ -59,7 +59,7 @@ def _knobs(loaded: tuple[bool, ...]) -> list[Knob]:
     openblas = [lib for lib in _opened(paths, *OPENBLAS) if _function(lib, "get_parallel")]  # not the reference BLAS
     strange = any(_function(lib, "get_parallel")() not in (NONE, OWN) for lib in openblas)
     if strange or not paths or _opened(paths, *OTHERS):
-        return knobs + _asked()
+        return knobs + _blas_knobs()
     knobs += [_knob(_function(lib, "get_num_threads"), _function(lib, "set_num_threads"), 1) for lib in openblas]
     return list({knob.name: knob for knob in knobs}.values())
 
@@ -88,7 +88,7 @@ def _knob(get: Any, put: Any, inside: int) -> Knob:
     return Knob(ctypes.cast(put, ctypes.c_void_p).value, get, put, inside)  # two names of one file: one address
 
 
-def _asked() -> list[Knob]:
+def _blas_knobs() -> list[Knob]:
     """Any BLAS libraries, by threadpoolctl."""
     from threadpoolctl import ThreadpoolController
 
@@ -123,20 +123,20 @@ class _Setting:
 
     def enter(self) -> int:
         """Take it down; returns what this thread found."""
-        found = self._get()
+        number = self._get()
         if not self._users:
-            self._first, self._shared = found, False
-        elif found == self._inside:
+            self._first, self._shared = number, False
+        elif number == self._inside:
             self._shared = True
-        if found != self._inside:
+        if number != self._inside:
             self._put(self._inside)
         self._users += 1
-        return found
+        return number
 
-    def leave(self, found: int) -> None:
+    def leave(self, number: int) -> None:
         """Put it back, unless somebody inside needs it as it is."""
         self._users -= 1
-        back = found if not self._shared else self._inside if self._users else self._first
+        back = number if not self._shared else self._inside if self._users else self._first
         if back != self._inside:
             self._put(back)
 
@@ -144,14 +144,14 @@ class _Setting:
 def _settings() -> list[_Setting]:
     """Settings of all libraries loaded by now."""
     loaded = _loaded()
-    if loaded not in _FOUND:
-        _FOUND[loaded] = [_KNOWN.setdefault(knob.name, _Setting(knob)) for knob in _knobs(loaded)]
-    return _FOUND[loaded]
+    if loaded not in _SETTINGS:
+        _SETTINGS[loaded] = [_KNOWN.setdefault(knob.name, _Setting(knob)) for knob in _knobs(loaded)]
+    return _SETTINGS[loaded]
 
 
 _LOCK = RLock()
 _KNOWN: dict[object, _Setting] = {}
-_FOUND: dict[tuple[bool, ...], list[_Setting]] = {}
+_SETTINGS: dict[tuple[bool, ...], list[_Setting]] = {}
 _HERE = local()
 
 
@@ -161,20 +161,20 @@ class single_thread:
     A context, ``with single_thread():``, or a decorator, ``@single_thread()``.
     """
 
-    __slots__ = ("_before", "_found")
+    __slots__ = ("_before", "_entered")
 
     def __enter__(self) -> None:
         self._before: frozenset[_Setting] = getattr(_HERE, "held", frozenset())
         with _LOCK:  # inside another one only what was loaded since
-            self._found = [(setting, setting.enter()) for setting in _settings() if setting not in self._before]
-        if self._found:
-            _HERE.held = self._before.union(setting for setting, _ in self._found)
+            self._entered = [(setting, setting.enter()) for setting in _settings() if setting not in self._before]
+        if self._entered:
+            _HERE.held = self._before.union(setting for setting, _ in self._entered)
 
     def __exit__(self, *_: object) -> None:
-        if self._found:
+        if self._entered:
             _HERE.held = self._before
             with _LOCK:
-                for setting, number in self._found:
+                for setting, number in self._entered:
                     setting.leave(number)
 
     def __call__(self, function: Callable[P, T]) -> Callable[P, T]:

@@ -19,7 +19,7 @@ from factors.mount import named_singularity
 from factors.noise import square
 from factors.projection import Projection
 from factors.range_azimuth import RangeAzimuth
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import SE3, R, wrap
 from models.algebra import Array, Index
 from models.errors import GraphError
@@ -133,7 +133,7 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
     return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
 
 
-def _of_points(factor: Seen, values: Values) -> bool:
+def _of_points(factor: Sighting, values: Values) -> bool:
     return len(factor) > 0 and values.stack(factor.keys[1].kind).manifold is R(3)
 
 
@@ -164,7 +164,7 @@ def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
     return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma_r, sonar)]
 
 
-def _rows(factor: Seen, values: Values) -> Columns:
+def _rows(factor: Sighting, values: Values) -> Columns:
     """Rows of poses and points."""
     return [values.stack(keys.kind).index(keys) for keys in factor.keys[:2]]
 
@@ -173,7 +173,7 @@ def _joined(parts: Sequence[Columns]) -> Columns:
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
-def on_vehicle(factor: Seen, X: Sequence[Array]) -> Array:
+def on_vehicle(factor: Sighting, X: Sequence[Array]) -> Array:
     """Where the sensor of each measurement sits, (n, 7), from the stacks of its variables."""
     return factor.sensor_pose(SE3, SE3.identity(len(factor)), *X[2:])
 

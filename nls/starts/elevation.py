@@ -25,7 +25,7 @@ import numpy.typing as npt
 from factors.elevation import ElevationHinge
 from factors.keys import Keys
 from factors.range_azimuth import RangeAzimuth
-from factors.seen import Seen
+from factors.sighting import Sighting
 from factors.sonar import first_contacts
 from models import SE3
 from models.algebra import Array, Index
@@ -93,8 +93,8 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
 
     Parameters
     ----------
-    graph : every `Seen` factor of these landmarks takes part, weighted by its noise and robust kernel; fixed landmarks
-        keep their values.
+    graph : every `Sighting` factor of these landmarks takes part, weighted by its noise and robust kernel; fixed
+        landmarks keep their values.
     values : every variable; those of the poses are used.
     limit : largest elevation that is tried, half of the aperture, rad; the widest of the graph's `ElevationHinge` when
         omitted, 7 deg where there is none.
@@ -131,7 +131,7 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
         raise OptionError("search_elevation: steps", steps, "a whole number of at least 1, on either side")
     found = {}
     for arcs in _arcs(graph, values):
-        seen = [f for f in graph.factors if isinstance(f, Seen) and len(f) and f.keys[1].kind == arcs.kind]
+        seen = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
         hinges = [f.limit for f in seen if isinstance(f, ElevationHinge)]
         widest = limit if limit is not None else max(hinges, default=APERTURE / 2)
         elevation = _best(_misfit(seen, values, arcs), len(arcs.rows), widest, steps)
@@ -168,7 +168,7 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
-def _misfit(seen: list[Seen], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
+def _misfit(seen: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
     """The function that takes elevations (k,) to the chi2 (k,) of all sightings of each landmark."""
     stack = values.stack(arcs.kind)
     bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in seen]

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.function import FunctionFactor
-from factors.seen import Seen
+from factors.sighting import Sighting
 from factors.xyh import XYH
 from factors.zpr import ZPR
 from models import SE2, SE3
@@ -146,7 +146,9 @@ class _Growth:
 
     def located(self, values: Values, stage: int) -> Values:
         """The points that are measured in as many numbers as they have, for the first time, placed by their views."""
-        views = [k for k, f in enumerate(self.parts.factors) if isinstance(f, Seen) and f.keys[1].kind in self.placed]
+        views = [
+            k for k, f in enumerate(self.parts.factors) if isinstance(f, Sighting) and f.keys[1].kind in self.placed
+        ]
         for k in views:
             factor, now = self.parts.factors[k], self.ripe[k] == stage
             kind, dim = factor.keys[1].kind, values.gather(factor[:1])[0].dim
@@ -229,5 +231,5 @@ def _poses(graph: FactorGraph, values: Values) -> set[str]:
 
 def _points(graph: FactorGraph, values: Values) -> set[str]:
     """Kinds of points seen from poses."""
-    seen = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Seen) and len(factor)}
+    seen = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting) and len(factor)}
     return {kind for kind in seen if values.stack(kind).manifold not in (SE2, SE3)}

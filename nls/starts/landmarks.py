@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from factors.bearing import Bearing
 from factors.range import Range
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, apply
 from models.sensors import point_from_direction_range
@@ -43,7 +43,7 @@ class Sightings:
     """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value, and the
     least singular value of its whitener: what it says where it says least."""
 
-    factor: Seen
+    factor: Sighting
     group: LieGroup
     point: Index
     number: npt.NDArray[np.int64]
@@ -77,7 +77,7 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
     """
     seen: dict[str, list[Sightings]] = {}
     for factor in graph.factors:
-        if isinstance(factor, Seen) and len(factor):
+        if isinstance(factor, Sighting) and len(factor):
             model, X = values.gather(factor)
             group, target = model.manifolds[:2]
             assert isinstance(group, LieGroup)

@@ -69,5 +69,7 @@ def grid3d(
     positions, directions = grid_walk(rng, n_poses, 3, streets, block, spacing)
     X = join(positions, quarter_turns(directions))
     i, j = meetings(rng, positions, radius, 10, closure_ratio)
-    said = f"Grid in space: a path of {spacing:g} m steps along a lattice with lines every {block * spacing:g} m."
-    return build("grid3d", SE3, X, i, j, rng, sigma_t, sigma_r, noise_scale, said)
+    description = (
+        f"Grid in space: a path of {spacing:g} m steps along a lattice with lines every {block * spacing:g} m."
+    )
+    return build("grid3d", SE3, X, i, j, rng, sigma_t, sigma_r, noise_scale, description)

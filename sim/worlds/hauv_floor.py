@@ -85,11 +85,11 @@ def hauv_floor(
     path = lawn_mower(legs, per_leg, [STEP, 0, 0, 0], [0, SPACING, 0, pi], TURNING)
     low = np.array([-6.0, -4.0, 2.2])
     high = np.array([STEP * (per_leg - 1) + 6, SPACING * (legs - 1) + 4.6, 2.8])
-    seen = scattered(rng, low, high, points, REFERENCE)
-    said = (
+    landmarks = scattered(rng, low, high, points, REFERENCE)
+    description = (
         f"Floor: {legs} legs of {STEP * (per_leg - 1):g} m, {SPACING:g} m apart, flown {passes} times, over "
-        f"{len(seen)} points 2.5 +- 0.3 m deep; the sonar is pitched down 35 deg."
+        f"{len(landmarks)} points 2.5 +- 0.3 m deep; the sonar is pitched down 35 deg."
     )
     X, sonar, offset = swaying(path, passes), didson(aperture), mounted(radians(-35))
-    mission = survey("hauv-floor", rng, X, seen, sonar, offset, elevation, noise_scale, said)
+    mission = survey("hauv-floor", rng, X, landmarks, sonar, offset, elevation, noise_scale, description)
     return spoiled(mission, rng, drop_outs, outliers, wrong_associations)

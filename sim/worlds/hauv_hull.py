@@ -85,11 +85,11 @@ def hauv_hull(
     path = lawn_mower(levels, per_level, [0, STEP, 0, 0], [0, 0, SPACING, 0], BETWEEN)
     low = np.array([2.7, -1.5, -1.2])
     high = np.array([3.3, STEP * (per_level - 1) + 1.5, SPACING * (levels - 1) + 1.4])
-    seen = scattered(rng, low, high, points, REFERENCE)
-    said = (
+    landmarks = scattered(rng, low, high, points, REFERENCE)
+    description = (
         f"Hull: {levels} levels of {STEP * (per_level - 1):g} m, {SPACING:g} m apart, flown {passes} times, 3 m from a "
-        f"wall of {len(seen)} points; the sonar looks straight ahead."
+        f"wall of {len(landmarks)} points; the sonar looks straight ahead."
     )
     X, sonar, offset = swaying(path, passes), didson(aperture), mounted(0.0)
-    mission = survey("hauv-hull", rng, X, seen, sonar, offset, elevation, noise_scale, said)
+    mission = survey("hauv-hull", rng, X, landmarks, sonar, offset, elevation, noise_scale, description)
     return spoiled(mission, rng, drop_outs, outliers, wrong_associations)

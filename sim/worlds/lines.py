@@ -108,7 +108,7 @@ def lines(rng: np.random.Generator, laps: int = 2, noise_scale: float = 1.0) -> 
     )
     truth = Values({x: (SE2, X), l: (LINE, WALLS)})
     start = locate_points(graph, Values({x: (SE2, reckoned), l: (LINE, LINE.identity(len(WALLS)))}))
-    said = (
+    description = (
         f"Lines: {laps} laps of a rounded square among {len(WALLS)} walls, {n} poses {STEP:g} m apart, {len(i)} "
         f"sightings within {SIGHT:g} m. Standard deviations: wheel travel {1e3 * WHEEL:g} mm after 1 m, slip 1 mm a "
         f"step, alpha 0.5 deg, r {SIGMAS[1]:g} m"
@@ -116,4 +116,4 @@ def lines(rng: np.random.Generator, laps: int = 2, noise_scale: float = 1.0) -> 
         "0.1 mrad."
     )
     rows = measured_rows(graph.pattern(truth)) - (n - 1)  # less the slip, which is not drawn
-    return LandmarkWorld("lines", truth, graph, start, rows, "correlated", seed_of(rng), said)
+    return LandmarkWorld("lines", truth, graph, start, rows, "correlated", seed_of(rng), description)

@@ -70,5 +70,5 @@ def manhattan(
     yaw = np.arctan2(directions[:, 1], directions[:, 0])
     X = SE2.stack(np.column_stack([positions, yaw]))
     i, j = meetings(rng, positions, radius, 10, closure_ratio)
-    said = f"Manhattan: a drive of {spacing:g} m steps through a city with streets every {block * spacing:g} m."
-    return build("manhattan", SE2, X, i, j, rng, sigma_t, sigma_r, noise_scale, said)
+    description = f"Manhattan: a drive of {spacing:g} m steps through a city with streets every {block * spacing:g} m."
+    return build("manhattan", SE2, X, i, j, rng, sigma_t, sigma_r, noise_scale, description)

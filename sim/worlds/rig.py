@@ -115,13 +115,13 @@ def rig(
     graph.fix(x[0])
     truth = Values({x: (SE3, X), l: (R(3), L), s: (SE3, sonar)})
     unknown = truth.replaced({x: np.repeat(X[:1], poses, axis=0), l: np.zeros(L.shape), s: guess})
-    said = (
+    description = (
         f"Rig: {poses} poses of a camera and a sonar, {points} points, each seen from {views} poses by both. Noise is "
         "uniform, +-5 pixels (focal length 600), +-5 cm and +-5 deg"
         f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. The first pose is known; the "
         "pose of the sonar on the camera is guessed 3 deg and 5 cm wrong."
     )
-    return Rig("rig", truth, graph, start_of(graph, unknown), CAMERA, seed_of(rng), said)
+    return Rig("rig", truth, graph, start_of(graph, unknown), CAMERA, seed_of(rng), description)
 
 
 def scene(rng: np.random.Generator, poses: int, points: int, i: Index, k: Index) -> tuple[Array, Array]:

@@ -77,5 +77,5 @@ def ring(
     step = np.diff(path, axis=0)
     X = SE2.stack(np.column_stack([path[:-1], np.arctan2(step[:, 1], step[:, 0])]))
     i, j = meetings(rng, path[:-1], radius, per_lap // 2, closure_ratio)
-    said = f"Ring: {laps} laps of a circle {diameter:g} m across that sways by {wobble:g} m."
-    return build("ring", SE2, X, i, j, rng, sigma_t, sigma_r, noise_scale, said)
+    description = f"Ring: {laps} laps of a circle {diameter:g} m across that sways by {wobble:g} m."
+    return build("ring", SE2, X, i, j, rng, sigma_t, sigma_r, noise_scale, description)

@@ -77,5 +77,7 @@ def sphere(
     along = eastward * np.sin(polar)[:, None] + upward / (2 * rings)  # d(outward) / d(east)
     X = join(radius * outward, attitudes(along, outward))
     i = k[:-per_ring]
-    said = f"Sphere: a spiral of {rings} rings over a sphere of radius {radius:g} m, each pose tied to the ring below."
-    return build("sphere", SE3, X, i, i + per_ring, rng, sigma_t, sigma_r, noise_scale, said)
+    description = (
+        f"Sphere: a spiral of {rings} rings over a sphere of radius {radius:g} m, each pose tied to the ring below."
+    )
+    return build("sphere", SE3, X, i, i + per_ring, rng, sigma_t, sigma_r, noise_scale, description)

@@ -37,7 +37,7 @@ ODOMETRY = (0.01 * STEP, 0.01 * STEP, radians(0.5))
 START = (2.0, 2.0, radians(0.5))
 AZIMUTH = radians(0.5)
 INDEPENDENT, KNOWN = 4.0, 0.1  # m, of landmarks: charted roughly, and surveyed
-SAID = {
+TEXTS = {
     "correlated": "No landmark is charted.",
     "first-sight": (
         f"No landmark is charted; a filter is to give each {INDEPENDENT:g} m of its own, uncorrelated, when first "
@@ -109,8 +109,8 @@ def subsea(
         raise OptionError("known_landmarks", known_landmarks, f"at most {len(LANDMARKS)}")
     if not isinstance(known_start, bool):
         raise OptionError("known_start", known_start, "True or False")
-    if landmarks not in tuple(SAID):
-        raise OptionError("landmarks", landmarks, "one of " + ", ".join(SAID))
+    if landmarks not in tuple(TEXTS):
+        raise OptionError("landmarks", landmarks, "one of " + ", ".join(TEXTS))
     if azimuth not in ("increment", "absolute"):
         raise OptionError("azimuth", azimuth, "one of increment, absolute")
 
@@ -122,12 +122,12 @@ def subsea(
     X = chain(SE2, SE2.retract(BELIEVED, first * start_sigmas)[0], step)
     odometry = SE2.retract(step, walk * ODOMETRY)
 
-    seen = sightings(rng, X, LANDMARKS, SIGHT, noise_scale)
+    observations = sightings(rng, X, LANDMARKS, SIGHT, noise_scale)
     at = np.arange(n)
     factors: list[Factor] = [
         Prior(x[0], BELIEVED, Diagonal(start_sigmas)),
         Between(x[at[:-1]], x[at[1:]], odometry, Diagonal(ODOMETRY)),
-        seen,
+        observations,
     ]
     if azimuth == "absolute":
         factors.append(Heading(x[at[1:]], wrap(X[1:, 2] + AZIMUTH * heading), Isotropic(AZIMUTH)))
@@ -140,18 +140,18 @@ def subsea(
 
     graph, truth = FactorGraph(factors), Values({x: (SE2, X), l: (R(2), LANDMARKS)})
     reckoned = Values({x: (SE2, chain(SE2, BELIEVED[0], odometry)), l: (R(2), np.zeros((m, 2)))})
-    said = (
+    description = (
         f"Subsea: {laps} laps of a circle {2 * RADIUS:g} m across, {n} poses {STEP:.4g} m apart, {m} landmarks, "
-        f"{len(seen)} sightings within {SIGHT:g} m. Standard deviations: odometry {ODOMETRY[0]:.3g} m and 0.5 deg a "
-        f"step, bearing 0.2 deg, range {RANGE:g} m"
+        f"{len(observations)} sightings within {SIGHT:g} m. Standard deviations: odometry {ODOMETRY[0]:.3g} m and "
+        f"0.5 deg a step, bearing 0.2 deg, range {RANGE:g} m"
         f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. "
-        f"The first pose is known to {'1 mm and 0.1 mrad' if known_start else '2 m and 0.5 deg'}. {SAID[landmarks]}"
+        f"The first pose is known to {'1 mm and 0.1 mrad' if known_start else '2 m and 0.5 deg'}. {TEXTS[landmarks]}"
         f"{f' Surveyed to {KNOWN:g} m: {known_landmarks}.' if known_landmarks else ''}"
         f"{' The heading is measured to 0.5 deg at each step.' if azimuth == 'absolute' else ''}"
     )
     start = locate_points(graph, reckoned)
     return LandmarkWorld(
-        "subsea", truth, graph, start, measured_rows(graph.pattern(truth)), landmarks, seed_of(rng), said
+        "subsea", truth, graph, start, measured_rows(graph.pattern(truth)), landmarks, seed_of(rng), description
     )
 
 

@@ -85,5 +85,7 @@ def torus(
     X = join(center + tube * outward, attitudes(along, outward))
     i = k[rng.random(n) < closure_share]
     j = (i + per_coil) % n
-    said = f"Torus: a coil of {coils} turns around a tube of radius {tube:g} m, bent to a ring of radius {radius:g} m."
-    return build("torus", SE3, X, i, j, rng, sigma_t, sigma_r, noise_scale, said)
+    description = (
+        f"Torus: a coil of {coils} turns around a tube of radius {tube:g} m, bent to a ring of radius {radius:g} m."
+    )
+    return build("torus", SE3, X, i, j, rng, sigma_t, sigma_r, noise_scale, description)

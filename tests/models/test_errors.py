@@ -97,7 +97,7 @@ def test_attributes() -> None:
     free = errors.UnderconstrainedError("m", ["x3"], 1, ["x3: yaw"], {"x": 1})
     assert (free.keys, free.nullity, free.components, free.values) == (("x3",), 1, ("x3: yaw",), {"x": 1})
     limit = errors.ResourceLimitError("m", 2e9, 1e9, "A")
-    assert (limit.needed, limit.limit, limit.what) == (2e9, 1e9, "A")
+    assert (limit.needed, limit.limit, limit.subject) == (2e9, 1e9, "A")
     singular = errors.SingularGeometryError("m", "Range", ["l1"])
     assert (singular.factor, singular.keys) == ("Range", ("l1",))
 

@@ -12,7 +12,7 @@ import pytest
 import nls
 from models import SE2
 from nls.cli import main
-from nls.io.renamed import renamed
+from nls.io.kind_names import with_known_kinds
 from nls.io.trajectory import lifted, read_kitti, read_tum, write_tum
 from tests.nls.g2o_files import PLANE, SPACE, write
 from tests.nls.io_files import FILES, ISAM_APART_2, TORO_2
@@ -232,7 +232,7 @@ def test_kinds_of_other_names_become_x_and_l(tmp_path: Path, capsys: Captured) -
     assert {kind: stack.numbers.tolist() for kind, stack in again.stacks.items()} == {"x": [0, 1, 2], "l": [8, 7]}
     assert [repr(factor) for factor in found.factors if "Landmark" in repr(factor)] == ["Landmark(x[1, 2], l[8, 7])"]
     assert found.chi2(again) == pytest.approx(graph.chi2(values), rel=1e-12)
-    named, moved, _ = renamed(graph, values)  # bound before, under the old names
+    named, moved, _ = with_known_kinds(graph, values)  # bound before, under the old names
     assert all(moved.gather(factor)[0].factor is factor for factor in named.factors)
     optimum, other = (g.optimize(v) for g, v in ((graph, values), (found, again)))
     assert other.chi2_final == pytest.approx(optimum.chi2_final, rel=1e-9)
@@ -252,7 +252,7 @@ def test_points_numbered_apart_go_to_g2o_and_back(tmp_path: Path, capsys: Captur
     text = "".join(line + "\n" for line in NAMED.splitlines() if ":PRIOR" not in line)
     named = str(write(tmp_path, text, "c.pyfg"))
     with pytest.warns(nls.GraphWarning, match="the values of 5 variables are not in it"):
-        nls.save(tmp_path / "d.isam", *renamed(*nls.load(named)[:2], apart=True)[:2])
+        nls.save(tmp_path / "d.isam", *with_known_kinds(*nls.load(named)[:2], apart=True)[:2])
     assert main(["convert", named, str(tmp_path / "e.isam")]) == 0
     assert (tmp_path / "d.isam").read_text() == (tmp_path / "e.isam").read_text()
     assert [line.split()[:3] for line in (tmp_path / "e.isam").read_text().splitlines()] == [

@@ -139,7 +139,7 @@ def test_neighbors_deceive_the_nearest_but_not_all_together() -> None:
     for associate in (Nearest(), Assignment(), JointCompatibility(0.99)):
         ekf = EKF(associate=associate)
         track = ekf.run(graph, truth)
-        score = precision_recall(ekf.found, true)
+        score = precision_recall(ekf.associations, true)
         found[type(associate)] = score, float(np.abs(track.X[1] - truth[x[1]]).max())
     assert found[JointCompatibility] == (pytest.approx((1.0, 1.0)), pytest.approx(0.0, abs=0.01))
     for deceived in (Nearest, Assignment):
@@ -158,18 +158,18 @@ def test_landmarks_are_found_without_their_names(associate: Association) -> None
     graph = FactorGraph([*world.graph.factors[:2], seen])
     ekf = EKF(associate=associate)
     track = ekf.run(graph, world.start)
-    score = precision_recall(ekf.found, world.sightings.keys[1].numbers)
+    score = precision_recall(ekf.associations, world.sightings.keys[1].numbers)
     assert len(track.landmarks) == 6
     assert score.precision == 1.0
     assert 0.95 < score.recall <= 1.0
     assert track.ate(world.truth).rmse < 0.15
 
-    numbered = identified(seen, ekf.found, l)  # and a graph of what it found
+    numbered = identified(seen, ekf.associations, l)  # and a graph of what it found
     start = Values({x: (SE2, track.X), l: (R(2), track.values[l], track.landmarks.numbers)})
     best = FactorGraph([*world.graph.factors[:2], numbered]).optimize(start)
     assert best.converged
     assert world.ate(best.values) < 0.12
-    assert len(numbered) == sum(k >= 0 for k in ekf.found) < len(seen)
+    assert len(numbered) == sum(k >= 0 for k in ekf.associations) < len(seen)
 
 
 def with_one_wrong(world: LandmarkWorld, which: int) -> FactorGraph:

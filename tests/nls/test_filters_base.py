@@ -36,7 +36,7 @@ def small() -> tuple[FactorGraph, Values]:
 
 
 def shown(step: Step) -> tuple[str, list[str], list[str]]:
-    return repr(step.pose), [repr(f) for f in step.motion], [repr(f) for f in step.seen]
+    return repr(step.pose), [repr(f) for f in step.motion], [repr(f) for f in step.observations]
 
 
 def test_every_measurement_is_at_the_step_of_its_latest_pose() -> None:
@@ -46,9 +46,9 @@ def test_every_measurement_is_at_the_step_of_its_latest_pose() -> None:
         ("x5", ["Between(x5, x2)"], ["Prior(l7)", "Landmark(x5, l7)", "Heading(x5)"]),
         ("x9", ["Between(x9, x5)"], ["Landmark(x[9, 9], l[7, 4])", "Between(x2, x9)", "Heading(x9)"]),
     ]
-    assert cut[2].seen[0].z.tolist() == [[1, 0], [3, 0]]
+    assert cut[2].observations[0].z.tolist() == [[1, 0], [3, 0]]
     assert cut[1].motion[0].z.tolist() == [[-2, 0, 0]]
-    assert [float(f.z[0]) for f in (cut[1].seen[2], cut[2].seen[2])] == [0.1, 0.2]
+    assert [float(f.z[0]) for f in (cut[1].observations[2], cut[2].observations[2])] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize("make", [sim.subsea, sim.lines])
@@ -56,13 +56,13 @@ def test_nothing_is_lost_and_nothing_twice(make: object) -> None:
     world = make(np.random.default_rng(3))  # type: ignore[operator]
     cut = steps(world.graph, world.start)
     assert len(cut) == world.poses
-    parts = [f for step in cut for f in (*step.motion, *step.seen)]
+    parts = [f for step in cut for f in (*step.motion, *step.observations)]
     for factor in world.graph.factors:
         mine = [f for f in parts if type(f) is type(factor)]
         assert sum(map(len, mine)) == len(factor)
         assert sum(float(f.chi2(world.start).sum()) for f in mine) == pytest.approx(factor.chi2(world.start).sum())
     for step in cut:
-        for f in (*step.motion, *step.seen):
+        for f in (*step.motion, *step.observations):
             assert max(int(k.numbers.max()) for k in f.keys if k.kind == "x") == step.pose.numbers[0]
 
 

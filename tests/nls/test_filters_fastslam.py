@@ -93,7 +93,7 @@ def test_a_chart_that_comes_late_weighs_the_particles(version: Version) -> None:
     filter = FastSLAM(20_000, version, rng=np.random.default_rng(0))
     first, *middle, last = steps(graph, values)
     filter.start(first, values)
-    for step in [*middle, replace(last, seen=[*last.seen, chart])]:
+    for step in [*middle, replace(last, observations=[*last.observations, chart])]:
         filter.step(step)
     sigma = np.sqrt(np.diag(P))
     off, shift = (np.abs(SE2.local(X[None], best[None])[0] / sigma).max() for X in (filter.pose[0], without))
@@ -103,7 +103,7 @@ def test_a_chart_that_comes_late_weighs_the_particles(version: Version) -> None:
 def test_all_particles_at_once_are_each_particle_alone() -> None:
     graph, values = small()
     rng = np.random.default_rng(2)
-    (seen,) = [f for f in steps(graph, values)[3].seen if isinstance(f, BearingRange)]
+    (seen,) = [f for f in steps(graph, values)[3].observations if isinstance(f, BearingRange)]
     X = SE2.retract(np.tile(values[x[3]], (5, 1)), rng.normal(0, 0.3, (5, 3)))
     L = values[l][seen.keys[1].numbers] + rng.normal(0, 0.3, (5, 3, 2))
     many = copies(seen, [SE2, R(2)], 5)
@@ -120,7 +120,7 @@ def test_all_particles_at_once_are_each_particle_alone() -> None:
 def test_an_update_is_the_kalman_update_of_every_particle_and_its_weight_the_likelihood() -> None:
     graph, values = small()
     rng = np.random.default_rng(6)
-    (seen,) = [f for f in steps(graph, values)[3].seen if isinstance(f, BearingRange)]
+    (seen,) = [f for f in steps(graph, values)[3].observations if isinstance(f, BearingRange)]
     X = SE2.retract(np.tile(values[x[3]], (4, 1)), rng.normal(0, 0.2, (4, 3)))
     keys = l[[2, 0, 1]]
     L, B = values[keys] + rng.normal(0, 0.2, (4, 3, 2)), rng.normal(0, 0.3, (4, 3, 2, 2))

@@ -250,7 +250,7 @@ def test_variables_without_measurement_are_no_gauge(solver: str) -> None:
     settings = dict(vars(free))
     state = free.analyze(Pattern(sample.graph.factors, values, decided.fixed))
     assert state.gauge.tolist() == [0, 1, 2]
-    assert state.rest.tolist() == list(range(3, 24))
+    assert state.complement.tolist() == list(range(3, 24))
     assert vars(free) == settings  # a solver holds settings only
     result = sample.graph.optimize(values, TIGHT, SOLVERS[solver](), gauge="free")
     alone = sample.graph.optimize(sample.values, TIGHT, SOLVERS[solver](), gauge="free")

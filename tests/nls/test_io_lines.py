@@ -14,7 +14,7 @@ from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, Rang
 from factors.base import Factor
 from factors.robust import Cauchy
 from nls.cli import outliers
-from nls.cli.prepared import prepared
+from nls.cli.preparation import prepare
 from tests.nls.g2o_files import INFORMATION_2
 from tests.nls.io_files import ALL
 from tests.nls.mission_files import TINY, folder, raw
@@ -93,7 +93,7 @@ def test_lines_and_the_graph_without_the_rejected(tmp_path: Path) -> None:
     graph, values, report = nls.load(path)
     found = nls.gnc(graph, values)
     assert [rejected.factor for rejected in found.rejected] == ["Between(x1, x6)"]
-    rest, after = outliers.kept(graph, found, report)
+    rest, after = outliers.without_rejected(graph, found, report)
     assert (len(graph) - len(rest), report.format, after.notes is report.notes) == (1, after.format, True)
     for measured, lines_of in ((graph, report), (rest, after)):
         for number, factor in enumerate(measured.factors):
@@ -109,7 +109,7 @@ def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
     path.write_text(ALL["every tag of the plane"][1])
     graph, values, report = nls.load(path)
     options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
-    for other in (prepared(graph, values, report, options), graph.robust(Cauchy(1.0))):
+    for other in (prepare(graph, values, report, options), graph.robust(Cauchy(1.0))):
         assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
 
 

@@ -82,7 +82,7 @@ def test_trees_without_names(data: Path, evidence: ModuleType) -> None:
     park = evidence.victoria_park(read_victoria_park(data / "victoria-park"), 160.0)
     ekf = EKF(associate=Nearest(0.99))
     track = ekf.run(park.graph, park.start)
-    graph, start = park.named(ekf.found, track.X)
+    graph, start = park.named(ekf.associations, track.X)
     result = graph.optimize(start)
     assert result.converged
     errors = [park.gps_error(X).rmse for X in (park.start[x], track.X, result.values[x])]
@@ -92,4 +92,4 @@ def test_trees_without_names(data: Path, evidence: ModuleType) -> None:
     assert errors[0] > 1.4
     assert max(errors[1:]) < 1.1
     again = park.again(result.values)
-    assert (again == ekf.found).mean() > 0.97  # the map agrees with what the filter thought on the way
+    assert (again == ekf.associations).mean() > 0.97  # the map agrees with what the filter thought on the way

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Diagonal, Elevation, Isotropic, Prior, RangeAzimuth, Seen
+from factors import Diagonal, Elevation, Isotropic, Prior, RangeAzimuth, Sighting
 from factors.keys import Keys
 from models import SE3
 from nls.io.mission import MissionReport, elevations
@@ -34,7 +34,7 @@ def test_the_example_of_the_page(
 
 
 def mounted(graph: nls.FactorGraph, values: nls.Values, offset: Keys | np.ndarray) -> nls.FactorGraph:
-    return nls.FactorGraph([f.mounted(offset) if isinstance(f, Seen) else f for f in graph.factors])
+    return nls.FactorGraph([f.mounted(offset) if isinstance(f, Sighting) else f for f in graph.factors])
 
 
 def test_elevations_seen_from_a_mounting_that_is_a_variable(tmp_path: Path) -> None:

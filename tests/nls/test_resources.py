@@ -76,7 +76,7 @@ def test_a_factorization_above_the_limit_is_refused_with_the_numbers(kind: type[
     with pytest.raises(ResourceLimitError) as found:
         graph.optimize(values, linear_solver=kind(memory_limit=1e5))
     error = found.value
-    assert (error.limit, error.what) == (1e5, "sparse factorization")
+    assert (error.limit, error.subject) == (1e5, "sparse factorization")
     assert error.needed > 1e5
     if numbers is not None:
         assert error.needed == pytest.approx(kind.per_number * numbers)

@@ -298,7 +298,7 @@ def test_options_that_are_not_possible(option: str, wrong: list[object]) -> None
 
 def test_what_is_not_a_number_never_arrives() -> None:
     found = conjugate(lambda P: P, lambda R: R, np.array([[1.0, np.nan]]), lambda first: np.array([np.inf]), 9)
-    assert not found.there
+    assert not found.converged
 
 
 def test_several_right_sides_leave_when_they_are_there() -> None:
@@ -312,7 +312,7 @@ def test_several_right_sides_leave_when_they_are_there() -> None:
         return np.asarray(P @ H)
 
     found = conjugate(times, lambda R: R, wanted @ H, lambda first: first * [1e-2, 1e-24, 1e-8], 100)
-    assert found.there
+    assert found.converged
     assert found.x[1] == pytest.approx(wanted[1], abs=1e-8)
     assert sizes == sorted(sizes, reverse=True)
     assert {*sizes} == {1, 2, 3}

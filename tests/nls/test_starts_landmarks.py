@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import Bearing, BearingRange, Between, Factor, Information, Isotropic, Landmark, Range, Seen
+from factors import Bearing, BearingRange, Between, Factor, Information, Isotropic, Landmark, Range, Sighting
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
@@ -17,11 +17,11 @@ from tests.nls.graphs import moved, walk
 
 x, l, m, o = kinds("x", "l", "m", "o")
 GROUPS = [SE2, SE3]
-SENSORS: list[type[Seen]] = [Landmark, BearingRange, Range, Bearing]
+SENSORS: list[type[Sighting]] = [Landmark, BearingRange, Range, Bearing]
 ONE = Isotropic(1.0)
 
 
-def exact(kind: Callable[..., Seen], values: Values, pose: Keys, point: Keys, offset: object = None) -> Seen:
+def exact(kind: Callable[..., Sighting], values: Values, pose: Keys, point: Keys, offset: object = None) -> Sighting:
     """A factor whose measurements are what the values predict."""
     empty = kind(pose, point, 0.0, ONE, offset=offset)
     space = empty.space(tuple(values.stack(k.kind).manifold for k in empty.keys))
@@ -53,7 +53,7 @@ def forgotten(values: Values) -> Values:
 @pytest.mark.parametrize("group", GROUPS, ids=str)
 @pytest.mark.parametrize("kind", SENSORS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("offset", ["none", "fixed", "variable"])
-def test_exact_measurements_give_exact_points(group: LieGroup, kind: type[Seen], offset: str) -> None:
+def test_exact_measurements_give_exact_points(group: LieGroup, kind: type[Sighting], offset: str) -> None:
     truth, pose, point = scene(group)
     given = {"none": None, "fixed": truth[o[0]], "variable": o[np.zeros(120, dtype=int)]}[offset]
     found = locate_points(FactorGraph([exact(kind, truth, pose, point, given)]), forgotten(truth))
@@ -63,7 +63,7 @@ def test_exact_measurements_give_exact_points(group: LieGroup, kind: type[Seen],
 
 
 @pytest.mark.parametrize("kind", [Landmark, BearingRange], ids=lambda kind: kind.__name__)
-def test_the_first_pose_in_number_decides(kind: type[Seen]) -> None:
+def test_the_first_pose_in_number_decides(kind: type[Sighting]) -> None:
     truth = Values({x: (SE2, [[0, 0, 0], [3, 0, 1], [5, 1, 2]], [9, -4, 2]), l: (R(2), [[4.0, 4.0]])})
     elsewhere = Values({x: (SE2, truth[x], [9, -4, 2]), l: (R(2), [[7.0, 7.0]])})
     first, later = exact(kind, truth, x[-4], l[0]), exact(kind, elsewhere, x[[2, 9]], l[[0, 0]])
@@ -95,7 +95,7 @@ def test_a_point_is_located_by_the_best_it_has(group: LieGroup) -> None:
         (Landmark, [[0, 0, 0]], False),
     ],
 )
-def test_what_nothing_locates_keeps_its_value(kind: type[Seen], poses: list[list[float]], kept: bool) -> None:
+def test_what_nothing_locates_keeps_its_value(kind: type[Sighting], poses: list[list[float]], kept: bool) -> None:
     n = len(poses)
     truth = Values({x: (SE2, np.array(poses, dtype=float)), l: (R(2), [[5.0, 3.0]])})
     factor = exact(kind, truth, x[0:n], l[np.zeros(n, dtype=int)])

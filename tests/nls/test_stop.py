@@ -62,8 +62,10 @@ def looked(**changes: Any) -> Any:
     assert set(changes) <= {*watch, *system, *step}
     for given in (watch, system, step):
         given |= {key: value for key, value in changes.items() if key in given}
-    taken = watch["history"][-1].number
-    return SimpleNamespace(watch=SimpleNamespace(**watch, taken=taken), system=SimpleNamespace(**system), **step)
+    step_count = watch["history"][-1].number
+    return SimpleNamespace(
+        watch=SimpleNamespace(**watch, step_count=step_count), system=SimpleNamespace(**system), **step
+    )
 
 
 def swings(n: int) -> list[Iteration]:

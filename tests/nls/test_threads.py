@@ -160,7 +160,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, knobs: Callable[[Any], list[threads
     """Put libraries of ours in the place of the real ones."""
     monkeypatch.setattr(threads, "_knobs", knobs)
     monkeypatch.setattr(threads, "_KNOWN", {})
-    monkeypatch.setattr(threads, "_FOUND", {})
+    monkeypatch.setattr(threads, "_SETTINGS", {})
 
 
 @pytest.mark.parametrize("of_process", [True, False])
@@ -290,7 +290,7 @@ def test_threadpoolctl_is_asked_about_what_is_no_openblas_of_its_own(
     monkeypatch.setattr(threads.os.path, "exists", lambda path: True)
     monkeypatch.setattr(threads.ctypes, "CDLL", lambda path: files[path])
     monkeypatch.setattr(threads, "_knob", lambda get, put, inside: threads.Knob(put, get, put, inside))
-    monkeypatch.setattr(threads, "_asked", lambda: [theirs])
+    monkeypatch.setattr(threads, "_blas_knobs", lambda: [theirs])
     knobs = threads._knobs.__wrapped__(())
     assert (theirs in knobs) is asked
     assert [knob.get() for knob in knobs] == ([4] if asked else [7])

@@ -134,9 +134,9 @@ def test_the_square_root_is_one_and_the_singular_directions_have_no_information(
     found, _ = solved(GENERAL, seed=1)
     W, S = found.sqrt_information, found.information
     np.testing.assert_allclose(W.T @ W, S, rtol=1e-9)
-    assert (np.abs(W).max(axis=1) > 0).tolist() == found.kept.tolist()
-    assert 0 < found.kept.sum() < 6
-    for gain, v, kept in zip(found.gains, found.directions, found.kept, strict=True):
+    assert (np.abs(W).max(axis=1) > 0).tolist() == found.kept_directions.tolist()
+    assert 0 < found.kept_directions.sum() < 6
+    for gain, v, kept in zip(found.gains, found.directions, found.kept_directions, strict=True):
         assert v @ np.diag(ODOMETRY**-2) @ v == pytest.approx(1.0)
         assert v @ S @ v == pytest.approx(gain if kept else 0.0, abs=1e-9)
         assert kept == (gain > 1e-3)
@@ -147,7 +147,7 @@ def test_in_plane_motion_says_nothing_about_heave_roll_and_pitch(motion: list[fl
     """Points at elevation 0, level: the sonar sees x, y and yaw, and its factor alone is refused by name."""
     found, _ = solved(motion, noise=0.0, el=0.0)
     assert found.converged
-    assert found.kept.sum() == 3
+    assert found.kept_directions.sum() == 3
     out, seen = [2, 3, 4], [0, 1, 5]
     S = found.information * np.outer(ODOMETRY, ODOMETRY)
     assert np.abs(S[out]).max() < 1e-4 * S.max()
@@ -230,7 +230,7 @@ def test_the_information_is_what_the_errors_say(motion: list[float]) -> None:
         found, T = solved(motion, seed, MOUNT)
         assert found.converged
         e = SE3.local(found.z, T)
-        total, directions = total + e @ found.information @ e, directions + int(found.kept.sum())
+        total, directions = total + e @ found.information @ e, directions + int(found.kept_directions.sum())
     assert abs(total - directions) < 3.3 * np.sqrt(2 * directions), (total, directions)
 
 
@@ -252,7 +252,7 @@ def test_without_odometry_the_sonar_alone() -> None:
     assert found.converged
     e = SE3.local(found.pose, T)
     assert e @ found.information @ e < 1e-3
-    assert found.kept.sum() >= 5
+    assert found.kept_directions.sum() >= 5
 
 
 def test_a_result_that_did_not_converge_makes_no_factor() -> None:

@@ -58,7 +58,7 @@ def read_auv_dvl(folder: str | Path, number: int) -> AuvDvl:
     GraphFileError
         A file that cannot be read, or two whose times differ.
     """
-    dvl, ins = (Path(folder) / f"{what}_trajectory{number}.csv" for what in ("DVL", "GT"))
+    dvl, ins = (Path(folder) / f"{prefix}_trajectory{number}.csv" for prefix in ("DVL", "GT"))
     measured = columns(dvl, ("Time [s]", "DVL X [m/s]", "DVL Y [m/s]", "DVL Z [m/s]"))
     true = columns(ins, ("Time [s]", *INS.split(",")))
     if not np.array_equal(measured[:, 0], true[:, 0]):

@@ -55,7 +55,9 @@ class Mrclam:
 
         Before the first and after the last they are these.
         """
-        x, y, yaw = (np.interp(t, self.t_truth, each) for each in (*self.truth[:, :2].T, np.unwrap(self.truth[:, 2])))
+        x, y, yaw = (
+            np.interp(t, self.t_truth, column) for column in (*self.truth[:, :2].T, np.unwrap(self.truth[:, 2]))
+        )
         return np.column_stack([x, y, wrap(yaw)])
 
 
@@ -70,9 +72,9 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
     """
     folder = Path(folder)
     commands, *_ = _timed(folder, f"Robot{robot}_Odometry.dat", 3, "time, velocity, rate of turn")
-    seen, text, lines = _timed(folder, f"Robot{robot}_Measurement.dat", 4, "time, barcode, range, bearing")
+    measurements, text, lines = _timed(folder, f"Robot{robot}_Measurement.dat", 4, "time, barcode, range, bearing")
     truth, *_ = _timed(folder, f"Robot{robot}_Groundtruth.dat", 4, "time, x, y, heading")
-    if (bad := ~(seen[:, 2] > 0)).any():
+    if (bad := ~(measurements[:, 2] > 0)).any():
         raise text.error("no range is 0 or below", int(lines[np.argmax(bad)]))
     t_0 = truth[0, 0]
     last = np.append(np.diff(commands[:, 0]) > 0, True)
@@ -90,9 +92,9 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
     return Mrclam(
         commands[last, 0] - t_0,
         commands[last, 1:],
-        seen[:, 0] - t_0,
+        measurements[:, 0] - t_0,
         np.where(barcodes[at] == barcode, subjects[at], 0),
-        seen[:, [3, 2]],
+        measurements[:, [3, 2]],
         truth[:, 0] - t_0,
         truth[:, 1:],
         landmarks,
@@ -100,17 +102,17 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
     )
 
 
-def _timed(folder: Path, name: str, columns: int, what: str) -> tuple[Array, Text, Index]:
+def _timed(folder: Path, name: str, columns: int, expected: str) -> tuple[Array, Text, Index]:
     """The numbers of a file or of its compressed twin, in the order of time; its text and lines."""
-    text, lines, numbers, _ = plain_table(or_compressed(folder, name), columns, what)
+    text, lines, numbers, _ = plain_table(or_compressed(folder, name), columns, expected)
     refuse_late(text, lines, numbers[:, 0], repeated=True)
     return numbers, text, lines
 
 
-def _once(what: str, text: Text, lines: Index, numbers: npt.NDArray[np.int64]) -> Index:
+def _once(noun: str, text: Text, lines: Index, numbers: npt.NDArray[np.int64]) -> Index:
     """The order of numbers (n,), each of which is given once."""
     order = np.argsort(numbers, kind="stable")
     if len(again := np.flatnonzero(np.diff(numbers[order]) == 0)):
         k = order[again[0] + 1]
-        raise text.error(f"{what} {numbers[k]} was given before", int(lines[k]))
+        raise text.error(f"{noun} {numbers[k]} was given before", int(lines[k]))
     return order

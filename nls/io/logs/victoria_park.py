@@ -64,8 +64,8 @@ def read_victoria_park(folder: str | Path) -> VictoriaPark:
     """
     drs, gps, trees = (or_compressed(folder, name) for name in ("DRS.txt", "GPS.txt", "LASER_TREE.txt"))
     tables = []
-    for path, what in ((drs, "time, wheel speed, steering"), (gps, "time, north, east")):
-        text, lines, numbers, _ = plain_table(path, 3, what)
+    for path, columns in ((drs, "time, wheel speed, steering"), (gps, "time, north, east")):
+        text, lines, numbers, _ = plain_table(path, 3, columns)
         refuse_late(text, lines, numbers[:, 0])
         tables.append(numbers)
     text, lines, count, _ = plain_lines(trees, "no scan; expected lines of a time and pairs of range and bearing")

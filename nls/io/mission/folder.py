@@ -12,7 +12,7 @@ from nls.io.dialects import SUFFIXES
 from nls.io.mission.columns import COLUMNS, LOG, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.unused import note_comments
+from nls.io.unused_lines import note_comments
 
 __all__ = ["EXPECTED", "read_tables"]
 
@@ -37,25 +37,25 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     except OSError as error:
         raise GraphFileError(f"cannot be read: {error.strerror or error}", str(folder)) from error
     files: dict[str, Path] = {}
-    others = []
+    other_files = []
     for name in names:
         table = name.removesuffix(".gz").removesuffix(".csv")
         if name not in (f"{table}.csv", f"{table}.csv.gz") or table not in COLUMNS:
-            others.append(name)
+            other_files.append(name)
         elif table in files:
             raise GraphFileError(f"there is {files[table].name} beside it; leave one of them", str(path / name))
         else:
             files[table] = _regular(path / name)
-    _refuse_parts(str(folder), set(files), others)
+    _refuse_parts(str(folder), set(files), other_files)
 
     report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
     tables = {name: Table(file, COLUMNS[name]) for name, file in files.items()}
     report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
     note_comments(report, sum(table.comments for table in tables.values()))
-    if tabular := [name for name in others if ".csv" in name.lower()]:
+    if tabular := [name for name in other_files if ".csv" in name.lower()]:
         report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
-    if rest := [name for name in others if name not in tabular and name != README]:
-        report.notes.append(f"not read: {_listed(rest)}")
+    if ignored_files := [name for name in other_files if name not in tabular and name != README]:
+        report.notes.append(f"not read: {_listed(ignored_files)}")
     return tables, report
 
 
@@ -66,13 +66,13 @@ def _regular(file: Path) -> Path:
     return file
 
 
-def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:
+def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
     if not files & {*TRACK, *LOG}:
-        found = f"it has {_listed(sorted(files) + others)}" if files or others else "it is empty"
-        graphs = [name for name in others if Path(name.removesuffix(".gz")).suffix in SUFFIXES]
+        contents = f"it has {_listed(sorted(files) + other_files)}" if files or other_files else "it is empty"
+        graphs = [name for name in other_files if Path(name.removesuffix(".gz")).suffix in SUFFIXES]
         advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
-        raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {found}", folder, advice=advice)
+        raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, "dvl_mount"}):
         raise GraphFileError(
             f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; leave either the integrated "
@@ -80,20 +80,20 @@ def _refuse_parts(folder: str, files: set[str], others: list[str]) -> None:
             folder,
         )
     if missing := [name for name in (TRACK if track else LOG) if name not in files]:
-        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], others)}", folder)
-    for there, name, says in (
+        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}", folder)
+    for present, name, says in (
         ("contacts", "sonar", "what sonar saw them, and from where"),
         ("sonar", "contacts", "what the sonar saw; leave sonar.csv out where it saw nothing"),
     ):
-        if there in files and name not in files:
+        if present in files and name not in files:
             raise GraphFileError(
-                f"has {there}.csv and no {name}.csv, which says {says}{_near_miss(name, others)}", folder
+                f"has {present}.csv and no {name}.csv, which says {says}{_near_miss(name, other_files)}", folder
             )
 
 
-def _near_miss(name: str, others: list[str]) -> str:
+def _near_miss(name: str, other_files: list[str]) -> str:
     """Names a file that is not read and may be meant for the one that is missing."""
-    near = {other.lower().removesuffix(".gz").removesuffix(".csv").strip(): other for other in others}
+    near = {file.lower().removesuffix(".gz").removesuffix(".csv").strip(): file for file in other_files}
     close = get_close_matches(name, near, n=1, cutoff=0.8)
     return f"; is it {_listed([near[close[0]]])}? names are written as here" if close else ""
 

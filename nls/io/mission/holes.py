@@ -69,15 +69,15 @@ def holes_of(table: Table, t: Array, y: Array, b: Array, effect: str, report: Mi
     length = np.ceil(T / step - ROUNDING) * step
     for L in np.unique(length):
         d = _from_the_middle(t, y, float(L))
-        here = a[length == L]
+        rows = a[length == L]
         if not len(d):
             raise table.at(
-                int(here[0]) + 1,
-                f"no row in the {t[here[0] + 1] - t[here[0]]:.6g} s before this one, and no time as long without such "
+                int(rows[0]) + 1,
+                f"no row in the {t[rows[0] + 1] - t[rows[0]]:.6g} s before this one, and no time as long without such "
                 "a hole to tell how far the vehicle turns or dives in it; cut the log in two here",
             )
-        most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[here + 1] - y[here]) / 2)
-        density[here] = 2 * most / np.sqrt(t[here + 1] - t[here])[:, None]
+        most = np.maximum(np.sqrt(np.square(d).mean(axis=0)), np.abs(y[rows + 1] - y[rows]) / 2)
+        density[rows] = 2 * most / np.sqrt(t[rows + 1] - t[rows])[:, None]
 
     hole = np.searchsorted(t[a], b, side="right") - 1  # the last one that began before, -1 for none
     since = b - t[a][hole] if len(a) else np.zeros_like(b)

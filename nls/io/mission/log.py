@@ -125,16 +125,16 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
     tilts = np.hypot([noise["sigma_z_m"], sigmas[1], sigmas[0]], np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]))
-    seen = ~turning.inside
+    in_log = ~turning.inside
     report.sources += [
         dvl.source(_latest(t_v, b[:-1])),
         depth.source(_latest(t_z, b)),
-        ahrs.source(_latest(t_a, b[seen])),
+        ahrs.source(_latest(t_a, b[in_log])),
     ]
     return np.sort(numbers), [
         XYH(x[numbers[:-1]], x[numbers[1:]], xyh, SqrtInformation(W)),
         ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts)),
-        Heading(x[numbers[seen]], wrap(yaw[seen]), Isotropic(sigmas[2])),
+        Heading(x[numbers[in_log]], wrap(yaw[in_log]), Isotropic(sigmas[2])),
     ]
 
 

@@ -81,10 +81,10 @@ def _start(graph: FactorGraph, numbers: Numbers, points: Numbers, first: tuple[K
         spaces[l] = (R(3), np.zeros((len(points), 3)), points)
     start = dead_reckoning(graph, Values(spaces))
     anchor, (x_m, y_m, yaw) = first
-    here = euler.from_se3(start[anchor])[0]
-    turn = euler.to_se3([0.0, 0.0, yaw - here[2], 0.0, 0.0, 0.0])
-    there = SE3.act(turn, here[3:])
-    turn[:2] = x_m - there[0], y_m - there[1]
+    anchor_pose = euler.from_se3(start[anchor])[0]
+    turn = euler.to_se3([0.0, 0.0, yaw - anchor_pose[2], 0.0, 0.0, 0.0])
+    turned = SE3.act(turn, anchor_pose[3:])
+    turn[:2] = x_m - turned[0], y_m - turned[1]
     start[x] = SE3.compose(turn, start[x])
     return first_sighting(graph, start) if len(points) else start
 
@@ -121,26 +121,26 @@ def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, li
 
 def _times(poses: Table, numbers: Numbers) -> Array:
     """Times (n,) of the poses, s, in the order of their numbers."""
-    given, t = poses.unique("i", "pose"), poses.rising("time_s")
+    ids, t = poses.unique("i", "pose"), poses.rising("time_s")
     poses.known("i", numbers, "nothing measures this pose; leave it out")
-    if len(missing := np.setdiff1d(numbers, given)):
+    if len(missing := np.setdiff1d(numbers, ids)):
         raise poses.at(
             len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
         )
-    return t[np.argsort(given)]
+    return t[np.argsort(ids)]
 
 
 def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
     """True poses and landmarks, where there are files of them."""
     true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
     if (table := tables.get("truth")) is not None:
-        given = table.unique("i", "pose")
-        true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), given)
-        if not np.isin(given, numbers).any():
-            raise table.at(0, f"pose {given[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
-        if missing := len(np.setdiff1d(numbers, given)):
+        ids = table.unique("i", "pose")
+        true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
+        if not np.isin(ids, numbers).any():
+            raise table.at(0, f"pose {ids[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
+        if missing := len(np.setdiff1d(numbers, ids)):
             report.notes.append(f"truth.csv has no row for {missing} of {len(numbers)} poses: errors are of the others")
-        if more := len(np.setdiff1d(given, numbers)):
+        if more := len(np.setdiff1d(ids, numbers)):
             report.notes.append(f"truth.csv has {more} poses nothing measures: not used")
     if (table := tables.get("landmarks")) is not None:
         true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
@@ -230,15 +230,15 @@ def _contacts(
     slack_r, slack_azimuth = SLACK * sigmas.T
     outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
     if count := int(outside.sum()):
-        found = f"the first of {count} contacts" if count > 1 else "a contact"
+        contact = f"the first of {count} contacts" if count > 1 else "a contact"
         report.notes.append(
-            f"{table.place(int(np.argmax(outside)))}: {found} outside the fan or range window of sonar.csv; used all "
+            f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
             "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
         )
     for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
         graph.add(factor)
-        rows = first_contacts(x[i], l[k]) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
-        report.sources.append(table.source(rows))
+        ids = first_contacts(x[i], l[k]) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
+        report.sources.append(table.source(ids))
     return np.unique(k)
 
 

@@ -40,20 +40,24 @@ def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
     return csv_text(TRAJECTORY, stack.numbers, euler.from_se3(stack.X), _or_empty(sigmas, (len(stack), 6)))
 
 
-def map_text(values: Values, marginals: Marginals | None, found: Elevations) -> bytes:
+def map_text(values: Values, marginals: Marginals | None, elevations: Elevations) -> bytes:
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
     The elevation is the one in the frame of the sonar at the first view; at_limit is 1 where a hinge pushes it back
     into the aperture. Cells are empty where there are no sigmas: of all landmarks without marginals, else of those that
     are free.
     """
-    n, keys, known = len(found.landmarks), l[found.landmarks], np.isfinite(found.sigma)[:, None]
-    Sigma = None if marginals is None else np.where(known, found.bounded(marginals.covariance(keys))[:, *UPPER], np.nan)
-    sigma = None if marginals is None else found.sigma[:, None]
+    n, keys, known = len(elevations.landmarks), l[elevations.landmarks], np.isfinite(elevations.sigma)[:, None]
+    Sigma = (
+        None
+        if marginals is None
+        else np.where(known, elevations.bounded(marginals.covariance(keys))[:, *UPPER], np.nan)
+    )
+    sigma = None if marginals is None else elevations.sigma[:, None]
     return csv_text(
         MAP,
-        *(found.landmarks, values[keys], _or_empty(Sigma, (n, 6)), found.views, found.poses),
-        *(found.elevation[:, None], _or_empty(sigma, (n, 1)), found.pushed.astype(int)),
+        *(elevations.landmarks, values[keys], _or_empty(Sigma, (n, 6)), elevations.views, elevations.poses),
+        *(elevations.elevation[:, None], _or_empty(sigma, (n, 1)), elevations.pushed.astype(int)),
     )
 
 

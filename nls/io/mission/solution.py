@@ -105,9 +105,9 @@ def track_of(estimate: Values, judge: Values, report: MissionReport, against: st
     if not len(numbers):
         raise GraphError(f"the {against} has none of the poses of the mission")
     P, Q = estimate[x[numbers]], judge[x[numbers]]
-    found = ate(P, Q)
+    error = ate(P, Q)
     steps = np.linalg.norm(np.diff(SE3.position(Q), axis=0), axis=1)
-    return Track(against, numbers, np.append(0.0, np.cumsum(steps)), found.distances, found)
+    return Track(against, numbers, np.append(0.0, np.cumsum(steps)), error.distances, error)
 
 
 @dataclass(frozen=True)
@@ -176,12 +176,12 @@ def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
     graph : that graph and the priors.
     free : the landmarks with a direction of less than `FREE` of the information along their best one.
     """
-    found = landmark_information(graph, values, l)
-    w, V = np.linalg.eigh(found.information)
+    landmark_marginals = landmark_information(graph, values, l)
+    w, V = np.linalg.eigh(landmark_marginals.information)
     most = w[:, -1:]
     unknown = w <= FREE * most
     weak = unknown.any(axis=1)
-    keys = l[found.keys.numbers[weak]]
+    keys = l[landmark_marginals.keys.numbers[weak]]
     scale = np.sqrt(np.where(most > 0, most, 1.0))[weak]
     W = (scale * unknown[weak])[:, :, None] * V[weak].mT
     weak_ones = [Prior(keys, values[keys], SqrtInformation(W))] if len(keys) else []
@@ -211,28 +211,28 @@ def elevations(
     UnderconstrainedError
         Sigmas where the measurements leave something free.
     """
-    seen = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
-    pose = np.concatenate([factor.keys[0].numbers for factor in seen])
-    point = np.concatenate([factor.keys[1].numbers for factor in seen])
+    contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+    pose = np.concatenate([factor.keys[0].numbers for factor in contacts])
+    point = np.concatenate([factor.keys[1].numbers for factor in contacts])
     landmarks, views = np.unique(point, return_counts=True)
     first = first_contacts(x[pose], l[point])
     S, p, firsts = np.zeros((len(first), SE3.size)), np.zeros((len(first), 3)), []
-    begin = np.cumsum([0, *map(len, seen)])
-    for factor, low, high in zip(seen, begin[:-1], begin[1:], strict=True):
-        here = np.flatnonzero((first >= low) & (first < high))  # landmarks whose first contact is one of its
-        part = factor[first[here] - low]
-        assert isinstance(part, RangeAzimuth)
-        X_keys, l_keys = part.keys[:2]
-        firsts.append((here, Elevation(X_keys, l_keys, np.zeros((len(here), 1)), Isotropic(1.0), part.offset)))
-        _, X = values.gather(part)
-        S[here], p[here] = part.sensor_pose(SE3, X[0], *X[2:]), X[1]
+    begin = np.cumsum([0, *map(len, contacts)])
+    for factor, low, high in zip(contacts, begin[:-1], begin[1:], strict=True):
+        rows = np.flatnonzero((first >= low) & (first < high))  # landmarks whose first contact is one of its
+        sighting = factor[first[rows] - low]
+        assert isinstance(sighting, RangeAzimuth)
+        X_keys, l_keys = sighting.keys[:2]
+        firsts.append((rows, Elevation(X_keys, l_keys, np.zeros((len(rows), 1)), Isotropic(1.0), sighting.offset)))
+        _, X = values.gather(sighting)
+        S[rows], p[rows] = sighting.sensor_pose(SE3, X[0], *X[2:]), X[1]
     r, azimuth, elevation = spherical(SE3.act(SE3.inverse(S), p))[0].T
     _, J = cartesian(np.column_stack([r, azimuth, elevation]))
     along = (SE3.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
     sigma = np.full(len(r), np.nan)
     if sigmas:
-        told = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
-        sigma[told] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[told]
+        has_sigma = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
+        sigma[has_sigma] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[has_sigma]
     hinges, limit = _limits(graph, values, landmarks)
     pushed, before, v = hinges > 0, sigma.copy(), limit**2 / 3 + elevation**2
     sigma = np.minimum(sigma, np.sqrt(v))
@@ -253,9 +253,9 @@ def _limits(graph: FactorGraph, values: Values, landmarks: Numbers) -> tuple[Arr
             W = square(factor.noise.sqrt_information(len(factor), factor.measures))[:, 0, 0]
             numbers = factor.keys[1].numbers
             pushes = (factor.chi2(values) > 0) & ~np.isin(numbers, held)
-            here = np.flatnonzero(np.isin(numbers, landmarks))
-            at = np.searchsorted(landmarks, numbers[here])
-            np.add.at(hinges, at, np.where(pushes, np.square(W), 0.0)[here])
+            rows = np.flatnonzero(np.isin(numbers, landmarks))
+            at = np.searchsorted(landmarks, numbers[rows])
+            np.add.at(hinges, at, np.where(pushes, np.square(W), 0.0)[rows])
             limit[at] = np.maximum(limit[at], factor.limit)
     return hinges, np.where(limit > 0, limit, np.inf)
 
@@ -274,10 +274,10 @@ def _sigmas(
     FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
     with its pose are nine columns of the inverse each (1,321 landmarks of 2,143 poses: 3 s, not 47).
     """
-    followed = [_followed(view, e[here], values) for here, view in firsts if len(view)]
+    followed = [_followed(view, e[rows], values) for rows, view in firsts if len(view)]
     wider = FactorGraph([*graph.factors, *followed], graph.fixed)
-    both = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
-    return np.asarray(np.sqrt(Marginals(wider, both, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))
+    with_elevations = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
+    return np.asarray(np.sqrt(Marginals(wider, with_elevations, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))
 
 
 def _followed(view: Elevation, keys: Keys, values: Values) -> Factor:
@@ -290,6 +290,6 @@ def _followed(view: Elevation, keys: Keys, values: Values) -> Factor:
     def jacobians(*X: Array) -> list[Array]:
         H = view.predict(manifolds, *X[:-1])[1]
         assert H is not None
-        return [*(np.asarray(each) for each in H), np.full((len(view), 1, 1), -1.0)]
+        return [*(np.asarray(block) for block in H), np.full((len(view), 1, 1), -1.0)]
 
     return Factor.from_function(away, [*view.keys, keys], 1, Isotropic(FOLLOWS), jacobians)

@@ -68,22 +68,22 @@ class Table(Text):
     """
 
     def __init__(self, path: str | Path, columns: Sequence[str]) -> None:
-        self._given = read_bytes(path)
-        super().__init__(self._given.replace(b",", b" "), str(path))
+        self._data = read_bytes(path)
+        super().__init__(self._data.replace(b",", b" "), str(path))
         self.lines, self.comments = self._split()
-        wanted = ",".join(columns)
+        expected = ",".join(columns)
         if not len(self.lines):
-            raise self.error(f"is empty; expected a first line {wanted} and a row of values on every other", 0)
+            raise self.error(f"is empty; expected a first line {expected} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
-        self._refuse_no_names(head, wanted)
-        for said, some in (
+        self._refuse_no_names(head, expected)
+        for problem, some in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in names]),
         ):
             if some:
-                raise self.error(f"{said} column {_quoted(some[0])}; expected {wanted}", head)
+                raise self.error(f"{problem} column {_quoted(some[0])}; expected {expected}", head)
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
@@ -103,7 +103,7 @@ class Table(Text):
 
         Returns the lines that are not skipped, and how many are comments.
         """
-        characters = np.frombuffer(self._given, dtype=np.uint8)
+        characters = np.frombuffer(self._data, dtype=np.uint8)
         quotes, commas = (np.flatnonzero(characters == ord(sign)) + PAD for sign in '",')
         if (odd := np.diff(quotes.searchsorted(self._newlines)) % 2).any():
             raise self.error("a quotation mark is not closed on its line", int(np.argmax(odd)))
@@ -119,13 +119,13 @@ class Table(Text):
         blank = (np.diff(self.first) == 1) & ~filled[head]
         return np.flatnonzero(~comment & ~blank), int(comment.sum())
 
-    def _refuse_no_names(self, head: int, wanted: str) -> None:
+    def _refuse_no_names(self, head: int, expected: str) -> None:
         """Refuse a first line of numbers, and one that is not separated by commas."""
         words = [self.token(k) for k in range(self.first[head], self.first[head + 1])]
         if all(NUMBER.fullmatch(word) for word in words):
-            raise self.error(f"the first line must name the columns: {wanted}", head)
+            raise self.error(f"the first line must name the columns: {expected}", head)
         if len(words) == 1 and (cure := _separators(words[0])):
-            raise self.error(f"one column; expected {wanted}{cure}", head)
+            raise self.error(f"one column; expected {expected}{cure}", head)
 
     def __len__(self) -> int:
         """Rows."""
@@ -133,7 +133,7 @@ class Table(Text):
 
     def line(self, line: int) -> bytes:
         """One line as it stands in the file, counted from 0."""
-        return self._given[self._newlines[line] + 1 - PAD : self._newlines[line + 1] - PAD]
+        return self._data[self._newlines[line] + 1 - PAD : self._newlines[line + 1] - PAD]
 
     def _cells(self, names: Sequence[str]) -> Index:
         """The cells (n, k) of these columns."""
@@ -161,13 +161,15 @@ class Table(Text):
         ------
         GraphFileError
         """
-        found = self.floats(*names)
-        limits, said = zip(*(next(rest for end, *rest in LIMITS if name.endswith(end)) for name in names), strict=True)
-        bad = ~(np.abs(found) <= np.array(limits))
+        numbers = self.floats(*names)
+        limits, expected = zip(
+            *(next(limit for end, *limit in LIMITS if name.endswith(end)) for name in names), strict=True
+        )
+        bad = ~(np.abs(numbers) <= np.array(limits))
         if rows is not None:
             bad &= rows[:, None]
-        self._refuse(bad, found, names, said)
-        return found
+        self._refuse(bad, numbers, names, expected)
+        return numbers
 
     def attitude(self, *names: str) -> Array:
         """As `measured`, of a vehicle: its pitch is less than a right angle, where it has no heading.
@@ -176,10 +178,10 @@ class Table(Text):
         ------
         GraphFileError
         """
-        found = self.measured(*names)
+        angles = self.measured(*names)
         upright = np.array([UPRIGHT if name == "pitch_rad" else np.inf for name in names])
-        self._refuse(np.abs(found) > upright, found, names, ["radians, between -pi/2 and pi/2"] * len(names))
-        return found
+        self._refuse(np.abs(angles) > upright, angles, names, ["radians, between -pi/2 and pi/2"] * len(names))
+        return angles
 
     def positive(self, *names: str) -> Array:
         """Numbers (n, k) of columns that must be above 0: standard deviations, ranges.
@@ -188,16 +190,18 @@ class Table(Text):
         ------
         GraphFileError
         """
-        found = self.floats(*names)
-        self._refuse(~(found > 0), found, names, ["a number above 0"] * len(names))
-        self._refuse((found < SMALLEST) | (found > LARGEST), found, names, ["1e-12 to 1e12"] * len(names))
-        return found
+        numbers = self.floats(*names)
+        self._refuse(~(numbers > 0), numbers, names, ["a number above 0"] * len(names))
+        self._refuse((numbers < SMALLEST) | (numbers > LARGEST), numbers, names, ["1e-12 to 1e12"] * len(names))
+        return numbers
 
-    def _refuse(self, bad: npt.NDArray[np.bool_], found: Array, names: Sequence[str], expected: Sequence[str]) -> None:
+    def _refuse(
+        self, bad: npt.NDArray[np.bool_], numbers: Array, names: Sequence[str], expected: Sequence[str]
+    ) -> None:
         """An error for the first of the numbers (n, k) that is bad."""
         if bad.any():
             k, column = divmod(int(np.argmax(bad)), len(names))
-            raise self.at(k, f"{names[column]} is {float(found[k, column])!r}; expected {expected[column]}")
+            raise self.at(k, f"{names[column]} is {float(numbers[k, column])!r}; expected {expected[column]}")
 
     def integers(self, name: str) -> Numbers:
         """Whole numbers (n,) of one column.
@@ -224,7 +228,7 @@ class Table(Text):
             raise self.at(k, f"{name} is {_quoted(printable(self.token(cells[k])))}; expected 0 or 1: {meaning}")
         return np.asarray(first == ord("1"))
 
-    def unique(self, name: str, what: str) -> Numbers:
+    def unique(self, name: str, noun: str) -> Numbers:
         """Whole numbers (n,) of one column, none of them twice.
 
         Raises
@@ -232,14 +236,14 @@ class Table(Text):
         GraphFileError
             One that was given before.
         """
-        found = self.integers(name)
-        order = np.argsort(found, kind="stable")
-        again = np.flatnonzero(found[order][1:] == found[order][:-1])
+        ids = self.integers(name)
+        order = np.argsort(ids, kind="stable")
+        again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
         if len(again):
             k = int(order[again + 1].min())
-            before = int(self.lines[np.argmax(found == found[k])]) + 1
-            raise self.at(k, f"{what} {found[k]} was given before, on line {before}")
-        return found
+            before = int(self.lines[np.argmax(ids == ids[k])]) + 1
+            raise self.at(k, f"{noun} {ids[k]} was given before, on line {before}")
+        return ids
 
     def rising(self, name: str) -> Array:
         """Numbers (n,) of one column that must rise from row to row: times.
@@ -263,16 +267,16 @@ class Table(Text):
         ------
         GraphFileError
         """
-        found = self.integers(name)
-        if (missing := ~np.isin(found, among)).any():
+        ids = self.integers(name)
+        if (missing := ~np.isin(ids, among)).any():
             k = int(np.argmax(missing))
-            raise self.at(k, f"{name} {found[k]}: {problem}")
-        return found
+            raise self.at(k, f"{name} {ids[k]}: {problem}")
+        return ids
 
     def text_of(self, name: str) -> list[str]:
         """Cells of one column as text, without the quotation marks around them."""
         cells = self._cells([name])[:, 0]
-        words = [self._given[s - PAD : e - PAD] for s, e in zip(self.starts[cells], self.ends[cells], strict=True)]
+        words = [self._data[s - PAD : e - PAD] for s, e in zip(self.starts[cells], self.ends[cells], strict=True)]
         quoted = [len(word) > 1 and word[:1] == word[-1:] == b'"' for word in words]
         return [
             printable(word[1:-1].replace(b'""', b'"') if within else word)
@@ -299,8 +303,8 @@ def _quoted(text: str, most: int = 40) -> str:
 
 def _separators(line: bytes) -> str:
     """What to do about a line of cells that no comma separates."""
-    found = next((said for sign, said in ((b";", "semicolons"), (b"\t", "tabs")) if sign in line), "")
-    return f"; these are separated by {found}, separate them with commas" if found else ""
+    separator = next((word for sign, word in ((b";", "semicolons"), (b"\t", "tabs")) if sign in line), "")
+    return f"; these are separated by {separator}, separate them with commas" if separator else ""
 
 
 def csv_text(names: Sequence[str], *columns: npt.ArrayLike | Sequence[str]) -> bytes:
@@ -328,7 +332,7 @@ def csv_text(names: Sequence[str], *columns: npt.ArrayLike | Sequence[str]) -> b
         array = np.asarray(column)
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise GraphError(f"{names[len(cells)]}: a number is not finite; a file holds finite ones only")
-        for each in array.reshape(len(array), -1).T.tolist():
-            cells.append([item if isinstance(item, str) else repr(item) for item in each])
+        for entries in array.reshape(len(array), -1).T.tolist():
+            cells.append([item if isinstance(item, str) else repr(item) for item in entries])
     rows = [",".join(row) for row in zip(*cells, strict=True)]
     return ("\n".join([",".join(names), *rows]) + "\n").encode()

@@ -157,10 +157,10 @@ def _file_of(factor: Factor, mount: Array) -> str:
         No file has columns for it.
     """
     kinds = [keys.kind for keys in factor.keys]
-    seen = isinstance(factor, RangeAzimuth | Elevation)
-    wanted = ["x", "l"] if seen else ["x"] * len(kinds)
-    if kinds != wanted:
-        raise _no_file(factor, f"its variables are {kinds}, expected {wanted}")
+    observes_landmark = isinstance(factor, RangeAzimuth | Elevation)
+    expected = ["x", "l"] if observes_landmark else ["x"] * len(kinds)
+    if kinds != expected:
+        raise _no_file(factor, f"its variables are {kinds}, expected {expected}")
     if factor.kernel is not None:
         raise _no_file(factor, "it has a robust kernel; write the graph without")
     if isinstance(factor, RangeAzimuth | Elevation):
@@ -186,12 +186,14 @@ def _refuse_stray(rows: dict[str, list[Rows]]) -> Numbers:
     """
     poses = np.unique(np.concatenate([np.concatenate(row[:2]) for row in rows["odometry"]]))
     for name in ("zpr", "anchor", "contacts"):
-        given = np.concatenate([np.asarray(row[0]) for row in rows.get(name, [])] or [poses[:0]])
-        each, count = np.unique(given, return_counts=True)
-        if len(stray := np.setdiff1d(each, poses)):
+        ids = np.concatenate([np.asarray(row[0]) for row in rows.get(name, [])] or [poses[:0]])
+        unique_ids, count = np.unique(ids, return_counts=True)
+        if len(stray := np.setdiff1d(unique_ids, poses)):
             raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
         if name != "contacts" and (count > 1).any():
-            raise GraphError(f"write_mission: x{each[np.argmax(count)]} is measured twice in {name}.csv; expected once")
+            raise GraphError(
+                f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
+            )
     return poses
 
 

@@ -97,7 +97,7 @@ class Complement:
         self.n = int(widths[:gone].sum())
         member = np.cumsum(changes(group)) - 1  # group of every variable that is kept, in their order
         dims = np.bincount(member, weights=widths[gone:]).astype(np.intp)
-        kept = len(dims)
+        groups = len(dims)
 
         # Every pair (l, p) once, p the groups from here on, and the rows of H between the diagonal block of l and H_pl.
         row, column = e.row[e.blocks], e.column[e.blocks]
@@ -105,37 +105,39 @@ class Complement:
         l, p, height = column[lp], member[row[lp] - gone], widths[row[lp]]
         total = np.bincount(l, weights=height, minlength=gone).astype(np.intp)
         above = np.cumsum(height) - height - (np.cumsum(total) - total)[l]
-        one = changes(l) | changes(p)
-        l, p, above = l[one], p[one], above[one]
+        starts_pair = changes(l) | changes(p)
+        l, p, above = l[starts_pair], p[starts_pair], above[starts_pair]
         height = dims[p]
 
         # Pairs (Y_lp, Y_lq) by dimension of l, and the blocks of S that they or H_pp fill.
         ranges = [(int(d), *np.searchsorted(widths[:gone], [d, d + 1])) for d in np.unique(widths[:gone])]
         mine = [slice(*np.searchsorted(l, [begin, end])) for _, begin, end in ranges]
-        every = [Pairs(l[m] - r[1], p[m], int(r[2] - r[1]), kept, diagonal) for r, m in zip(ranges, mine, strict=True)]
+        every = [
+            Pairs(l[m] - r[1], p[m], int(r[2] - r[1]), groups, diagonal) for r, m in zip(ranges, mine, strict=True)
+        ]
         owner = np.repeat(member, widths[gone:])  # of every column that is kept
         i, j = hessian.indices[hessian.indptr[self.n] :] - self.n, np.arange(len(owner))
         j = np.repeat(j, np.diff(hessian.indptr[self.n :]))
-        there = owner[i] * kept + owner[j]
-        place = np.arange(kept) * (kept + 1)
+        block = owner[i] * groups + owner[j]
+        place = np.arange(groups) * (groups + 1)
         if not diagonal:
-            place = np.unique(np.concatenate([place, there, *(q.high * kept + q.low for q in every)]))
-        high, low = np.divmod(place, max(kept, 1))
+            place = np.unique(np.concatenate([place, block, *(q.high * groups + q.low for q in every)]))
+        high, low = np.divmod(place, max(groups, 1))
         first = np.cumsum(dims[high] * dims[low])
-        self.size = int(first[-1]) if kept else 0
+        self.size = int(first[-1]) if groups else 0
         first -= dims[high] * dims[low]
         off = high != low
-        self.hessian = Hessian(Elimination(high[off], low[off], kept, None), dims, first[~off], first[off])
+        self.hessian = Hessian(Elimination(high[off], low[off], groups, None), dims, first[~off], first[off])
 
         # Where in S the numbers of H_pp are.
         inner = np.arange(len(owner)) - (np.cumsum(dims) - dims)[owner]
         self._same = owner[i] == owner[j] if diagonal else np.ones(len(i), dtype=bool)
-        i, j, there = i[self._same], j[self._same], there[self._same]
-        self._target = first[np.searchsorted(place, there)] + inner[i] * dims[owner[j]] + inner[j]
+        i, j, block = i[self._same], j[self._same], block[self._same]
+        self._target = first[np.searchsorted(place, block)] + inner[i] * dims[owner[j]] + inner[j]
 
         self.groups = []
         for (d, begin, _), m, pairs in zip(ranges, mine, every, strict=True):
-            products = pairs.products(height[m], dims, first[np.searchsorted(place, pairs.high * kept + pairs.low)])
+            products = pairs.products(height[m], dims, first[np.searchsorted(place, pairs.high * groups + pairs.low)])
             columns = int(widths[:begin].sum()) + np.arange(pairs.count * d)
             tops = hessian.indptr[columns].astype(np.intp).reshape(-1, d)  # where their diagonal numbers are
             self.groups.append(_group(d, columns, tops, l[m] - begin, height[m], above[m], products))
@@ -155,14 +157,14 @@ class Complement:
         below, roots = np.zeros(cut), []
         for group in self.groups:
             H_ll = H[group.diagonal]
-            here = pivots[group.columns].reshape(-1, group.d)
+            block = pivots[group.columns].reshape(-1, group.d)
             if self._block_inverse is None:
-                L_ll, X, here[:] = cholesky_root(H_ll)
+                L_ll, X, block[:] = cholesky_root(H_ll)
                 r, c = triangle(group.d)
                 below[group.diagonal[:, r, c]] = L_ll[:, r, c]
             else:
                 X, known = inverse_root(self._block_inverse, H_ll), H_ll.diagonal(axis1=1, axis2=2)
-                here[:] = np.where(known > 0, known, 1.0)  # passed whatever it is: these blocks are not judged
+                block[:] = np.where(known > 0, known, 1.0)  # passed whatever it is: these blocks are not judged
             roots.append(X)
             Y = {}
             for D, place in group.place.items():
@@ -173,8 +175,8 @@ class Complement:
                 _subtract(out, products, Y, group.d)
         n, indices, indptr = self.n, self._whole.indices, self._whole.indptr
         L = sp.csc_array((below, indices[:cut], indptr[: n + 1]), shape=(self._whole.n, n))
-        kept = self._whole.n - n
-        H_pp = sp.csc_array((H[cut:], indices[cut:] - n, indptr[n:] - cut), shape=(kept, kept))
+        size = self._whole.n - n
+        H_pp = sp.csc_array((H[cut:], indices[cut:] - n, indptr[n:] - cut), shape=(size, size))
         return Filled(out, L, roots, pivots, H_pp)
 
 
@@ -205,7 +207,7 @@ def _subtract(out: Array, products: Products, Y: dict[int, Array], d: int) -> No
     inner, inside = first.shape[1] * d, np.arange(D * C)
     step = max(1, CHUNK // (inner * (D + C)))
     for begin in range(0, len(target), step):
-        part = slice(begin, begin + step)
-        Y_p = Y[D].take(first[part], axis=0, mode="clip").reshape(-1, inner, D)
-        Y_q = Y[C].take(second[part], axis=0, mode="clip").reshape(-1, inner, C)
-        out[target[part, None] + inside] -= np.matmul(Y_p.mT, Y_q).reshape(-1, D * C)
+        rows = slice(begin, begin + step)
+        Y_p = Y[D].take(first[rows], axis=0, mode="clip").reshape(-1, inner, D)
+        Y_q = Y[C].take(second[rows], axis=0, mode="clip").reshape(-1, inner, C)
+        out[target[rows, None] + inside] -= np.matmul(Y_p.mT, Y_q).reshape(-1, D * C)

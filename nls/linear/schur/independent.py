@@ -39,7 +39,7 @@ def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
     Returns
     -------
     gone : (V,) which of the free variables.
-    said : in words.
+    sentence : in words.
     """
     names, u, v, V = list(pattern.numbers), blocks.u, blocks.v, len(blocks.dims)
     kind = np.repeat(np.arange(len(names)), [len(numbers) for numbers in pattern.numbers.values()])[~pattern.held]
@@ -52,8 +52,8 @@ def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
     parts = [
         names[k] if count[k] == total[k] else f"{count[k]:,} of {total[k]:,} {names[k]}" for k in np.flatnonzero(count)
     ]
-    what = " and ".join(parts) if parts else "nothing"
-    return gone, f"{what} eliminated: {int(blocks.dims[gone].sum()):,} of {int(blocks.dims.sum()):,} columns"
+    names_of_gone = " and ".join(parts) if parts else "nothing"
+    return gone, f"{names_of_gone} eliminated: {int(blocks.dims[gone].sum()):,} of {int(blocks.dims.sum()):,} columns"
 
 
 def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
@@ -62,25 +62,25 @@ def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
     A search takes time exponential in the number of kinds (24: 1 s; 40: half an hour). Of more than `SEARCHED` the one
     with the most columns is taken, and those it is joined to left out, until so few are left.
     """
-    taken: list[int] = []
+    chosen: list[int] = []
     while len(kinds) > SEARCHED:
         most = max(kinds, key=lambda k: columns[k])
-        taken.append(most)
+        chosen.append(most)
         kinds = [k for k in kinds if k != most and not joined[most, k]]
-    return taken + _searched(kinds, joined, columns)
+    return chosen + _searched(kinds, joined, columns)
 
 
 def _searched(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
     """The best set with the first of the kinds, or the best without it."""
     if not kinds:
         return []
-    first, rest = kinds[0], kinds[1:]
-    apart = [k for k in rest if not joined[first, k]]
-    taken = [first, *_searched(apart, joined, columns)]
-    if len(apart) == len(rest):
-        return taken
-    left = _searched(rest, joined, columns)
-    return taken if columns[taken].sum() >= columns[left].sum() else left
+    first, tail = kinds[0], kinds[1:]
+    apart = [k for k in tail if not joined[first, k]]
+    with_first = [first, *_searched(apart, joined, columns)]
+    if len(apart) == len(tail):
+        return with_first
+    left = _searched(tail, joined, columns)
+    return with_first if columns[with_first].sum() >= columns[left].sum() else left
 
 
 def twins(pattern: Pattern, blocks: Blocks, gone: Flags) -> Index:
@@ -97,17 +97,17 @@ def twins(pattern: Pattern, blocks: Blocks, gone: Flags) -> Index:
     pair = np.unique(np.concatenate([u * V + v, v * V + u])[np.concatenate([gone[v] > gone[u], gone[u] > gone[v]])])
     p, l = np.divmod(pair, max(V, 1))
     names = np.random.default_rng(0).integers(1 << 62, size=V, dtype=np.uint64)
-    seen = np.zeros(V, dtype=np.uint64)  # sums that differ as the sets differ, but for a chance of 1e-19 a pair
-    np.add.at(seen, p, names[l])
+    signature = np.zeros(V, dtype=np.uint64)  # sums that differ as the sets differ, but for a chance of 1e-19 a pair
+    np.add.at(signature, p, names[l])
     number = np.full(len(pattern.held), -1, dtype=np.intp)  # of what is held: the last place of these three
     number[~pattern.held] = np.arange(V)
-    gone, kept, seen = np.append(gone, False), np.append(~gone, False), np.append(seen, 0)
+    gone, stays, signature = np.append(gone, False), np.append(~gone, False), np.append(signature, 0)
     joined = [np.zeros((2, 0), dtype=np.intp)]
     for batch in pattern.batches:
         slots = [number[variables] for variables in batch.variables]
         landmark = np.any([gone[i] for i in slots], axis=0)
         for a, b in combinations(slots, 2):
-            same = landmark & kept[a] & kept[b] & (seen[a] == seen[b])
+            same = landmark & stays[a] & stays[b] & (signature[a] == signature[b])
             joined.append(np.stack([a[same], b[same]]))
     a, b = np.concatenate(joined, axis=1)
     return connected(a, b, V)
@@ -146,12 +146,12 @@ def separate(u: Index, v: Index, V: int) -> Flags:
     a, b = np.concatenate([u, v]), np.concatenate([v, u])
     rank = np.empty(V, dtype=np.intp)
     rank[np.lexsort((np.random.default_rng(0).permutation(V), np.bincount(a, minlength=V)))] = np.arange(V)
-    taken, left = np.zeros((2, V), dtype=bool)
+    chosen, left = np.zeros((2, V), dtype=bool)
     while len(a):
         before = np.full(V, V)
         np.minimum.at(before, a, rank[b])
-        taken[a[rank[a] < before[a]]] = True
-        left[b[taken[a]]] = True
-        on = ~(taken[a] | left[a] | left[b])
+        chosen[a[rank[a] < before[a]]] = True
+        left[b[chosen[a]]] = True
+        on = ~(chosen[a] | left[a] | left[b])
         a, b = a[on], b[on]
     return ~left

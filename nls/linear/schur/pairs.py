@@ -31,7 +31,7 @@ class Pairs:
     Parameters
     ----------
     l, p : (n,) neighbors p of every l, by rising l and then p, each once.
-    count, kept : how many l and p there are.
+    count, groups : how many l and p there are.
     own : only the pairs of a neighbor with itself, which make the diagonal blocks of S.
 
     Attributes
@@ -40,19 +40,19 @@ class Pairs:
     length, high, low : (blocks,) how many pairs every block of S has, one block after the other, and its p.
     """
 
-    def __init__(self, l: Index, p: Index, count: int, kept: int, own: bool = False) -> None:
+    def __init__(self, l: Index, p: Index, count: int, groups: int, own: bool = False) -> None:
         if own:
             first = second = np.arange(len(l), dtype=np.int32)
         else:
             first, second = _all_pairs(l)
-        block = p[first] * kept + p[second]
+        block = p[first] * groups + p[second]
         order = np.argsort(block, kind="stable")
         block = block[order]
         begins = np.flatnonzero(changes(block))
         self.first, self.second = first[order], second[order]
         self.length = np.diff(np.append(begins, len(block)))
         self.count = count
-        self.high, self.low = np.divmod(block[begins], max(kept, 1))
+        self.high, self.low = np.divmod(block[begins], max(groups, 1))
 
     def products(self, height: Index, dims: Index, target: Index) -> list[Products]:
         """The pairs as stacked products.
@@ -72,10 +72,10 @@ class Pairs:
         shape = (filled * base + dims[self.high]) * base + dims[self.low]
         within = np.arange(len(self.first)) - np.repeat(np.cumsum(self.length) - self.length, self.length)
         every, out = np.repeat(shape, self.length), []
-        for one in np.unique(shape):
-            rest, C = divmod(int(one), base)
-            length, D = divmod(rest, base)
-            blocks, pairs = np.flatnonzero(shape == one), np.flatnonzero(every == one)
+        for code in np.unique(shape):
+            high_digits, C = divmod(int(code), base)
+            length, D = divmod(high_digits, base)
+            blocks, pairs = np.flatnonzero(shape == code), np.flatnonzero(every == code)
             at = np.repeat(np.arange(len(blocks)), self.length[blocks]) * length + within[pairs]
             sides = []
             for side, size in ((self.first, D), (self.second, C)):

@@ -70,9 +70,9 @@ class PCGDecomposition(SchurDecomposition):
     def _reduced(self, g: Array) -> Array:
         if g.ndim == 2:
             return np.stack([self._reduced(column) for column in g.T], axis=1)
-        found = self._conjugate(g, lambda first: self._tol**2 * first)
-        self._require(found)
-        return np.asarray(found.x[0])
+        solution = self._conjugate(g, lambda first: self._tol**2 * first)
+        self._require(solution)
+        return np.asarray(solution.x[0])
 
     def refuse_free(self, free: Callable[[Array], bool]) -> None:
         """Look for a free direction of S.
@@ -85,25 +85,25 @@ class PCGDecomposition(SchurDecomposition):
         ------
         SingularSystemError
         """
-        L, order = self._rest.lower()
-        h, asked = np.empty(len(order)), 0.0
+        L, order = self._decomposition.lower()
+        h, next_look = np.empty(len(order)), 0.0
         h[order] = L @ np.random.default_rng(0).normal(size=len(order))
 
         def look(rz: Array, x: Array) -> None:
-            nonlocal asked
-            if rz[0] > asked:
+            nonlocal next_look
+            if rz[0] > next_look:
                 judge(x[0])
-                asked = GROWN * rz[0]
+                next_look = GROWN * rz[0]
 
         def judge(x_p: Array) -> None:
             if free(self._followed(x_p)):
                 raise SingularSystemError("conjugate gradients met a direction that no measurement sees")
 
-        found = self._conjugate(h, lambda first: np.full(1, SURE**2), look)
-        for x_p in (found.x, found.flat):
+        solution = self._conjugate(h, lambda first: np.full(1, SURE**2), look)
+        for x_p in (solution.x, solution.flat):
             if x_p is not None:
                 judge(x_p[0])
-        self._require(found, ", while looking for free directions")
+        self._require(solution, ", while looking for free directions")
 
     def _followed(self, x_p: Array) -> Array:
         """[-H_ll^-1 H_lp x_p; x_p]: where the least chi2 is for a step x_p of what is not eliminated."""
@@ -125,20 +125,22 @@ class PCGDecomposition(SchurDecomposition):
             return Sp[None]
 
         with single_thread():
-            found = conjugate(times, lambda R: self._rest.solve(R[0])[None], g[None], goals, self._max_steps, look=look)
-        self.steps += found.steps
-        return found
-
-    def _require(self, found: Iterated, said: str = "") -> None:
-        if found.flat is not None:
-            raise UnsolvedSystemError(
-                f"conjugate gradients met a direction whose curvature is lost in rounding in step {found.steps}{said}; "
-                "take linear solver 'schur' or 'cholesky'"
+            solution = conjugate(
+                times, lambda R: self._decomposition.solve(R[0])[None], g[None], goals, self._max_steps, look=look
             )
-        if not found.there:
+        self.steps += solution.steps
+        return solution
+
+    def _require(self, solution: Iterated, context: str = "") -> None:
+        if solution.flat is not None:
             raise UnsolvedSystemError(
-                f"conjugate gradients did not reach tol = {self._tol:g} in {found.steps} steps{said}; allow more with "
-                "max_steps, or take linear solver 'schur' or 'cholesky'"
+                f"conjugate gradients met a direction whose curvature is lost in rounding in step "
+                f"{solution.steps}{context}; take linear solver 'schur' or 'cholesky'"
+            )
+        if not solution.converged:
+            raise UnsolvedSystemError(
+                f"conjugate gradients did not reach tol = {self._tol:g} in {solution.steps} steps{context}; allow more "
+                "with max_steps, or take linear solver 'schur' or 'cholesky'"
             )
 
 
@@ -232,10 +234,10 @@ class PCG(LinearSolver):
         blocks = pattern.blocks
         gone, eliminated = independent(pattern, blocks)
         first, group = np.flatnonzero(gone), twins(pattern, blocks, gone)
-        others = together(np.flatnonzero(~gone), group)
-        order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], others])
+        survivors = together(np.flatnonzero(~gone), group)
+        order = np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], survivors])
         hessian = pattern.hessian(order)
-        complement = Complement(hessian, len(first), group[others], diagonal=True)
+        complement = Complement(hessian, len(first), group[survivors], diagonal=True)
         decomposition = PCGDecomposition(complement, self.tol, self.max_steps)
         return PCGAnalysis(PCGFactorization(hessian, decomposition), eliminated)
 

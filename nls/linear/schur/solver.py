@@ -65,7 +65,7 @@ class SchurDecomposition(Decomposition):
 
     def __init__(self, complement: Complement, exact: bool) -> None:
         self._complement, self._exact = complement, exact
-        self._rest = default_solver().decomposition(complement.hessian)
+        self._decomposition = default_solver().decomposition(complement.hessian)
 
     def factorize(self, S: Array) -> Array:
         with single_thread():
@@ -73,7 +73,7 @@ class SchurDecomposition(Decomposition):
         self._L, self._roots, self._H_pp = filled.L, filled.roots, filled.H_pp
         if not self._exact:
             self.left_alone = sum(map(missing_directions, self._roots))
-        return np.concatenate([filled.pivots, self._rest.factorize(filled.flat)])
+        return np.concatenate([filled.pivots, self._decomposition.factorize(filled.flat)])
 
     def solve(self, g: Array) -> Array:
         n = self._complement.n
@@ -85,7 +85,7 @@ class SchurDecomposition(Decomposition):
 
     def _reduced(self, g: Array) -> Array:
         """S^-1 g."""
-        return self._rest.solve(g)
+        return self._decomposition.solve(g)
 
     def _blockwise(self, stacks: list[Array], g: Array) -> Array:
         """Every block times its rows of g."""
@@ -98,7 +98,7 @@ class SchurDecomposition(Decomposition):
     def lower(self) -> tuple[sp.csc_array, Index]:
         if not self._exact:
             raise OptionError("block_inverse", "another than the exact inverse", "None: H has no factor L otherwise")
-        n, (L, order) = self._complement.n, self._rest.lower()
+        n, (L, order) = self._complement.n, self._decomposition.lower()
         p = np.concatenate([np.arange(n), n + order])
         right = sp.csc_array((L.data, L.indices + n, L.indptr), shape=(len(p), len(order)))
         return sp.csc_array(sp.hstack([self._L[p], right])), p
@@ -199,14 +199,16 @@ class Schur(NormalEquations):
         ResourceLimitError
             One eliminated variable joins so many others that S would not fit.
         """
-        first, others = np.flatnonzero(gone), np.flatnonzero(~gone)
+        first, survivors = np.flatnonzero(gone), np.flatnonzero(~gone)
         number = np.empty(len(gone), dtype=np.intp)
-        number[first], number[others] = np.arange(len(first)), np.arange(len(others))
+        number[first], number[survivors] = np.arange(len(first)), np.arange(len(survivors))
         u, v = blocks.u, blocks.v
-        across, rest = gone[u] != gone[v], ~(gone[u] | gone[v])
+        across, inside = gone[u] != gone[v], ~(gone[u] | gone[v])
         l, p = np.where(gone[u], u, v)[across], np.where(gone[u], v, u)[across]
-        seen = sp.csr_array((np.ones(len(l), dtype=bool), (number[l], number[p])), shape=(len(first), len(others)))
-        degree = np.diff(seen.indptr)
+        incidence = sp.csr_array(
+            (np.ones(len(l), dtype=bool), (number[l], number[p])), shape=(len(first), len(survivors))
+        )
+        degree = np.diff(incidence.indptr)
         pairs = float((degree * (degree + 1.0) / 2).sum())
         if PER_PAIR * pairs > limit:
             raise ResourceLimitError(
@@ -217,7 +219,7 @@ class Schur(NormalEquations):
                 limit,
                 "Schur complement",
             )
-        joined = sp.coo_array(sp.tril(seen.T @ seen, -1))
-        i, j = (np.concatenate([number[a[rest]], b]) for a, b in ((u, joined.row), (v, joined.col)))
-        poses = Elimination(i, j, len(others), SchurDecomposition.order).variables if len(others) else others
-        return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], together(others[poses], group)])
+        joined = sp.coo_array(sp.tril(incidence.T @ incidence, -1))
+        i, j = (np.concatenate([number[a[inside]], b]) for a, b in ((u, joined.row), (v, joined.col)))
+        poses = Elimination(i, j, len(survivors), SchurDecomposition.order).variables if len(survivors) else survivors
+        return np.concatenate([first[np.argsort(blocks.dims[first], kind="stable")], together(survivors[poses], group)])

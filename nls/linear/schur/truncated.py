@@ -61,6 +61,6 @@ def truncated_inverse(H: npt.ArrayLike, tau: float = 1e-3, floor: npt.ArrayLike 
     if not (np.asarray(floor) >= 0).all():
         raise OptionError("floor", floor, "information of at least 0")
     w, V = np.linalg.eigh(np.asarray(H, dtype=float))
-    kept = (w > tau * w[..., -1:]) & (w > np.asarray(floor)[..., None])
-    inverse = np.where(kept, 1 / np.where(kept, w, 1.0), 0.0)
+    mask = (w > tau * w[..., -1:]) & (w > np.asarray(floor)[..., None])
+    inverse = np.where(mask, 1 / np.where(mask, w, 1.0), 0.0)
     return np.asarray((V * inverse[..., None, :]) @ V.mT)

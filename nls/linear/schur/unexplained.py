@@ -37,19 +37,19 @@ def unexplained(system: LinearSystem, variable: int) -> tuple[Array, Array, Arra
     """
     pattern = system.pattern
     columns = pattern.starts[variable] + np.arange(pattern.dims[variable])
-    rest = np.setdiff1d(np.arange(pattern.n), columns)
-    A_k, A_r = system.A[:, columns].toarray(), system.A[:, rest]
+    other_columns = np.setdiff1d(np.arange(pattern.n), columns)
+    A_k, A_r = system.A[:, columns].toarray(), system.A[:, other_columns]
     held = pattern.held.copy()
     held[variable] = True
     factorization = _factorized(LinearSystem(pattern.holding(held), system.blocks, system.b))
-    X, E = np.zeros((len(rest), len(columns))), A_k
+    X, E = np.zeros((len(other_columns), len(columns))), A_k
     for _ in range(ROUNDS):
-        step = factorization.solve(np.asarray(A_r.T @ E)) if len(rest) else X
+        step = factorization.solve(np.asarray(A_r.T @ E)) if len(other_columns) else X
         X = X + step
         last, E = E, A_k - A_r @ X
         if np.abs(last - E).max(initial=0.0) <= SETTLED * np.abs(A_k).max(initial=0.0):
             break
-    return A_k, X, E, rest
+    return A_k, X, E, other_columns
 
 
 def _factorized(system: LinearSystem) -> Factorization:

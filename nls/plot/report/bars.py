@@ -15,16 +15,16 @@ EDGE = 8  # on both sides of the scale
 LEAST = 2.0  # the scale reaches at least so far on both sides of 1
 
 
-def across(low: float, high: float, ratio: float, others: Sequence[float]) -> Html:
+def across(low: float, high: float, ratio: float, other_ratios: Sequence[float]) -> Html:
     """A band from `low` to `high`, a line at 1 and a dot at `ratio`, on a scale of logarithms.
 
     Parameters
     ----------
     low, high, ratio : around 1.
-    others : all numbers of the table, which has one scale.
+    other_ratios : all numbers of the table, which has one scale.
     """
-    above = [each for each in others if each > 0]
-    reach = max([float(np.log(LEAST)), *(abs(float(np.log(each))) for each in above)])
+    above = [other_ratio for other_ratio in other_ratios if other_ratio > 0]
+    reach = max([float(np.log(LEAST)), *(abs(float(np.log(other_ratio))) for other_ratio in above)])
 
     def at(number: float) -> float:
         place = np.log(number) / reach if number > 0 else -1.0
@@ -44,9 +44,9 @@ def across(low: float, high: float, ratio: float, others: Sequence[float]) -> Ht
     )
 
 
-def bar(part: float) -> Html:
+def bar(share: float) -> Html:
     """A bar of a part of the width, between 0 and 1."""
-    length = max(round(WIDTH * part, 1), 1.0)
+    length = max(round(WIDTH * share, 1), 1.0)
     return tag(
         "svg",
         tag("rect", x=0, y=4, width=length, height=HEIGHT - 8, fill="var(--ink)"),

@@ -24,7 +24,7 @@ def joined(parts: Iterable[str], between: str = "") -> Html:
     >>> joined(["a < b", tag("b", "!")])
     'a &lt; b<b>!</b>'
     """
-    return Html(escape(between).join(part if isinstance(part, Html) else escape(part) for part in parts))
+    return Html(escape(between).join(piece if isinstance(piece, Html) else escape(piece) for piece in parts))
 
 
 def tag(name: str, /, *inside: str, **attributes: str | float) -> Html:
@@ -35,8 +35,8 @@ def tag(name: str, /, *inside: str, **attributes: str | float) -> Html:
     >>> tag("p", "<script>", class_="note")
     '<p class="note">&lt;script&gt;</p>'
     """
-    said = "".join(f' {key.rstrip("_")}="{escape(str(value))}"' for key, value in attributes.items())
-    return Html(f"<{name}{said}>" if name in EMPTY else f"<{name}{said}>{joined(inside)}</{name}>")
+    written = "".join(f' {key.rstrip("_")}="{escape(str(value))}"' for key, value in attributes.items())
+    return Html(f"<{name}{written}>" if name in EMPTY else f"<{name}{written}>{joined(inside)}</{name}>")
 
 
 def section(name: str, heading: str, *inside: str) -> Html:
@@ -46,7 +46,9 @@ def section(name: str, heading: str, *inside: str) -> Html:
 
 def listed(items: Iterable[tuple[str, str]], **attributes: str) -> Html:
     """Terms and what they are."""
-    return tag("dl", *(tag("div", tag("dt", term), tag("dd", what)) for term, what in items), **attributes)
+    return tag(
+        "dl", *(tag("div", tag("dt", term), tag("dd", description)) for term, description in items), **attributes
+    )
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int] = ()) -> Html:
@@ -59,12 +61,12 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]], num
     """
     right = set(numbers)
 
-    def cell(name: str, column: int, what: str, **attributes: str) -> Html:
-        return tag(name, what, **attributes, **({"class_": "number"} if column in right else {}))
+    def cell(name: str, column: int, content: str, **attributes: str) -> Html:
+        return tag(name, content, **attributes, **({"class_": "number"} if column in right else {}))
 
-    head = tag("thead", tag("tr", *(cell("th", k, what, scope="col") for k, what in enumerate(heads))))
+    head = tag("thead", tag("tr", *(cell("th", k, content, scope="col") for k, content in enumerate(heads))))
     body = [
-        tag("tr", cell("th", 0, row[0], scope="row"), *(cell("td", k, what) for k, what in enumerate(row[1:], 1)))
+        tag("tr", cell("th", 0, row[0], scope="row"), *(cell("td", k, content) for k, content in enumerate(row[1:], 1)))
         for row in rows
     ]
     return tag("div", tag("table", tag("caption", caption), head, tag("tbody", joined(body, "\n"))), class_="scroll")

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
+from nls.plot.report.data import Rejected, ReportData
 from nls.plot.report.markup import Html, joined, tag
 from nls.plot.report.sections import SECTIONS
 from nls.plot.report.style import STYLE
-from nls.plot.report.told import Rejected, Told
 from nls.plot.report.verdict import key_figures, verdict
 
 if TYPE_CHECKING:
@@ -99,12 +99,12 @@ def report(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
-        found = start if result.values is None else result.values
+        final = start if result.values is None else result.values
         if explanation is None:
             from nls.explanation import explain
 
-            explanation = explain(graph, found)
-        told = Told(
+            explanation = explain(graph, final)
+        data = ReportData(
             graph,
             start,
             result,
@@ -119,11 +119,11 @@ def report(
             pictures or {},
             shell,
         )
-        body = {make.__name__: made for make in SECTIONS if (made := make(told)) is not None}
+        body = {make.__name__: element for make in SECTIONS if (element := make(data)) is not None}
         head = [
             tag("p", title, class_="file"),
-            verdict(told),
-            key_figures(told),
+            verdict(data),
+            key_figures(data),
             tag("nav", joined([tag("a", LINKS[name], href=f"#{name}") for name in body], " ")),
         ]
         return _document(

@@ -1,4 +1,4 @@
-"""The sections of the page, each from what is told."""
+"""The sections of the page, each from `ReportData`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from nls.explanation import Measurement
-    from nls.plot.report.told import Told
+    from nls.plot.report.data import ReportData
     from nls.values import Values
 
 __all__ = ["SECTIONS"]
@@ -32,58 +32,58 @@ RARE = 0.05  # chance of a remarkable measurement
 DRAWN = 60  # ellipses
 
 
-def maps(told: Told) -> Html | None:
+def maps(data: ReportData) -> Html | None:
     """Before and after; or the pictures that were given."""
     from nls.plot.trajectory import trajectory
 
-    if told.pictures:
-        shown = [picture(figure, name, name, told.size) for name, figure in told.pictures.items()]
+    if data.pictures:
+        shown = [picture(figure, name, name, data.size) for name, figure in data.pictures.items()]
         return section("maps", "Map", tag("div", *shown, class_="pictures"))
-    if not any(stack.manifold.position(stack.X).shape[1] for stack in told.values.stacks.values()):
+    if not any(stack.manifold.position(stack.X).shape[1] for stack in data.values.stacks.values()):
         return None
-    both = [("Before", told.start)]
-    if told.values is not told.start:
-        both.append(("After" if told.result is not None else "Where it stopped", told.values))
-    wrong = told.explanation.suspects
+    snapshots = [("Before", data.start)]
+    if data.values is not data.start:
+        snapshots.append(("After" if data.result is not None else "Where it stopped", data.values))
+    wrong = data.explanation.suspects
     shown = []
-    for name, values in both:
-        chi2 = number(told.graph.chi2(values))
-        figure = trajectory(told.graph, values)
+    for name, values in snapshots:
+        chi2 = number(data.graph.chi2(values))
+        figure = trajectory(data.graph, values)
         _marked(figure.axes[0], values, wrong)
         alt = f"{name}: positions of {len(values):,} variables and the measurements between them, chi2 {chi2}"
         red = "; red: what does not fit the others" if wrong else ""
-        shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{red}", told.size, MAP))
+        shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{red}", data.size, MAP))
     return section("maps", "Before and after", tag("div", *shown, class_="pictures"))
 
 
-def findings(told: Told) -> Html:
+def findings(data: ReportData) -> Html:
     """What is wrong, and what helps."""
     items: list[Html] = []
-    for first, alike in together(told.explanation.findings):
+    for first, alike in together(data.explanation.findings):
         texts = [[tag("p", sentence(finding))] for finding in alike]
-        if cures := listed_advice(alike[0].advice, told.shell):
+        if cures := listed_advice(alike[0].advice, data.shell):
             about = f" with {first} to {first + len(alike) - 1}" if len(alike) > 1 else ""
             texts[-1].append(tag("p", f"What helps{about}: {'; '.join(cures)}", class_="quiet"))
         items += [tag("li", *text) for text in texts]
     return section("findings", "Findings", tag("ol", joined(items, "\n")) if items else tag("p", "Nothing suspicious."))
 
 
-def kinds(told: Told) -> Html | None:
+def kinds(data: ReportData) -> Html | None:
     """chi2 of every kind of measurement against what noise explains."""
-    parts = [part for part in told.explanation.parts if part.expected > 0]
+    parts = [kind for kind in data.explanation.parts if kind.expected > 0]
     if not parts:
         return None
-    ratios = [ratio / part.expected for part in parts for ratio in (part.chi2, part.low, part.high)]
+    ratios = [ratio / kind.expected for kind in parts for ratio in (kind.chi2, kind.low, kind.high)]
     rows = [
         (
-            part.name,
-            across(part.low / part.expected, part.high / part.expected, part.chi2 / part.expected, ratios),
-            f"{part.chi2 / part.expected:.3g}",
-            number(part.chi2),
-            number(part.expected),
-            f"{part.measurements:,}",
+            kind.name,
+            across(kind.low / kind.expected, kind.high / kind.expected, kind.chi2 / kind.expected, ratios),
+            f"{kind.chi2 / kind.expected:.3g}",
+            number(kind.chi2),
+            number(kind.expected),
+            f"{kind.measurements:,}",
         )
-        for part in parts
+        for kind in parts
     ]
     note = (
         "The band is where chi2 / expected of a right model is in 95 % of all cases, the line is 1, the dot is this "
@@ -95,13 +95,13 @@ def kinds(told: Told) -> Html | None:
     )
 
 
-def worst(told: Told) -> Html | None:
+def worst(data: ReportData) -> Html | None:
     """The measurements that fit worst, and those that were rejected."""
-    doubted = told.explanation.worst
+    doubted = data.explanation.worst
     doubted = doubted[: ROWS if doubted and doubted[0].chance < RARE else FEW]
     rows = [
-        (each.factor, f"{each.normalized:.3g}", f"{each.sigmas:.3g}", _chance(each.chance))
-        for each in sorted(doubted, key=lambda each: -each.normalized)
+        (suspect.factor, f"{suspect.normalized:.3g}", f"{suspect.sigmas:.3g}", _chance(suspect.chance))
+        for suspect in sorted(doubted, key=lambda suspect: -suspect.normalized)
     ]
     inside = []
     if rows:
@@ -112,43 +112,48 @@ def worst(told: Told) -> Html | None:
             "the model is right."
         )
         inside += [table("Measurements that fit worst", heads, rows, range(1, 4)), _note(note)]
-    if told.rejected:
-        shown = [(each.factor, f"{each.sigmas:.3g}") for each in told.rejected]
+    if data.rejected:
+        shown = [(suspect.factor, f"{suspect.sigmas:.3g}") for suspect in data.rejected]
         inside.append(table(f"{len(shown):,} measurements were rejected", ("measurement", "sigmas"), shown[:ROWS], [1]))
         if len(shown) > ROWS:
-            rest = table("All others", ("measurement", "sigmas"), shown[ROWS:], [1])
-            inside.append(tag("details", tag("summary", f"and {len(shown) - ROWS:,} more"), rest))
+            remaining = table("All others", ("measurement", "sigmas"), shown[ROWS:], [1])
+            inside.append(tag("details", tag("summary", f"and {len(shown) - ROWS:,} more"), remaining))
     return section("worst", "Which measurements fit worst?", *inside) if inside else None
 
 
-def certificate(told: Told) -> Html | None:
+def certificate(data: ReportData) -> Html | None:
     """What the certificate says."""
-    if told.certificate is None:
+    if data.certificate is None:
         return None
-    lines = [tag("p", line, class_="lines") for line in told.certificate.report(told.shell).splitlines()]
+    lines = [tag("p", line, class_="lines") for line in data.certificate.report(data.shell).splitlines()]
     return section("certificate", "Is there a lower minimum?", *lines)
 
 
-def covariances(told: Told) -> Html | None:
+def covariances(data: ReportData) -> Html | None:
     """Ellipses on the map, and the least certain variables."""
     from nls.plot.ellipses import ellipses, visible_scale
 
-    found = told.covariances
+    marginals = data.covariances
     inside: list[Html] = []
-    if isinstance(found, UnderconstrainedError):
-        inside.append(_note(f"There are no covariances: {found}"))
-    elif found is not None and not told.pictures:
-        most = max(len(stack) for stack in found.values.stacks.values())
-        figure = ellipses(found, scale=visible_scale(found), every=-(-most // DRAWN))
+    if isinstance(marginals, UnderconstrainedError):
+        inside.append(_note(f"There are no covariances: {marginals}"))
+    elif marginals is not None and not data.pictures:
+        most = max(len(stack) for stack in marginals.values.stacks.values())
+        figure = ellipses(marginals, scale=visible_scale(marginals), every=-(-most // DRAWN))
         if figure.axes[0].has_data():
             alt = "Positions from above, with the ellipses that hold them with 95 %"
-            caption = f"Where the positions are with 95 %, from above. {found.gauge}."
-            inside.append(picture(figure, alt, caption, told.size, MAP))
-    weak = told.explanation.weakest[: 2 * ROWS]
+            caption = f"Where the positions are with 95 %, from above. {marginals.gauge}."
+            inside.append(picture(figure, alt, caption, data.size, MAP))
+    weak = data.explanation.weakest[: 2 * ROWS]
     if weak:
         rows = [
-            (repr(each.key), each.component, _sigma(each.sigma, each.unit), _sigma(each.typical, each.unit))
-            for each in weak
+            (
+                repr(uncertainty.key),
+                uncertainty.component,
+                _sigma(uncertainty.sigma, uncertainty.unit),
+                _sigma(uncertainty.typical, uncertainty.unit),
+            )
+            for uncertainty in weak
         ]
         inside.append(
             table(
@@ -161,18 +166,22 @@ def covariances(told: Told) -> Html | None:
     return section("covariances", "How sure is it?", tag("div", *inside, class_="pictures")) if inside else None
 
 
-def convergence(told: Told) -> Html | None:
+def convergence(data: ReportData) -> Html | None:
     """chi2 and the step by iteration."""
     from nls.plot.convergence import convergence
 
-    result = told.result
+    result = data.result
     if result is None:
         return None
     alt = f"chi2 falls from {number(result.chi2_initial)} to {number(result.chi2_final)} in {result.iterations} steps"
     figure = picture(convergence(result), alt, f"{result.status.name}: {result.ending}", len(result.history), MAP)
     rows = [
-        (f"{it.number}", f"{it.chi2:.6g}", *(("", "") if it.number == 0 else (f"{it.update:.3g}", f"{it.damping:.3g}")))
-        for it in result.history
+        (
+            f"{iteration.number}",
+            f"{iteration.chi2:.6g}",
+            *(("", "") if iteration.number == 0 else (f"{iteration.update:.3g}", f"{iteration.damping:.3g}")),
+        )
+        for iteration in result.history
     ]
     steps = table("Iterations; lambda is the damping", ("step", "chi2", "max |dx|", "lambda"), rows, range(4))
     if len(rows) > ROWS:
@@ -180,12 +189,12 @@ def convergence(told: Told) -> Html | None:
     return section("convergence", "How did it get there?", tag("div", figure, steps, class_="pictures"))
 
 
-def sparsity(told: Told) -> Html:
+def sparsity(data: ReportData) -> Html:
     """Where the numbers are, and what a factorization costs."""
     from nls.plot.sparsity import spy
 
-    cost = inspect(told.graph, told.values)
-    upper = (told.system.H.nnz + cost["columns_of_A"]) // 2
+    cost = inspect(data.graph, data.values)
+    upper = (data.system.H.nnz + cost["columns_of_A"]) // 2
     facts = [
         ("A", f"{cost['rows_of_A']:,} rows, {cost['columns_of_A']:,} columns, {cost['numbers_in_A']:,} numbers"),
         ("H = A'A", f"{upper:,} numbers on the diagonal and above"),
@@ -197,40 +206,40 @@ def sparsity(told: Told) -> Html:
         ("factorization", f"{cost['factorization_mflop']:,.3g} million multiplications and additions"),
     ]
     try:
-        figure = spy(told.system)
+        figure = spy(data.system)
     except UnderconstrainedError as error:
         drawn = _note(f"There is no R: {error}")
     else:
-        said = ", ".join(axes.get_title() for axes in figure.axes)
+        titles = ", ".join(axes.get_title() for axes in figure.axes)
         for axes, name in zip(figure.axes, ("A", "H = A'A", "R, reordered"), strict=True):
             axes.set_title(name)
         caption = "Where A, H = A'A and its Cholesky factor R have numbers. Orange is fill-in, which H does not have."
-        drawn = picture(figure, f"Dots where there are numbers: {said}", caption, told.size)
+        drawn = picture(figure, f"Dots where there are numbers: {titles}", caption, data.size)
     return section("sparsity", "What does a step cost?", listed(facts, class_="facts"), drawn)
 
 
-def provenance(told: Told) -> Html | None:
+def provenance(data: ReportData) -> Html | None:
     """Where it comes from."""
-    facts = listed(told.facts.items(), class_="facts")
-    return section("provenance", "Where does it come from?", facts) if told.facts else None
+    facts = listed(data.facts.items(), class_="facts")
+    return section("provenance", "Where does it come from?", facts) if data.facts else None
 
 
-def time(told: Told) -> Html | None:
+def time(data: ReportData) -> Html | None:
     """Seconds by part: all that differs between two runs on the same file."""
-    if not told.seconds:
+    if not data.seconds:
         return None
-    most = max(told.seconds.values())
-    rows = [(name, f"{1e3 * s:,.1f}", bar(s / most if most > 0 else 0.0)) for name, s in told.seconds.items()]
+    most = max(data.seconds.values())
+    rows = [(name, f"{1e3 * s:,.1f}", bar(s / most if most > 0 else 0.0)) for name, s in data.seconds.items()]
     note = "Of this run on this machine. All else on this page is the same for the same input."
     return section(
         "time",
         "Where did the time go?",
-        table(f"{sum(told.seconds.values()):.2f} s in all", ("part", "ms", ""), rows, [1]),
+        table(f"{sum(data.seconds.values()):.2f} s in all", ("part", "ms", ""), rows, [1]),
         _note(note),
     )
 
 
-SECTIONS: tuple[Callable[[Told], Html | None], ...] = (
+SECTIONS: tuple[Callable[[ReportData], Html | None], ...] = (
     maps,
     findings,
     kinds,
@@ -247,9 +256,9 @@ SECTIONS: tuple[Callable[[Told], Html | None], ...] = (
 def _marked(axes: Axes, values: Values, wrong: Sequence[Measurement]) -> None:
     """Red lines along measurements that do not fit."""
     dim = 3 if axes.name == "3d" else 2
-    for each in wrong:
-        stacks = [values.stack(key.kind) for key in each.keys]
-        ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, each.keys, strict=True)]
+    for factor in wrong:
+        stacks = [values.stack(key.kind) for key in factor.keys]
+        ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, factor.keys, strict=True)]
         X = np.concatenate([end for end in ends if end.shape[1] == dim] or [np.zeros((0, dim))])
         axes.plot(*X.T, ".-", color=WRONG, linewidth=2.0, zorder=5)
 

@@ -10,7 +10,7 @@ from nls.explanation.findings import FindingKind
 from nls.plot.report.markup import Html, joined, listed, tag
 
 if TYPE_CHECKING:
-    from nls.plot.report.told import Told
+    from nls.plot.report.data import ReportData
 
 __all__ = ["key_figures", "number", "verdict"]
 
@@ -23,42 +23,42 @@ def number(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.4g}"
 
 
-def verdict(told: Told) -> Html:
+def verdict(data: ReportData) -> Html:
     """One word, and why; of an optimum the sentences of its explanation."""
-    refuted = told.certificate is not None and told.certificate.verdict == "refuted"
-    says = told.explanation.summary
-    if isinstance(told.outcome, UnderconstrainedError):
-        word, grade, says = "Not solved", "bad", told.outcome.message
-    elif not told.outcome.converged:
-        word, grade, says = "Not converged", "bad", f"{told.outcome.status.value}: {told.outcome.ending}."
+    refuted = data.certificate is not None and data.certificate.verdict == "refuted"
+    says = data.explanation.summary
+    if isinstance(data.outcome, UnderconstrainedError):
+        word, grade, says = "Not solved", "bad", data.outcome.message
+    elif not data.outcome.converged:
+        word, grade, says = "Not converged", "bad", f"{data.outcome.status.value}: {data.outcome.ending}."
     elif refuted:
         word, grade, says = "Not the optimum", "bad", f"The certificate found a lower minimum. {says}"
-    elif told.doubts:
-        word, grade, says = "Doubtful", "bad", "; ".join(map(str, told.doubts)) + "."
+    elif data.doubts:
+        word, grade, says = "Doubtful", "bad", "; ".join(map(str, data.doubts)) + "."
     else:
-        doubted = [each for each in told.explanation.findings if each.kind not in NOTED]
+        doubted = [finding for finding in data.explanation.findings if finding.kind not in NOTED]
         word, grade = "Converged", "warn" if doubted else "good"
     head = tag("h1", tag("span", word, class_=f"verdict {grade}"), f" {says}")
-    cures = listed_advice(told.outcome.advice, told.shell)
+    cures = listed_advice(data.outcome.advice, data.shell)
     return joined([head, tag("p", f"What helps: {'; '.join(cures)}", class_="quiet")], "\n") if cures else head
 
 
-def key_figures(told: Told) -> Html:
+def key_figures(data: ReportData) -> Html:
     """Sizes, chi2 and what holds the graph."""
-    result, explained = told.result, told.explanation
-    kinds = ", ".join(f"{len(stack):,} {kind}" for kind, stack in told.values.stacks.items())
-    figures = [("variables", kinds, ""), ("measurements", f"{len(told.graph):,}", "")]
-    before = number(told.graph.chi2(told.start))
+    result, explained = data.result, data.explanation
+    kinds = ", ".join(f"{len(stack):,} {kind}" for kind, stack in data.values.stacks.items())
+    figures = [("variables", kinds, ""), ("measurements", f"{len(data.graph):,}", "")]
+    before = number(data.graph.chi2(data.start))
     if result is None:
-        figures += [("chi2", before, ""), ("start", told.init, "")]
+        figures += [("chi2", before, ""), ("start", data.init, "")]
     else:
         expected = f"{number(explained.low)} to {number(explained.high)} expected"
         figures += [
             ("chi2", f"{before} → {number(result.chi2_final)}", "robust cost" if result.robust else expected),
             ("iterations", f"{result.iterations}", result.method),
-            ("start", told.init, ""),
+            ("start", data.init, ""),
             ("gauge", result.gauge, ""),
         ]
     return listed(
-        [(name, joined([what, tag("small", note)])) for name, what, note in figures if what], class_="figures"
+        [(name, joined([figure, tag("small", note)])) for name, figure, note in figures if figure], class_="figures"
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 import sim
-from factors import Factor, Seen
+from factors import Factor, Sighting
 from factors.keys import Keys
 from factors.replaced import replaced
 from nls import FactorGraph, Values
@@ -26,7 +26,7 @@ def swapped(graph: FactorGraph, a: int, b: int, when: When) -> FactorGraph:
     """The graph with landmarks a and b exchanged at some poses, by their number."""
     factors: list[Factor] = []
     for factor in graph.factors:
-        if isinstance(factor, Seen):
+        if isinstance(factor, Sighting):
             pose, target, *others = factor.keys
             other = np.where(target.numbers == a, b, np.where(target.numbers == b, a, target.numbers))
             numbers = np.where(when(pose.numbers), other, target.numbers)
@@ -45,7 +45,7 @@ def named(graph: FactorGraph, start: Values) -> tuple[SwappedLandmarks, ...]:
 
 def seen_by(graph: FactorGraph, a: int, b: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Poses and landmarks of the sightings of two."""
-    (factor,) = (f for f in graph.factors if isinstance(f, Seen) and not f.limit_only)
+    (factor,) = (f for f in graph.factors if isinstance(f, Sighting) and not f.limit_only)
     of = np.isin(factor.keys[1].numbers, [a, b])
     return factor.keys[0].numbers[of], factor.keys[1].numbers[of]
 

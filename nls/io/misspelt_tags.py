@@ -136,9 +136,9 @@ def _split(
     second = np.char.upper(text.characters(text.first[lines] + 1, width).view(f"S{width}")[:, 0])
     for whole, tag in forms.items():
         rests = [whole[len(form) + gap :] for gap in (0, 1) if whole.startswith(form + b"_" * gap)]
-        rests = [rest for rest in rests if rest]
-        hit = np.isin(second, rests + [rest.replace(b"_", sign) for rest in rests for sign in (b"-", b":")])
-        if any(rest.isdigit() for rest in rests):  # EDGE 2, where 2 may be a vertex
+        rests = [ending for ending in rests if ending]
+        hit = np.isin(second, rests + [ending.replace(b"_", sign) for ending in rests for sign in (b"-", b":")])
+        if any(ending.isdigit() for ending in rests):  # EDGE 2, where 2 may be a vertex
             hit &= count - 1 == known[tag]
         if hit.any():
             yield int(lines[np.argmax(hit)]), f"expected {printable(tag)} without a blank in it"
@@ -156,7 +156,7 @@ def _near(word: bytes, tag: bytes) -> bool:
         return False
     a, b = word.upper().translate(SIGNS), tag.upper().translate(SIGNS)
     for k in range(max(len(a), len(b))):
-        shorter, other, swapped = a[:k] + a[k + 1 :], b[:k] + b[k + 1 :], a[:k] + a[k : k + 2][::-1] + a[k + 2 :]
-        if b in (shorter, swapped) or other in (shorter, a):
+        shorter, shorter_tag, swapped = a[:k] + a[k + 1 :], b[:k] + b[k + 1 :], a[:k] + a[k : k + 2][::-1] + a[k + 2 :]
+        if b in (shorter, swapped) or shorter_tag in (shorter, a):
             return True
     return False

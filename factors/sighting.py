@@ -28,10 +28,10 @@ from models.errors import GraphError
 from models.manifolds.measured import ANGLES
 from models.sensors import point_in_frame
 
-__all__ = ["Seen"]
+__all__ = ["Sighting"]
 
 
-class Seen(Factor):
+class Sighting(Factor):
     r"""A target seen from a pose: the base class of `Landmark`, `Range`, `Bearing` and `BearingRange`.
 
     .. math:: h(X, l) = g(p), \quad p = (X \circ O)^{-1} l
@@ -59,7 +59,7 @@ class Seen(Factor):
     """
 
     relative = True
-    each = ("offset",)
+    per_measurement = ("offset",)
     locates: ClassVar[bool] = False
 
     def __init__(
@@ -99,11 +99,11 @@ class Seen(Factor):
         >>> contact.mounted(o[0])
         RangeAzimuth(x0, l0, o0)
         """
-        other = copy(self)
+        mounted_factor = copy(self)
         pose, target = self.keys[:2]
-        Seen.__init__(other, pose, target, self.z, self.noise, offset)
-        other.slots = (*self.slots[:2], *other.slots[2:])  # type: ignore[misc]
-        return other
+        Sighting.__init__(mounted_factor, pose, target, self.z, self.noise, offset)
+        mounted_factor.slots = (*self.slots[:2], *mounted_factor.slots[2:])  # type: ignore[misc]
+        return mounted_factor
 
     def _refuse_impossible(self) -> None:
         """No distance is below 0: one that marks an echo which is missing measured nothing. No direction is beyond a

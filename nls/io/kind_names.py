@@ -14,12 +14,12 @@ from nls.io.lines import Numbers
 from nls.io.records import KINDS
 from nls.values import Values
 
-__all__ = ["renamed"]
+__all__ = ["with_known_kinds"]
 
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 
 
-def renamed(graph: FactorGraph, values: Values, apart: bool = False) -> tuple[FactorGraph, Values, list[str]]:
+def with_known_kinds(graph: FactorGraph, values: Values, apart: bool = False) -> tuple[FactorGraph, Values, list[str]]:
     """The graph with its only kind of poses called x and its only kind of points l, and what was changed, in words.
 
     Points whose numbers poses have, too, get the numbers after the largest, or free ones where these are too large,
@@ -33,8 +33,8 @@ def renamed(graph: FactorGraph, values: Values, apart: bool = False) -> tuple[Fa
     >>> A, L = kinds("A", "L")
     >>> graph = FactorGraph([Landmark(A[1], L[[1, 2]], [[1.0, 0.0], [2.0, 0.0]], Isotropic(0.1))])
     >>> values = Values({A: (SE2, [[0, 0, 0]], [1]), L: (R(2), [[1, 0], [2, 0]], [1, 2])})
-    >>> graph, values, said = renamed(graph, values)
-    >>> graph.factors, values, said
+    >>> graph, values, changes = with_known_kinds(graph, values)
+    >>> graph.factors, values, changes
     ([Landmark(x[1, 1], l[3, 2])], Values(x: 1 x SE2, l: 2 x R(2)), ['poses A are written as x, points L as l; 1 of \
 the points had the number of a pose: they are numbered from 3'])
     """
@@ -44,27 +44,31 @@ the points had the number of a pose: they are numbered from 3'])
         return graph, values, []
     names = {stack.kind: name for stack, name in zip(poses + points, (POSE, POINT), strict=False)}
     new = {stack.kind: np.array(stack.numbers) for stack in poses + points}
-    said = ", ".join(
-        f"{what} {old} {'are written ' if what == 'poses' else ''}as {name}"
-        for what, (old, name) in zip(("poses", "points"), names.items(), strict=False)
+    changes = ", ".join(
+        f"{noun} {old} {'are written ' if noun == 'poses' else ''}as {name}"
+        for noun, (old, name) in zip(("poses", "points"), names.items(), strict=False)
         if old != name
     )
-    both = np.isin(points[0].numbers, poses[0].numbers) if points and not apart else np.zeros(0, dtype=bool)
-    if both.any():
-        numbers = _free(np.concatenate([stack.numbers for stack in poses + points]), int(both.sum()))
-        new[points[0].kind][both] = numbers
-        said += f"; {both.sum()} of the points had the number of a pose: they are numbered from {numbers[0]}"
-    if not said:
+    clash = np.isin(points[0].numbers, poses[0].numbers) if points and not apart else np.zeros(0, dtype=bool)
+    if clash.any():
+        numbers = _free(np.concatenate([stack.numbers for stack in poses + points]), int(clash.sum()))
+        new[points[0].kind][clash] = numbers
+        changes += f"; {clash.sum()} of the points had the number of a pose: they are numbered from {numbers[0]}"
+    if not changes:
         return graph, values, []
 
     def key(keys: Keys) -> Keys:
         return Keys(names[keys.kind], new[keys.kind][values.stacks[keys.kind].index(keys)])
 
-    other = FactorGraph([_with_keys(factor, tuple(map(key, factor.keys))) for factor in graph.factors])
+    renamed_graph = FactorGraph([_with_keys(factor, tuple(map(key, factor.keys))) for factor in graph.factors])
     for keys in graph.fixed:
-        other.fix(key(keys))
+        renamed_graph.fix(key(keys))
     stacks = values.stacks.values()
-    return other, Values({names[s.kind]: (s.manifold, s.X, new[s.kind]) for s in stacks}), [said.removeprefix("; ")]
+    return (
+        renamed_graph,
+        Values({names[s.kind]: (s.manifold, s.X, new[s.kind]) for s in stacks}),
+        [changes.removeprefix("; ")],
+    )
 
 
 def _free(numbers: Numbers, count: int) -> Numbers:
@@ -84,6 +88,6 @@ def _free(numbers: Numbers, count: int) -> Numbers:
 
 def _with_keys(factor: Factor, keys: tuple[Keys, ...]) -> Factor:
     """The same measurements of other variables."""
-    other = copy(factor)
-    other.keys = keys
-    return other
+    substitute = copy(factor)
+    substitute.keys = keys
+    return substitute

@@ -49,10 +49,10 @@ def left_out(report: LoadReport | None, format: str) -> list[str]:
     tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)
     named = _listed([f"{printable(tag, 30)} ({count})" for tag, count in tags.items()])
     count = len(report.ignored)
-    lines, them = (
+    lines, pronoun = (
         (f"{count} lines that were not used are", "them") if count > 1 else ("1 line that was not used is", "it")
     )
-    return [f"{lines} left out, only {a_file(report.format)} gets {them} back: {named}"]
+    return [f"{lines} left out, only {a_file(report.format)} gets {pronoun} back: {named}"]
 
 
 def _listed(named: list[str]) -> str:

@@ -13,7 +13,7 @@ from nls.io.bal import read_bal
 from nls.io.files import read_bytes
 from nls.io.logs.victoria_park import read_victoria_park
 from nls.io.mission.table import Table
-from nls.io.misspelt import refuse_misspelt
+from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.text import Text
 from nls.io.trajectory import read_kitti, read_tum
 from tests.combinations import for_all

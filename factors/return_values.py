@@ -34,21 +34,23 @@ def checked_space(factor: Factor, space: object) -> Manifold:
     return space
 
 
-def checked_prediction(factor: Factor, found: object, shape: tuple[int, ...]) -> tuple[Array, Jacobians]:
+def checked_prediction(factor: Factor, prediction: object, shape: tuple[int, ...]) -> tuple[Array, Jacobians]:
     """What `Factor.predict` returned, if it is an array of this shape and Jacobians or None.
 
     Raises
     ------
     EvaluationError
     """
-    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], np.ndarray)):
-        said = f"an array of shape {found.shape}" if isinstance(found, np.ndarray) else f"{found!r:.60}"
+    if not (isinstance(prediction, tuple) and len(prediction) == 2 and isinstance(prediction[0], np.ndarray)):
+        description = (
+            f"an array of shape {prediction.shape}" if isinstance(prediction, np.ndarray) else f"{prediction!r:.60}"
+        )
         raise _wrong(
             factor,
-            f"its `predict` returned {said}; expected two things, the prediction h, an array of shape {shape}, and a "
-            "tuple of Jacobians, one per slot, or None for central differences: return h, None",
+            f"its `predict` returned {description}; expected two things, the prediction h, an array of shape {shape}, "
+            "and a tuple of Jacobians, one per slot, or None for central differences: return h, None",
         )
-    h, H = found
+    h, H = prediction
     if h.shape != shape:
         raise _wrong(factor, f"the prediction has shape {h.shape}, expected {shape}")
     return h, H

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Model
-from factors.seen import Seen
+from factors.sighting import Sighting
 from models import Manifold
 from models.algebra import Array, Index
 from nls.analysis.chi_squared import chi2_gate
@@ -16,12 +16,12 @@ from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState
 
-__all__ = ["Piece", "associated", "distances", "part", "stacked"]
+__all__ = ["Measurements", "associated", "distances", "select", "stacked"]
 
-Piece = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
+Measurements = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
 
 
-def part(piece: Piece, mask: npt.NDArray[np.bool_] | None) -> Piece:
+def select(piece: Measurements, mask: npt.NDArray[np.bool_] | None) -> Measurements:
     """Some of the measurements by a mask (n,); None for all."""
     factor, numbers = piece
     if mask is None or mask.all():
@@ -73,7 +73,7 @@ def distances(state: MapState, model: Model, rows: Index) -> tuple[Array, Array]
     return np.asarray((b * np.linalg.solve(S, b[..., None])[..., 0]).sum(axis=1)), b
 
 
-def associated(state: MapState, associate: Association, factor: Seen, manifolds: tuple[Manifold, ...]) -> Index:
+def associated(state: MapState, associate: Association, factor: Sighting, manifolds: tuple[Manifold, ...]) -> Index:
     """Number of the landmark (n,) of each sighting: a known one, a new one, or -1 for one to be left out."""
     n, m = len(factor), len(state.L)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)

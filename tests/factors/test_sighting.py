@@ -22,7 +22,7 @@ from factors import (
     Prior,
     Range,
     RangeAzimuth,
-    Seen,
+    Sighting,
 )
 from factors.keys import Keys
 from models import SE2, SE3, SO2, LieGroup, R
@@ -79,7 +79,7 @@ def test_every_measurement_may_have_its_own_offset() -> None:
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
 @pytest.mark.parametrize("kind", KINDS)
-def test_residuals_do_not_change_when_everything_is_moved(kind: type[Seen], group: LieGroup) -> None:
+def test_residuals_do_not_change_when_everything_is_moved(kind: type[Sighting], group: LieGroup) -> None:
     rng = np.random.default_rng(2)
     X, Y = group.exp(rng.normal(size=(2, 4, group.dim)))
     L, M = rng.normal(size=(4, group.point_dim)) + 5, group.exp(rng.normal(size=(1, group.dim)))
@@ -94,7 +94,7 @@ def test_residuals_do_not_change_when_everything_is_moved(kind: type[Seen], grou
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
 @pytest.mark.parametrize("kind", [Landmark, BearingRange])
-def test_locate_is_the_inverse_of_the_prediction(kind: type[Seen], group: LieGroup) -> None:
+def test_locate_is_the_inverse_of_the_prediction(kind: type[Sighting], group: LieGroup) -> None:
     rng = np.random.default_rng(3)
     X, O = group.exp(rng.normal(size=(2, 6, group.dim)))
     points = R(group.point_dim)
@@ -109,7 +109,7 @@ def test_locate_is_the_inverse_of_the_prediction(kind: type[Seen], group: LieGro
 
 
 @pytest.mark.parametrize("kind", [Range, Bearing])
-def test_one_number_locates_nothing(kind: type[Seen]) -> None:
+def test_one_number_locates_nothing(kind: type[Sighting]) -> None:
     factor = kind(x[0], l[0], 1.0, UNIT)
     assert not factor.locates
     with pytest.raises(NotImplementedError, match=f"{kind.__name__}: one measurement does not say where its target is"):
@@ -331,7 +331,7 @@ def test_a_known_mounting_does_not_hold_the_map() -> None:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, RangeAzimuth])
-def test_mounted_elsewhere(kind: type[Seen]) -> None:
+def test_mounted_elsewhere(kind: type[Sighting]) -> None:
     """The same as a factor made there; a variable at the place of the fixed offset measures the same."""
     rng = np.random.default_rng(5)
     X, O = SE3.exp(rng.normal(size=(2, 3, 6)))

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["prepared"]
+__all__ = ["prepare"]
 
 
-def prepared(as_read: FactorGraph, values: Values, report: LoadReport, options: argparse.Namespace) -> FactorGraph:
+def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: argparse.Namespace) -> FactorGraph:
     """The graph under the robust kernel, with the kinds held that were asked for; the one read stays as it is.
 
     Parameters
@@ -41,7 +41,7 @@ def prepared(as_read: FactorGraph, values: Values, report: LoadReport, options: 
             input_name(options.file),
         )
     graph = nls.FactorGraph(as_read.factors, as_read.fixed)
-    if options.robust and not outliers.wanted(options.robust):
+    if options.robust and not outliers.is_gnc(options.robust):
         name, separator, kernel = options.robust.rpartition("=")
         names = list(dict.fromkeys(factor.name for factor in graph.factors))
         if separator and name not in names:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["Rejected", "Told"]
+__all__ = ["Rejected", "ReportData"]
 
 
 class Rejected(Protocol):
@@ -35,7 +35,7 @@ class Rejected(Protocol):
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportData:
     """Everything the sections take from; the arguments of `nls.plot.report`, and the values they are about."""
 
     graph: FactorGraph
@@ -60,8 +60,8 @@ class Told:
     @property
     def values(self) -> Values:
         """The optimum, or how far one came."""
-        found: Values | None = self.outcome.values
-        return self.start if found is None else found
+        values: Values | None = self.outcome.values
+        return self.start if values is None else values
 
     @property
     def size(self) -> int:

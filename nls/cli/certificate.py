@@ -29,5 +29,5 @@ def record(certificate: Certificate) -> dict[str, Any]:
 
 def rows(certificate: Certificate) -> list[str]:
     """For the table."""
-    first, *others = certificate.report(shell=True).splitlines()
-    return [f"certificate {first}", *(f"            {line}" for line in others)]
+    first, *lines = certificate.report(shell=True).splitlines()
+    return [f"certificate {first}", *(f"            {line}" for line in lines)]
