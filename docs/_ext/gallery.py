@@ -1,4 +1,4 @@
-"""The directive ``gallery``: the graphs of tests/nls/gallery_cases.py, run now, with the sentence each one gives.
+"""The directive ``gallery``: the graphs of the gallery, run now, with the sentence of each.
 
 The tests run the same list. A case that does not say what it should, or whose cure does not work, ends the build.
 """
@@ -17,8 +17,8 @@ from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.nls.gallery import FILE, PRELUDE, Case, problems, run
-from tests.nls.gallery_cases import CHAPTERS
+from tests.nls.explanation.gallery import FILE, PRELUDE, Case, problems, run
+from tests.nls.explanation.gallery_cases import CHAPTERS
 
 __all__ = ["Gallery", "setup"]
 

@@ -18,8 +18,8 @@ import sim
 from nls.cli import THREADS, main
 from nls.io import write
 from nls.stages import collected, stage
-from tests.nls.g2o_files import PLANE
-from tests.nls.g2o_files import write as written
+from tests.nls.io.g2o_files import PLANE
+from tests.nls.io.g2o_files import write as written
 
 ROOT = Path(__file__).parents[2]
 

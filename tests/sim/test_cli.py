@@ -13,7 +13,7 @@ import pytest
 import sim
 from nls import kinds, load
 from sim.cli import WORLDS, main
-from tests.nls.disk import small_disk
+from tests.nls.io.disk import small_disk
 
 (x,) = kinds("x")
 SMALL = {

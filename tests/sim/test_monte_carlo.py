@@ -15,7 +15,7 @@ import pytest
 
 from models.errors import GraphFileError, GraphWarning, OptionError, UnderconstrainedError
 from sim.monte_carlo import FailedRunsError, Record, runs
-from tests.nls.disk import small_disk
+from tests.nls.io.disk import small_disk
 
 
 def drawn(seed: int, size: int = 40) -> Record:

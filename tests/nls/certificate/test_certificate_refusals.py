@@ -1,0 +1,141 @@
+"""What cannot be certified is refused by name; ``nls solve --certify`` prints, reports and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors import BearingRange, Between, Diagonal, Huber, Information, Isotropic, Prior
+from models import SE2, SE3, SO3, R
+from nls import FactorGraph, Values
+from nls.cli import main
+from tests.nls.graphs import l, pose_graph, x, y
+from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, write
+
+Captured = pytest.CaptureFixture[str]
+CHAIN = Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.1], Isotropic(0.1))
+VALUES = Values({x: (SE2, SE2.identity(3)), l: (R(2), np.zeros((2, 2))), y: (SE3, SE3.identity(2))})
+
+
+@pytest.mark.parametrize(
+    ("factors", "message"),
+    [
+        (
+            [CHAIN, BearingRange(x[0], l[1], [0.1, 3.0], Isotropic(0.1))],
+            r"BearingRange\(x0, l1\) is no measured",
+        ),
+        ([CHAIN.robust(Huber(1.0))], r"Between\(.*\) has the robust kernel Huber\(1\)"),
+        ([CHAIN, Prior(x[[0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both held"),
+        (
+            [CHAIN, Prior(x[1], [0, 0, 0], Isotropic(1)), Prior(x[2], [0, 0, 0], Isotropic(1))],
+            "x1 and x2 are both held",
+        ),
+        ([CHAIN, Prior(l[1], [0, 0], Isotropic(1))], r"Prior\(l1\) is on no pose"),
+        ([CHAIN[[0]]], "x2 and x0 are not connected"),
+        ([CHAIN, Between(y[0], y[1], SE3.identity(1), Isotropic(1))], "Between factors of SE2, SE3; expected"),
+        ([], "Between factors of nothing; expected"),
+        (
+            [CHAIN, Between(x[0], x[2], [2, 0, 0], Information(np.diag([1.0, 1, 0])))],
+            r"Between\(x0, x2\) has no info.*rot",
+        ),
+        (
+            [CHAIN, Between(x[0], x[2], [2, 0, 0], Information(np.diag([1.0, 0, 1])))],
+            r"Between\(x0, x2\) has no info.*posi",
+        ),
+    ],
+)
+def test_what_cannot_be_certified_is_named(factors: list[Between], message: str) -> None:
+    with pytest.raises(nls.GraphError, match=f"certify: {message}"):
+        nls.certify(FactorGraph(factors), VALUES)
+
+
+def test_fixed_poses_and_other_spaces_are_refused() -> None:
+    graph = FactorGraph([CHAIN, Prior(x[1], [0, 0, 0], Diagonal([1, 1, 1]))])
+    assert nls.certify(graph, VALUES).verdict == "certified"
+    graph.fix(x[1])
+    assert nls.certify(graph, VALUES).verdict == "certified"  # the pose of the prior
+    graph.fix(x[0])
+    with pytest.raises(nls.GraphError, match="x0 and x1 are both held"):
+        nls.certify(graph, VALUES)
+    turns = FactorGraph([Between(x[0], x[1], SO3.identity(1), Isotropic(1))])
+    with pytest.raises(nls.GraphError, match="Between factors of SO3; expected"):
+        nls.certify(turns, Values({x: (SO3, SO3.identity(2))}))
+
+
+def test_what_was_handed_in_stays_as_it_was() -> None:
+    sample = pose_graph(SE3, anchored=False)
+    before = sample.values.copy()
+    certificate = nls.certify(sample.graph, sample.values)
+    assert np.array_equal(before[x], sample.values[x])
+    assert not np.allclose(certificate.values[x], before[x], atol=1e-4)
+
+
+@pytest.mark.parametrize("text", [PLANE, SPACE], ids=["plane", "space"])
+def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -> None:
+    file = str(write(tmp_path, text))
+    assert main(["solve", file, "--certify", "--verbose"]) == 0
+    shown = capsys.readouterr().out
+    (row,) = [line for line in shown.splitlines() if line.startswith("certificate ")]
+    assert "certified" in row
+    assert row.endswith("(whether the measurements are right is another question)")
+    assert "that cost is not chi2: its minimum here is" in shown
+    assert "\ncertify  " in shown
+    assert main(["solve", file, "--certify", "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    found, seconds = report["certificate"], report["timings"]
+    graph, values, _ = nls.load(file)
+    start, *_ = nls.initialize(graph, values)
+    expected = nls.certify(graph, graph.optimize(start).values)
+    assert (found["verdict"], found["better_cost"], found["lower_chi2"]) == ("certified", None, None)
+    assert found["cost"] == pytest.approx(expected.cost, rel=1e-12)
+    assert found["cost_given"] == pytest.approx(expected.cost_given, rel=1e-12)
+    assert [found["moved"]["distance"], found["moved"]["angle"]] == pytest.approx(expected.moved, rel=1e-6)
+    assert len(found["eigenvalues"]) == (3 if text is PLANE else 4)
+    assert seconds["total"] == pytest.approx(sum(seconds[k] for k in ("solved", "check", "certify", "write")))
+    assert main(["solve", file, "--json", "-"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert "certificate" not in plain
+    assert "certify" not in plain["timings"]
+
+
+def test_the_command_line_refutes(tmp_path: Path, capsys: Captured) -> None:
+    k, turn = np.arange(8), 2 * np.pi / 8
+    lines = [f"VERTEX_SE2 {i} {np.cos(2 * turn * i)} {np.sin(2 * turn * i)} {2 * turn * i + 1}" for i in k]
+    lines += [f"EDGE_SE2 {i} {(i + 1) % 8} 1 0 {turn} {INFORMATION_2}" for i in k]
+    file = str(write(tmp_path, "\n".join(lines) + "\n"))
+    assert main(["solve", file, "--init", "file", "--certify", "--method", "levenberg-marquardt"]) == 1
+    shown = capsys.readouterr().out
+    assert "certificate refuted: " in shown
+    assert "chi2 of the solution is not the lowest: " in shown
+    assert "is lower\n" in shown
+    assert "-> start there: another --init may lead there" in shown
+
+
+@pytest.mark.parametrize("options", [["--robust", "huber:1"], ["--hold", "x"]])
+def test_the_command_line_refuses_before_the_work(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    monkeypatch.delattr(FactorGraph, "optimize")
+    file, out = str(write(tmp_path, PLANE)), tmp_path / "out.g2o"
+    assert main(["solve", file, "--certify", "-o", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("nls: certify: ")
+    assert len(error.splitlines()) == 1
+    assert not out.exists()
+
+
+@pytest.mark.filterwarnings("ignore::models.errors.GraphWarning")
+def test_a_solution_is_written_before_its_certificate_fails(tmp_path: Path, capsys: Captured) -> None:
+    weights = ["1e10", "1e10", "1e-10", "1e10", "1e10"]
+    lines = [f"EDGE_SE2 {k} {k + 1} 1 0 0.1 {w} 0 0 {w} 0 {w}" for k, w in enumerate(weights)]
+    file, out = str(write(tmp_path, "\n".join(lines) + "\n")), tmp_path / "out.g2o"
+    options = ["--certify", "--method", "levenberg-marquardt", "--json", "-", "-o", str(out)]
+    assert main(["solve", file, *options]) == 2
+    captured = capsys.readouterr()
+    assert "nls: certify: the weights of positions differ by more than the digits" in captured.err
+    assert "certificate" not in json.loads(captured.out)
+    assert out.exists()

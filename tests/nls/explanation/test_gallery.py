@@ -1,0 +1,79 @@
+"""Broken on purpose: every case of the gallery says what its page shows, and its cure cures."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import nls
+from models.errors import LeadlineError
+from nls import Cholesky
+from tests.nls.explanation.gallery import Case, Outcome, problems, run
+from tests.nls.explanation.gallery_cases import CHAPTERS, FREE
+from tests.nls.explanation.gallery_data import DATA
+from tests.nls.explanation.gallery_geometry import GEOMETRY
+
+CASES = [case for cases in CHAPTERS.values() for case in cases]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.title)
+def test_a_broken_graph_says_why_and_its_cure_cures(case: Case) -> None:
+    if "nls.QR()" in case.words and Cholesky.missing() is not None:
+        pytest.skip("SuperLU draws the line between weak and singular elsewhere")
+    assert problems(case, run(case)) == []
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.title)
+def test_a_case_is_short_and_checks_something(case: Case) -> None:
+    assert case.words
+    assert case.title[0].isupper()
+    assert not case.title.endswith(".")
+    assert len(case.broken.strip().splitlines()) < 15
+    assert len(case.cure.strip().splitlines()) < 10
+    assert max(len(line) for line in f"{case.broken}\n{case.cure}".splitlines()) <= 120
+    if case.error:
+        kind = getattr(nls, case.error)
+        assert issubclass(kind, LeadlineError | nls.GraphWarning)
+    if case.cure:
+        assert re.search(r"^(result =|assert |.*\nresult =)", case.cure, flags=re.MULTILINE) or "result =" in case.cure
+
+
+def test_the_gallery_is_large_and_titles_differ() -> None:
+    assert len(CASES) >= 65
+    assert len([*FREE, *GEOMETRY, *DATA]) >= 30  # broken graphs, not broken files or calls
+    assert len({case.title for case in CASES}) == len(CASES)
+
+
+def test_a_finding_is_asked_for_by_kind_keys_and_advice() -> None:
+    """It is asked for at the values of the error, or of the result."""
+    loose = "graph = FactorGraph([chain, Prior(x[0], [0.0, 0.0, 0.0], Isotropic(0.1), components=('x', 'y'))])\n"
+    for broken, error in (
+        (loose + "graph.optimize(values)\n", "UnderconstrainedError"),
+        (loose + "result = graph.optimize(values, LevenbergMarquardt())\n", ""),
+    ):
+        finding = run(Case("Loose", broken, error, (), explained=("free", "x0", "prior measure fix"))).finding
+        assert finding is not None
+        assert finding.says.startswith("yaw about x0 of all 5 variables")
+        assert run(Case("Loose", broken, error, (), explained=("free", "x0", "prior"))).finding is None
+        assert run(Case("Loose", broken, error, (), explained=("free", "x1", "prior measure fix"))).finding is None
+        assert run(Case("Loose", broken, error, ())).finding is None
+
+
+def test_problems_are_seen() -> None:
+    """A case that says something else than the library is found out, and so is a cure that does not cure."""
+
+    class Stuck:
+        converged = False
+
+    case = Case("A case", "", "GraphError", ("x7",), "result = 1")
+    assert problems(case, Outcome("GraphError", "x7 has no value", {})) == []
+    assert len(problems(case, Outcome("GraphError", "x8 has no value", {}))) == 1
+    assert len(problems(case, Outcome("", "", {"result": Stuck()}))) == 3
+    asked = Case("A case", "", "", ("x7",), explained=("free", "x9", "fix"))
+    assert problems(asked, Outcome("", "x7", {}, nls.Finding(nls.FindingKind.FREE))) == []
+    assert problems(asked, Outcome("", "x7", {})) == ["no finding of nls.explain is ('free', 'x9', 'fix')"]
+    with pytest.raises(ZeroDivisionError):
+        run(Case("A mistake of the gallery itself", "1 / 0", "GraphError", ()))
+    with pytest.raises(nls.GraphWarning):
+        run(Case("A cure that warns", "", "", (), "import warnings; warnings.warn('x5', nls.GraphWarning)"))

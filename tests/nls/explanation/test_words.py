@@ -1,0 +1,153 @@
+"""The words of findings: one sentence a kind, advice once, tables in order, data for programs."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors import Between, Cauchy, Factor, Isotropic, Landmark, Prior
+from models import SE2, R
+from models.advice import ACTIONS, Advice
+from nls.analysis.readings import READINGS
+from nls.analysis.suspects import Suspects
+from nls.explanation import Finding, FindingKind, Measurement, words
+from nls.explanation.doubts import CURES, of_suspects
+from nls.explanation.naming import _loose
+from nls.explanation.offers import certifies, graduates
+from nls.explanation.words import together
+from nls.plot import report as page
+from tests.nls.explanation.sentences import SNAPSHOT, sentences
+
+ROOT = Path(__file__).parents[3]
+x, l = nls.kinds("x", "l")
+STEPS = Between(x[0:5], x[1:6], [1.0, 0.0, 0.2], Isotropic(0.1))
+CLOSURES = Between(x[[0, 1]], x[[4, 5]], [3.5, 1.6, 0.8], Isotropic(0.1))
+SEEN = Landmark(x[0:6], l[0], np.ones((6, 2)), Isotropic(0.1))
+VALUES = nls.Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
+
+
+@pytest.mark.parametrize(
+    ("factors", "certified", "graduated"),
+    [
+        ([STEPS, CLOSURES], True, True),
+        ([STEPS], True, False),
+        ([STEPS, SEEN], False, False),
+        ([STEPS, CLOSURES, SEEN], False, True),
+        ([STEPS[:2], STEPS[3:], CLOSURES], True, False),
+        ([STEPS, CLOSURES.robust(Cauchy(1))], False, True),
+        ([SEEN], False, False),
+    ],
+)
+def test_what_is_offered_works(factors: list[Factor], certified: bool, graduated: bool) -> None:
+    graph = nls.FactorGraph(factors)
+    values = VALUES if SEEN in factors else nls.Values.of([VALUES.stacks["x"]])
+    assert certifies(graph, values) == certified
+    assert graduates(graph, values) == graduated
+    if not certified:
+        with pytest.raises(nls.GraphError):
+            nls.certify(graph, values)
+    if not graduated:
+        with pytest.raises(nls.GraphError):
+            nls.gnc(graph, values)
+
+
+def suspected(graph: nls.FactorGraph, places: list[tuple[int, int]], many: bool = False) -> Suspects:
+    rivals = dict.fromkeys(places, (0, None))
+    return Suspects(places, rivals, [], [], [], VALUES, 100.0, 30.0, many)  # type: ignore[arg-type]
+
+
+def test_many_outliers_are_offered_what_works() -> None:
+    for factors, actions in (
+        ([STEPS, CLOSURES], ["gnc", "robust"]),
+        ([STEPS, SEEN], ["robust"]),
+        ([STEPS, CLOSURES.robust(Cauchy(1))], ["gnc", "inspect", "remove"]),
+    ):
+        graph = nls.FactorGraph(factors)  # type: ignore[arg-type]
+        (many,) = of_suspects(suspected(graph, [(0, 0)], many=True), graph, graph.pattern(VALUES), {})
+        assert [advice.action for advice in many.advice] == actions
+
+
+def test_advice_stands_once_below_the_findings_that_share_it() -> None:
+    graph = nls.FactorGraph([STEPS, CLOSURES, Prior(x[0], [0.0, 0, 0], Isotropic(0.1))])
+    result = graph.optimize(nls.Values.of([VALUES.stacks["x"]]))
+    look, measure = (Advice("inspect", ("it",)), Advice.robust("Cauchy", 1)), (Advice("measure", ("it",)),)
+    findings = tuple(Finding(FindingKind.UNMEASURED, (x[k],), {}, a) for k, a in enumerate((look, look, measure, look)))
+    assert [(first, len(alike)) for first, alike in together(findings)] == [(1, 2), (3, 1), (4, 1)]
+    explanation = replace(nls.explain(graph, result.values), findings=findings)
+    lines = [line for line in explanation.report(shell=True).splitlines() if line[:5] == "   ->"]
+    cures = ["look at it", "use a robust kernel: --robust cauchy:1"]
+    assert lines == [*(f"   -> 1 to 2: {cure}" for cure in cures), "   -> measure it", *(f"   -> {c}" for c in cures)]
+    assert "graph.robust(Cauchy(1))" in explanation.report()
+    shown = page(graph, result.values, result, explanation, shell=True)
+    assert [
+        shown.count(f"What helps{where}: look at it; use a robust kernel: --robust") for where in (" with 1 to 2", "")
+    ] == [1, 1]
+
+
+def test_the_farthest_come_first() -> None:
+    graph = nls.FactorGraph([STEPS, CLOSURES])
+    result = graph.optimize(nls.Values.of([VALUES.stacks["x"]]))
+    worst = tuple(Measurement(f"Between({k})", (), 1.0, 1.0, sigmas, 0.5) for k, sigmas in enumerate((3.1, 9.0, 4.2)))
+    explanation = replace(nls.explain(graph, result.values), worst=worst)
+    names = re.findall(r"^Between\((\d)\)", explanation.report(), flags=re.MULTILINE)
+    assert names == ["1", "2", "0"]
+    shown = page(graph, result.values, result, explanation)
+    assert re.findall(r">Between\((\d)\)<", shown)[:3] == names
+
+
+def test_what_moves_is_named_by_its_unknowns() -> None:
+    graph = nls.FactorGraph([Prior(l[0:3], np.zeros((3, 2)), Isotropic(1.0))])
+    pattern = graph.pattern(nls.Values({l: (R(2), np.zeros((3, 2)))}))
+    for moved, keys, components in (
+        ([0, 0, 1, -1, 0, 0], (l[1],), (("x", "y"),)),
+        ([1, 0, 1, -1, 0, 0], (l[0], l[1]), (("x",), ("x", "y"))),
+        ([0, 0, 0, 0, 0, 1], (l[2],), (("y",),)),
+    ):
+        (finding,) = _loose(np.array([moved], dtype=float).T, np.arange(6), pattern)
+        assert (finding.keys, finding.numbers["components"]) == (keys, components)
+
+
+def test_the_sentences_are_those_of_the_snapshot() -> None:
+    """Every kind of finding and every action once; `python -m tests.nls.explanation.sentences` writes the file anew."""
+    assert SNAPSHOT.read_text(encoding="utf-8") == sentences()
+
+
+def test_no_sentence_is_made_outside_the_words() -> None:
+    """Findings are made of names and numbers: whoever makes one has no text of more than two words in it."""
+    for path in sorted((ROOT / "nls" / "explanation").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                texts = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+                assert all(len(text.split()) < 3 for text in texts), f"{path.name}:{node.lineno}"
+
+
+def test_a_finding_for_programs_has_data_and_the_words_of_the_shell() -> None:
+    finding = Finding(
+        FindingKind.TWINS, (l[1], l[2]), {"distance": 0.1, "sigmas": np.inf}, (Advice("merge"),), ((0, 3),)
+    )
+    explanation = nls.explain(nls.FactorGraph([STEPS, CLOSURES]), nls.Values.of([VALUES.stacks["x"]]))
+    placed = replace(explanation, findings=(finding,)).placed(lambda factor, index: f"a.g2o:{10 * factor + index}")
+    (record,) = placed.record()["findings"]
+    assert json.loads(json.dumps(record)) == {
+        "kind": "twins",
+        "keys": ["l1", "l2"],
+        "numbers": {"distance": 0.1, "sigmas": None},
+        "places": ["a.g2o:3"],
+        "advice": [{"action": "merge", "about": []}],
+        "sentence": placed.findings[0].says,
+        "cures": ["give both one number, if they are the same"],
+    }
+    assert record["sentence"].endswith(" [a.g2o:3]")
+
+
+def test_every_reading_has_its_words_and_its_action() -> None:
+    names = {reading.name for reading in READINGS}
+    assert names == set(words.READINGS) == set(CURES)
+    assert set(CURES.values()) <= set(ACTIONS)

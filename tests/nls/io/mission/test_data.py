@@ -1,0 +1,48 @@
+"""Real logs as mission folders: the DVL of an AUV at sea, dead-reckoned against its navigation-grade truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nls.cli import main
+from nls.io.logs import read_auv_dvl
+from nls.io.mission.columns import COLUMNS
+from nls.io.mission.table import csv_text
+from tests.nls.io.mission.mission_files import folder
+
+SIGMA_ATTITUDE, SIGMA_Z = (0.002, 0.002, 0.005), 0.05
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_the_drift_of_a_real_log(number: int, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Attitude and depth are those of the truth with noise; the DVL, with six seconds taken out, is as measured."""
+    log, rng = read_auv_dvl(data / "underwater-auv-dvl", number), np.random.default_rng(number)
+    n = len(log.t)
+    t = log.t[:, None]
+    valid = np.ones(n, dtype=int)
+    valid[100:106] = 0
+    poses = np.arange(0, n, 5)
+    noise = [[0.02, 0.002, 0.05, *SIGMA_ATTITUDE, SIGMA_Z]]
+    rows: dict[str, tuple[object, ...]] = {
+        "dvl": (t, log.v_d, valid),
+        "ahrs": (t, log.rpy + rng.normal(0, SIGMA_ATTITUDE, (n, 3))),
+        "depth": (t, log.p[:, 2:] + rng.normal(0, SIGMA_Z, (n, 1))),
+        "noise": (noise,),
+        "poses": (poses, t[poses]),
+        "truth": (poses, log.rpy[poses], log.p[poses]),
+    }
+    files = {name: csv_text(COLUMNS[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
+    assert main(["solve", str(folder(tmp_path / "m", files)), "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    mission = report["mission"]
+    assert 600 < mission["distance_m"] < 1000
+    assert mission["dead_reckoning"]["drift_percent"] < 1.2
+    assert mission["dead_reckoning"]["ate_rmse_m"] < 5.0
+    assert mission["solution"]["ate_rmse_m"] == pytest.approx(mission["dead_reckoning"]["ate_rmse_m"], rel=1e-3)
+    assert any(
+        "velocity is bridged for 6.0" in note or "velocity is bridged for 7.0" in note for note in report["notes"]
+    )

@@ -1,0 +1,271 @@
+"""Which dialect a file is in, what its numbers then mean, and what is no graph at all."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factors import Between, Covariance, Information, SqrtInformation
+from models import SE2, SE3
+from models.manifolds.euler import quaternion_from_angles, to_se3
+from nls import GraphFileError, OptionError, Values, kinds, load
+from nls.io import DIALECTS
+from nls.io.weights import AsRead
+from tests.nls.io.g2o_files import read, write
+from tests.nls.io.io_files import (
+    BAL,
+    COVARIANCE_2,
+    EDGES_2,
+    FILES,
+    ISAM_2,
+    ISAM_3,
+    ISAM_APART_2,
+    ISAM_APART_3,
+    PYFG,
+    SENSORS_2,
+    TORO_2,
+    TORO_3,
+)
+
+x, l = kinds("x", "l")
+EDGE2 = "EDGE2 0 1 1 0 0.05 500 1 400 300 2 3\n"
+ODOMETRY = "ODOMETRY 0 1 1 0 0.05 20 1 2 30 3 40\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "dialect", "reason"),
+    [
+        (EDGES_2, "g2o", "by its tags"),
+        (TORO_2, "toro", "VERTEX2 lines are TORO's; name the dialect graph if its numbers are covariances"),
+        (TORO_3, "toro", "by its tag VERTEX3"),
+        (ISAM_2, "isam", "by its tag Constraint2"),
+        (ISAM_3, "isam", "by its tag POINT3"),
+        (ODOMETRY + "SOLVE\n", "isam", "by its tag SOLVE"),
+    ],
+)
+def test_the_tags_decide_and_the_report_says_why(text: str, dialect: str, reason: str) -> None:
+    _, _, report = read(text)
+    assert (report.format, report.reason) == (dialect, reason)
+    assert str(report).startswith(f"f.g2o: {dialect} ({reason}), ")
+
+
+@pytest.mark.parametrize(
+    ("text", "choices"),
+    [
+        ("EDGE2 0 1 1 0 0.05 9 1 4 7 1 2\n", ["toro", "isam", "isam-covariance", "graph"]),
+        (ODOMETRY, ["isam", "isam-covariance"]),
+        (COVARIANCE_2, ["isam", "isam-covariance"]),
+        ("\n" + ISAM_3.split("POINT3")[0], ["toro", "isam"]),
+    ],
+)
+def test_several_readings_are_refused_with_the_choices(text: str, choices: list[str]) -> None:
+    with pytest.raises(GraphFileError, match=r"lines have several readings, .* tells which \((.*)\)") as caught:
+        read(text)
+    assert caught.value.line == 1 + text.startswith("\n")
+    for name in DIALECTS:
+        assert (f"{name}: " in str(caught.value)) == (name in choices)
+    for name in choices:
+        assert read(text, dialect=name)[2].reason == "as asked for"
+
+
+def test_tags_of_two_dialects() -> None:
+    text = EDGES_2 + EDGE2
+    with pytest.raises(
+        GraphFileError, match=r"f\.g2o:5: EDGE2 is a tag of toro or isam .*, the lines before are of g2o"
+    ):
+        read(text)
+    _, _, report = read(text, dialect="g2o")
+    assert report.ignored == [EDGE2.strip()]
+    assert "unknown tags" in report.warnings[0]
+
+
+def test_a_dialect_that_is_none_of_the_file(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"'EDGE2' is no tag of a graph; expected lines such as EDGE_SE2, .*g2o"):
+        read(EDGE2, dialect="g2o")
+    with pytest.raises(OptionError, match="dialect: 'tora' is not possible; expected one of auto, g2o, toro"):
+        load(write(tmp_path, EDGE2), dialect="tora")
+
+
+def test_what_only_steers_isam_is_kept_with_a_count() -> None:
+    _, _, report = read("EDGE3_TRUE 0 1 1 0 0 0 0 0\n" + ISAM_3 + "SOLVE\nSOLVE\n")
+    assert report.warnings == ["lines were not used: EDGE3_TRUE (1, first on line 1), SOLVE (2, first on line 7)"]
+    assert report.tags["SOLVE"] == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [(ISAM_APART_2, 0), (ISAM_APART_3, 1)], ids=["LANDMARK in the plane", "POINT3 in space"]
+)
+def test_points_of_isam_are_numbered_apart(text: str, number: int) -> None:
+    """A pose and a point of one number are two variables; with another number the same graph."""
+    graph, values, _ = read(text)
+    assert values.stacks["x"].numbers.tolist() == [0, 1, 2]
+    assert number in values.stacks["l"].numbers
+    other = text.replace(f" {number} 3.1", " 9 3.1").replace(f" {number} 2.0", " 9 2.0").replace("1 1 1.9", "1 9 1.9")
+    moved_graph, moved, _ = read(other.replace("2 1 0.9", "2 9 0.9"))
+    assert graph.chi2(values) == moved_graph.chi2(moved) > 0
+    assert values[l[number]] == pytest.approx(moved[l[9]], abs=0)
+    seen = next(factor for factor in graph.factors if factor.name == "Landmark")
+    assert [(k.kind, k.numbers[0]) for k in seen.keys] == [("x", 0 if number == 0 else 1), ("l", number)]
+
+
+def test_one_numbering_stays_one_in_g2o_files() -> None:
+    with pytest.raises(GraphFileError, match=r"f\.g2o:2: vertex 1 is used as point here, and as pose on line 1"):
+        read("EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 0 1 1 1 9 0 9\n")
+
+
+# ---- what the numbers mean
+
+
+def test_entries_in_the_order_of_each_dialect() -> None:
+    toro = read(EDGE2, dialect="toro")[0].factors[0].noise
+    assert isinstance(toro, Information)
+    assert toro.matrix[0].tolist() == [[500, 1, 2], [1, 400, 3], [2, 3, 300]]
+    graph = read(FILES["graph"][1], dialect="graph")[0].factors[0].noise
+    assert isinstance(graph, Covariance)
+    assert graph.matrix[0].tolist() == [[0.02, 0.001, 0.002], [0.001, 0.03, 0.003], [0.002, 0.003, 0.01]]
+    isam = read(ODOMETRY, dialect="isam")[0].factors[0].noise
+    assert isinstance(isam, SqrtInformation)
+    assert isam.matrix[0].tolist() == [[20, 1, 2], [0, 30, 3], [0, 0, 40]]
+    covariance = read(COVARIANCE_2, dialect="isam-covariance")[0].factors
+    assert covariance[0].noise.matrix[0].tolist() == graph.matrix[0].tolist()  # type: ignore[attr-defined]
+    assert covariance[1].noise.matrix[0].tolist() == [[0.4, 0.05], [0.05, 0.3]]  # type: ignore[attr-defined]
+
+
+def test_square_root_information_and_covariance_say_the_same() -> None:
+    """chi2 of one file written in both ways, against the formula."""
+    R = np.array([[20.0, 1, 2], [0, 30, 3], [0, 0, 40]])
+    C = np.linalg.inv(R.T @ R)
+    entries = " ".join(map(repr, C[np.triu_indices(3)].tolist()))
+    e = np.array([0.3, -0.2, 0.1])
+    here = Values({x: (SE2, [[0, 0, 0], [1 + e[0], e[1], 0.05 + e[2]]])})
+    a = read(ODOMETRY, dialect="isam")[0].chi2(here)
+    b = read(f"ODOMETRY 0 1 1 0 0.05 {entries}\n", dialect="isam-covariance")[0].chi2(here)
+    r = np.array([[np.cos(0.05), np.sin(0.05), 0], [-np.sin(0.05), np.cos(0.05), 0], [0, 0, 1]]) @ e  # z^-1 h
+    assert a == pytest.approx(np.sum((R @ r) ** 2), rel=1e-12)
+    assert b == pytest.approx(a, rel=1e-9)
+
+
+@pytest.mark.parametrize("dialect", ["toro", "isam"])
+@pytest.mark.parametrize("convention", ["g2o", "graphslam", "log", "gtsam"])
+def test_noise_of_angles_is_turned_to_first_order(dialect: str, convention: str) -> None:
+    """chi2 near the measurement is that of small errors of roll, pitch and yaw, whatever the convention."""
+    rng = np.random.default_rng(0)
+    M = rng.normal(size=(6, 6))
+    M = np.linalg.cholesky(M @ M.T + np.eye(6)).T if dialect == "isam" else M @ M.T + np.eye(6)
+    entries = " ".join(map(repr, M[np.triu_indices(6)].tolist()))
+    measured = [0.5, -0.3, 0.2, 0.4, -0.7, 2.1]
+    graph = read(f"EDGE3 0 1 {' '.join(map(str, measured))} {entries}\n", convention, dialect)[0]
+    for _ in range(5):
+        e = 1e-5 * rng.normal(size=6)
+        T = to_se3(np.concatenate([measured[3:], measured[:3]]))
+        q = quaternion_from_angles(np.array(measured[3:]) + e[3:])
+        t = SE3.act(T, e[:3])  # a translation error is taken along the axes of the pose reached
+        values = Values({x: (SE3, [SE3.identity()[0], np.concatenate([t, q])])})
+        expected = np.sum((M @ e) ** 2) if dialect == "isam" else e @ M @ e
+        assert graph.chi2(values) == pytest.approx(expected, rel=1e-3)
+
+
+def test_measured_angles_are_roll_pitch_yaw() -> None:
+    graph = read(ISAM_3)[0]
+    edge = graph.factors[0]
+    assert isinstance(edge, Between)
+    assert edge.z[0] == pytest.approx(to_se3([0.11, -0.21, 0.41, 1.01, 0, 0.02]), abs=1e-15)
+    assert isinstance(edge.noise, AsRead)
+
+
+@pytest.mark.parametrize("dialect", ["toro", "isam"])
+def test_gimbal_lock_has_its_line(dialect: str) -> None:
+    line = f"EDGE3 1 2 0 0 0 0.1 {np.pi / 2!r} 0 " + " ".join(["1"] * 21)
+    with pytest.raises(GraphFileError, match=r"f\.g2o:2: the pitch is \+-90 deg"):
+        read(ISAM_3.split("\n")[0] + "\n" + line, dialect=dialect)
+
+
+def test_public_files_solve(data: Path) -> None:
+    """Residuals as large as the numbers say they are: chi2 is about the degrees of freedom where the noise is known."""
+    graph, values, _ = load(data / "pose-graphs-3d" / "sphere400.txt", dialect="isam")
+    result = graph.optimize(values)
+    assert result.converged
+    assert result.chi2_final / result.dof == pytest.approx(1.0, abs=0.05)
+    graph, values, _ = load(data / "pose-graphs-2d" / "FR079_P_toro.graph")
+    result = graph.optimize(values)
+    assert result.converged
+    assert result.chi2_final < 40 < 8000 < result.chi2_initial
+    whole = load(data / "victoria-park" / "victoria_park.txt", dialect="isam-covariance")
+    assert [len(stack) for stack in whole[1].stacks.values()] == [6969, 151]
+    text = (data / "victoria-park" / "victoria_park.txt").read_text().splitlines()
+    first = [n for n in text if int(n.split()[1]) < 300 and (n.startswith("L") or int(n.split()[2]) <= 300)]
+    graph, values, _ = read("\n".join(first), dialect="isam-covariance")
+    result = graph.optimize(values)
+    assert result.chi2_final == pytest.approx(18.808, abs=0.01)
+    as_root = read("\n".join(first), dialect="isam")[0].chi2(result.values)
+    assert as_root < 0.1 * result.chi2_final  # the other reading says errors far larger than they are
+
+
+# ---- other formats, and what is no graph
+
+
+@pytest.mark.parametrize(
+    ("text", "format"), [(BAL, "bal"), (PYFG, "pyfg"), (EDGES_2, "g2o"), (ISAM_2, "isam"), (SENSORS_2, "g2o")]
+)
+@pytest.mark.parametrize("packed", [False, True])
+def test_load_goes_by_the_content(text: str, format: str, packed: bool, tmp_path: Path) -> None:
+    data = gzip.compress(text.encode()) if packed else text.encode()
+    path = write(tmp_path, data, "some.txt")
+    assert load(path)[2].format == format
+    assert load(path, dialect=format)[2].format == format
+
+
+def test_a_damaged_vertex_is_no_name(tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"graph\.g2o:1: 'nan' is not a number"):
+        load(write(tmp_path, "VERTEX_SE2 0 nan 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"))
+
+
+MATLAB = b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + struct.pack("<4xI", 7)
+
+
+@pytest.mark.parametrize(
+    ("data", "line", "message"),
+    [
+        (MATLAB, None, "is a MATLAB file; expected text"),
+        (b"\x89PNG\r\n\x1a\n\x00\x01", 3, "has a zero byte: this is a binary file"),
+        (
+            b"0.000\t  0.00\t  0.00\n1.0 2 3\n",
+            1,
+            "is no graph but a table of numbers: a line begins with '0.000' instead",
+        ),
+        (b"# header\n# more\n\n1248444175.103 \t 2.64\n", 4, "is no graph but a table of numbers"),
+        (b"\xef\xbb\xbf-1 2 3 4\n", 1, "is no graph but a table of numbers: a line begins with '-1'"),
+        (b"Time [s],DVL X [m/s]\r\n0.0,2.1\r\n", 1, "is no graph but a table, its numbers separated by commas"),
+        (b"R 0.005 1 0 0\nV 0.005 0 0 0\n", 1, "is no graph: 'R' is no tag of a graph"),
+        (b"# only\n# comments\n", 1, "has nothing but comments"),
+        (b"", 1, "is empty"),
+        (b"SOLVE\n", 1, "'SOLVE' is no tag of a graph"),
+    ],
+)
+def test_what_is_no_graph(data: bytes, line: int | None, message: str, tmp_path: Path) -> None:
+    with pytest.raises(GraphFileError) as caught:
+        load(write(tmp_path, data, "some.dat"))
+    assert caught.value.line == line
+    assert message in str(caught.value)
+    if line is not None and "binary" not in message:
+        assert "expected lines such as EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "range-only/Plaza2_.mat",
+        "victoria-park/GPS.txt",
+        "victoria-park/DRS.txt.gz",
+        "mrclam6/Barcodes.dat",
+        "underwater-caves/cones.csv",
+        "underwater-holoocean/underwater_data.txt.gz",
+    ],
+)
+def test_public_files_that_are_no_graph(name: str, data: Path) -> None:
+    with pytest.raises(GraphFileError, match=r"is a MATLAB file|is no graph"):
+        load(data / name)

@@ -1,0 +1,158 @@
+"""Files are written whole or not at all: what was there before survives a disk that is full."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import pytest
+
+from models.errors import GraphFileError
+from nls.cli import main
+from nls.io.files import read_bytes, write_bytes, write_folder
+from tests.nls.io.disk import small_disk
+from tests.nls.io.g2o_files import PLANE, write
+from tests.nls.io.mission.mission_files import TINY, folder
+
+Captured = pytest.CaptureFixture[str]
+
+
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    new, old = tmp_path / "a" / "b", tmp_path / "old"
+    old.mkdir()
+    (old / "1").write_bytes(b"older")
+    for place in (new, old):
+        with small_disk(100), pytest.raises(GraphFileError, match=r"/2: cannot be written: \w+"):
+            write_folder(place, {"1": b"x", "2": b"x" * 101, "3": b"x"})
+    assert not (tmp_path / "a").exists()
+    assert [(file.name, file.read_bytes()) for file in old.iterdir()] == [("1", b"older")]
+    with pytest.raises(GraphFileError, match=r"/none/2: cannot be written: No such file or directory"):
+        write_folder(old, {"1": b"x", "none/2": b"x"})
+    assert [(file.name, file.read_bytes()) for file in old.iterdir()] == [("1", b"older")]
+    for place in (new, old):
+        assert write_folder(place, {"1": b"x", "2.gz": b"y"}) == [str(place / "1"), str(place / "2.gz")]
+        assert sorted(os.listdir(place)) == ["1", "2.gz"]
+        assert ((place / "1").read_bytes(), read_bytes(place / "2.gz")) == (b"x", b"y")
+
+
+def test_links_and_permissions_stay(tmp_path: Path) -> None:
+    file, link = tmp_path / "file", tmp_path / "link.gz"
+    file.write_bytes(b"older")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_bytes(link, b"newer")
+    assert link.is_symlink()
+    assert gzip.decompress(file.read_bytes()) == b"newer"
+    assert file.stat().st_mode & 0o777 == 0o640
+    hard = tmp_path / "hard"
+    os.link(file, hard)
+    write_bytes(hard, b"newest")
+    assert (hard.read_bytes(), gzip.decompress(file.read_bytes())) == (b"newest", b"newer")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="open files have no names here")
+def test_an_open_file_is_written_to_where_it_stands(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """As the shell does with a command among others whose output goes to one file: nothing is replaced."""
+    log, link = tmp_path / "log", tmp_path / "link"
+    log.write_bytes(b"header\n")
+    with open(log, "ab") as file:
+        names = [f"/dev/fd/{file.fileno()}", f"/proc/self/fd/{file.fileno()}", str(link)]
+        link.symlink_to(names[0])
+        for name in names:
+            write_bytes(name, b"line\n")
+        file.write(b"footer\n")
+    assert log.read_bytes() == b"header\n" + 3 * b"line\n" + b"footer\n"
+    graph = write(tmp_path, PLANE)
+    print("before")
+    assert main(["convert", str(graph), "/dev/stdout", "--to", "isam"]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert lines[0] == "before"
+    assert lines[1].startswith("EDGE2 0 1 ")
+    with open(graph, "rb") as file:
+        assert main(["convert", str(graph), f"/dev/fd/{file.fileno()}", "--to", "isam"]) == 2
+    assert capfd.readouterr().err.endswith("is not possible; expected a number that is open for writing\n")
+
+
+def test_a_write_protected_file_stays(tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the folder may be written to: as in a shell."""
+    file, out, access = write(tmp_path, PLANE), tmp_path / "out.g2o", os.access
+    out.write_bytes(b"older")
+    out.chmod(0o444)
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != str(out) and access(path, mode))  # of root, too
+    for options in ([], ["--overwrite"]):
+        assert main(["solve", str(file), "-o", str(out), *options]) == 2
+        err = capsys.readouterr().err
+        assert f"{str(out)!r} is not possible; expected a file that is not write-protected; --overwrite does not" in err
+    with pytest.raises(
+        GraphFileError, match=r"out\.g2o: cannot be written: it is write-protected; allow it with chmod"
+    ):
+        write_folder(tmp_path, {"other": b"x", "out.g2o": b"newer"})
+    assert sorted(os.listdir(tmp_path)) == sorted([file.name, out.name])
+    assert out.read_bytes() == b"older"
+
+
+@pytest.mark.parametrize("name", ["new.g2o/", "new.g2o/."])
+def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Captured) -> None:
+    file, out = write(tmp_path, PLANE), f"{tmp_path}/{name}"
+    assert main(["solve", str(file), "-o", out]) == 2
+    assert f"{out!r} is not possible; expected a file, and this names a folder" in capsys.readouterr().err
+    with pytest.raises(GraphFileError, match="cannot be written: its name is that of a folder"):
+        write_bytes(out, b"x")
+    assert os.listdir(tmp_path) == [file.name]
+
+
+@pytest.mark.parametrize("older", [True, False])
+def test_no_output_of_solve_is_half_written(older: bool, tmp_path: Path, capsys: Captured) -> None:
+    """All of them are more than 100 bytes; each has an error of its own that names it."""
+    file = write(tmp_path, PLANE)
+    names = {
+        option: tmp_path / f"out{option}.{suffix}"
+        for option, suffix in {
+            "-o": "g2o.gz",
+            "--covariance": "csv",
+            "--plot": "png",
+            "--report": "html",
+            "--json": "json",
+        }.items()
+    }
+    if older:
+        for name in names.values():
+            name.write_bytes(b"older")
+    with small_disk(100):
+        assert main(["solve", str(file), *(str(word) for item in names.items() for word in item)]) == 2
+    out, err = capsys.readouterr()
+    assert "converged" in out
+    assert "written" not in out
+    lines = err.splitlines()
+    assert len(lines) == len(names)
+    for name in names.values():
+        assert sum(line.startswith(f"nls: {name}: cannot be written: ") for line in lines) == 1
+    expected = {file.name: PLANE.encode(), **({name.name: b"older" for name in names.values()} if older else {})}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == expected
+
+
+@pytest.mark.parametrize("command", [["convert", "out.tum"], ["plot", "out.png"], ["info", "--json", "out.json"]])
+def test_no_output_of_other_commands_is_half_written(command: list[str], tmp_path: Path, capsys: Captured) -> None:
+    file, name = write(tmp_path, PLANE), tmp_path / command[-1]
+    name.write_bytes(b"older")
+    with small_disk(100):
+        assert main([command[0], str(file), *command[1:-1], str(name)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"nls: {name}: cannot be written: ")
+    assert err.count("\n") == 1
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        file.name: PLANE.encode(),
+        name.name: b"older",
+    }
+
+
+def test_the_solution_of_a_mission_has_no_half_file(tmp_path: Path, capsys: Captured) -> None:
+    mission, out = folder(tmp_path / "mission", TINY), tmp_path / "solved"
+    with small_disk(100):
+        assert main(["solve", str(mission), "-o", str(out)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert all(line.startswith(f"nls: {out}{os.sep}") and ": cannot be written: " in line for line in lines)
+    assert len(lines) >= 3
+    assert not out.exists()

@@ -1,0 +1,203 @@
+"""Written g2o files: what cannot be written right is refused, links and permissions stay, bytes come back."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import threading
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factors import Between, Diagonal, Huber, Isotropic, Prior, Robust
+from models import SE2, SE3, R
+from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, Values, kinds, load, save
+from nls.io.files import write_bytes
+from tests.nls.graphs import pose_graph
+from tests.nls.io.g2o_files import CONVENTIONS, PLANE, again, read, same, write
+
+x, l = kinds("x", "l")
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+@pytest.mark.parametrize(
+    "noise", [Isotropic(0.3), Diagonal([0.1, 0.2, 0.3, 0.1, 0.2, 0.3])], ids=["isotropic", "diagonal"]
+)
+def test_graphs_made_in_python_are_written(group: object, noise: object, tmp_path: Path) -> None:
+    sample = pose_graph(group, anchored=False)  # type: ignore[arg-type]
+    if isinstance(noise, Diagonal):
+        noise = Diagonal(noise.sigmas[:, : group.dim])  # type: ignore[attr-defined, index]
+    edge = sample.graph.factors[0]
+    graph = FactorGraph([Between(*edge.keys, edge.z, noise), sample.graph.factors[1]])  # type: ignore[arg-type]
+    graph.fix(x[2])
+    save(tmp_path / "out.g2o", graph, sample.values)
+    read_back, values, _ = load(tmp_path / "out.g2o", "log")
+    assert np.array_equal(values[x], sample.values[x])
+    assert read_back.chi2(values) == pytest.approx(graph.chi2(sample.values), rel=1e-12)
+    assert [repr(keys) for keys in read_back.fixed] == ["x2"]
+
+
+def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
+    sample = pose_graph(SE2)
+    edges = FactorGraph(sample.graph.factors[:-1])
+    with pytest.raises(GraphError, match="variables l in SE2 have no line in a g2o file"):
+        save(tmp_path / "out.g2o", edges, Values({l: (SE2, SE2.identity(2))}))
+    with pytest.raises(GraphError, match=r"variables x in R\(2\) have no line"):
+        save(tmp_path / "out.g2o", FactorGraph(), Values({x: (R(2), [[0.0, 0.0]])}))
+    assert list(tmp_path.iterdir()) == []
+    z = [0.0, 0.0, 0.0]
+    partial, offset = Prior(x[0], z, Isotropic(1), ("x", "y")), Prior(x[0], z, Isotropic(1), offset=[1.0, 0.0, 0.0])
+    robust = Prior(x[0], z, Robust(Isotropic(1), Huber(1.0)))
+    for factor, said in ((partial, "cannot be written"), (offset, "cannot be written"), (robust, "robust kernel")):
+        with pytest.raises(GraphError, match=rf"out\.g2o: Prior\(x0\) .*{said}"):
+            save(tmp_path / "out.g2o", FactorGraph([factor]), sample.values)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path, "what was there before", "out.g2o")
+    graph, values, _ = read(PLANE)
+
+    def failing(*_: object) -> None:
+        raise OSError("disk full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("os.replace", failing)
+        with pytest.raises(GraphFileError, match=r"out\.g2o: cannot be written: disk full$"):
+            save(path, graph, values)
+    assert path.read_text() == "what was there before"
+    assert list(tmp_path.iterdir()) == [path]
+    save(path, graph, values)
+    assert list(tmp_path.iterdir()) == [path]
+    same(read(PLANE), load(path))
+
+
+def test_every_public_pose_graph_goes_round(data: Path, tmp_path: Path) -> None:
+    files = sorted(
+        f for folder in ("pose-graphs-2d", "pose-graphs-3d", "robust-real") for f in (data / folder).glob("*.g2o*")
+    )
+    assert len(files) >= 15
+    for file in files:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GraphWarning)
+            loaded = load(file)
+        same(loaded, again(loaded, tmp_path))
+
+
+Z = [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"),
+    [
+        (Between(l[0], l[1], Z, Isotropic(1)), "no variable of kind 'l' has a value"),
+        (Between(x[0], l[1], Z, Isotropic(1)), "no variable of kind 'l' has a value"),
+        (Between(x[0], x[7], Z, Isotropic(1)), "x7 has no value"),
+    ],
+)
+def test_a_variable_without_a_value(factor: Between, message: str, tmp_path: Path) -> None:
+    _, values, _ = read(PLANE)
+    with pytest.raises(GraphError, match=message):
+        save(tmp_path / "out.g2o", FactorGraph([factor]), values)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("keys", "message"), [(l[0], "no variable of kind 'l'"), (x[7], "x7 has no value")])
+def test_a_fixed_variable_without_a_value(keys: object, message: str, tmp_path: Path) -> None:
+    graph, values, _ = read(PLANE)
+    graph.fix(keys)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match=message):
+        save(tmp_path / "out.g2o", graph, values)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_convention_in_a_file(tmp_path: Path) -> None:
+    _, values, _ = read(PLANE)
+    graph = FactorGraph([Between(x[0], x[1], Z, Isotropic(1), convention) for convention in ("log", "g2o", "g2o")])
+    with pytest.raises(GraphError, match="these factors have g2o, log; give all the same one"):
+        save(tmp_path / "out.g2o", graph, values)
+    graph.remove(graph.factors[0])
+    save(tmp_path / "out.g2o", graph, values)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_read_write_read_of_a_graph_made_in_python(convention: str, tmp_path: Path) -> None:
+    edge = pose_graph(SE3, anchored=False).graph.factors[0]
+    noise = Isotropic(0.3)
+    graph = FactorGraph([Between(*edge.keys, edge.z, noise, convention)])  # type: ignore[attr-defined, arg-type]
+    save(tmp_path / "out.g2o", graph, pose_graph(SE3, anchored=False).values)
+    first = load(tmp_path / "out.g2o", convention)
+    same(first, again(first, tmp_path, convention))
+
+
+def test_unused_lines_come_back_byte_for_byte(tmp_path: Path) -> None:
+    lines = [b"  WHAT \xff\xfe 1\t2  ", b"WHAT caf\xc3\xa9 \xc2\x85x\r", b"\xe9T\xe9 3"]
+    with pytest.warns(GraphWarning) as caught:
+        loaded = load(write(tmp_path, PLANE.encode() + b"\n".join(lines) + b"\n"))
+    assert all(str(c.message).encode() for c in caught)  # no lone surrogates in messages
+    assert str(loaded[2]).encode()
+    assert r"\xe9T\xe9" in str(caught[0].message)
+    same(loaded, again(loaded, tmp_path))
+    assert (tmp_path / "again.g2o").read_bytes().split(b"\n")[-4:-1] == lines
+
+
+@pytest.mark.parametrize("name", ["out.g2o.gz", "out.G2O.GZ"])
+def test_compressed_by_suffix(name: str, tmp_path: Path) -> None:
+    graph, values, _ = read(PLANE)
+    save(tmp_path / name, graph, values)
+    save(tmp_path / "out.g2o", graph, values)
+    data = (tmp_path / name).read_bytes()
+    assert data[4:8] == bytes(4)  # no time of writing: equal graphs give equal bytes
+    assert gzip.decompress(data) == (tmp_path / "out.g2o").read_bytes()
+    same(read(PLANE), load(tmp_path / name))
+
+
+def test_permissions_are_kept_or_as_the_user_wants_them(tmp_path: Path) -> None:
+    path = write(tmp_path, "old")
+    path.chmod(0o640)
+    write_bytes(path, b"new")
+    assert path.stat().st_mode & 0o777 == 0o640
+    before = os.umask(0o027)
+    try:
+        write_bytes(tmp_path / "other", b"new")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "other").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("dangling", [False, True])
+def test_a_link_stays(dangling: bool, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    target, link = tmp_path / "there" / "target", tmp_path / "link"
+    link.symlink_to(target)
+    if not dangling:
+        target.write_bytes(b"old")
+    write_bytes(link, b"new")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+    assert list((tmp_path / "there").iterdir()) == [target]
+
+
+def test_a_pipe_and_a_device_are_written_to(tmp_path: Path) -> None:
+    pipe, found = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: found.append(pipe.read_bytes()), daemon=True)
+    reader.start()
+    write_bytes(pipe, b"new")
+    reader.join(10)
+    assert found == [b"new"]
+    assert pipe.is_fifo()
+    write_bytes(os.devnull, b"new")
+    assert Path(os.devnull).is_char_device()
+
+
+def test_what_cannot_be_written_names_the_file_given(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name, reason in (("none/out", "No such file"), ("", "Is a directory"), ("loop", "Too many levels")):
+        with pytest.raises(GraphFileError) as caught:
+            write_bytes(tmp_path / name, b"new")
+        assert str(caught.value).startswith(f"{tmp_path / name}: cannot be written: {reason}")
+        assert "\n" not in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["loop"]

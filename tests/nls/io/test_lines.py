@@ -1,0 +1,166 @@
+"""The line of every measurement: in the report of each format, with anything between the measurements."""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, RangeAzimuth
+from factors.base import Factor
+from factors.robust import Cauchy
+from nls.cli import outliers
+from nls.cli.preparation import prepare
+from tests.nls.io.g2o_files import INFORMATION_2
+from tests.nls.io.io_files import ALL
+from tests.nls.io.mission.mission_files import TINY, folder, raw
+
+NO_MEASUREMENT = ("VERTEX", "PARAMS", "FIX", "#")
+TWO_VEHICLES = """VERTEX_SE2 0 A0 0 0 0
+VERTEX_SE2 0 B0 0 1 0
+EDGE_RANGE 0 A0 B0 1.1 0.04
+VERTEX_SE2 1 A1 1 0 0
+EDGE_SE2 1 A0 A1 1.2 0 0 0.01 0 0 0.01 0 0.001
+VERTEX_SE2:PRIOR 1 A1 1.3 0 0 0.01 0 0 0.01 0 0.001
+VERTEX_SE2 1 B1 1 1 0
+EDGE_SE2 1 B0 B1 1.4 0 0 0.01 0 0 0.01 0 0.001
+EDGE_RANGE 1 A1 B1 1.5 0.04
+VERTEX_SE2 2 A2 2 0 0
+EDGE_SE2 2 A1 A2 1.6 0 0 0.01 0 0 0.01 0 0.001
+EDGE_RANGE 2 B1 A2 1.7 0.04
+"""
+TEXTS = ALL | {"pyfg, two vehicles": ("pyfg", TWO_VEHICLES)}
+ENDS = {"newlines": "\n", "both": "\r\n", "carriage returns": "\r"}
+
+
+def shuffled(text: str, dialect: str) -> list[str]:
+    """The lines in another order, so that tags alternate, with comments and blank lines between; bal has an order."""
+    rng = np.random.default_rng(5)
+    lines = text.splitlines()
+    if dialect == "bal":
+        return [lines[0], "", *lines[1:2], "  ", *lines[2:]]
+    between = ["", "# EDGE_SE2 0 1 is a comment", " \t"]
+    rest = [[*rng.choice(between, rng.integers(0, 4)), line] for line in rng.permutation(lines)]
+    return [str(line) for some in rest for line in some]
+
+
+def variables(factor: Factor, k: int, dialect: str) -> list[str]:
+    """The variables of a measurement as its line names them."""
+    keys = [(keys.kind, int(keys.numbers[k])) for keys in factor.keys]
+    if dialect == "bal":
+        (_, camera), (_, lens), (_, point) = keys
+        assert camera == lens
+        return [str(camera), str(point)]
+    return [f"{kind}{number}" if dialect == "pyfg" else str(number) for kind, number in keys]
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("name", TEXTS)
+def test_the_line_is_that_of_the_measurement(name: str, end: str, tmp_path: Path) -> None:
+    dialect, text = TEXTS[name]
+    lines = shuffled(text, dialect)
+    path = tmp_path / "graph.txt.gz"
+    path.write_bytes(gzip.compress(ENDS[end].join(lines).encode()))
+    graph, _, report = nls.load(path, dialect=dialect)
+    assert len(report.sources) == len(graph.factors)
+    begin = {"bal": 0, "pyfg": 2}.get(dialect, 1)  # words in front of the variables
+    for number, (factor, source) in enumerate(zip(graph.factors, report.sources, strict=True)):
+        assert source.lines.dtype == np.intp
+        assert source.lines.shape == (len(factor),)
+        for k, line in enumerate(source.lines.tolist()):
+            words, names = lines[line - 1].split(), variables(factor, k, dialect)
+            assert words[begin : begin + len(names)] == names
+            assert float(np.ravel(factor.z[k])[0]) in map(float, words[begin + len(names) :])
+            assert report.place(number, k) == f"{path}:{line}"
+    measured = [k + 1 for k, line in enumerate(lines) if line.strip() and not line.startswith(NO_MEASUREMENT)]
+    measured = measured[1:3] if dialect == "bal" else measured
+    measured += [k + 1 for k, line in enumerate(lines) if ":PRIOR" in line]
+    assert sorted(np.concatenate([source.lines for source in report.sources])) == sorted(measured)
+
+
+def test_lines_and_the_graph_without_the_rejected(tmp_path: Path) -> None:
+    pairs = [(i, i + step) for step in (1, 2) for i in range(8 - step)]
+    edges = [f"EDGE_SE2 {i} {j} {j - i} 0 0 {INFORMATION_2}" for i, j in pairs]
+    edges.insert(9, f"EDGE_SE2 1 6 9 9 0 {INFORMATION_2}")
+    priors = ["EDGE_PRIOR_SE2 0 0 0 0 4 0 0 4 0 4"]
+    lines = [*(f"VERTEX_SE2 {k} {k} 0 0" for k in range(8)), "", *edges[:4], *priors, *edges[4:]]
+    path = tmp_path / "wrong.g2o"
+    path.write_text("\n".join(lines))
+    graph, values, report = nls.load(path)
+    found = nls.gnc(graph, values)
+    assert [rejected.factor for rejected in found.rejected] == ["Between(x1, x6)"]
+    rest, after = outliers.without_rejected(graph, found, report)
+    assert (len(graph) - len(rest), report.format, after.notes is report.notes) == (1, after.format, True)
+    for measured, lines_of in ((graph, report), (rest, after)):
+        for number, factor in enumerate(measured.factors):
+            for k in range(len(factor)):
+                line = lines[int(lines_of.place(number, k).rpartition(":")[2]) - 1]
+                assert line.split()[1 : 1 + len(factor.keys)] == variables(factor, k, "g2o")
+    ((number, k),) = [(n, k) for n, w in enumerate(found.weights) for k in np.flatnonzero(w == 0)]
+    assert report.place(number, k) == f"{path}:{lines.index(edges[9]) + 1}"
+
+
+def test_numbers_of_factors_stay_under_kernels(tmp_path: Path) -> None:
+    path = tmp_path / "graph.g2o"
+    path.write_text(ALL["every tag of the plane"][1])
+    graph, values, report = nls.load(path)
+    options = argparse.Namespace(robust="Between=cauchy:1", hold=["l"], file=str(path))
+    for other in (prepare(graph, values, report, options), graph.robust(Cauchy(1.0))):
+        assert [factor.keys for factor in other.factors] == [factor.keys for factor in graph.factors]
+
+
+@pytest.mark.parametrize("elevation", ["hinge", "prior", "free"])
+def test_a_mission_names_table_and_row(elevation: str, tmp_path: Path) -> None:
+    header, *contacts = TINY["contacts"].splitlines()
+    mixed = "\n".join(["# seen", header, "", *contacts[::-1], "# the end"])  # first contacts stand last
+    path = folder(tmp_path / "m", contacts=mixed)
+    graph, _, report = nls.load(path, elevation=elevation)
+    tables = {
+        XYH: "odometry",
+        ZPR: "zpr",
+        Position: "anchor",
+        Heading: "anchor",
+        RangeAzimuth: "contacts",
+        ElevationHinge: "contacts",
+        Elevation: "contacts",
+    }
+    for number, factor in enumerate(graph.factors):
+        table = path / f"{tables[type(factor)]}.csv"
+        lines = table.read_text().splitlines()
+        assert len(report.sources[number].lines) == len(factor)
+        for k in range(len(factor)):
+            file, line = report.place(number, k).rsplit(":", 1)
+            assert file == str(table)
+            row = lines[int(line) - 1].split(",")
+            assert row[: len(factor.keys)] == [str(keys.numbers[k]) for keys in factor.keys]
+    assert len(graph.factors) == len(report.sources)
+
+
+def test_an_anchor_nobody_gave_has_no_line(tmp_path: Path) -> None:
+    path = folder(tmp_path / "m", anchor=None)
+    graph, _, report = nls.load(path)
+    assert [type(factor) for factor in graph.factors[2:4]] == [Position, Heading]
+    assert [report.place(k, 0) for k in (2, 3)] == [str(path)] * 2
+
+
+def test_a_raw_log_names_the_rows_before_its_poses(tmp_path: Path) -> None:
+    files = raw() | {"poses": "i,time_s\n" + "".join(f"{k},{k + 0.25 * (k % 3) + 0.1}\n" for k in range(20))}
+    files["ahrs"] = "\n".join(row for row in files["ahrs"].splitlines() if not row.startswith(("8.", "9.")))
+    path = folder(tmp_path / "m", files)
+    graph, _, report = nls.load(path)
+    times = report.vertex_times["x"]
+    assert [(type(f), len(f)) for f in graph.factors] == [(XYH, 19), (ZPR, 20), (Heading, 18), (Position, 1)]
+    for number, name in enumerate(("dvl", "depth", "ahrs")):
+        factor, source = graph.factors[number], report.sources[number]
+        t = np.loadtxt(path / f"{name}.csv", delimiter=",", skiprows=1)[:, 0]
+        rows, at = source.lines - 2, times[factor.keys[0].numbers]
+        assert source.path == str(path / f"{name}.csv")
+        assert (t[rows] <= at).all()
+        assert (at < t[rows + 1]).all()
+    assert len(report.sources) == len(graph.factors)
+    assert report.place(0, 3) == f"{path / 'dvl.csv'}:14"  # 3.0 s; the pose is at 3.1 s
+    assert report.place(3, 0) == str(path)

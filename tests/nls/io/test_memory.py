@@ -1,0 +1,265 @@
+"""Reading takes no more memory than it states (P9): in every reader, of plain and packed files, pipes and devices."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import threading
+import tracemalloc
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nls import GraphFileError, LeadlineError, ResourceLimitError, load
+from nls.io import files
+from nls.io.files import PER_BYTE, PER_WORD, read_bytes
+from nls.io.logs import read_holoocean
+from nls.io.logs.table import columns
+from nls.io.mission.table import Table
+from nls.io.text import PER_TAG, Text
+from nls.io.trajectory import read_kitti, read_tum
+from nls.linear import limits
+from tests.nls.io.io_files import ISAM_2, PLANE, PYFG, SPACE
+from tests.nls.io.mission.mission_files import folder
+
+N = 1 << 16
+CHUNK, BASE = 1 << 12, 1 << 17  # bytes read at once here; that any call takes: messages, short arrays
+READERS: dict[str, Callable[[Path], Any]] = {
+    "graph": load,
+    "isam": lambda path: load(path, dialect="isam"),
+    "pyfg": lambda path: load(path, dialect="pyfg"),
+    "bal": lambda path: load(path, dialect="bal"),
+    "tum": read_tum,
+    "kitti": read_kitti,
+    "table of a mission": lambda path: Table(path, ["time_s", "z_m"]).floats("z_m"),
+    "columns of a log": lambda path: columns(path, ("a", "b")),
+    "log of another kind": read_holoocean,
+}
+IDLE = {
+    "newlines": b"\n" * N,
+    "carriage returns": b"\r" * N,
+    "pairs": b"\r\n" * (N // 2),
+    "spaces": b" " * N,
+    "commas": b"," * N,
+    "rows of nothing": b",\n" * (N // 2),
+    "one comment": b"#" + b"x" * (N - 2) + b"\n",
+    "one comment of words": b"#" + b" a" * (N // 2) + b"\n",
+    "comments": b"#\n" * (N // 2),
+    "comments of words": b"  # a b\n" * (N // 8),
+}
+FULL = {
+    "one word": b"x" * N,
+    "one number": b"1" * N,
+    "quotation marks": b'"' * N,
+    "words on one line": b"1 " * (N // 2),
+    "a word a line": b"1\n" * (N // 2),
+    "unknown tags": b"T\n" * (N // 2),
+    "blanks that are none": b"\xc2\xa0" * (N // 2),
+    "a graph": PLANE.encode() * (N // len(PLANE)),
+    "in space": SPACE.encode() * (N // len(SPACE)),
+    "a graph with names": PYFG.encode() * (N // len(PYFG)),
+    "a graph of iSAM": ISAM_2.encode() * (N // len(ISAM_2)),
+    "what is held": PLANE.encode() + b"FIX 0\n" * (N // 6),
+    "poses": b"".join(b"%d 1 2 3 0 0 0 1\n" % k for k in range(N // 20)),
+    "rows": b"time_s,z_m\n" + b"1,2\n" * (N // 4),
+}
+PARTS = IDLE | FULL
+
+
+def peak(read: Callable[[Path], Any], path: Path) -> tuple[int, str]:
+    """The most memory a reader takes, and its error."""
+    message = ""
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        patch.setattr(files, "CHUNK", CHUNK)
+        warnings.simplefilter("ignore")
+        tracemalloc.start()
+        try:
+            read(path)
+        except LeadlineError as error:
+            message = str(error)
+        finally:
+            used = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+    return used, message
+
+
+def stated(data: bytes) -> int:
+    """The memory that reading may take, counted another way than the reader counts."""
+    lines = len(re.findall(rb"\r\n|\r|\n", data)) + 1
+    return PER_BYTE * len(data) + PER_WORD * (len(data.split()) + lines + data.count(b",") + data.count(b'"')) + BASE
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warm(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Modules are loaded before memory is counted."""
+    path = tmp_path_factory.mktemp("warm") / "f.g2o"
+    for text in (PLANE, SPACE, PYFG, ISAM_2):
+        path.write_text(text)
+        for read in READERS.values():
+            peak(read, path)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "f.g2o"
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_every_reader_keeps_to_what_is_stated(reader: str, file: Path) -> None:
+    read = READERS[reader]
+    read_or_not = (*PARTS.items(), *(("behind: " + name, PLANE.encode() + data) for name, data in IDLE.items()))
+    for name, data in read_or_not:
+        file.write_bytes(data)
+        used, _ = peak(read, file)
+        assert used < stated(data), (name, used, stated(data))
+
+
+@given(st.lists(st.tuples(st.sampled_from(list(PARTS)), st.integers(1, N)), min_size=1, max_size=5), st.booleans())
+@settings(max_examples=25)
+def test_any_mixture_keeps_to_it(tmp_path_factory: pytest.TempPathFactory, parts: Any, packed: bool) -> None:
+    file = tmp_path_factory.mktemp("any") / "f.g2o"
+    data = b"".join(PARTS[name][:size] for name, size in parts)
+    file.write_bytes(gzip.compress(data) if packed else data)
+    for reader in ("graph", "pyfg", "tum", "table of a mission"):
+        used, _ = peak(READERS[reader], file)
+        assert used < stated(data), (reader, used, stated(data))
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blanks and comments of fifty times what is allowed, packed or not: no more is read than that."""
+    monkeypatch.setattr(files, "SLACK", 1 << 15)
+    for name, part in IDLE.items():
+        for data in (part * 25, (PLANE.encode() + part * 25)):
+            for content in (data, gzip.compress(data)):
+                file.write_bytes(content)
+                used, message = peak(READERS[reader], file)
+                verb = "has" if content is data else "unpacks to"
+                assert re.search(rf"f\.g2o: {verb} [0-9,]+ bytes or more of blanks, commas and comments", message), name
+                assert used < PER_BYTE * files.SLACK + 32 * CHUNK, (name, used)
+
+
+def test_a_bomb_in_the_folder_of_a_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "SLACK", 1 << 12)
+    place = folder(tmp_path)
+    (place / "contacts.csv").write_bytes(b"\n" * N)
+    with pytest.raises(ResourceLimitError, match=r"contacts\.csv: has [0-9,]+ bytes or more of blanks"):
+        load(place)
+
+
+@given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
+@settings(max_examples=150)
+def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.DataObject) -> None:
+    text = b"".join(words)
+    pieces, rest, content, count = files._Pieces("f: has", 0.0), text, 0, 0
+    while rest:
+        size = data.draw(st.integers(1, len(rest)))
+        content += pieces._content(rest[:size])
+        count += files._words(rest[:size])
+        rest = rest[size:]
+    lines = [line for line in re.split(rb"[\r\n]", text) if not line.lstrip().startswith(b"#")]
+    assert content == sum(1 for line in lines for byte in line if byte > 0x20 and byte != ord(","))
+    assert count >= len(text.split())
+
+
+def test_the_limits_to_the_byte(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "SLACK", 1000)
+    content = b"EDGE"
+    for idle, good in ((1000 + 4 * 4, True), (1001 + 4 * 4, False)):
+        file.write_bytes(content + b"\n" * idle)
+        if good:
+            assert read_bytes(file) == content + b"\n" * idle
+            continue
+        with pytest.raises(ResourceLimitError, match=r"f\.g2o: has 1,017 bytes .* beside 4 others, the limit is 1,016"):
+            read_bytes(file)
+    file.write_bytes(content + b"\n" + b"1 " * 500)
+    needed = PER_BYTE * 1005 + PER_WORD * (501 + 1 + 1)
+    assert len(read_bytes(file, limit=needed)) == 1005
+    for data in (file.read_bytes(), gzip.compress(file.read_bytes())):
+        file.write_bytes(data)
+        with pytest.raises(
+            ResourceLimitError, match=r"f\.g2o: .* 1,005 bytes or more, .* takes 0\.0000583 GB"
+        ) as caught:
+            read_bytes(file, limit=needed - 1)
+        assert (caught.value.needed, caught.value.limit) == (needed, needed - 1)
+
+
+def test_a_large_file_is_refused_by_its_size(file: Path) -> None:
+    with file.open("wb") as hole:
+        hole.truncate(1 << 42)  # without a block on the disk
+    used, message = peak(load, file)
+    assert "has 4,398,046,511,104 bytes or more, to read them takes" in message
+    assert used < BASE
+
+
+def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = b"".join(b"T%d\n" % k for k in range(2000))
+    tracemalloc.start()
+    assert len(Text(data).tags) == 2000
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used < PER_BYTE * len(data) + (PER_TAG + PER_WORD) * 2000
+    monkeypatch.setattr("nls.io.text.default_limit", lambda: 1e6)
+    with pytest.raises(ResourceLimitError, match=r"<text>: 1,984 lines with first words of many kinds, .* 0\.00139 GB"):
+        assert Text(data).tags
+
+
+def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused while it is unpacked: one of 2 GB is a file of 2 MB."""
+    monkeypatch.setattr(files, "WORD", 4 * CHUNK)
+    for data in (b"x" * (1 << 20), gzip.compress(b"x" * (1 << 20)), PLANE.encode() + b"1" * (1 << 20)):
+        file.write_bytes(data)
+        for read in READERS.values():
+            used, message = peak(read, file)
+            assert f"a word of {5 * CHUNK:,} bytes or more, the limit is {4 * CHUNK:,}" in message
+            assert used < 16 * CHUNK + BASE
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
+def test_a_device_without_end() -> None:
+    for read in READERS.values():
+        used, message = peak(read, Path("/dev/zero"))
+        assert message.startswith("/dev/zero:1: has a zero byte")
+        assert used < 4 * CHUNK + BASE
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+@pytest.mark.parametrize("line", [b"\n", b"# a\n", b"EDGE_SE2 0 1\n"])
+def test_a_pipe_without_end(line: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "SLACK", 1 << 14)
+    monkeypatch.setattr(files, "default_limit", lambda: 1e6)
+    pipe = tmp_path / "pipe.g2o"
+    os.mkfifo(pipe)
+
+    def write() -> None:
+        with pipe.open("wb", buffering=0) as file:
+            while not done.is_set():
+                try:
+                    file.write(line * 1000)
+                except BrokenPipeError:
+                    done.set()
+
+    done = threading.Event()
+    writer = threading.Thread(target=write)
+    writer.start()
+    with pytest.raises(ResourceLimitError, match=r"pipe\.g2o: has [0-9,]+ bytes or more"):
+        load(pipe)
+    writer.join(10)
+    assert done.is_set()
+
+
+def test_the_limit_is_that_of_every_solve(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert files.default_limit is limits.default_limit
+    monkeypatch.setattr(files, "default_limit", lambda: 1e4)
+    file.write_bytes(PLANE.encode() * 10)
+    for read in READERS.values():
+        with pytest.raises(ResourceLimitError, match=r"the limit is 0\.0000100 GB"):
+            read(file)
+    with pytest.raises(GraphFileError, match="has a zero byte"):
+        read_bytes(Path("/dev/zero"), limit=1e12)

@@ -1,0 +1,190 @@
+"""Tags typed wrong, blanks that are none, line ends of old: refused at their own lines, or read."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nls import GraphFileError, load
+from nls.io.bal import read_bal
+from nls.io.files import read_bytes
+from nls.io.logs.victoria_park import read_victoria_park
+from nls.io.mission.table import Table
+from nls.io.misspelt_tags import refuse_misspelt
+from nls.io.text import Text
+from nls.io.trajectory import read_kitti, read_tum
+from tests.combinations import for_all
+from tests.nls.io.g2o_files import INFORMATION_2, PLANE, SPACE, read, same, write
+from tests.nls.io.io_files import ALL, BAL, FILES, PYFG, TORO_2, read_any
+
+SPACES = {
+    "\u00a0": r"no-break space \(U\+00A0\)",
+    "\u2003": r"em space \(U\+2003\)",
+    "\u3000": r"ideographic space \(U\+3000\)",
+    "\u200b": r"zero width space \(U\+200B\)",
+    "\u2028": r"line separator \(U\+2028\)",
+    "\u0085": r"next-line character \(U\+0085\)",
+    "\ufeff": r"byte-order mark \(U\+FEFF\)",
+}
+
+
+@pytest.mark.parametrize(
+    ("line", "typed", "expected"),
+    [
+        (2, "VERTEX_SE21 1.1 0.1 0.1", "'VERTEX_SE21' is no tag; expected VERTEX_SE2 and a blank before 1"),
+        (2, "VERTEX_SE2-1 1.1 0.1 0.1", "'VERTEX_SE2-1' is no tag; expected VERTEX_SE2 and a blank before -1"),
+        (2, "VERTX_SE2 1 1.1 0.1 0.1", "'VERTX_SE2' is no tag; expected VERTEX_SE2 "),
+        (2, "vertex-se2 1 1.1 0.1 0.1", "'vertex-se2' is no tag; expected VERTEX_SE2 "),
+        (2, "VRT 1 1.1 0.1 0.1", "edge on line 6 needs vertex 1, which no VERTEX_SE2 line has; .* 'VRT' is no tag"),
+        (8, f"EGDE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'EGDE_SE2' is no tag; expected EDGE_SE2 "),
+        (
+            8,
+            f"EDGE_SE20 3 1.05 2.05 3.1 {INFORMATION_2}",
+            "'EDGE_SE20' is no tag; expected EDGE_SE2 and a blank before 0",
+        ),
+        (8, f"\u0415DGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* cyrillic .* ie \(U\+0415\)"),
+        (8, f"EDG\u00c9_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* e with acute \(U\+00C9\)"),
+        (8, f"EDGE\u00ad_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* soft hyphen \(U\+00AD\)"),
+        (8, f"\uff25DGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", r"expected EDGE_SE2 .* letter e \(U\+FF25\)"),
+        (8, "EDGE_SE2,0,3,1.05,2.05,3.1,1,0,0,1,0,1", "expected EDGE_SE2 and blanks, not commas"),
+        (8, f"EDGE_SE2, 0, 3, 1.05 2.05 3.1 {INFORMATION_2}", "expected EDGE_SE2 and blanks, not commas"),
+        (8, "EDGE_SE2;0;3;1.05;2.05;3.1;1;0;0;1;0;1", "expected EDGE_SE2 and blanks, not semicolons"),
+        (8, '"EDGE_SE2",0,3,1.05,2.05,3.1,1,0,0,1,0,1', "expected EDGE_SE2 and blanks, not commas"),
+        (8, f'"EDGE_SE2" 0 3 1.05 2.05 3.1 {INFORMATION_2}', r"EDGE_SE2 without quotation mark \(U\+0022\)"),
+        (8, f'"EDGE_SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}"', r"EDGE_SE2 without quotation mark \(U\+0022\)"),
+        (8, f"EDGE _SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'EDGE' is no tag; expected EDGE_SE2 without a blank"),
+        (8, f"edge_ se2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'edge_' is no tag; expected EDGE_SE2 without a blank"),
+        (8, f"EDGE SE2 0 3 1.05 2.05 3.1 {INFORMATION_2}", "'EDGE' is no tag; expected EDGE_SE2 without a blank"),
+        (9, "fix 0 1", "'fix' is no tag; expected FIX "),
+        (9, "FIX0", "'FIX0' is no tag; expected FIX and a blank before 0"),
+    ],
+)
+def test_a_tag_typed_wrong_is_refused_at_its_line(line: int, typed: str, expected: str) -> None:
+    lines = [*PLANE.splitlines(), ""]
+    lines[line - 1] = typed
+    with pytest.raises(GraphFileError, match=rf"f\.g2o:{line}: .*{expected}") as caught:
+        read("\n".join(lines))
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize("name", [name for name in ALL if name != "bal"])
+def test_every_tag_of_every_format_may_lack_its_blank(name: str) -> None:
+    """The number behind a tag becomes part of it: never a line less."""
+    dialect, text = ALL[name]
+    lines = text.splitlines()
+    for k in range(len(lines)):
+        glued = "\n".join([*lines[:k], lines[k].replace(" ", "", 1), *lines[k + 1 :]])
+        with pytest.raises(GraphFileError) as caught:
+            read_any(glued.encode(), dialect)
+        assert caught.value.line == k + 1, glued
+
+
+def test_a_tag_of_another_program_is_not_taken_for_a_mistake() -> None:
+    """A tag that is near, with another count of words; one that is far."""
+    for line in ("VERTEX_XYZ 9 1 2 3", "EDGE_SE2_XYZ 0 9 1 2 3", "EDGE_SE2_SWITCHABLE 0 1 1 0 0.05", "VERTEX_SE2_OLD"):
+        assert read(PLANE + line + "\n")[2].ignored == [line]
+    for line in ("EDGE SE2_X 0 1", "\u0415\u0414\u0413 0 1", "\u00e9tat 3", "NAME=EDGE_SE2", "EDGE 2 1 0.5"):
+        assert read(PLANE + line + "\n")[2].ignored == [line]
+    assert read(TORO_2 + "EDGE 0 1 1 0 0\n")[2].ignored == ["EDGE 0 1 1 0 0"]
+    assert read("EDGE3_TRUE 0 1 1 0 0 0 0 0\n" + FILES["isam, space"][1])[2].ignored[0].startswith("EDGE3_TRUE")
+
+
+def test_the_first_mistake_of_several_is_named() -> None:
+    text = Text(b"EDGE_SE2x\nEDGE_SE27\nEDGE_SE21\n", "a.g2o")
+    with pytest.raises(GraphFileError, match=r"a\.g2o:2: 'EDGE_SE27' is no tag"):
+        refuse_misspelt(text, text.tags, {b"EDGE_SE2": 11})
+    refuse_misspelt(text, {}, {b"EDGE_SE2": 11})
+
+
+@pytest.mark.parametrize("name", ALL)
+@for_all(space=SPACES)
+def test_a_blank_that_is_none_is_named_with_its_line(name: str, space: str) -> None:
+    """Behind the tag, between numbers, at both ends of a line: refused, never a line less."""
+    dialect, text = ALL[name]
+    lines = text.splitlines()
+    k = len(lines) - 1
+    for changed in (
+        lines[k].replace(" ", space, 1),
+        space + lines[k],
+        lines[k] + space,
+        f"{lines[k]} {space}",
+        space.join(lines[k].rsplit(" ", 1)),
+    ):
+        if changed == lines[k]:
+            continue
+        with pytest.raises(GraphFileError, match=SPACES[space]) as caught:
+            read_any("\n".join([*lines[:k], changed]).encode(), dialect)
+        assert caught.value.line == k + 1
+
+
+def test_latin_1_and_a_comment() -> None:
+    with pytest.raises(GraphFileError, match=r"f\.g2o:4: .*no-break space of Latin-1 \(byte A0\)"):
+        read(PLANE.encode().replace(b"VERTEX_SE2 3", b"VERTEX_SE2\xa03"))
+    same(read(PLANE), read("# caf\u00e9\u00a0\u2003\n" + PLANE))
+
+
+def test_a_blank_that_is_none_in_tables(tmp_path: Path) -> None:
+    for text in ("1 0 0 0 0 0 0 1\n2\u00a00 0 0 0 0 0 1\n", "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\u00a0\n"):
+        with pytest.raises(GraphFileError, match=r"a\.tum:2: .*no-break space"):
+            read_tum(write(tmp_path, text, "a.tum"))
+    with pytest.raises(GraphFileError, match=r"depth\.csv:2: .*no-break space"):
+        Table(write(tmp_path, "time_s,z_m\n1\u00a0,2\n", "depth.csv"), ["time_s", "z_m"]).floats("time_s")
+
+
+# ---- line ends
+
+ENDS = (b"\r", b"\r\n", b"\n\r")
+
+
+def mixed(text: str) -> bytes:
+    """Every line ends in another way than the one before."""
+    ends = [b"\r", b"\r\n", b"\n"]
+    return b"".join(line.encode() + ends[k % 3] for k, line in enumerate(text.splitlines()))
+
+
+@pytest.mark.parametrize("name", ["poses of the plane", "every tag of space", "toro, plane", "isam, space", "pyfg"])
+def test_a_graph_with_any_line_ends(name: str, tmp_path: Path) -> None:
+    dialect, text = ALL[name]
+    expected = read_any(text.encode(), dialect)
+    for data in (*(text.encode().replace(b"\n", end) for end in ENDS), mixed(text), mixed("# one\n\n" + text)):
+        for packed in (data, gzip.compress(data)):
+            found = load(write(tmp_path, packed), dialect=dialect)
+            same(expected, found)
+            assert found[2].tags == expected[2].tags
+
+
+def test_an_error_behind_carriage_returns_has_its_line(tmp_path: Path) -> None:
+    for text, name in ((SPACE + "EDGE_SE3:QUAT 0 1\n", "a.g2o"), (PYFG + "EDGE_RANGE 1 A0\n", "a.pyfg")):
+        with pytest.raises(GraphFileError) as caught:
+            load(write(tmp_path, mixed(text), name))
+        assert caught.value.line == len(text.splitlines())
+
+
+def test_logs_and_tables_with_any_line_ends(tmp_path: Path) -> None:
+    tum = "# time\n1 0 0 0 0 0 0 1\n2.5 1 2 3 0 0 0 1\n4 1 2 3 0 0 0 1\n"
+    kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 4 0 1 0 0 0 0 1 0\n"
+    csv = 'name,beams\n"a, b",3\n# c\n"d",4\n'
+    park = {"DRS.txt": "0 1 2\n1 1 2\n", "GPS.txt": "0 1 2\n1 1 2\n", "LASER_TREE.txt": "0 3 0.5 4 0.5\n1 3 0.25\n"}
+    bal = read_bal(BAL.encode(), "f.txt")
+    for change in (mixed, lambda text: text.encode().replace(b"\n", b"\r")):
+        graph, values, report = load(write(tmp_path, change(BAL)))
+        assert (graph.chi2(values), report.tags) == (bal[0].chi2(bal[1]), bal[2].tags)
+        times, poses = read_tum(write(tmp_path, change(tum)))
+        assert times.tolist() == [1, 2.5, 4]
+        assert poses[1:, :3].tolist() == [[1, 2, 3]] * 2
+        assert read_kitti(write(tmp_path, change(kitti)))[:, 0].tolist() == [0, 4]
+        table = Table(write(tmp_path, change(csv)), ["name", "beams"])
+        assert (table.text_of("name"), table.integers("beams").tolist()) == (["a, b", "d"], [3, 4])
+        for name, text in park.items():
+            write(tmp_path, change(text), name)
+        assert np.array_equal(read_victoria_park(tmp_path).z[:, 1], [3, 4, 3])
+
+
+def test_line_ends_that_are_pairs_stay(tmp_path: Path) -> None:
+    """Lines that are not used are written back byte for byte."""
+    assert read_bytes(write(tmp_path, b"A 1\r\nB 2\r\n")) == b"A 1\r\nB 2\r\n"
+    assert read_bytes(write(tmp_path, b"A 1\r\nB 2\rC\n")) == b"A 1\nB 2\nC\n"
+    assert read_bytes(write(tmp_path, b"A 1\r")) == b"A 1\n"

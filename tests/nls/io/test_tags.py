@@ -1,0 +1,287 @@
+"""What every g2o tag says, against its error written out with matrices; roles of vertices; starts without vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from models import SE2, SE3, LieGroup, R
+from nls import GraphFileError, Values, kinds
+from nls.io.g2o import G2O
+from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, quoted, read
+from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE, A
+
+x, l, o = kinds("x", "l", "o")
+M2, M3 = np.array([[4, 0.5], [0.5, 3]]), np.array([[4, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 2]])
+M6 = np.zeros((6, 6))
+M6[np.triu_indices(6)] = np.array(UPPER_3.split(), dtype=float)
+M6 = M6 + np.triu(M6, 1).T
+EDGE = np.array([[500, 1, 2], [1, 400, 3], [2, 3, 300]], dtype=float)
+
+
+def T(group: LieGroup, X: npt.ArrayLike) -> np.ndarray:
+    """Homogeneous matrix of one pose."""
+    X = np.asarray(X, dtype=float)
+    d = group.point_dim
+    out = np.eye(d + 1)
+    out[:d, :d], out[:d, d] = group.rotation(X), group.position(X)
+    return out
+
+
+def chart(group: LieGroup, E: np.ndarray) -> np.ndarray:
+    """Translation and angle, or vector part of the quaternion, of a homogeneous matrix."""
+    if group is SE2:
+        return np.array([*E[:2, 2], np.arctan2(E[1, 0], E[0, 0])])
+    w = np.sqrt(1 + np.trace(E[:3, :3])) / 2
+    return np.array([*E[:3, 3], *(np.array([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]]) / (4 * w))])
+
+
+def expected(text: str, group: LieGroup) -> list[tuple[str, float]]:
+    """Tag and chi2 of every measurement of a file, as the sources of g2o define its error."""
+    d, size = group.point_dim, group.size
+    rows = [(w[0], [float(n) for n in w[1:]]) for w in (line.split() for line in text.splitlines()) if w]
+    pose = {(t[0], int(v[0])): T(group, np.array(v[1:])) for t, v in rows if t[0] in "VP" and len(v) == 1 + size}
+    point = {int(v[0]): np.array([*v[1:], 1.0]) for t, v in rows if t[0] == "V" and len(v) == 1 + d}
+    inv = np.linalg.inv
+    out = []
+    for tag, v in rows:
+        if tag[0] != "E":
+            continue
+        i = int(v[0])
+        X = pose.get(("V", i))
+        M = EDGE if tag == "EDGE_SE2" else {2: M2, 3: M3, 6: M6}[d if "XY" in tag or "POINT" in tag else group.dim]
+        if tag in ("EDGE_SE2", "EDGE_SE3:QUAT"):
+            e = chart(group, inv(T(group, v[2 : 2 + size])) @ inv(X) @ pose["V", int(v[1])])
+        elif tag == "EDGE_SE2_XY":
+            e = (inv(X) @ point[int(v[1])])[:2] - v[2:4]
+        elif tag == "EDGE_BEARING_SE2_XY":
+            p = inv(X) @ point[int(v[1])]
+            e, M = np.array([np.arctan2(p[1], p[0]) - v[2]]), np.array([[25.0]])
+        elif tag == "EDGE_PRIOR_SE2":
+            e = chart(group, inv(T(group, v[1:4])) @ X)
+        elif tag == "EDGE_PRIOR_SE2_XY":
+            e = X[:2, 2] - v[1:3]
+        elif tag in ("EDGE_PRIOR_XY", "EDGE_POINTXYZ_PRIOR"):
+            e = point[i][:d] - v[1 : 1 + d]
+        elif tag in ("EDGE_POINTXY", "EDGE_POINTXYZ"):
+            e = (point[int(v[1])] - point[i])[:d] - v[2 : 2 + d]
+        elif tag in ("EDGE_SE2_OFFSET", "EDGE_SE3_OFFSET"):
+            S_i, S_j = X @ pose["P", int(v[2])], pose["V", int(v[1])] @ pose["P", int(v[3])]
+            e = chart(group, inv(T(group, v[4 : 4 + size])) @ inv(S_i) @ S_j)
+        elif tag in ("EDGE_SE2_POINTXY_OFFSET", "EDGE_SE3_TRACKXYZ"):
+            e = (inv(X @ pose["P", int(v[2])]) @ point[int(v[1])])[:d] - v[3 : 3 + d]
+        elif tag in ("EDGE_SE2_CALIB", "EDGE_SE3_CALIB"):
+            O = pose["V", int(v[2])]
+            e = chart(group, inv(T(group, v[3 : 3 + size])) @ inv(X @ O) @ pose["V", int(v[1])] @ O)
+        elif tag == "EDGE_SE2_XY_CALIB":
+            e = (inv(X @ pose["V", int(v[2])]) @ point[int(v[1])])[:2] - v[3:5]
+        elif tag == "EDGE_SE3_PRIOR":
+            e = chart(group, inv(T(group, v[2:9])) @ X @ pose["P", int(v[1])])
+        elif tag == "EDGE_SE3_XYZ_PRIOR":
+            e = X[:3, 3] - v[2:5]  # the parameter is ignored
+        else:
+            raise AssertionError(tag)
+        out.append((tag, float(e @ M @ e)))
+    return out
+
+
+@pytest.mark.parametrize(("text", "group"), [(SENSORS_2, SE2), (SENSORS_3, SE3)], ids=["plane", "space"])
+def test_every_tag_says_what_its_error_is(text: str, group: LieGroup) -> None:
+    graph, values, _ = read(text)
+    wanted = expected(text, group)
+    table = {r.tag.decode() for r in G2O.records if r.factor is not None and r.group is group}
+    assert {tag for tag, _ in wanted} == table
+    found = sorted(float(c) for factor in graph.factors for c in factor.chi2(values))
+    assert found == pytest.approx(sorted(c for _, c in wanted), rel=1e-9)
+    assert graph.chi2(values) == pytest.approx(sum(c for _, c in wanted), rel=1e-12)
+
+
+@pytest.mark.parametrize("text", [SENSORS_2, SENSORS_3], ids=["plane", "space"])
+def test_conventions_agree_to_first_order(text: str) -> None:
+    """Near what is measured chi2 is the same in all conventions; for priors and sensors too."""
+    lines = [line for line in text.splitlines() if line[0] in "PV" or line.split()[0] in TURNED]
+    found = {}
+    for convention in CONVENTIONS:
+        graph, values, _ = read("\n".join(lines), convention)
+        group = values.stacks["x"].manifold
+        for factor in graph.factors:
+            model, X = values.gather(factor)
+            h, _ = factor.predict(model.manifolds, *X)
+            delta = 1e-5 * np.random.default_rng(1).normal(size=(len(factor), group.dim))
+            factor._z = group.retract(h, delta)
+            factor._model = None
+        found[convention] = graph.chi2(values)
+    assert found["graphslam"] == pytest.approx(found["g2o"], rel=1e-4)
+    assert found["log"] == pytest.approx(found["g2o"], rel=1e-4)
+    assert (found["gtsam"] == pytest.approx(found["log"])) == (text is SENSORS_2)
+
+
+TURNED = ["EDGE_SE2_OFFSET", "EDGE_SE2_CALIB", "EDGE_PRIOR_SE2", "EDGE_SE3_OFFSET", "EDGE_SE3_CALIB", "EDGE_SE3_PRIOR"]
+
+
+@pytest.mark.parametrize("text", [SENSORS_2, SENSORS_3], ids=["plane", "space"])
+def test_kinds_and_what_is_held(text: str) -> None:
+    graph, values, report = read(text)
+    assert {k: s.numbers.tolist() for k, s in values.stacks.items()} == {"x": [0, 1, 2], "l": [10, 11], "o": [20]}
+    assert [repr(k) for k in graph.fixed] == (["x0"] if text is SENSORS_2 else ["x0", "l10"])
+    assert [repr(f.keys[0]) for f in graph.factors if len(f.keys) == 1] == (
+        ["x0", "o20", "x1", "l10"] if text is SENSORS_2 else ["x0", "o20", "x1", "l11"]
+    )
+    unused = "EDGE_SE3_XYZ_PRIOR lines name a parameter that their error does not use"
+    assert report.notes == ([] if text is SENSORS_2 else [unused])
+    result = graph.optimize(values)
+    assert result.converged
+    assert 0 < result.chi2_final < result.chi2_initial
+
+
+def test_a_place_of_a_sensor_can_be_held() -> None:
+    graph, values, _ = read(SENSORS_2 + "FIX 20 11\n")
+    assert sorted(map(repr, graph.fixed)) == ["l11", "o20", "x0"]
+    assert all(not name.startswith(("o20", "l11", "x0:")) for name in graph.linearize(values).cols)
+
+
+# ---- what vertices are, and what is missing
+
+TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
+WRONG = {
+    "point as pose": (
+        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2 0 5 1 0 0 {INFORMATION_2}\n",
+        4,
+        "the edge needs a pose, vertex 5 is a point (line 3)",
+    ),
+    "pose as point": (
+        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 1 1 0 {THREE}\n",
+        4,
+        "the edge needs a point, vertex 1 is a pose (line 2)",
+    ),
+    "missing point": (
+        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 6 1 0 {THREE}\n",
+        4,
+        "vertex 6, which no VERTEX_XY line has",
+    ),
+    "no points": (f"{TWO}EDGE_SE2_XY 0 6 1 0 {THREE}\n", 3, "vertex 6, which no point vertex line has"),
+    "id for two": (f"{TWO}VERTEX_XY 1 1 1\n", 3, "vertex 1 was given before, on line 2"),
+    "both without vertices": (
+        f"EDGE_SE2_XY 0 1 1 0 {THREE}\nEDGE_SE2 0 1 1 0 0 {INFORMATION_2}\n",
+        2,
+        "vertex 1 is used as pose here, and as point on line 1",
+    ),
+    "sensor and pose": (
+        f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2_CALIB 0 1 2 1 0 0 {SIX}\nEDGE_SE2 1 2 1 0 0 {SIX}\n",
+        5,
+        "vertex 2 is used as pose here, and as place of a sensor on line 4",
+    ),
+    "sensor and point": (
+        f"EDGE_SE2_XY_CALIB 0 3 2 1 0 {THREE}\nEDGE_SE2_XY 0 2 1 0 {THREE}\n",
+        2,
+        "vertex 2 is used as point here, and as place of a sensor on line 1",
+    ),
+    "no parameter": (
+        f"{TWO}VERTEX_XY 5 1 1\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_POINTXY_OFFSET 0 5 2 1 0 {THREE}\n",
+        5,
+        "the edge needs parameter 2, which no PARAMS_SE2OFFSET line has",
+    ),
+    "second parameter": (
+        f"{TWO}PARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_OFFSET 0 1 1 7 1 0 0 {SIX}\n",
+        4,
+        "the edge needs parameter 7",
+    ),
+    "parameter twice": (
+        f"{TWO}PARAMS_SE2OFFSET 1 0 0 0\nPARAMS_SE2OFFSET 1 0 0 0\n",
+        4,
+        "parameter 1 was given before",
+    ),
+    "parameter word": (f"{TWO}PARAMS_SE2OFFSET one 0 0 0\n", 3, "'one' is not a number"),
+    "parameter quaternion": ("PARAMS_SE3OFFSET 1 0 0 0 0 0 0 0\nVERTEX_TRACKXYZ 0 1 2 3\n", 1, "has length 0"),
+    "two dimensions": (f"{TWO}VERTEX_TRACKXYZ 5 1 2 3\n", 3, "mixes poses of the plane and of space"),
+    "entries": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 5 1 0 1 0 0 1 0 1\n", 4, "these are 6 entries for 3"),
+    "6 for 21": (f"EDGE_SE3_PRIOR 0 0 0 0 0 {A} {SIX}\n", 1, "these are 6 entries for 21"),
+    "one for three": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 5 1 0 1\n", 4, "these are 1 entries for 3"),
+    "no entries": (f"{TWO}EDGE_PRIOR_SE2 0 0 0 0\n", 3, "expected 10: i x y theta and 6 entries; these are 0"),
+    "negative bearing": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_BEARING_SE2_XY 0 5 1 -1\n", 4, "negative eigenvalue -1"),
+    "only bearings of one": (f"EDGE_SE2 0 1 1 0 0 {SIX}\nEDGE_BEARING_SE2_XY 0 5 1 1\n", 2, "do not say where point 5"),
+    "points alone": (f"VERTEX_XY 1 0 0\nEDGE_POINTXY 1 1 1 1 {THREE}\n", 2, "the edge joins vertex 1 to itself"),
+    "FIX unknown": (SENSORS_2 + "FIX 21\n", 26, "FIX names vertex 21, which no VERTEX_SE2 or VERTEX_XY line has"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_has_its_line(case: str) -> None:
+    text, line, message = WRONG[case]
+    with pytest.raises(GraphFileError) as caught:
+        read(text)
+    assert message in str(caught.value)
+    assert caught.value.line == line
+    assert caught.value.text == quoted(text.splitlines()[line - 1])
+
+
+# ---- without vertices
+
+
+def edges_only(text: str) -> str:
+    return "".join(line + "\n" for line in text.splitlines() if line.startswith(("EDGE", "PARAMS")))
+
+
+@pytest.mark.parametrize(("text", "group"), [(SENSORS_2, SE2), (SENSORS_3, SE3)], ids=["plane", "space"])
+def test_without_vertices_everything_has_a_start(text: str, group: LieGroup) -> None:
+    """Poses chained through fixed sensors too, points where they were seen: the optimum is that of the whole file."""
+    graph, values, report = read(edges_only(text))
+    assert not report.vertices_given
+    assert [note.split(": ")[1] for note in report.notes if note.startswith("no vertices")] == [
+        "3 poses chained along the edges",
+        "2 points placed by the measurements",
+        "1 place of a sensor begins at the vehicle's own",
+    ]
+    assert [str(stack.manifold) for stack in values.stacks.values()] == [
+        str(group),
+        f"R({group.point_dim})",
+        str(group),
+    ]
+    best = read(text)
+    best[0].fixed = []
+    wanted, found = best[0].optimize(best[1]), graph.optimize(values)
+    assert found.chi2_final == pytest.approx(wanted.chi2_final, rel=1e-6)
+
+
+def test_poses_are_chained_through_their_sensors() -> None:
+    edges = f"EDGE_SE2_OFFSET 0 1 3 7 0.2 -0.3 1.5 {SIX}\nEDGE_SE2_OFFSET 1 2 3 7 1.2 0.7 1.4 {SIX}\n"
+    graph, values, _ = read("".join(SENSORS_2.splitlines(keepends=True)[:2]) + edges)
+    assert graph.chi2(values) == pytest.approx(0, abs=1e-25)
+    edges = f"EDGE_SE2_CALIB 0 1 20 0.2 -0.3 1.5 {SIX}\nEDGE_PRIOR_SE2 20 0.4 0.3 0.2 {SIX}\n"
+    graph, values, _ = read(edges)
+    assert graph.chi2(values) == pytest.approx(0, abs=1e-25)
+
+
+def test_points_follow_their_first_sight_a_prior_or_each_other() -> None:
+    text = f"""EDGE_PRIOR_SE2 0 5 6 1.5707963267948966 {SIX}
+EDGE_SE2 0 1 1 0 0 {SIX}
+EDGE_SE2_XY 1 10 2 1 {THREE}
+EDGE_SE2_XY 0 10 9 9 {THREE}
+EDGE_PRIOR_XY 11 7 8 {THREE}
+EDGE_SE2_XY 1 11 2 1 {THREE}
+EDGE_POINTXY 11 12 1 1 {THREE}
+"""
+    _, values, _ = read(text)
+    assert values[x[[0, 1]]] == pytest.approx(np.array([[5, 6, np.pi / 2], [5, 7, np.pi / 2]]))
+    assert values[l[[10, 11, 12]]] == pytest.approx(np.array([[-4, 15], [7, 8], [8, 9]]))
+
+
+def test_points_alone() -> None:
+    graph, values, _ = read(
+        f"VERTEX_XY 1 0 0\nVERTEX_XY 2 1 0\nEDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n"
+    )
+    assert values.stacks["l"].manifold is R(2)
+    assert graph.optimize(values).values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
+    _, values, report = read(f"EDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n")
+    assert values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
+    assert report.dimension == "2-D"
+
+
+def test_one_offset_for_all_is_kept_once() -> None:
+    two = f"EDGE_SE2_POINTXY_OFFSET 0 10 3 2.5 0.5 {THREE}\nEDGE_SE2_POINTXY_OFFSET 1 10 3 0.9 -2.5 {THREE}\n"
+    text = SENSORS_2.split("EDGE")[0] + two
+    landmark = read(text)[0].factors[0]
+    assert landmark.offset.shape == (1, 3)  # type: ignore[attr-defined]
+    assert read(text.replace("1 10 3 0.9", "1 10 7 0.9"))[0].factors[0].offset.shape == (2, 3)  # type: ignore[attr-defined]
+    assert isinstance(read(text)[1], Values)

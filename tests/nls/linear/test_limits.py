@@ -1,0 +1,184 @@
+"""Memory is estimated before it is taken (P9): the count of R, the refusal with its numbers, the limit."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from factors import Between, Isotropic, Prior
+from models import SE3, R
+from models.algebra import Index
+from nls import LU, QR, Cholesky, FactorGraph, OptionError, ResourceLimitError, Values
+from nls.gauge import choose_gauge
+from nls.inspect import inspect
+from nls.linear import LinearSolver, limits
+from nls.linear.limits import FRACTION, UNKNOWN, default_limit
+from nls.sparse.fill import counted, rows_below
+from nls.sparse.pattern import Pattern
+from tests.nls.graphs import pose_graph, x
+
+SPARSE = (Cholesky, LU, QR)
+PROC = Path("/proc/self/status")
+
+
+def lattice(side: int, dim: int = 1) -> tuple[FactorGraph, Values]:
+    """Points of R(dim) on a cube of side^3, each joined to its neighbors: the worst fill there is, for its size."""
+    number = np.arange(side**3).reshape(side, side, side)
+    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[:, :, :-1], number[:, :, 1:])]
+    i, j = (np.concatenate([pair[s].reshape(-1) for pair in pairs]) for s in (0, 1))
+    graph = FactorGraph([Prior(x[0], np.zeros(dim), Isotropic(1)), Between(x[i], x[j], np.ones(dim), Isotropic(1))])
+    return graph, Values({x: (R(dim), np.zeros((side**3, dim)))})
+
+
+def elimination(V: int, row: Index, column: Index, widths: Index) -> list[int]:
+    """Rows below every block column by eliminating one after the other."""
+    L = np.zeros((V, V), dtype=bool)
+    L[row, column] = True
+    for j in range(V):
+        below = np.flatnonzero(L[:, j])
+        for i in below:
+            L[below[below > i], i] = True
+    return [int(widths[L[:, j]].sum()) for j in range(V)]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_rows_below_are_those_of_an_elimination(seed: int) -> None:
+    """Repeated pairs, nodes without any, several components, everything joined to everything."""
+    rng = np.random.default_rng(seed)
+    V = int(rng.integers(1, 30))
+    u, v = rng.integers(0, V, (2, int(rng.integers(0, 3 * V))))
+    u, v = u[u != v], v[u != v]
+    row, column, widths = np.maximum(u, v), np.minimum(u, v), rng.integers(1, 7, V)
+    assert rows_below(widths, row, column).tolist() == elimination(V, row, column, widths)
+
+
+def test_the_count_of_nothing_and_of_a_full_matrix() -> None:
+    none = np.zeros(0, dtype=np.intp)
+    assert counted(none, none, none, none).nnz == 0
+    u, v = np.triu_indices(5, 1)
+    full = counted(np.full(5, 3), u, v, np.array([3, 1, 4, 0, 2]))
+    assert full.nnz == 15 * 16 // 2
+    assert full.flops == sum(k**2 for k in range(1, 16))
+
+
+@pytest.mark.parametrize("kind", SPARSE)
+def test_a_factorization_above_the_limit_is_refused_with_the_numbers(kind: type[Cholesky | LU | QR]) -> None:
+    if (why := kind.missing()) is not None:
+        pytest.skip(why)
+    graph, values = lattice(9)
+    numbers = inspect(graph, values)["numbers_in_R"] if kind is not LU else None
+    with pytest.raises(ResourceLimitError) as found:
+        graph.optimize(values, linear_solver=kind(memory_limit=1e5))
+    error = found.value
+    assert (error.limit, error.subject) == (1e5, "sparse factorization")
+    assert error.needed > 1e5
+    if numbers is not None:
+        assert error.needed == pytest.approx(kind.per_number * numbers)
+        assert f"R of 729 unknowns has {numbers:,} numbers" in str(error)
+    assert str(error).startswith(f"linear solver {kind.name!r}: ")
+    assert "the limit is 0.000100 GB" in str(error)
+    assert "memory_limit" in str(error)
+    result = graph.optimize(values, linear_solver=kind(memory_limit=error.needed))  # the same, allowed
+    assert result.converged
+    with pytest.raises(ResourceLimitError):
+        graph.optimize(values, linear_solver=kind(memory_limit=error.needed - 1))
+
+
+def test_the_estimate_covers_what_a_solve_takes() -> None:
+    """Resident memory at the peak of analysis and solve, above that of the linearized graph, in its own process."""
+    if Cholesky.missing() is not None or not PROC.exists():
+        pytest.skip("needs CHOLMOD and /proc")
+    script = """
+import nls
+from nls.linear import best_decomposition
+from nls.sparse.fill import fill_in
+from tests.nls.linear.test_limits import lattice
+def read(name):
+    return next(1024 * int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(name))
+graph, values = lattice(12, 3)
+system = graph.linearize(values)
+system.gradient
+numbers = fill_in(system.pattern, system.pattern.held, best_decomposition().order).nnz
+solver = nls.Cholesky()
+before = read("VmRSS")
+solver.analyze(system.pattern).solve(system)
+print(read("VmHWM") - before, solver.per_number * numbers, 8 * numbers)
+"""
+    root = Path(__file__).parents[3]
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    taken, needed, numbers = (float(word) for word in run.stdout.split())
+    assert numbers > 5e6
+    assert numbers < taken < needed + 1e7
+
+
+def test_a_refusal_takes_little_itself() -> None:
+    """27,000 poses of space in a cube: R would take gigabytes; the answer takes a tenth of them."""
+    if Cholesky.missing() is not None:
+        pytest.skip("needs CHOLMOD")
+    graph, values = lattice(30, 6)
+    pattern = Pattern(graph.factors, values)
+    tracemalloc.start()
+    with pytest.raises(ResourceLimitError, match=r"R of 162,000 unknowns has [\d,]+ numbers") as found:
+        Cholesky(memory_limit=1e9).analyze(pattern)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.value.needed > 2e9
+    assert peak < found.value.needed / 10
+
+
+def test_nothing_is_counted_where_everything_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def counting(*_: object) -> None:
+        raise AssertionError("counted")
+
+    monkeypatch.setattr(limits, "counted", counting)
+    sample = pose_graph(SE3)
+    for kind in SPARSE:
+        if kind.missing() is None:
+            assert sample.graph.optimize(sample.values, linear_solver=kind()).converged
+    n = sum(sample.values.stacks["x"].X.shape[:1]) * 6
+    full = LU.per_number * n * (n + 1) / 2
+    assert sample.graph.optimize(sample.values, linear_solver=LU(memory_limit=full)).converged
+    with pytest.raises(AssertionError, match="counted"):
+        sample.graph.optimize(sample.values, linear_solver=LU(memory_limit=full / 4))
+
+
+def test_the_limit_is_half_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages = {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1_000_000}
+    monkeypatch.setattr(os, "sysconf", pages.__getitem__)
+    default_limit.cache_clear()
+    assert default_limit() == FRACTION * 4.096e9
+    default_limit.cache_clear()
+    monkeypatch.delattr(os, "sysconf")  # as on Windows
+    assert default_limit() == UNKNOWN
+    default_limit.cache_clear()
+    monkeypatch.undo()
+    assert default_limit() > 1e8
+
+
+@pytest.mark.parametrize("limit", [0, -1.0, float("nan"), "4GB", True, [1e9]])
+@pytest.mark.parametrize("kind", SPARSE)
+def test_a_limit_is_a_number(kind: type[LinearSolver], limit: object) -> None:
+    with pytest.raises(OptionError, match="memory_limit"):
+        kind(memory_limit=limit)  # type: ignore[call-arg]
+
+
+def test_a_gauge_that_is_held_is_not_counted() -> None:
+    graph, values = lattice(4)
+    held = choose_gauge("first", Pattern(graph.factors[1:], values), values, np.zeros(64, dtype=bool)).held
+    assert held.sum() == 1
+    free = FactorGraph(graph.factors[1:])
+    assert inspect(free, values)["columns_of_A"] == 63
+    assert inspect(free, values)["numbers_in_R"] < inspect(graph, values)["numbers_in_R"]

@@ -1,0 +1,113 @@
+"""Pictures of a solved mission: what is drawn is where the numbers say it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+
+import nls
+from factors import Diagonal, Isotropic, Prior
+from models import SE3
+from nls.io.mission import MissionReport, elevations, track_of
+from nls.plot.mission import landmark_map, track
+from tests.nls.io.mission.mission_files import folder
+
+x, l = nls.kinds("x", "l")
+Solved = tuple[nls.FactorGraph, nls.Values, nls.Values, MissionReport]
+
+
+@pytest.fixture
+def solved(tmp_path: Path) -> Solved:
+    """Graph, dead reckoning, solution and report of the tiny mission."""
+    graph, values, report = nls.load(folder(tmp_path / "m"))
+    assert isinstance(report, MissionReport)
+    return graph, values, graph.optimize(values).values, report
+
+
+def test_the_track_from_above(solved: Solved) -> None:
+    graph, dead, values, report = solved
+    errors = {
+        name: track_of(each, report.truth, report, "truth")
+        for name, each in (("dead reckoning", dead), ("solution", values))
+    }
+    above, along = track(values, dead, report.truth, nls.Marginals(graph, values), errors).axes
+    drawn = {str(line.get_label()): line.get_xydata() for line in above.lines}
+    for name, each in (("dead reckoning", dead), ("truth", report.truth), ("solution", values)):
+        assert np.array_equal(drawn[name], SE3.position(each[x])[:, [1, 0]])  # a chart: north up, east to the right
+    assert not above.yaxis_inverted()
+    assert (above.get_xlabel(), above.get_ylabel()) == ("y, east [m]", "x, north [m]")
+    (outlines,) = [each for each in above.collections if isinstance(each, PolyCollection)]
+    assert len(outlines.get_paths()) == 4  # of poses, not of landmarks
+    assert "ellipse of every x" in legend_of(above)[-1]
+    title = above.figure.get_suptitle()  # type: ignore[union-attr]
+    assert title.startswith(f"After {errors['solution'].distance:.3g} m: dead reckoning ")
+    assert title.endswith(f", solution {errors['solution'].end:.2g} m from the truth")
+    for line, name in zip(along.lines, errors, strict=True):
+        assert np.array_equal(line.get_xydata(), np.column_stack([errors[name].along, errors[name].error]))
+    assert [line.get_label() for line in along.lines] == [f"{name}, against the truth" for name in errors]
+    alone = track(values, dead)
+    assert [line.get_label() for line in alone.axes[0].lines] == ["dead reckoning", "solution"]
+    assert len(alone.axes) == 1
+
+
+def legend_of(axes: Axes) -> list[str]:
+    (legend,) = axes.figure.legends  # type: ignore[union-attr]
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_ellipses_are_turned_with_the_map(solved: Solved) -> None:
+    graph, dead, values, _ = solved
+    loose = nls.FactorGraph([*graph.factors[:2], Prior(x[0], values[x[0]], Diagonal([3.0, 1, 1, 1, 1, 1]))])
+    marginals = nls.Marginals(loose, nls.Values({x: (SE3, values[x])}))
+    (outlines,) = track(values, dead, marginals=marginals).axes[0].collections
+    east, north = np.ptp(outlines.get_paths()[0].vertices, axis=0)
+    Sigma = marginals.covariance(x[0], view="position")
+    assert north / east == pytest.approx(np.sqrt(Sigma[0, 0] / Sigma[1, 1]), rel=1e-2)
+    assert north > 1.2 * east
+
+
+def test_a_line_that_is_hidden_is_said_to_be(solved: Solved) -> None:
+    _, dead, values, _ = solved
+    assert legend_of(track(values, dead).axes[0])[0] == "dead reckoning"
+    near = values.copy()
+    near[x[1]] = SE3.retract(near[x[1]], np.array([1e-4, 0, 0, 0, 0, 0]))
+    assert legend_of(track(values, near).axes[0])[0] == "dead reckoning (hidden under the solution)"
+
+
+def test_ellipses_are_drawn_large_enough_to_be_seen(solved: Solved) -> None:
+    graph, dead, values, _ = solved
+    tight = nls.FactorGraph([*graph.factors, Prior(x[0:4], values[x], Isotropic(1e-4))])
+    axes = track(values, dead, marginals=nls.Marginals(tight, values)).axes[0]
+    assert legend_of(axes)[-1].endswith("times as large")
+
+
+def test_landmarks_and_the_arcs_they_may_be_on(solved: Solved) -> None:
+    graph, _, values, report = solved
+    found = elevations(graph, values, sigmas=True)
+    above, beside, bar = landmark_map(values, found, report.truth, aperture=0.2443).axes
+    assert bar.get_ylim() == pytest.approx((0.0, np.degrees(0.2443 / np.sqrt(12))))  # by the aperture, not by the data
+    assert all(float(label.get_text()) >= 0 for label in bar.get_yticklabels())  # plain numbers
+    assert beside.yaxis_inverted()
+    assert not above.yaxis_inverted()
+    for axes, rows in ((above, [1, 0]), (beside, [1, 2])):
+        (lines,) = [each for each in axes.collections if isinstance(each, LineCollection)]
+        segments = np.array(lines.get_segments())
+        assert segments.mean(axis=1) == pytest.approx(values[l][:, rows])
+        half = (found.range * found.sigma)[:, None] * found.along[:, rows]
+        assert segments[:, 1] - segments[:, 0] == pytest.approx(2 * half)
+        (dots,) = [each for each in axes.collections if not isinstance(each, LineCollection)]
+        assert np.asarray(dots.get_array()) == pytest.approx(np.degrees(found.sigma))
+        assert np.array_equal(axes.lines[0].get_xydata(), report.truth[l][:, rows])
+        drawn = np.concatenate([segments.reshape(-1, 2), report.truth[l][:, rows], SE3.position(values[x])[:, rows]])
+        for limits, numbers in zip((axes.get_xlim(), sorted(axes.get_ylim())), drawn.T, strict=True):
+            assert limits[0] < numbers.min() < numbers.max() < limits[1]
+
+    most = landmark_map(values, found).axes[2].get_ylim()[1]
+    assert most == pytest.approx(np.degrees(found.sigma.max()))
+    unknown = landmark_map(values, elevations(graph, values))
+    assert len(unknown.axes) == 2  # no scale of colors
+    assert not [each for each in unknown.axes[0].collections if isinstance(each, LineCollection)]

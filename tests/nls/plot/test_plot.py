@@ -1,0 +1,171 @@
+"""Pictures: what is drawn, and that nobody pays for them who does not ask."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from factors import Isotropic
+from models import SE2, SE3, SO3, LieGroup, R
+from models.errors import UnderconstrainedError
+from nls import FactorGraph, Values
+from nls.plot import before_after, convergence, spy, trajectory
+from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x
+
+ROOT = Path(__file__).parents[3]
+
+
+def drawn(figure: Figure) -> bytes:
+    """The picture, rendered."""
+    stream = BytesIO()
+    figure.savefig(stream, dpi=20)
+    assert stream.getvalue().startswith(b"\x89PNG")
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("group", [R(2), R(3), SE2, SE3], ids=str)
+def test_trajectory_in_the_order_of_the_numbers(group: LieGroup) -> None:
+    sample = pose_graph(group, numbers=ODD)
+    figure = trajectory(sample.graph, sample.values)
+    drawn(figure)
+    axes = figure.axes[0]
+    assert axes.name == ("3d" if group in (R(3), SE3) else "rectilinear")
+    order = np.argsort(ODD)
+    line = axes.get_lines()[0]
+    X = np.stack(line.get_data_3d() if axes.name == "3d" else line.get_data(), axis=1)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(X, group.position(sample.values[x])[order])
+
+
+def test_only_edges_between_poses_that_are_not_neighbors_are_closures() -> None:
+    sample = pose_graph(SE2)
+    axes = trajectory(sample.graph, sample.values).axes[0]
+    (closures,) = (c for c in axes.collections if isinstance(c, LineCollection))
+    assert len(closures.get_segments()) == 5  # the chain and its duplicate edge are neighbors
+    ends = {tuple(map(tuple, segment)) for segment in closures.get_segments()}
+    t = sample.values[x][:, :2]
+    assert (tuple(t[0]), tuple(t[7])) in ends
+
+
+def test_landmarks_are_points() -> None:
+    sample = mixed(0)
+    sample.graph.add(Seen(x[40], l[5], in_frame(sample.truth[x[[40]]], sample.truth[l[[5]]]), Isotropic(1)))
+    figure = trajectory(sample.graph, sample.values)
+    drawn(figure)
+    markers = [line.get_marker() for line in figure.axes[0].get_lines()]
+    assert "*" in markers
+    stars = next(line for line in figure.axes[0].get_lines() if line.get_marker() == "*")
+    assert len(stars.get_xdata()) == 4  # type: ignore[arg-type]
+
+
+def test_rotations_have_no_place() -> None:
+    sample = pose_graph(SO3)
+    figure = trajectory(sample.graph, sample.values)
+    assert figure.axes[0].get_lines() == []
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_before_after_and_convergence(group: LieGroup) -> None:
+    sample = pose_graph(group, start=0.3)
+    result = sample.graph.optimize(sample.values)
+    figure = before_after(sample.graph, sample.values, result, title="a survey")
+    drawn(figure)
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles[0] == f"before: chi2 = {result.chi2_initial:.4g}"
+    assert titles[1] == f"after: chi2 = {result.chi2_final:.4g}"
+    assert titles[2] == f"converged after {result.iterations} iterations"
+    assert figure.get_suptitle() == "a survey"
+    alone = convergence(result)
+    drawn(alone)
+    np.testing.assert_array_equal(alone.axes[0].get_lines()[0].get_ydata(), [it.chi2 for it in result.history])
+    np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
+
+
+def test_convergence_to_zero_and_without_a_step() -> None:
+    sample = pose_graph(R(2))
+    sample.graph.fix(x[0:8])
+    drawn(convergence(sample.graph.optimize(sample.values)))
+    graph = FactorGraph(sample.graph.factors[:1])
+    exact = graph.optimize(graph.optimize(sample.values).values)
+    drawn(convergence(exact))
+    assert exact.converged
+
+
+@pytest.mark.parametrize("case", ["plane", "mixed"])
+def test_spy_counts_every_number(case: str) -> None:
+    sample = pose_graph(SE2) if case == "plane" else mixed(0)
+    system = sample.graph.linearize(sample.values)
+    figure = spy(system)
+    drawn(figure)
+    A, H, R_ = figure.axes
+    assert A.get_title() == f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers"
+    assert H.get_title() == f"H = A'A: {system.H.nnz} numbers"
+    assert len(A.get_lines()[0].get_xdata()) == system.A.nnz  # type: ignore[arg-type]
+    assert len(H.get_lines()[0].get_xdata()) == system.H.nnz  # type: ignore[arg-type]
+    found = re.fullmatch(r"R, reordered: (\d+) numbers, (\d+) of them fill-in", R_.get_title())
+    assert found is not None
+    nnz, fill = map(int, found.groups())
+    upper = (system.H.nnz + system.A.shape[1]) // 2
+    assert nnz == len(R_.get_lines()[0].get_xdata()) >= upper  # type: ignore[arg-type]
+    assert fill == nnz - upper
+    names = [label.get_text() for label in A.get_xticklabels()]
+    assert names == [f"{key!r}" for key in sample.values]
+
+
+def test_spy_of_many_variables_counts_columns() -> None:
+    sample = pose_graph(R(1), n=60)
+    figure = spy(sample.graph.linearize(sample.values))
+    assert "x0" not in [label.get_text() for label in figure.axes[0].get_xticklabels()]
+
+
+def test_there_is_no_R_of_a_singular_system() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    with pytest.raises(UnderconstrainedError, match="3 directions free"):
+        spy(sample.graph.linearize(sample.values))
+
+
+def test_nothing_to_draw() -> None:
+    figure = trajectory(FactorGraph(), Values({x: (SE2, np.zeros((0, 3)))}))
+    assert drawn(figure)
+
+
+def run(code: str) -> str:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+
+
+def test_importing_the_library_is_cheap() -> None:
+    code = "import sys, nls, nls.plot, nls.cli; print(sorted({m.split('.')[0] for m in sys.modules}))"
+    loaded = run(code)
+    assert "'nls'" in loaded
+    for package in ("matplotlib", "tqdm", "threadpoolctl", "sksparse", "sparseqr", "pandas", "IPython"):
+        assert f"'{package}'" not in loaded
+
+
+def test_pictures_need_no_pyplot() -> None:
+    code = """
+import sys
+from models import SE2
+from nls.plot import before_after, spy
+from tests.nls.graphs import pose_graph
+sample = pose_graph(SE2)
+result = sample.graph.optimize(sample.values)
+before_after(sample.graph, sample.values, result)
+spy(sample.graph.linearize(sample.values)).savefig("/dev/null", format="png", dpi=20)
+print("matplotlib.pyplot" in sys.modules, "matplotlib" in sys.modules)
+"""
+    assert run(code).split() == ["False", "True"]

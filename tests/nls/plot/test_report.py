@@ -1,0 +1,199 @@
+"""The page of a solution: complete in itself, harmless whatever the names are, the same every time, and true."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import nls
+from factors import Between, Cauchy, Diagonal
+from models import SE2, SE3, SO3, LieGroup, R
+from models.errors import UnderconstrainedError
+from nls.plot import report
+from nls.plot.report.bars import across
+from nls.plot.report.markup import Html
+from nls.plot.report.pictures import SMALL, picture
+from nls.plot.report.style import STYLE
+from nls.plot.report.verdict import number
+from tests.nls.graphs import mixed, pose_graph, x
+from tests.nls.plot.html_page import Page, undrawn
+
+EVIL = "<script>alert('x')</script> & \"$x$.g2o"
+
+
+def solved(group: LieGroup = SE2, **options: Any) -> tuple[nls.FactorGraph, nls.Values, nls.Result]:
+    sample = pose_graph(group, start=0.2)
+    return sample.graph, sample.values, sample.graph.optimize(sample.values, **options)
+
+
+def test_the_page_says_what_the_result_says() -> None:
+    graph, start, result = solved()
+    page = Page(report(graph, start, result, title="a survey", init="chordal", facts={"convention": "log"}))
+    for said in (
+        "a survey",
+        "chordal",
+        "Converged",
+        f"{number(graph.chi2(start))} → {result.chi2_final:.4g}",
+        "8 x",
+        "log",
+    ):
+        assert said in page.text
+    assert result.reason in page.text
+    assert page.ids == {"maps", "findings", "kinds", "worst", "covariances", "convergence", "sparsity", "provenance"}
+    assert len(page.images) == 5  # before, after, ellipses, convergence, sparsity
+    assert "http" not in page.text
+    assert "url(" not in STYLE
+    cost = nls.inspect.inspect(graph, result.values)
+    for name in ("rows_of_A", "columns_of_A", "numbers_in_A", "numbers_in_R"):
+        assert f"{cost[name]:,} " in page.text
+
+
+@pytest.mark.parametrize("group", [R(1), R(2), R(3), SO3, SE3], ids=str)
+def test_every_space(group: LieGroup) -> None:
+    graph, start, result = solved(group)
+    page = Page(report(graph, start, result))
+    assert ("maps" in page.ids) == (group.position(group.identity(1)).shape[1] > 0)
+    assert "Converged" in page.text
+
+
+def test_points_and_functions_and_kernels() -> None:
+    sample = mixed(0)
+    robust = sample.graph.robust(Cauchy(1.0))
+    page = Page(report(robust, sample.values, robust.optimize(sample.values)))
+    assert "robust cost" in page.text
+    assert "4 l, 6 x, 2 y" in page.text
+
+
+def test_names_are_harmless(monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    graph, start, result = solved()
+    figure = Figure()
+    text = report(
+        graph, start, result, title=EVIL, init=EVIL, facts={EVIL: EVIL}, seconds={EVIL: 1.0}, pictures={EVIL: figure}
+    )
+    page = Page(text)
+    assert page.texts.count(EVIL) == 7  # title twice, start, fact and its name, part, caption
+    assert page.images[0]["alt"] == EVIL
+    assert "<script" not in text
+
+
+def test_numbers_are_short_and_whole_where_they_are_large() -> None:
+    assert [number(value) for value in (0.0, 0.12345, 17.0, 999.94, 1234.5, 23318531317.0)] == [
+        *("0", "0.1235", "17", "999.9"),
+        *("1,234", "23,318,531,317"),
+    ]
+
+
+def test_markup_is_only_what_was_built() -> None:
+    assert isinstance(across(0.5, 2.0, 1.0, [1.0]), Html)
+    assert "</style" not in STYLE
+
+
+def test_the_style_stays_inside_of_the_page() -> None:
+    """In a notebook the rules of every output are those of the whole page."""
+    rules = re.sub(r"@media[^{]*", "", STYLE)
+    selectors = [each.strip() for found in re.findall(r"([^{};]+)\{", rules) for each in found.split(",")]
+    assert len(selectors) > 40
+    assert [each for each in selectors if ".leadline" not in each and each != ""] == []
+
+
+def test_the_same_bytes_and_only_the_time_differs() -> None:
+    graph, start, result = solved()
+    first, again = (report(graph, start, result, title="t", seconds={"solve": s, "read": 1.0}) for s in (0.5, 0.25))
+    assert first != again
+    assert re.sub(r'(?s)<section id="time">.*?</section>', "", first) == re.sub(
+        r'(?s)<section id="time">.*?</section>', "", again
+    )
+
+
+def test_a_wrong_closure_is_named_and_red(monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    rng = np.random.default_rng(5)
+    n = 40
+    a = 2 * np.pi * np.arange(n) / n
+    X = np.stack([10 * np.cos(a), 10 * np.sin(a), a + np.pi / 2], axis=1)
+    i, j = np.r_[np.arange(n - 1), 0, 1, 2, 3, 10], np.r_[np.arange(1, n), n - 1, n - 2, n - 3, n - 4, 30]
+    z = SE2.retract(SE2.between(X[i], X[j]), rng.normal(size=(len(i), 3)) * [0.05, 0.05, 0.01])
+    z[-1] = [1.0, 1.0, 0.0]  # x10 and x30 are 20 m apart
+    graph = nls.FactorGraph([Between(x[i], x[j], z, Diagonal(x=0.05, y=0.05, yaw=0.01))])
+    start = nls.Values({x: (SE2, X)})
+    result = graph.optimize(start)
+    drawn: list[np.ndarray[Any, Any]] = []
+    plot = __import__("matplotlib.axes").axes.Axes.plot
+
+    def watched(self: Any, *args: Any, **style: Any) -> Any:
+        if style.get("color") == "#c1121f":
+            drawn.append(np.stack(args[:2], axis=1))
+        return plot(self, *args, **style)
+
+    monkeypatch.setattr("matplotlib.axes.Axes.plot", watched)
+    page = Page(report(graph, start, result))
+    assert "Between(x10, x30)" in page.text
+    np.testing.assert_allclose(drawn[0], X[[10, 30], :2])
+    np.testing.assert_allclose(drawn[1], result.values[x][[10, 30], :2])
+    assert len(drawn) == 2  # before, after
+    assert "red: what does not fit the others" in page.text
+
+
+def test_what_is_free_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    sample = pose_graph(SE2, anchored=False)
+    with pytest.raises(UnderconstrainedError) as caught:
+        sample.graph.optimize(sample.values, gauge="none")
+    page = Page(report(sample.graph, sample.values, caught.value))
+    assert "Not solved" in page.text
+    assert caught.value.message in page.text
+    assert "convergence" not in page.ids
+    stopped = sample.graph.optimize(sample.values, nls.GaussNewton(nls.Stop(max_iterations=1)))
+    page = Page(report(sample.graph, sample.values, stopped))
+    assert "Not converged" in page.text
+    assert stopped.reason in page.text
+    assert "95 %" not in [image["alt"][-4:] for image in page.images]  # no covariances of what is no optimum
+
+
+def test_what_was_rejected_and_certified(monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    graph, start, result = solved()
+
+    class Rejection:
+        factor = "Between(x3, x90)"
+        sigmas = 12.25
+
+    certificate = nls.certify(nls.FactorGraph([f for f in graph.factors if f.name == "Between"]), result.values)
+    page = Page(report(graph, start, result, certificate=certificate, rejected=[Rejection()] * 12))
+    assert "12 measurements were rejected" in page.text
+    assert "and 2 more" in page.text
+    assert page.text.count("Between(x3, x90)") == 12
+    for line in certificate.report().splitlines():
+        assert line in page.text
+    lower = replace(certificate, verdict="refuted", better_cost=0.0)
+    assert (
+        "Not the optimum  The certificate found a lower minimum."
+        in Page(report(graph, start, result, certificate=lower)).text
+    )
+
+
+@pytest.mark.parametrize(("ratio", "side"), [(0.2, -1), (1.0, 0), (7.0, 1)])
+def test_bars_are_drawn_to_scale(ratio: float, side: int) -> None:
+    others = [0.2, 0.8, 1.25, 7.0]
+    bar = across(0.8, 1.25, ratio, others)
+    middle = float(re.search(r'<line x1="([0-9.]+)" x2="\1"', bar)[1])  # type: ignore[index]
+    dot = float(re.search(r'cx="([0-9.]+)"', bar)[1])  # type: ignore[index]
+    assert np.sign(dot - middle) == side
+    assert dot - middle == pytest.approx(96 * np.log(ratio) / np.log(7), abs=0.06)
+    assert ("--good" in bar) == (side == 0)
+
+
+def test_small_pictures_are_drawings_large_ones_images() -> None:
+    figure = Figure(figsize=(3, 2))
+    axes = figure.add_subplot()
+    axes.plot([0, 1])
+    assert "image/svg+xml" in picture(figure, "a", "c", 2)
+    assert "image/png" in picture(figure, "a", "c", SMALL + 1)
+    axes.plot(np.random.default_rng(0).normal(size=9000), ".")
+    assert "image/png" in picture(figure, "a", "c", 2)  # as the drawing is larger
