@@ -30,6 +30,7 @@ VALUES = Values({x: (SE2, SE2.identity(3)), l: (R(2), np.zeros((2, 2))), y: (SE3
         ),
         ([CHAIN.robust(Huber(1.0))], r"Between\(.*\) has the robust kernel Huber\(1\)"),
         ([CHAIN, Prior(x[[0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both held"),
+        ([CHAIN, Prior(x[[0, 0, 2]], [0, 0, 0], Isotropic(1))], "x0 and x2 are both held"),
         (
             [CHAIN, Prior(x[1], [0, 0, 0], Isotropic(1)), Prior(x[2], [0, 0, 0], Isotropic(1))],
             "x1 and x2 are both held",
