@@ -9,7 +9,8 @@ with the stacked residuals e_g of the group and the joint covariance C_g of what
 falls by without the group, exactly where the problem is linear. Groups and single measurements differ in m, so they
 compete by the probability of chi2(m) above t: a right closure in a group adds 3 to m, and about 3 to t.
 
-C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are judged.
+C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are judged. A
+group without which something is free stays.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from models.algebra import Array
 from nls.analysis.chi_squared import chi2_log_tail
 from nls.analysis.closure_groups import closure_groups
-from nls.analysis.leave_one_out import UNCHECKED, left_out, measuring
+from nls.analysis.leave_one_out import UNCHECKED, UNSEEN, left_out, measuring
 from nls.analysis.linearization import Checked, Together, stacked
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GroupTest", "GroupTests"]
 
-JUDGED = 5  # groups, those of the largest mean squared residual: wrong groups were among the first 3 of 13 to 205
+JUDGED = 3  # groups, those of the largest mean squared residual: wrong groups were among the first 3 of 13 to 205
 
 
 @dataclass(frozen=True)
@@ -71,22 +72,30 @@ class GroupTests:
 
     def worst(self) -> GroupTest | None:
         """The group of the least probable t, of those of which no closure has been taken out; None without any."""
-        checked, groups = self._checked, self._groups
-        triples = zip(checked.e, checked.w, self._scale, strict=False)
-        e = [e_k * np.sqrt(w / s)[:, None] for e_k, w, s in triples]
+        w, groups = self._checked.w, self._groups
+        e = [e * np.sqrt(w / s)[:, None] for e, w, s in zip(self._checked.e, w, self._scale, strict=False)]
         squared = [np.square(e_k).mean(axis=1) for e_k in e]
-        whole = [number for number, group in enumerate(groups) if stacked(checked.w, *group).all()]
+        whole = [number for number, group in enumerate(groups) if stacked(w, *group).all()]
         whole.sort(key=lambda number: -float(stacked(squared, *groups[number]).mean()))
-        return min((self._test(number, e) for number in whole[:JUDGED]), key=lambda test: test.log_tail, default=None)
+        tests = (self._test(number, e) for number in whole[:JUDGED])
+        return min((test for test in tests if test is not None), key=lambda test: test.log_tail, default=None)
 
-    def _test(self, number: int, e: list[Array]) -> GroupTest:
-        """One group, from the residuals of all measurements by batch, times the root of weight over scale."""
+    def _test(self, number: int, e: list[Array]) -> GroupTest | None:
+        """One group, None where something is free without it.
+
+        Parameters
+        ----------
+        number : of the group.
+        e : residuals of all measurements by batch, times the root of weight over scale.
+        """
         batch, index = self._groups[number]
         if number not in self._joint:
             self._joint[number] = self._checked.together(batch, index)
         root = self._checked.roots(batch, index)
         C = root[:, None] * self._joint[number].C * root
-        t, r = left_out(stacked(e, batch, index)[None], C[None], np.ones(1))
+        (t,), (r,) = left_out(stacked(e, batch, index)[None], C[None], np.ones(1))
+        if r.min() <= UNSEEN:
+            return None
         models = {k: self._checked.linear.pattern.batches[k].model for k in np.unique(batch)}
         idle = sum(int((model.dim - measuring(model)[index[batch == k]]).sum()) for k, model in models.items())
-        return GroupTest(batch, index, float(t[0]), chi2_log_tail(float(t[0]), int((r > UNCHECKED).sum()) - idle))
+        return GroupTest(batch, index, float(t), chi2_log_tail(float(t), int((r > UNCHECKED).sum()) - idle))

@@ -28,9 +28,21 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 
-__all__ = ["UNCHECKED", "Tested", "checks", "kinds_of", "left_out", "measuring", "middle_variance", "spoiled", "tested"]
+__all__ = [
+    "UNCHECKED",
+    "UNSEEN",
+    "Tested",
+    "checks",
+    "kinds_of",
+    "left_out",
+    "measuring",
+    "middle_variance",
+    "spoiled",
+    "tested",
+]
 
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
+UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
 FEW = 3  # measurements, fewer have no middle one
 
 
