@@ -9,7 +9,9 @@ from models.algebra import Array
 from models.errors import OptionError
 from models.options import is_number, is_whole
 
-__all__ = ["chi2_gate", "chi2_interval", "chi2_tail"]
+__all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail"]
+
+TINY = 1e-290  # probability; below, the expansion for large t serves
 
 
 def chi2_gate(dim: int, probability: float) -> float:
@@ -71,3 +73,26 @@ def chi2_tail(t: Array, dof: npt.NDArray[np.intp] | Array) -> Array:
     from scipy.special import gammaincc
 
     return np.where(dof > 0, gammaincc(np.where(dof > 0, dof, 1) / 2, np.maximum(t, 0.0) / 2), 1.0)
+
+
+def chi2_log_tail(t: float, dof: int) -> float:
+    """Logarithm of `chi2_tail`, of probabilities too small for a float, too.
+
+    Parameters
+    ----------
+    t : the bound, 0 or above.
+    dof : degrees of freedom; 0 where there are none.
+
+    Examples
+    --------
+    >>> round(chi2_log_tail(5.991, 2), 3), round(chi2_log_tail(20_000.0, 2), 3)
+    (-2.995, -10000.0)
+    """
+    from scipy.special import gammaincc, gammaln
+
+    a, x = dof / 2, t / 2
+    if not dof:
+        return 0.0
+    if (tail := float(gammaincc(a, x))) > TINY:
+        return float(np.log(tail))
+    return float((a - 1) * np.log(x) - x - gammaln(a) - np.log1p((1 - a) / x))  # first terms of a continued fraction

@@ -28,9 +28,21 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Batch, Pattern
 
-__all__ = ["Tested", "checks", "kinds_of", "measuring", "middle_variance", "spoiled", "tested"]
+__all__ = [
+    "UNCHECKED",
+    "UNSEEN",
+    "Tested",
+    "checks",
+    "kinds_of",
+    "left_out",
+    "measuring",
+    "middle_variance",
+    "spoiled",
+    "tested",
+]
 
 UNCHECKED = 1e-6  # redundancy; an error there must be a thousand sigmas to leave one in the residual
+UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
 FEW = 3  # measurements, fewer have no middle one
 
 
@@ -56,15 +68,20 @@ class Tested:
 
 def tested(batch: Batch, e: Array, C: Array, w: Array) -> Tested:
     """t and redundancy of the measurements of a batch, from residuals e (k, m), C (k, m, m) and weights (k,)."""
+    t, r = left_out(e, C, w)
+    seen, rows = r > UNCHECKED, measuring(batch.model)
+    idle = C.shape[1] - rows  # zero rows: nothing spent, nothing seen
+    m = np.maximum(seen.sum(axis=1) - idle, 0)
+    return Tested(t, m, rows, r.sum(axis=1) - idle, np.asarray(seen.all(axis=1)))
+
+
+def left_out(e: Array, C: Array, w: Array) -> tuple[Array, Array]:
+    """t (k,) and redundancy along the axes of C (k, m), from residuals e (k, m), C (k, m, m) and weights (k,)."""
     c, V = np.linalg.eigh(C)
     r = 1 - w[:, None] * c
-    seen = r > UNCHECKED
     along = np.square(np.matvec(V.mT, e))
-    variance = np.where(seen, r * (1 + (1 - w)[:, None] * c), np.inf)
-    rows = measuring(batch.model)
-    idle = c.shape[1] - rows  # zero rows: nothing spent, nothing seen
-    m = np.maximum(seen.sum(axis=1) - idle, 0)
-    return Tested((along / variance).sum(axis=1), m, rows, r.sum(axis=1) - idle, seen.all(axis=1))
+    variance = np.where(r > UNCHECKED, r * (1 + (1 - w)[:, None] * c), np.inf)
+    return (along / variance).sum(axis=1), r
 
 
 def measuring(model: Model) -> Index:

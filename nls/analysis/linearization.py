@@ -11,13 +11,14 @@ and without measurement i, exactly where the problem is linear,
 
 Any two variables of one factor are neighbors in A'A, so the blocks of P that C_i needs come out of one pass over its
 Cholesky factor (`nls.sparse.takahashi`), and taking a measurement out changes all others by products of its m columns
-P A_i'. W. Baarda, "A testing procedure for use in geodetic networks", 1968; the redundancy numbers tr(I - C_i) are in
-P. Teunissen, "Testing theory: an introduction", 2000.
+P A_i'. Several measurements are one whose A_i are stacked. W. Baarda, "A testing procedure for use in geodetic
+networks", 1968; the redundancy numbers tr(I - C_i) are in P. Teunissen, "Testing theory: an introduction", 2000.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -28,10 +29,11 @@ from nls.linear import factorize
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
+    from models.algebra import Index
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["Checked", "Linearization"]
+__all__ = ["Checked", "Linearization", "Together", "stacked"]
 
 MEMORY_LIMIT = 4e9  # bytes of the dense fronts
 
@@ -71,6 +73,21 @@ class Linearization:
         self.system = LinearSystem(pattern, blocks, rows)
 
 
+@dataclass
+class Together:
+    """Several measurements as one.
+
+    Attributes
+    ----------
+    batch, index : (k,) number of the batch, in rising order, and of the measurement in it.
+    C : covariance of the prediction of all their numbers; taking others out changes it.
+    """
+
+    batch: Index
+    index: Index
+    C: Array
+
+
 class Checked:
     """Every measurement against all others.
 
@@ -98,6 +115,7 @@ class Checked:
             moved = [apply(A_k, X[kind][at]) for A_k, kind, at in zip(A, batch.kinds, batch.index, strict=True)]
             self.e.append(b - sum(moved[1:], moved[0]))
         self._taken: list[tuple[Array, Array]] = []
+        self._together: list[Together] = []
         self._predictions()
 
     def _predictions(self) -> None:
@@ -132,25 +150,52 @@ class Checked:
                 C[both] += half + half.mT
             self.C.append((C + C.mT) / 2)
 
-    def take_out(self, batch: int, index: int) -> None:
-        """All others without one measurement: e, C and w as if the linear problem had been solved again."""
-        pattern, A = self.linear.pattern, self.linear.A
-        m = A[batch][0].shape[1]
-        columns = np.zeros((pattern.n, m))  # A_i'
-        for A_k, variables in zip(A[batch], pattern.batches[batch].variables, strict=True):
-            start, d = pattern.starts[variables[index]], A_k.shape[2]
-            if start >= 0:
-                columns[start : start + d] += A_k[index].T
+    def together(self, batch: Index, index: Index) -> Together:
+        """Several measurements (k,) as one: of which batch, in rising order, and which in it."""
+        joint = Together(batch, index, self._columns(batch, index)[1])
+        self._together.append(joint)
+        return joint
+
+    def roots(self, batch: Index, index: Index) -> Array:
+        """Root of the weight of every number of some measurements."""
+        every = [np.broadcast_to(np.sqrt(w)[:, None], e.shape) for w, e in zip(self.w, self.e, strict=True)]
+        return stacked(every, batch, index)
+
+    def take_out(self, batch: Index | int, index: Index | int) -> None:
+        """All others without some measurements: e, C and w as if the linear problem had been solved again."""
+        batch, index = np.atleast_1d(batch, index)
+        U, C = self._columns(batch, index)
+        e, root = stacked(self.e, batch, index), self.roots(batch, index)
+        K = root[:, None] * np.linalg.inv(np.eye(len(e)) - root[:, None] * C * root) * root
+        self._taken.append((U, K))
+        G = self._times(U)
+        for k, G_k in enumerate(G):
+            self.e[k] = self.e[k] + G_k @ (K @ e)
+            self.C[k] = self.C[k] + G_k @ K @ G_k.mT
+        for joint in self._together:
+            B = stacked(G, joint.batch, joint.index)
+            joint.C = joint.C + B @ K @ B.T
+        for k in np.unique(batch):
+            self.w[k][index[batch == k]] = 0.0
+
+    def _columns(self, batch: Index, index: Index) -> tuple[Array, Array]:
+        """P A' (n, m) and A P A' (m, m) of some measurements, P without those taken out."""
+        pattern, parts = self.linear.pattern, []
+        for k in np.unique(batch):
+            at, m = index[batch == k], pattern.batches[k].model.dim
+            A = np.zeros((pattern.n, len(at), m))
+            for A_k, variables in zip(self.linear.A[k], pattern.batches[k].variables, strict=True):
+                start, d = pattern.starts[variables[at]], A_k.shape[2]
+                free = np.flatnonzero(start >= 0)
+                A[start[free, None] + np.arange(d), free[:, None]] += A_k[at[free]].mT
+            parts.append(A.reshape(pattern.n, len(at) * m))
+        columns = np.concatenate(parts, axis=1)
         U = self.factorization.solve(columns)
         for V, K in self._taken:
             U += V @ (K @ (V.T @ columns))
-        w, e = self.w[batch][index], self.e[batch][index].copy()
-        K = w * np.linalg.inv(np.eye(m) - w * self.C[batch][index])
-        self._taken.append((U, K))
-        for c, G in enumerate(self._times(U)):  # (k, m_j, m)
-            self.e[c] = self.e[c] + G @ (K @ e)
-            self.C[c] = self.C[c] + G @ K @ G.mT
-        self.w[batch][index] = 0.0
+        touched = columns.any(axis=1)
+        C = columns[touched].T @ U[touched]
+        return U, (C + C.T) / 2
 
     def _times(self, U: Array) -> list[Array]:
         """A U by batch, (k, m, columns)."""
@@ -163,3 +208,8 @@ class Checked:
                 G[free] += A_k[free] @ U[start[free, None] + np.arange(d)]
             out.append(G)
         return out
+
+
+def stacked(arrays: Sequence[Array], batch: Index, index: Index) -> Array:
+    """Rows of some measurements, one after the other, from arrays (k, m, ...) or (k,) by batch."""
+    return np.concatenate([arrays[k][index[batch == k]].reshape(-1, *arrays[k].shape[2:]) for k in np.unique(batch)])

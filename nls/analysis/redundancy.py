@@ -46,6 +46,7 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
 from nls.analysis.closure_groups import ClosureGroup, closure_groups
+from nls.analysis.leave_one_out import UNSEEN
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
@@ -66,7 +67,6 @@ SIGMAS = 3.0  # of the motion of a pose; those groups 3.1 to 50, right groups th
 PART = 0.005  # of the extent of the map: rms motion, as for contradicted groups; those wrong groups 0.9 to 26 %
 LINEAR = 0.5  # times both bounds: groups whose linear step is below are not solved for
 TOGETHER = 8  # groups solved for together: city10000 in half of the time
-UNSEEN = 1e-9  # redundancy of a direction; what is less is rounding
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,23 @@
-"""Wrong measurements one by one: the worst is taken out, all others are judged anew, until none stands out.
+"""Wrong measurements: the worst is taken out, all others are judged anew, until none stands out.
 
-One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. What is taken
-out goes by the linear problem; then the rest is optimized, and what was taken out and fits after all comes back.
+One wrong loop closure bends the map, and the closures beside it look wrong, too; without it they do not. A group of
+wrong closures that support each other is taken out as one, see `nls.analysis.group_tests`. The linear problem decides
+about both; then the rest is optimized, and closures that fit the rest after all come back, a group's one by one.
 """
 
 from __future__ import annotations
 
+from collections import ChainMap
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, UnderconstrainedError
-from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.chi_squared import chi2_log_tail, chi2_tail
+from nls.analysis.group_tests import GroupTests
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.linearization import Checked, Linearization
 from nls.graph import FactorGraph
@@ -30,13 +34,16 @@ if TYPE_CHECKING:
 __all__ = ["Suspects", "suspects"]
 
 SIGNIFICANT = 1e-3  # chance of the worst measurement among all, if the model is right
-MOST, PART = 10, 0.05  # that are looked for: so many, or this part of all measurements that close loops
+MOST, PART = 10, 0.05  # that are looked for, and closures of a group: so many, or this part of all closures
 TURNS = 3  # of taking out and optimizing the rest
 ITERATIONS = 25  # of one of these
 STEPS = 0.5  # the worst one is a step of the trajectory only if it is this much worse than any other
 MANY = 10  # measurements of a kind that tell the size of its sigmas
 RIVAL = 0.9  # of the squared distance: measurements as far off, that fit without the other, cannot be told apart
 LARGEST = 10.0  # variance of the middle measurement; what is above that are no sigmas that are too small
+
+Place = tuple[int, int]  # number of the batch, of the measurement in it
+Rivals = tuple[int, Place | None]  # how many others it may be instead, and one of these
 
 
 class NoOptimumError(Exception):
@@ -59,8 +66,8 @@ class Suspects:
     many : whether the search was given up.
     """
 
-    places: list[tuple[int, int]]
-    rivals: dict[tuple[int, int], tuple[int, tuple[int, int] | None]]
+    places: list[Place]
+    rivals: dict[Place, Rivals]
     accepted: list[Array]
     tests: list[Tested]
     s: list[Array]
@@ -85,24 +92,26 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
     scale = _scales(kinds, checks(checked, count), count)
     closing = sum(len(which) for name, kind in kinds.items() if name.endswith("closures") for _, which in kind)
     most = max(MOST, int(PART * closing))
-    places: list[tuple[int, int]] = []
-    rivals: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
+    removals: list[list[Place]] = []  # of one measurement, or of a group
+    rivals: dict[Place, Rivals] = {}
     many = False
     for _ in range(TURNS):
-        found = _search(checked, scale, most - len(places), count)
-        places, rivals = places + list(found), rivals | found
-        many = len(places) >= most
-        if many or not found:
+        fresh = _search(checked, scale, most, most - len(removals), count)
+        removals += [list(removal) for removal in fresh]
+        rivals |= dict(ChainMap(*fresh))
+        many = len(removals) >= most
+        if many or not fresh:
             break
         try:
-            values, checked = _without(graph, pattern, values, places)
+            values, checked = _without(graph, pattern, values, list(chain(*removals)))
             chances = _chances(checks(checked, count), scale)
-            kept = [(k, i) for k, i in places if chances[k][i] <= SIGNIFICANT]
-            if kept != places:
-                values, checked = _without(graph, pattern, values, kept)
-                places = kept
+            kept = [[(k, i) for k, i in removal if chances[k][i] <= SIGNIFICANT] for removal in removals]
+            if kept != removals:
+                values, checked = _without(graph, pattern, values, list(chain(*kept)))
+                removals = [removal for removal in kept if removal]
         except NoOptimumError:
             break  # the linear problem has the last word
+    places = list(chain(*removals))
     tests, accepted = checks(checked, count), _accepted(pattern, places, count)
     s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
     chi2 = sum(float(each[a > 0].sum()) for each, a in zip(s, accepted, strict=True))
@@ -126,34 +135,41 @@ def _chances(tests: list[Tested], scale: list[Array]) -> list[Array]:
     return [np.minimum(chi2_tail(test.t / s, test.m) * n, 1.0) for test, s in zip(tests, scale, strict=True)]
 
 
-def _search(
-    checked: Checked, scale: list[Array], most: int, count: int
-) -> dict[tuple[int, int], tuple[int, tuple[int, int] | None]]:
-    """Up to so many that do not fit, taken out of the linear problem one after the other, and the rivals of each.
+def _search(checked: Checked, scale: list[Array], most: int, left: int, count: int) -> list[dict[Place, Rivals]]:
+    """Up to `left` that do not fit, taken out of the linear problem one after the other, with the rivals of each.
 
-    In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it comes last.
+    In a single loop every measurement is as far off as the wrong one. Odometry seldom is: it comes last. A group of up
+    to `most` closures counts as one.
     """
     pattern = checked.linear.pattern
     steps = odometry(pattern)[:count]
-    out: dict[tuple[int, int], tuple[int, tuple[int, int] | None]] = {}
-    off = _off(checked, scale, count)
-    while len(out) < most:
-        worth = [each * np.where(along, STEPS, 1.0) for each, along in zip(off, steps, strict=True)]
+    out: list[dict[Place, Rivals]] = []
+    groups: GroupTests | None = None
+    tests = checks(checked, count)
+    off = _off(checked, tests, scale)
+    while len(out) < left:
+        worth = [far * np.where(along, STEPS, 1.0) for far, along in zip(off, steps, strict=True)]
         best, k, i = max((float(w.max()), k, int(w.argmax())) for k, w in enumerate(worth) if len(w))
         if not best > 0:
             break
-        as_far = [(j, int(o)) for j, each in enumerate(off) for o in np.flatnonzero(each >= RIVAL * off[k][i])]
-        checked.take_out(k, i)
-        off = _off(checked, scale, count)
-        as_far = [(j, o) for j, o in as_far if not off[j][o] > 0]  # what is as far off still is wrong by itself
-        as_far.remove((k, i))
-        out[k, i] = len(as_far), as_far[0] if as_far else None
+        batch, index, level, m = np.array([k]), np.array([i]), float(off[k][i]), int(tests[k].m[i])
+        groups = groups or GroupTests(checked, scale, most)
+        if (group := groups.worst()) is not None and group.log_tail < chi2_log_tail(best * m, m):
+            batch, index, level = group.batch, group.index, group.t / m
+        as_far = [(j, int(o)) for j, far in enumerate(off) for o in np.flatnonzero(far >= RIVAL * level)]
+        checked.take_out(batch, index)
+        tests = checks(checked, count)
+        off = _off(checked, tests, scale)
+        taken = list(zip(batch.tolist(), index.tolist(), strict=True))
+        # what is as far off still is wrong by itself
+        as_far = [(j, o) for j, o in as_far if not off[j][o] > 0 and (j, o) not in taken]
+        out.append(dict.fromkeys(taken, (len(as_far), as_far[0] if as_far else None)))
     return out
 
 
-def _off(checked: Checked, scale: list[Array], count: int) -> list[Array]:
+def _off(checked: Checked, tests: list[Tested], scale: list[Array]) -> list[Array]:
     """(k,) by batch, the squared distance per number of every measurement that does not fit; 0 of all others."""
-    tests, out = checks(checked, count), []
+    out = []
     for k, (test, chance, s) in enumerate(zip(tests, _chances(tests, scale), scale, strict=True)):
         counts = not checked.linear.pattern.batches[k].model.factor.limit_only
         open_ = counts & test.checked & (checked.w[k] > 0) & (chance <= SIGNIFICANT) & (test.m > 0)
@@ -161,16 +177,14 @@ def _off(checked: Checked, scale: list[Array], count: int) -> list[Array]:
     return out
 
 
-def _accepted(pattern: Pattern, places: list[tuple[int, int]], count: int) -> list[Array]:
+def _accepted(pattern: Pattern, places: list[Place], count: int) -> list[Array]:
     accepted = [np.ones(len(batch)) for batch in pattern.batches[:count]]
     for k, i in places:
         accepted[k][i] = 0.0
     return accepted
 
 
-def _without(
-    graph: FactorGraph, pattern: Pattern, values: Values, places: list[tuple[int, int]]
-) -> tuple[Values, Checked]:
+def _without(graph: FactorGraph, pattern: Pattern, values: Values, places: list[Place]) -> tuple[Values, Checked]:
     """The optimum of all other measurements, from here, and every measurement against these.
 
     Raises
