@@ -68,9 +68,9 @@ class Factor(Abstract):
         optimizer is left to the library, it takes Levenberg-Marquardt.
     """
 
-    slots: ClassVar[tuple[Manifold | None, ...]] = ()
-    relative: ClassVar[bool] = False
-    unmoved: ClassVar[tuple[int, ...]] = ()
+    slots: tuple[Manifold | None, ...] = ()
+    relative: bool = False
+    unmoved: tuple[int, ...] = ()
     per_measurement: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0

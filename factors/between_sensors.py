@@ -69,7 +69,7 @@ class BetweenSensors(Factor):
     ) -> None:
         keys = [i, j, offset] if isinstance(offset, Keys) else [i, j]
         super().__init__(keys, z, noise, convention)
-        self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))  # type: ignore[misc]
+        self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))
         self.offset: tuple[Array, Array] | Keys
         if isinstance(offset, Keys):
             self.offset = self.keys[2]

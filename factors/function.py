@@ -49,7 +49,7 @@ class FunctionFactor(Factor):
             raise GraphError(f"Factor.from_function: expected variables such as x[0] or [x[0], x[1]], got {keys!r:.80}")
         self.dim, self.residual, self.jacobians = int(dim), residual, jacobians
         super().__init__(keys, np.zeros(dim), Isotropic() if noise is None else noise)
-        self.slots, self.relative = (None,) * len(keys), relative  # type: ignore[misc]
+        self.slots, self.relative = (None,) * len(keys), relative
 
     def __getitem__(self, index: object) -> Factor:
         raise GraphError(

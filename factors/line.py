@@ -65,7 +65,7 @@ class Line(Sighting):
         self, pose: Keys, line: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None
     ) -> None:
         super().__init__(pose, line, z, noise, offset)
-        self.slots = (SE2, LINE, *self.slots[2:])  # type: ignore[misc]
+        self.slots = (SE2, LINE, *self.slots[2:])
 
     def measured(self, d: int) -> Manifold:
         return LINE

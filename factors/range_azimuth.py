@@ -29,7 +29,7 @@ class InSpace(Sighting):
         self, pose: Keys, target: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None
     ) -> None:
         super().__init__(pose, target, z, noise, offset)
-        self.slots = (SE3, *self.slots[1:])  # type: ignore[misc]
+        self.slots = (SE3, *self.slots[1:])
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.measures),)

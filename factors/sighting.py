@@ -68,7 +68,7 @@ class Sighting(Factor):
         keys = [pose, target, offset] if isinstance(offset, Keys) else [pose, target]
         super().__init__(keys, z, noise)
         self._refuse_impossible()
-        self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))  # type: ignore[misc]
+        self.slots, self.unmoved = (None,) * len(keys), tuple(range(2, len(keys)))
         self.offset: Array | Keys | None = (
             self.keys[2] if len(keys) == 3 else None if offset is None else fixed_offset(self, offset)  # type: ignore[arg-type]
         )
@@ -102,7 +102,7 @@ class Sighting(Factor):
         mounted_factor = copy(self)
         pose, target = self.keys[:2]
         Sighting.__init__(mounted_factor, pose, target, self.z, self.noise, offset)
-        mounted_factor.slots = (*self.slots[:2], *mounted_factor.slots[2:])  # type: ignore[misc]
+        mounted_factor.slots = (*self.slots[:2], *mounted_factor.slots[2:])
         return mounted_factor
 
     def _refuse_impossible(self) -> None:

@@ -76,7 +76,7 @@ class XYH(Factor):
             raise OptionError("XYH: form", form, "levelled or relative")
         super().__init__([i, j], z, noise)
         self.form = form
-        self.relative = form == "relative"  # type: ignore[misc]  # a tilted world has another horizontal
+        self.relative = form == "relative"  # a tilted world has another horizontal
 
     def sizes(self) -> tuple[int, ...]:
         return (3,)

@@ -25,6 +25,7 @@ from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Index
 from models.errors import GraphWarning, OptionError
+from models.listing import some
 from nls.sparse.components import connected, firsts
 from nls.sparse.pattern import Batch, Pattern, offsets
 from nls.values import Values
@@ -143,9 +144,8 @@ def _outside() -> int:
 
 
 def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
-    """The first five of some variables, and how many more."""
-    names = ", ".join(repr(pattern.key(int(v))) for v in variables[:5])
-    return names + (f" and {len(variables) - 5} more" if len(variables) > 5 else "")
+    """The first few of some variables, and how many more."""
+    return some([pattern.key(int(v)) for v in variables])
 
 
 def _first_of_components(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import OptionError
+from models.listing import some
 from sim.arguments import add_parameters, flag, number, parameters, seed_number, whole_number
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
@@ -256,9 +257,7 @@ def _many(
 
 def _listed(seeds: Collection[int]) -> str:
     """Seeds in words."""
-    shown = ", ".join(map(str, list(seeds)[:LISTED]))
-    more = f" and {len(seeds) - LISTED} more" if len(seeds) > LISTED else ""
-    return f"seed{'' if len(seeds) == 1 else 's'} {shown}{more}"
+    return f"seed{'' if len(seeds) == 1 else 's'} {some(list(seeds), LISTED)}"
 
 
 def _pictured(name: str, figure: Any, report: dict[str, Any]) -> dict[str, bytes]:

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import GraphFileError, GraphWarning, LeadlineError, OptionError
+from models.listing import some
 from models.options import is_whole
 from nls.io.files import read_bytes, write_bytes
 from nls.sparse.threads import single_thread
@@ -54,9 +55,8 @@ class FailedRunsError(LeadlineError):
 
     def __init__(self, records: dict[int, Record], failures: dict[int, Exception]) -> None:
         self.records, self.failures = records, failures
-        shown = [f"seed {seed}: {sentence(error)}" for seed, error in list(failures.items())[:SHOWN]]
-        more = f"; and {len(failures) - SHOWN} more seeds" if len(failures) > SHOWN else ""
-        super().__init__(f"{len(failures)} of {len(records) + len(failures)} runs failed. {'; '.join(shown)}{more}")
+        seeds = some([f"seed {seed}: {sentence(error)}" for seed, error in failures.items()], SHOWN, "; ", " seeds")
+        super().__init__(f"{len(failures)} of {len(records) + len(failures)} runs failed. {seeds}")
 
 
 def runs(

@@ -13,6 +13,7 @@ import numpy as np
 from factors import Position, RangeAzimuth
 from factors.keys import Keys, kinds
 from models.errors import OptionError, UnderconstrainedError
+from models.listing import some
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
 
@@ -110,10 +111,9 @@ class Solved:
         if marginals is None:
             self.report.notes.append(f"the files have no sigmas: {why}")
             return self.graph, None, l[[]]
-        listed = ", ".join(map(repr, free[:5])) + (f" and {len(free) - 5} more" if len(free) > 5 else "")
         self.report.notes.append(
-            f"nothing measures the elevation of {listed}: no sigmas there, all others are given; a contact from "
-            "elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+            f"nothing measures the elevation of {some(list(free))}: no sigmas there, all others are given; a contact "
+            "from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
         )
         return graph, marginals, free
 

@@ -17,6 +17,7 @@ import numpy as np
 from factors.keys import Keys, Kind
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
+from models.listing import some
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
@@ -284,9 +285,8 @@ class Marginals:
         unmeasured = self._status[variables] == "unmeasured"
         if unmeasured.any():
             named = list(keys[unmeasured])
-            listed = ", ".join(map(repr, named[:5])) + (f" and {len(named) - 5} more" if len(named) > 5 else "")
             raise UnderconstrainedError(
-                f"{listed}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no covariance; "
-                "ask for the other variables by number, remove these, or add the factors that are missing",
+                f"{some(named)}: no measurement touches {'it' if len(named) == 1 else 'them'}, so there is no "
+                "covariance; ask for the other variables by number, remove these, or add the factors that are missing",
                 named,
             )

@@ -70,7 +70,7 @@ class MarginalPrior(Factor):
 
     def __init__(self, keys: Sequence[Keys], X0: Sequence[Array], A: Array, b: Array) -> None:
         super().__init__(keys, b, Isotropic(1.0))
-        self.slots, self.X0, self.A = (None,) * len(keys), tuple(X0), A  # type: ignore[misc]
+        self.slots, self.X0, self.A = (None,) * len(keys), tuple(X0), A
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)

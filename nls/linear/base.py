@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -92,7 +91,7 @@ class LinearSolver(Abstract):
         and its steps prove convergence only where the measurements do not pull otherwise.
     """
 
-    name: ClassVar[str]
+    name: str
     exact: bool = True
 
     @classmethod

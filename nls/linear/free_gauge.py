@@ -52,7 +52,7 @@ class FreeGauge(LinearSolver):
 
     def __init__(self, solver: LinearSolver, held: Pattern) -> None:
         self.solver, self.held = solver, held
-        self.name, self.exact = solver.name, solver.exact  # type: ignore[misc]
+        self.name, self.exact = solver.name, solver.exact
 
     def analyze(self, pattern: Pattern) -> FreeAnalysis:
         return FreeAnalysis(self, self.solver.analyze(self.held), *gauge_columns(self.held, pattern))

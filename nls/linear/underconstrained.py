@@ -9,6 +9,7 @@ from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import UnderconstrainedError
+from models.listing import some
 from nls.gauge import component_labels, touched_variables
 from nls.linear.null_space import MAX_DIRECTIONS, carriers_of_singles, separated, single_directions, weakest
 from nls.linear.singular import NULL, SingularSystemError, UnsolvedSystemError
@@ -203,8 +204,7 @@ def _by_variable(pattern: Pattern, owner: Index, component: Index) -> list[tuple
 
 
 def _listed(named: list[tuple[Keys, str]]) -> str:
-    texts = [text for _, text in named]
-    return "; ".join(texts[:6]) + (f"; and {len(texts) - 6} more variables" if len(texts) > 6 else "")
+    return some([text for _, text in named], 6, "; ", " variables")
 
 
 def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tuple[str, list[Advice]]:
@@ -220,7 +220,7 @@ def _where(pattern: Pattern, moving: Index, named: list[tuple[Keys, str]]) -> tu
         _, names = texts[int(members[0])].split(": ", 1)
         size = f"all {len(members)} variables joined to" if len(members) > 1 else "the variable"
         parts.append(f"{names} of {size} {pattern.key(int(members[0]))}")
-    listed = "; ".join(parts[:6]) + (f"; and {len(parts) - 6} more components" if len(parts) > 6 else "")
+    listed = some(parts, 6, "; ", " components")
     components = np.unique(label[moving])
     anchors: dict[int, str] = {}  # component -> a factor that keeps the gauge from being held there
     for batch in pattern.batches:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from models.advice import Advice
 from models.errors import GraphFileError
+from models.listing import some
 from nls.io.dialects import SUFFIXES
 from nls.io.mission.columns import COLUMNS, LOG, TRACK
 from nls.io.mission.report import MissionReport
@@ -99,5 +100,4 @@ def _near_miss(name: str, other_files: list[str]) -> str:
 
 
 def _listed(names: list[str], most: int = 12) -> str:
-    shown = ", ".join(repr(name)[1:-1] for name in names[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+    return some([repr(name)[1:-1] for name in names], most)
