@@ -157,6 +157,10 @@ class Factor(Abstract):
         """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
         return ()
 
+    def relative_poses(self, model: Model) -> Array | None:
+        """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
+        return None
+
     @property
     def z(self) -> Array:
         """The measured values, as given; read-only."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians
+from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.noise import Noise
 from models import LieGroup, Manifold
@@ -61,6 +61,9 @@ class Between(Factor):
         if not isinstance(manifolds[0], LieGroup):
             raise GraphError(f"{self!r}: {manifolds[0]} is no group, so it has no differences of elements")
         return manifolds[0]
+
+    def relative_poses(self, model: Model) -> Array:
+        return model.z
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         group = manifolds[0]

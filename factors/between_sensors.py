@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians
+from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset
 from factors.noise import Noise
@@ -89,6 +89,13 @@ class BetweenSensors(Factor):
         for offset in [self.offset] if isinstance(self.offset, Keys) else self.offset:
             check_offset(self, offset, group, manifolds[-1])
         return group
+
+    def relative_poses(self, model: Model) -> Array | None:
+        if isinstance(self.offset, Keys):  # known by its estimate alone
+            return None
+        group = model.manifolds[0]
+        assert isinstance(group, LieGroup)
+        return group.compose(group.compose(self.offset[0], model.z), group.inverse(self.offset[1]))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         group = manifolds[0]

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians
+from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.noise import Noise
 from models import SE2, Manifold, Measured
-from models.algebra import Array
+from models.algebra import Array, components, pack
 from models.errors import GraphError, OptionError
 from models.options import is_number
 from models.vehicles import wheel_travel
@@ -83,6 +83,12 @@ class Wheels(Factor):
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return Measured("right", "left", "lateral")
+
+    def relative_poses(self, model: Model) -> Array:
+        right, left, t = components(model.z)
+        s, phi = (right + left) / 2, (right - left) / (2 * self.base)
+        cos, sin = np.cos(phi), np.sin(phi)
+        return pack([s * cos - t * sin, s * sin + t * cos, 2 * phi])
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         X_i, X_j = X

@@ -21,8 +21,6 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from factors.base import Factor, Model
-from factors.between import Between
-from factors.between_sensors import BetweenSensors
 from models import LieGroup
 from models.advice import Advice
 from models.algebra import Array, Index, congruence, gram
@@ -42,9 +40,9 @@ Mask = npt.NDArray[np.bool_]
 SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
 
-def is_relative(factor: Factor, of_sensors: bool = False) -> bool:
-    """Whether a factor measures relative poses: a `Between`; with ``of_sensors`` a `BetweenSensors`, too."""
-    return isinstance(factor, Between) or (of_sensors and isinstance(factor, BetweenSensors))
+def is_relative(factor: Factor) -> bool:
+    """Whether a factor is of a kind that measures relative poses, see `Factor.relative_poses`."""
+    return type(factor).relative_poses is not Factor.relative_poses
 
 
 def places(pattern: Pattern) -> Index:
@@ -57,7 +55,7 @@ def places(pattern: Pattern) -> Index:
 
 
 def odometry(pattern: Pattern) -> list[Mask]:
-    """Per batch (k,) the relative poses, of sensors too, whose ends follow each other in the numbers of one kind.
+    """Per batch (k,) the relative poses whose ends follow each other in the numbers of one kind.
 
     Examples
     --------
@@ -76,9 +74,9 @@ def odometry(pattern: Pattern) -> list[Mask]:
 
 
 def closures(pattern: Pattern) -> list[Mask]:
-    """Per batch (k,) the relative poses, of sensors too, that are no `odometry`: loop closures, matches."""
+    """Per batch (k,) the relative poses that are no `odometry`: loop closures, matches."""
     masks = zip(pattern.batches, odometry(pattern), strict=True)
-    return [~follows & is_relative(batch.model.factor, of_sensors=True) for batch, follows in masks]
+    return [~follows & is_relative(batch.model.factor) for batch, follows in masks]
 
 
 @dataclass(frozen=True)
@@ -125,11 +123,12 @@ class PoseGraph:
     ----------
     graph, values : the factor graph and its variables.
     batches : its measurements between two variables of one manifold.
-    group : the group of the measurements; of `Between` it is that manifold.
+    group : the group of the measurements, often that manifold.
+    z : what they measure in that group, by batch (k, size).
 
     Attributes
     ----------
-    group, pattern, batches : as given.
+    group, pattern, batches : as they were given.
     kinds : the kinds of variables in the manifold; their stacks, one after the other, are the nodes.
     n : the number of nodes.
     variables : (n,) their numbers among all variables.
@@ -150,7 +149,9 @@ class PoseGraph:
     ([True, True, False], [0.01, 0.01, 0.01])
     """
 
-    def __init__(self, graph: FactorGraph, values: Values, batches: Sequence[Batch], group: LieGroup) -> None:
+    def __init__(
+        self, graph: FactorGraph, values: Values, batches: Sequence[Batch], group: LieGroup, z: Sequence[Array]
+    ) -> None:
         self.pattern, self.batches, self.group = graph.pattern(values), batches, group
         offsets, numbers, manifold = self.pattern.offsets, self.pattern.numbers, batches[0].model.manifolds[0]
         self.kinds = tuple(kind for kind, space in self.pattern.manifolds.items() if space is manifold)
@@ -162,7 +163,7 @@ class PoseGraph:
         held = [keys for keys in graph.fixed if keys.kind in self.kinds]
         self.fixed = fixed_variables(held, values)[self.variables]
         self.i, self.j = (self.nodes(np.concatenate([batch.variables[slot] for batch in batches])) for slot in (0, 1))
-        self.z: Array = np.concatenate([batch.model.z for batch in batches])
+        self._z, self.z = z, np.concatenate(z)
 
     def nodes(self, variables: Index) -> Index:
         """Nodes (k,) of some variables (k,) in the manifold."""
@@ -176,8 +177,8 @@ class PoseGraph:
 
     def replaced(self, values: Values, X: Array) -> Values:
         """Values with these nodes."""
-        ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])
-        return values.replaced(dict(zip(self.kinds, np.split(X, ends[:-1]), strict=True)))
+        ends = np.cumsum([len(values.stacks[kind]) for kind in self.kinds])[:-1]
+        return values.replaced(dict(zip(self.kinds, np.split(X, ends), strict=True)))
 
     @cached_property
     def odometry(self) -> Mask:
@@ -187,8 +188,9 @@ class PoseGraph:
 
     @cached_property
     def C(self) -> Array:
-        """(m, d, d) covariances of Exp at j, of `Between`; a GraphError names weights without some component."""
-        return np.concatenate([_covariances(batch.model) for batch in self.batches])
+        """(m, d, d) covariances of Exp at j; a GraphError names weights without some component."""
+        C = [_covariances(batch.model, self.group, z) for batch, z in zip(self.batches, self._z, strict=True)]
+        return np.concatenate(C)
 
     def edges(self) -> Edges:
         """All edges in the order of the measurements, with covariances; raises as `C`."""
@@ -197,7 +199,7 @@ class PoseGraph:
     def mean_weights(self) -> tuple[Array, Array]:
         """kappa and tau (m,), 1/rad^2 and 1/m^2: trace of the block of Omega over its size."""
         D, d = self.group.dim, self.group.point_dim
-        squares = [np.square(batch.model.W) for batch in self.batches]
+        squares = [np.square(W) for W in self._W]
         Omega = self._of_edges([W2 if W2.ndim == 2 else W2.sum(axis=1) for W2 in squares])
         return Omega[:, d:].sum(axis=1) / (D - d), Omega[:, :d].sum(axis=1) / d
 
@@ -207,10 +209,15 @@ class PoseGraph:
         tau = d / tr Omega_t^-1; kappa = Omega_33 in the plane and 3 / (2 tr Omega_R^-1) in space.
         """
         D, d = self.group.dim, self.group.point_dim
-        W = [batch.model.W for batch in self.batches]
-        Omega = gram(self._of_edges([W_b if W_b.ndim == 3 else W_b[..., None] * np.eye(D) for W_b in W]))
+        Omega = gram(self._of_edges([W if W.ndim == 3 else W[..., None] * np.eye(D) for W in self._W]))
         rotation, position = (_inverse_trace(block) for block in (Omega[:, d:, d:], Omega[:, :d, :d]))
         return np.where(rotation < np.inf, Omega[:, 2, 2], 0.0) if d == 2 else 1.5 / rotation, d / position
+
+    @property
+    def _W(self) -> list[Array]:
+        """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the factor computes the pose from its z."""
+        models = [batch.model for batch in self.batches]
+        return [m.W if z is m.z else _ends(m, self.group, z) for m, z in zip(models, self._z, strict=True)]
 
     def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         """Numbers (m, ...) of all edges, batch by batch (k, ...)."""
@@ -347,19 +354,20 @@ class Laplacian:
 
 def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
     """The relative poses of a graph by group, in the order of the groups' names."""
-    batches: dict[LieGroup, list[Batch]] = {}
+    batches: dict[LieGroup, list[tuple[Batch, Array]]] = {}
     for batch in graph.pattern(values).batches:
-        if is_relative(batch.model.factor) and len(batch):
-            group = batch.model.space
+        if len(batch) and (z := batch.model.factor.relative_poses(batch.model)) is not None:
+            group = batch.model.manifolds[0]
             assert isinstance(group, LieGroup)
-            batches.setdefault(group, []).append(batch)
+            batches.setdefault(group, []).append((batch, z))
     for group in sorted(batches, key=repr):
-        yield PoseGraph(graph, values, batches[group], group)
+        of_group, z_of_group = zip(*batches[group], strict=True)
+        yield PoseGraph(graph, values, of_group, group, z_of_group)
 
 
 def _steps(batch: Batch, place: Index) -> Mask:
     """(k,) relative poses of a batch between neighbors in the numbers of one kind."""
-    if not is_relative(batch.model.factor, of_sensors=True) or batch.kinds[0] != batch.kinds[1]:
+    if not is_relative(batch.model.factor) or batch.kinds[0] != batch.kinds[1]:
         return np.zeros(len(batch), dtype=bool)
     return np.asarray(np.abs(place[batch.variables[0]] - place[batch.variables[1]]) == 1)
 
@@ -372,23 +380,20 @@ def _inverse_trace(blocks: Array) -> Array:
     return out
 
 
-def _covariances(model: Model) -> Array:
-    """(m, d, d) covariances of the measurements of a bound `Between`."""
-    group = model.space
-    assert isinstance(group, LieGroup)
-    (_, A), _ = model.linearize(group.identity(len(model.z)), model.z)
-    information = gram(A)
+def _ends(model: Model, group: LieGroup, z: Array) -> Array:
+    """A_j (m, d, d) of relative poses z at residual zero."""
+    return model.linearize(group.identity(len(z)), z)[0][1]
+
+
+def _covariances(model: Model, group: LieGroup, z: Array) -> Array:
+    """(m, d, d) covariances of relative poses z."""
+    information = gram(_ends(model, group, z))
     sizes = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     sizes = np.where(sizes > 0, sizes, 1.0)  # meters and radians in units of their own: a rank is of numbers alike
     correlation = information / (sizes[:, :, None] * sizes[:, None, :])
     bad = np.linalg.matrix_rank(correlation, hermitian=True) < group.dim
     if bad.any():
         name = model.factor.describe(int(np.argmax(bad)))
-        raise GraphError(
-            f"{name}: its weights say nothing of one of its components, so that no uncertainty of a loop through it "
-            "exists",
-            model.factor.keys,
-            name,
-            advice=[Advice("judge all")],
-        )
+        text = "its weights say nothing of one of its components, so that no uncertainty of a loop through it exists"
+        raise GraphError(f"{name}: {text}", model.factor.keys, name, advice=[Advice("judge all")])
     return np.asarray(np.linalg.inv(information))

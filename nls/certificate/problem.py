@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from factors.between import Between
 from factors.prior import Prior
 from models import SE2, SE3
 from models.algebra import Array, pack
@@ -29,7 +30,7 @@ from models.manifolds.se3 import join
 from models.manifolds.so3 import quaternion_from_matrix
 from nls.graph import FactorGraph
 from nls.linear.factorization import Factorization
-from nls.posegraph import Laplacian, PoseGraph, is_relative, pose_graphs
+from nls.posegraph import Laplacian, PoseGraph, pose_graphs
 from nls.values import Values
 
 __all__ = ["Problem", "certifiable"]
@@ -150,7 +151,7 @@ def _refuse_others(graph: FactorGraph) -> None:
     for factor in graph.factors:
         if not len(factor) or isinstance(factor, Prior):
             continue
-        if not is_relative(factor):
+        if not isinstance(factor, Between):
             raise GraphError(
                 f"certify: {factor!r:.80} is no measured difference of two poses; expected Between factors alone",
                 factor.keys,

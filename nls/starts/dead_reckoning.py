@@ -67,7 +67,7 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH) and len(batch)]
     if not batches:
         return values
-    poses = PoseGraph(graph, values, batches, SE2)
+    poses = PoseGraph(graph, values, batches, SE2, [batch.model.z for batch in batches])
     X = np.array(poses.stack(values))
     tilt, measured = _tilts(poses)
 

@@ -5,12 +5,28 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from factors import Between, BetweenSensors, Diagonal, Information, Isotropic, Prior, SqrtInformation
-from models import SE2, SE3, LieGroup
-from models.algebra import Array
+import nls
+from factors import (
+    Between,
+    BetweenSensors,
+    Diagonal,
+    Factor,
+    Information,
+    Isotropic,
+    Noise,
+    Prior,
+    SqrtInformation,
+    Wheels,
+)
+from factors.base import Jacobians, Model
+from factors.keys import Keys
+from models import SE2, SE3, LieGroup, Manifold, Measured
+from models.algebra import Array, Index
 from models.errors import GraphError
+from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
 from nls.linear.singular import SingularSystemError
 from nls.posegraph import Edges, Laplacian, PoseGraph, closures, odometry, pose_graphs
@@ -224,3 +240,70 @@ def test_numbers_that_are_not_sorted_change_nothing(group: LieGroup) -> None:
     assert order[edges.i].tolist() == np.array(ODD)[odd.i].tolist()
     assert order[edges.j].tolist() == np.array(ODD)[odd.j].tolist()
     assert edges.C is odd.C
+
+
+class Counts(Factor):
+    """An odometer that nobody has announced: 100 counts a meter ahead, a meter to the left, a radian of turn."""
+
+    slots = (SE2, SE2)
+    relative = True
+
+    def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise) -> None:
+        super().__init__([i, j], z, noise)
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return Measured("ahead", "left", "turn")
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        h = SE2.between(*X)
+        H_j = np.zeros((len(h), 3, 3))
+        H_j[:, :2, :2], H_j[:, 2, 2] = 100 * SE2.rotation(h), 100
+        return 100 * h, (-H_j @ SE2.adjoint_inverse(h), H_j)
+
+    def relative_poses(self, model: Model) -> Array:
+        return model.z / 100
+
+
+def square(rng: np.random.Generator) -> tuple[Index, Index, Array]:
+    """Ends i and j of 120 steps, five times around a square, and of 20 closures, and z; the last closure is wrong."""
+    X = np.zeros((121, 3))
+    for k in range(120):
+        X[k + 1] = SE2.compose(X[[k]], [[1.0, 0.0, np.pi / 2 * (k % 3 == 2)]])[0]
+    i, j = np.r_[np.arange(120), np.arange(0, 100, 5)], np.r_[np.arange(1, 121), np.arange(12, 112, 5)]
+    z = SE2.compose(SE2.between(X[i], X[j]), SE2.exp(0.01 * rng.normal(size=(140, 3))))
+    z[-1] += [0.8, -0.9, 0.7]
+    return i, j, z
+
+
+@pytest.mark.parametrize("kind", ["counts", "wheels", "sensors"])
+def test_an_odometer_that_says_its_poses_is_one_of_ours(kind: str) -> None:
+    """Starts chain it, gnc judges its closures, explain names the wrong one: as of a `Between`."""
+    i, j, z = square(RNG(6))
+    O = np.array([0.5, 0.2, 0.3])
+    factor = {
+        "counts": lambda: Counts(x[i], x[j], 100 * z, Isotropic(1.0)),
+        "wheels": lambda: Wheels(x[i], x[j], wheel_travel(SE2.identity(140), z, 0.5)[0], Isotropic(0.01), 0.5),
+        "sensors": lambda: BetweenSensors(
+            x[i], x[j], SE2.compose(SE2.compose(SE2.inverse(O[None]), z), O[None]), Isotropic(0.01), (O, O)
+        ),
+    }[kind]()
+    values = Values({x: (SE2, np.zeros((121, 3)))})
+    graph, ours = FactorGraph([factor]), FactorGraph([Between(x[i], x[j], z, Isotropic(0.01))])
+    (poses,), (expected,) = pose_graphs(graph, values), pose_graphs(ours, values)
+    np.testing.assert_allclose(poses.z, expected.z, atol=1e-12)
+    np.testing.assert_array_equal(poses.odometry, expected.odometry)
+    for start, atol in (("odometry", 1e-9), ("chordal", 0.2)):  # m and rad; the weights of wheels are of their own
+        track, expected_track = (nls.initialize(g, values, start)[0][x] for g in (graph, ours))
+        np.testing.assert_allclose(SE2.local(track, expected_track), 0, atol=atol)
+    robust = nls.gnc(graph, values)
+    assert [len(robust.rejected), np.flatnonzero(robust.weights[0] == 0).tolist()] == [1, [139]]
+    findings = nls.explain(graph, graph.optimize(nls.initialize(graph, values)[0]).values).findings
+    (finding,) = [f for f in findings if f.kind is nls.FindingKind.WRONG_CLOSURE]
+    assert finding.measurements == ((0, 139),)
+
+
+def test_a_sensor_whose_place_is_unknown_says_no_pose_of_the_vehicle() -> None:
+    factor = BetweenSensors(x[[0, 1, 0]], x[[1, 2, 2]], np.zeros((3, 3)), UNIT, y[0])
+    values = Values({x: (SE2, np.zeros((3, 3))), y: (SE2, np.zeros((1, 3)))})
+    assert list(pose_graphs(FactorGraph([factor]), values)) == []
+    assert closures(FactorGraph([factor]).pattern(values))[0].tolist() == [False, False, True]
