@@ -39,7 +39,7 @@ def named(graph: FactorGraph, values: Values) -> set[tuple[str, str]]:
         ("lines", 1, "y flipped", {("Wheels", "y flipped"), ("Line", "mirrored")}),
     ],
 )
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0])
 def test_a_kind_is_named(name: str, k: int, reading: str, expected: set[tuple[str, str]], seed: int) -> None:
     graph, start = world(name, seed)
     wrong = misread(graph, start, k, reading)
