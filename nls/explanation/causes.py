@@ -9,7 +9,7 @@ from nls.analysis.clock import clock_offsets
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
-from nls.analysis.swapped import swapped_landmarks
+from nls.analysis.swapped_landmarks import swapped_landmarks
 from nls.explanation.findings import SOME, Finding, FindingKind
 from nls.linear.singular import SingularSystemError
 
@@ -33,7 +33,7 @@ def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
             "quantity": one.quantity,
             "component": one.component,
             "value": one.value,
-            "others": one.others,
+            "others": one.reference,
         }
         advice = (Advice("inspect", ("it",)), Advice("units"))
         findings.append(Finding(FindingKind.OUTSIZED, one.keys, numbers, advice, (one.place,)))

@@ -249,7 +249,7 @@ def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tup
     assert free.checked is not None
     moved = np.zeros(pattern.n, dtype=bool)
     moved[free.singles.indices] = True
-    scaled = np.abs(free.others) * free.norms[:, None]
+    scaled = np.abs(free.combinations) * free.norms[:, None]
     moved |= (scaled > 1e-6 * scaled.max(axis=0, initial=0.0)).any(axis=1)
     owner, _ = pattern.column_owner()
     known = ~pattern.held & ~idle

@@ -129,11 +129,11 @@ def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
 
 def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     """Directions that move several variables: of whole parts of the graph where they are motions of the world."""
-    if not free.others.shape[1]:
+    if not free.combinations.shape[1]:
         return []
     owner, _ = pattern.column_owner()
     label = component_labels(pattern)
-    scaled = free.others * free.norms[:, None]
+    scaled = free.combinations * free.norms[:, None]
     share = np.stack([np.square(scaled[label[owner] == k]).sum(axis=0) for k in np.unique(label[owner])])
     home = np.unique(label[owner])[np.argmax(share, axis=0)]  # component of every direction
     findings = []
@@ -165,7 +165,7 @@ def _motions_of(
     ends = np.cumsum(sizes)
     begin = np.cumsum(pattern.dims) - pattern.dims
     rows = np.repeat(begin[members] - (ends - sizes), sizes) + np.arange(ends[-1])  # among all unknowns
-    N = np.stack([pattern.expand(u)[rows] for u in free.others.T[which]], axis=1)
+    N = np.stack([pattern.expand(u)[rows] for u in free.combinations.T[which]], axis=1)
     G = np.zeros((len(rows), len(AXES)))
     positions, names = [], []
     for name, stack in values.stacks.items():
