@@ -54,7 +54,6 @@ FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
 ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
 ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
-OLD_NAMES_IN = ("analysis", "certificate", "explanation", "robust", "starts")  # of nls: still to be renamed
 SLOW = {"matplotlib", "mpl_toolkits", "tqdm", "threadpoolctl", "sksparse", "sparseqr"}  # to import: only where used
 SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}
@@ -200,9 +199,8 @@ def given_names(tree: ast.Module) -> Iterator[str]:
 
 
 def test_names_are_nouns_and_verbs() -> None:
-    files = [path for path in FILES if room_of(path) not in OLD_NAMES_IN]
     pronouns = {
-        name_of(path): NO_NAMES & {name.strip("_").lower() for name in given_names(TREES[path])} for path in files
+        name_of(path): NO_NAMES & {name.strip("_").lower() for name in given_names(TREES[path])} for path in FILES
     }
     assert {name: names for name, names in pronouns.items() if names} == {}
 

@@ -24,7 +24,7 @@ from models.errors import (
     SingularGeometryError,
     UnderconstrainedError,
 )
-from nls.analysis.aligned import aligned
+from nls.analysis.alignment import aligned
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
 from nls.linear.singular import SingularSystemError

@@ -91,7 +91,7 @@ def clock_offsets(
     kinds = {
         name: [k for k, _ in kind]
         for name, kind in kinds_of(checked.linear.pattern, count).items()
-        if sum(len(which) for _, which in kind) >= MANY and all(_attached(checked, k, speeds) for k, _ in kind)
+        if sum(len(indices) for _, indices in kind) >= MANY and all(_attached(checked, k, speeds) for k, _ in kind)
     }
     names = list(kinds)
     if not names:
@@ -190,8 +190,8 @@ def _test(
 
 def _fall(score: Array, M: Array, chosen: list[int]) -> float:
     """Fall of chi2 with some offsets as unknowns; 0 where the motion does not tell them apart."""
-    part = M[np.ix_(chosen, chosen)]
-    unit = np.sqrt(np.outer(np.diagonal(part), np.diagonal(part)))
-    if np.linalg.eigvalsh(part / unit)[0] < KNOWN:
+    block = M[np.ix_(chosen, chosen)]
+    unit = np.sqrt(np.outer(np.diagonal(block), np.diagonal(block)))
+    if np.linalg.eigvalsh(block / unit)[0] < KNOWN:
         return 0.0
-    return float(score[chosen] @ np.linalg.solve(part, score[chosen]))
+    return float(score[chosen] @ np.linalg.solve(block, score[chosen]))

@@ -44,7 +44,7 @@ class Freedom:
     checked : None where weights or scales differ too much for A'A although nothing is free.
     anchors : (f,) columns that were held.
     singles : (n, q) directions of one variable each, in units of the unknowns.
-    others : (n, r) directions that move several.
+    combinations : (n, r) directions that move several.
     norms : (n,) lengths of the columns of A; 1 where a column is zero.
     scale : (N,) lengths with nothing held; 0 where a column is zero.
     more : there may be further ones.
@@ -53,7 +53,7 @@ class Freedom:
     checked: Checked | None
     anchors: Index
     singles: sp.csc_array
-    others: Array
+    combinations: Array
     norms: Array
     scale: Array
     more: bool
@@ -61,7 +61,7 @@ class Freedom:
     @property
     def count(self) -> int:
         """Free directions found."""
-        return int(self.singles.shape[1] + self.others.shape[1])
+        return int(self.singles.shape[1] + self.combinations.shape[1])
 
 
 def freedom(factors: Sequence[Factor], pattern: Pattern, values: Values) -> Freedom:
@@ -84,23 +84,23 @@ def freedom(factors: Sequence[Factor], pattern: Pattern, values: Values) -> Free
     zero, norms = np.flatnonzero(norms == 0), np.where(norms == 0, 1.0, norms)
     n = len(norms)
     singles = sp.csc_array((np.ones(len(zero)), zero, np.arange(len(zero) + 1)), (n, len(zero)))
-    others, anchors = np.zeros((n, 0)), zero
+    combinations, anchors = np.zeros((n, 0)), zero
     for turn in range(ROUNDS):
         if len(anchors):
             linear = Linearization(anchored(factors, pattern, values, anchors, norms), values)
         try:
-            return Freedom(Checked(linear), anchors, singles, others, norms, scale, False)
+            return Freedom(Checked(linear), anchors, singles, combinations, norms, scale, False)
         except SingularSystemError:
             pass
-        found, one = _null(linear.system, turn == 0)
-        if not found.shape[1] and not one.shape[1]:
-            return Freedom(None, anchors, singles, others, norms, scale, False)
-        anchors = np.concatenate([anchors, _pivots(found, one, norms)])
-        singles = sp.csc_array(sp.hstack([singles, sp.diags_array(1 / norms) @ one]))
-        others = np.concatenate([others, found], axis=1)
+        directions, single = _null(linear.system, turn == 0)
+        if not directions.shape[1] and not single.shape[1]:
+            return Freedom(None, anchors, singles, combinations, norms, scale, False)
+        anchors = np.concatenate([anchors, _pivots(directions, single, norms)])
+        singles = sp.csc_array(sp.hstack([singles, sp.diags_array(1 / norms) @ single]))
+        combinations = np.concatenate([combinations, directions], axis=1)
         if turn:  # twelve of more are mixtures; all of them come apart
-            others = separated(others, sp.csc_array((n, 0)), norms)
-    return Freedom(None, anchors, singles, others, norms, scale, True)
+            combinations = separated(combinations, sp.csc_array((n, 0)), norms)
+    return Freedom(None, anchors, singles, combinations, norms, scale, True)
 
 
 def anchored(factors: Sequence[Factor], pattern: Pattern, values: Values, columns: Index, norms: Array) -> Pattern:
@@ -110,26 +110,26 @@ def anchored(factors: Sequence[Factor], pattern: Pattern, values: Values, column
     kind = np.searchsorted(start, owner[columns], side="right") - 1
     priors = []
     for k, (name, manifold) in enumerate(pattern.manifolds.items()):
-        for c, what in enumerate(manifold.components):
-            here = columns[(kind == k) & (component[columns] == c)]
-            if len(here):
-                rows = owner[here] - pattern.offsets[name]
+        for c, label in enumerate(manifold.components):
+            members = columns[(kind == k) & (component[columns] == c)]
+            if len(members):
+                rows = owner[members] - pattern.offsets[name]
                 keys = Keys(name, pattern.numbers[name][rows])
-                noise = Isotropic(1 / norms[here])
-                priors.append(Prior(keys, values.stack(name).X[rows], noise, components=(what,)))
+                noise = Isotropic(1 / norms[members])
+                priors.append(Prior(keys, values.stack(name).X[rows], noise, components=(label,)))
     return Pattern([*factors, *priors], values).holding(pattern.held)
 
 
 def _null(system: LinearSystem, first: bool) -> tuple[Array, sp.csc_array]:
     """Free directions of several variables (n, r), and of single ones (n, q), columns of A scaled to length 1."""
     N, norms = null_space(system), system.balanced.column_norms
-    one = single_directions(system.balanced) if first else sp.csc_array((len(norms), 0))
-    found = separated(N, one, norms) if N.shape[1] else N
-    one = sp.csc_array(sp.diags_array(system.column_norms / norms) @ one)
-    return found, sp.csc_array(one @ sp.diags_array(1 / np.sqrt(one.power(2).sum(axis=0))))
+    single = single_directions(system.balanced) if first else sp.csc_array((len(norms), 0))
+    directions = separated(N, single, norms) if N.shape[1] else N
+    single = sp.csc_array(sp.diags_array(system.column_norms / norms) @ single)
+    return directions, sp.csc_array(single @ sp.diags_array(1 / np.sqrt(single.power(2).sum(axis=0))))
 
 
-def _pivots(found: Array, one: sp.csc_array, norms: Array) -> Index:
+def _pivots(directions: Array, single: sp.csc_array, norms: Array) -> Index:
     """As many unknowns as directions, which hold all of these when they are held: N[pivots] is invertible.
 
     Those of single variables S first; then those of N - S S[pivots]^-1 N[pivots], which leave the first ones alone.
@@ -137,21 +137,21 @@ def _pivots(found: Array, one: sp.csc_array, norms: Array) -> Index:
     from scipy.linalg import qr
 
     out: list[Index] = [np.zeros(0, dtype=np.intp)]
-    rest = found * norms[:, None]
-    for begin, end in _runs(one):
-        rows = one.indices[one.indptr[begin] : one.indptr[begin + 1]]
-        S = one[rows][:, begin:end].toarray()
+    remainder = directions * norms[:, None]
+    for begin, end in _runs(single):
+        rows = single.indices[single.indptr[begin] : single.indptr[begin + 1]]
+        S = single[rows][:, begin:end].toarray()
         pivots = qr(S.T, mode="r", pivoting=True)[1][: end - begin]
-        rest[rows] -= S @ np.linalg.solve(S[pivots], rest[rows[pivots]])
-        rest[rows[pivots]] = 0.0  # but for rounding
+        remainder[rows] -= S @ np.linalg.solve(S[pivots], remainder[rows[pivots]])
+        remainder[rows[pivots]] = 0.0  # but for rounding
         out.append(rows[pivots])
-    if found.shape[1]:
-        out.append(qr(rest.T, mode="r", pivoting=True)[1][: found.shape[1]])
+    if directions.shape[1]:
+        out.append(qr(remainder.T, mode="r", pivoting=True)[1][: directions.shape[1]])
     return np.concatenate(out).astype(np.intp)
 
 
-def _runs(one: sp.csc_array) -> list[tuple[int, int]]:
+def _runs(single: sp.csc_array) -> list[tuple[int, int]]:
     """Directions (begin, end) of one variable, which follow each other."""
-    first = one.indices[one.indptr[:-1]]
+    first = single.indices[single.indptr[:-1]]
     ends = [*np.flatnonzero(first[1:] != first[:-1]) + 1, len(first)] if len(first) else []
     return list(zip([0, *ends], ends, strict=False))

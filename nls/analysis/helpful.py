@@ -140,8 +140,8 @@ def helpful_motions(
     >>> from nls import FactorGraph, Values, kinds
     >>> x, l = kinds("x", "l")
     >>> values = Values({x: (SE3, np.array([[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]])), l: (R(3), [4, 1, 0])})
-    >>> seen = RangeAzimuth(x[[0, 1]], l[[0, 0]], [[4.123, 0.245], [3.162, 0.322]], Diagonal([0.01, 0.005]))
-    >>> graph = FactorGraph([seen])
+    >>> contacts = RangeAzimuth(x[[0, 1]], l[[0, 0]], [[4.123, 0.245], [3.162, 0.322]], Diagonal([0.01, 0.005]))
+    >>> graph = FactorGraph([contacts])
     >>> graph.fix(x[[0, 1]])
     >>> odometry = graph.add(Between(x[0], x[1], [1, 0, 0, 0, 0, 0, 1], Isotropic(0.01)))
     >>> print(helpful_motions(graph, values, l[0]))
@@ -162,28 +162,28 @@ def helpful_motions(
         raise GraphError(f"helpful_motions: expected one pose such as x[0], got {pose!r:.60}")
     F = group.identity()[0] if frame is None else group.stack(frame)[0]
     before = observability(graph, values, key)
-    found = []
+    outcomes = []
     for name, step in (_simple(group) if motions is None else dict(motions)).items():
         step = _step(name, step, group)
         motion = group.compose(group.compose(F, group.exp(step)), group.inverse(F))
         after = observability(*_seen_again(graph, values, pose, motion), key, before.length)
         with np.errstate(invalid="ignore"):
             gain = np.where(after.undetermined, 1.0, before.sigma / after.sigma)
-        found.append(Motion(name, motion, after, gain))
+        outcomes.append(Motion(name, motion, after, gain))
     weak = before.undetermined if before.undetermined.any() else np.arange(len(before.sigma)) == before.weakest
-    found.sort(key=lambda m: (-m.after.rank, float((m.after.sigma * m.after.weights)[weak].max())))
-    return Motions(pose, before, tuple(found))
+    outcomes.sort(key=lambda m: (-m.after.rank, float((m.after.sigma * m.after.weights)[weak].max())))
+    return Motions(pose, before, tuple(outcomes))
 
 
 def _step(name: str, step: npt.ArrayLike, group: LieGroup) -> Array:
     """A tangent step (dim,)."""
     try:
-        found = np.asarray(step, dtype=float)
+        vector = np.asarray(step, dtype=float)
     except (TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape != (group.dim,) or not np.isfinite(found).all():
+        vector = np.zeros(0)
+    if vector.shape != (group.dim,) or not np.isfinite(vector).all():
         raise OptionError(f"motions: {name}", step, f"a step of {group.dim} finite numbers, {group.components}")
-    return found
+    return vector
 
 
 def _simple(group: LieGroup) -> dict[str, Array]:
@@ -191,8 +191,8 @@ def _simple(group: LieGroup) -> dict[str, Array]:
     turn = np.radians(10.0)
     steps = {STAY: np.zeros(group.dim)}
     for step, name in zip(np.eye(group.dim), group.components, strict=True):
-        amount, said = (0.5, "0.5 m") if name in ("x", "y", "z") else (turn, "10 deg")
-        steps[f"{AXES[name]} {said}"] = amount * step
+        amount, label = (0.5, "0.5 m") if name in ("x", "y", "z") else (turn, "10 deg")
+        steps[f"{AXES[name]} {label}"] = amount * step
     return steps
 
 
@@ -200,10 +200,10 @@ def _last(graph: FactorGraph, values: Values, key: Keys) -> Keys:
     """The pose of highest number that shares a factor with a variable."""
     shared: dict[str, int] = {}
     for factor in graph.factors:
-        theirs = _touching(factor, key)
+        mask = _touching(factor, key)
         for keys in factor.keys:
-            if keys.kind != key.kind and theirs.any() and values.stack(keys.kind).manifold.body_axes:
-                shared[keys.kind] = max(shared.get(keys.kind, -1), int(keys.numbers[theirs].max()))
+            if keys.kind != key.kind and mask.any() and values.stack(keys.kind).manifold.body_axes:
+                shared[keys.kind] = max(shared.get(keys.kind, -1), int(keys.numbers[mask].max()))
     if not shared:
         raise GraphError(
             f"helpful_motions: no pose shares a factor with {key!r}; say which one moves, pose=x[0]", [key]
@@ -226,24 +226,24 @@ def _seen_again(graph: FactorGraph, values: Values, pose: Keys, motion: Array) -
     new = int(stack.numbers.max()) + 1
     group = stack.manifold
     assert isinstance(group, LieGroup)
-    there = group.compose(values[pose].reshape(1, -1), motion)
-    moved_values = values.extended(Keys(pose.kind, new), there)
+    new_pose = group.compose(values[pose].reshape(1, -1), motion)
+    moved_values = values.extended(Keys(pose.kind, new), new_pose)
 
-    parts = []
+    views = []
     for factor in graph.factors:
         mine = np.zeros(0) if factor.limit_only else _touching(factor, pose)
         if mine.any():
-            parts.append(factor if mine.all() else factor[mine])
+            views.append(factor if mine.all() else factor[mine])
     last = int(pose.numbers[0])
-    joined = np.concatenate([k.numbers for part in parts for k in part.keys if k.kind == pose.kind])
+    joined = np.concatenate([k.numbers for view in views for k in view.keys if k.kind == pose.kind])
     before = joined[joined < last].max(initial=-1)
     extended = FactorGraph(graph.factors, graph.fixed)
-    for part in parts:
+    for view in views:
         keys = [
             Keys(k.kind, np.where(k.numbers == last, new, np.where(k.numbers == before, last, k.numbers)))
             if k.kind == pose.kind
             else k
-            for k in part.keys
+            for k in view.keys
         ]
-        extended.add(predicted(part, keys, moved_values))
+        extended.add(predicted(view, keys, moved_values))
     return extended, moved_values

@@ -139,9 +139,9 @@ def landmark_information(
     >>> from nls.analysis import landmark_information
     >>> x, l = kinds("x", "l")
     >>> values = Values({x: (SE3, np.array([[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]])), l: (R(3), [4, 1, 0])})
-    >>> seen = RangeAzimuth(x[[0, 1]], l[0], [[4.123, 0.245], [3.162, 0.322]], Diagonal([0.01, 0.005]))
-    >>> found = landmark_information(FactorGraph([seen]), values, l)
-    >>> found.condition, found.weak, found.elevation_angle
+    >>> contacts = RangeAzimuth(x[[0, 1]], l[0], [[4.123, 0.245], [3.162, 0.322]], Diagonal([0.01, 0.005]))
+    >>> information = landmark_information(FactorGraph([contacts]), values, l)
+    >>> information.condition, information.weak, information.elevation_angle
     (array([0.]), array([[0., 0., 1.]]), array([0.]))
     """
     name = kind.name if isinstance(kind, Kind) else kind

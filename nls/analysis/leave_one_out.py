@@ -69,10 +69,10 @@ class Tested:
 def tested(batch: Batch, e: Array, C: Array, w: Array) -> Tested:
     """t and redundancy of the measurements of a batch, from residuals e (k, m), C (k, m, m) and weights (k,)."""
     t, r = left_out(e, C, w)
-    seen, rows = r > UNCHECKED, measuring(batch.model)
-    idle = C.shape[1] - rows  # zero rows: nothing spent, nothing seen
-    m = np.maximum(seen.sum(axis=1) - idle, 0)
-    return Tested(t, m, rows, r.sum(axis=1) - idle, np.asarray(seen.all(axis=1)))
+    redundant, rows = r > UNCHECKED, measuring(batch.model)
+    idle = C.shape[1] - rows  # zero rows: nothing spent, nothing redundant
+    m = np.maximum(redundant.sum(axis=1) - idle, 0)
+    return Tested(t, m, rows, r.sum(axis=1) - idle, np.asarray(redundant.all(axis=1)))
 
 
 def left_out(e: Array, C: Array, w: Array) -> tuple[Array, Array]:
@@ -92,18 +92,18 @@ def measuring(model: Model) -> Index:
 
 
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
-    """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, which) each."""
+    """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, indices) each."""
     out: dict[str, list[tuple[int, Index]]] = {}
     split = closures(pattern)[:count]
-    both = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}
+    mixed = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}
     for k, (batch, closing) in enumerate(zip(pattern.batches, split, strict=False)):
         name = batch.model.factor.name
         if batch.model.factor.limit_only:
             continue
-        sides = {f"{name}, steps": ~closing, f"{name}, closures": closing} if name in both else {name: ~closing}
-        for side, which in sides.items():
-            if which.any():
-                out.setdefault(side, []).append((k, np.flatnonzero(which)))
+        sides = {f"{name}, steps": ~closing, f"{name}, closures": closing} if name in mixed else {name: ~closing}
+        for side, mask in sides.items():
+            if mask.any():
+                out.setdefault(side, []).append((k, np.flatnonzero(mask)))
     return out
 
 
@@ -112,8 +112,8 @@ def spoiled(tests: list[Tested], kind: list[tuple[int, Index]]) -> float:
 
     nan where there are too few to say.
     """
-    t = np.concatenate([tests[k].t[which] for k, which in kind])
-    m = np.concatenate([tests[k].m[which] for k, which in kind])
+    t = np.concatenate([tests[k].t[indices] for k, indices in kind])
+    m = np.concatenate([tests[k].m[indices] for k, indices in kind])
     if (m > 0).sum() < FEW:
         return float("nan")
     return middle_variance(t[m > 0], m[m > 0])
@@ -129,4 +129,4 @@ def middle_variance(t: Array, m: Index) -> float:
 def checks(checked: Checked, count: int) -> list[Tested]:
     """Of every batch of measurements."""
     batches = checked.linear.pattern.batches[:count]
-    return [tested(*each) for each in zip(batches, checked.e, checked.C, checked.w, strict=False)]
+    return [tested(*arguments) for arguments in zip(batches, checked.e, checked.C, checked.w, strict=False)]

@@ -114,7 +114,7 @@ class Checked:
         for batch, A, b in zip(pattern.batches, linear.A, linear.b, strict=True):
             moved = [apply(A_k, X[kind][at]) for A_k, kind, at in zip(A, batch.kinds, batch.index, strict=True)]
             self.e.append(b - sum(moved[1:], moved[0]))
-        self._taken: list[tuple[Array, Array]] = []
+        self._removals: list[tuple[Array, Array]] = []
         self._together: list[Together] = []
         self._predictions()
 
@@ -123,16 +123,16 @@ class Checked:
         pattern, dims = self.linear.pattern, self.linear.pattern.blocks.dims
         number = np.where(pattern.held, -1, np.cumsum(~pattern.held) - 1)
         every = np.arange(len(dims))
-        ones, others = [every], [every]
+        rows, columns = [every], [every]
         for batch in pattern.batches:
             for a, b in combinations(range(len(batch.variables)), 2):
                 i, j = number[batch.variables[a]], number[batch.variables[b]]
                 both = (i >= 0) & (j >= 0)
-                ones.append(i[both])
-                others.append(j[both])
-        found = self.factorization.inverse_blocks(np.concatenate(ones), np.concatenate(others), MEMORY_LIMIT)
-        sizes = [int((dims[i] * dims[j]).sum()) for i, j in zip(ones, others, strict=True)]
-        parts = iter(np.split(found, np.cumsum(sizes)[:-1]))
+                rows.append(i[both])
+                columns.append(j[both])
+        blocks = self.factorization.inverse_blocks(np.concatenate(rows), np.concatenate(columns), MEMORY_LIMIT)
+        sizes = [int((dims[i] * dims[j]).sum()) for i, j in zip(rows, columns, strict=True)]
+        parts = iter(np.split(blocks, np.cumsum(sizes)[:-1]))
         self.diagonal = next(parts)
         begin = np.cumsum(dims**2) - dims**2
         self.C = []
@@ -167,7 +167,7 @@ class Checked:
         U, C = self._columns(batch, index)
         e, root = stacked(self.e, batch, index), self.roots(batch, index)
         K = root[:, None] * np.linalg.inv(np.eye(len(e)) - root[:, None] * C * root) * root
-        self._taken.append((U, K))
+        self._removals.append((U, K))
         G = self._times(U)
         for k, G_k in enumerate(G):
             self.e[k] = self.e[k] + G_k @ (K @ e)
@@ -191,7 +191,7 @@ class Checked:
             parts.append(A.reshape(pattern.n, len(at) * m))
         columns = np.concatenate(parts, axis=1)
         U = self.factorization.solve(columns)
-        for V, K in self._taken:
+        for V, K in self._removals:
             U += V @ (K @ (V.T @ columns))
         touched = columns.any(axis=1)
         C = columns[touched].T @ U[touched]

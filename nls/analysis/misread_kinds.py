@@ -81,8 +81,8 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
     >>> import sim
     >>> from factors.replaced import replaced
     >>> world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
-    >>> first, odometry, seen = world.graph.factors
-    >>> wrong = FactorGraph([first, odometry, replaced(seen, z=seen.z * [-1, 1])])
+    >>> first, odometry, sightings = world.graph.factors
+    >>> wrong = FactorGraph([first, odometry, replaced(sightings, z=sightings.z * [-1, 1])])
     >>> sorted((kind.kind, kind.reading) for kind in misread_kinds(wrong, wrong.optimize(world.start).values))
     [('BearingRange', 'mirrored'), ('Between', 'y flipped')]
     """
@@ -101,8 +101,8 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
         if (factors := _reread(graph, values, places, reading)) is not None
     ]
     fits = [
-        solved(FactorGraph([*reread, *rest], graph.fixed), standing.values, True, FIRST, WORSE * standing.chi2)
-        for *_, (reread, rest) in alternatives
+        solved(FactorGraph([*reread, *other_factors], graph.fixed), standing.values, True, FIRST, WORSE * standing.chi2)
+        for *_, (reread, other_factors) in alternatives
     ]
     lowest = min((fit.chi2 for fit in fits if fit is not None), default=0.0)
     meant = []
@@ -141,8 +141,8 @@ def _sources(pattern: Pattern) -> dict[str, Places]:
     sources: dict[str, Places] = {}
     known = set()
     for name, places in [*types.items(), *kinds.items(), *single.items()]:
-        label = tuple((k, which.tobytes()) for k, which in places)
-        if label not in known and sum(len(which) for _, which in places) >= MANY:
+        label = tuple((k, indices.tobytes()) for k, indices in places)
+        if label not in known and sum(len(indices) for _, indices in places) >= MANY:
             known.add(label)
             sources[name] = places
     return sources
@@ -152,20 +152,20 @@ def _reread(
     graph: FactorGraph, values: Values, places: Places, reading: Reading
 ) -> tuple[list[Factor], list[Factor]] | None:
     """The source read otherwise, and all other measurements; None where the reading makes no sense for the source."""
-    chosen, reread, rest = dict(places), [], []
+    chosen, reread, other_factors = dict(places), [], []
     for k, factor in enumerate(graph.factors):
         if k not in chosen:
-            rest.append(factor)
+            other_factors.append(factor)
             continue
         meant = reading.read(values.gather(factor)[0])
         if meant is None:
             return None
-        others = np.ones(len(factor), dtype=bool)
-        others[chosen[k]] = False
+        outside = np.ones(len(factor), dtype=bool)
+        outside[chosen[k]] = False
         reread.append(meant[chosen[k]])
-        if others.any():
-            rest.append(factor[others])
-    return reread, rest
+        if outside.any():
+            other_factors.append(factor[outside])
+    return reread, other_factors
 
 
 def _middle(factors: list[Factor], values: Values) -> float:

@@ -71,8 +71,8 @@ class Observability:
     @property
     def sigma_known(self) -> Array:
         """The same (d,) if all else, the other components too, were known; inf where no measurement reacts."""
-        seen = np.sqrt(self.known) > FREE * self.weights
-        return np.where(seen, 1 / np.sqrt(np.where(seen, self.known, 1.0)), np.inf)
+        informed = np.sqrt(self.known) > FREE * self.weights
+        return np.where(informed, 1 / np.sqrt(np.where(informed, self.known, 1.0)), np.inf)
 
     @property
     def correlation(self) -> Array:
@@ -96,8 +96,8 @@ class Observability:
         """A step (d,) by its components: ``"y 0.012 m, pitch -0.42 deg"``; what hardly takes part is left out."""
         step = np.asarray(step, dtype=float)
         size = np.abs(step * self.weights)
-        part = np.flatnonzero(size >= INVOLVED * size.max())
-        return ", ".join(f"{self.components[i]} {shown(step[i], self.components[i])}" for i in part)
+        indices = np.flatnonzero(size >= INVOLVED * size.max())
+        return ", ".join(f"{self.components[i]} {shown(step[i], self.components[i])}" for i in indices)
 
     def _head(self) -> str:
         return f"{self.key!r}: {self.rank} of {len(self.components)} directions determined; {self.gauge}"
@@ -107,17 +107,17 @@ class Observability:
         rows: list[Row] = []
         best = {_unit(c) or c: c for c, ratio in zip(self.components, self.compared, strict=True) if ratio == 1.0}
         for c, sigma, known, ratio in zip(self.components, self.sigma, self.sigma_known, self.compared, strict=True):
-            said = f"{ratio:.1f} x {best[_unit(c) or c]}" if 1.0 < ratio < np.inf else ""
-            rows.append((c, shown(sigma, c, "free"), shown(known, c, "-"), said))
+            comparison = f"{ratio:.1f} x {best[_unit(c) or c]}" if 1.0 < ratio < np.inf else ""
+            rows.append((c, shown(sigma, c, "free"), shown(known, c, "-"), comparison))
         return rows
 
     def _notes(self) -> list[str]:
         """What is free, what is weakest, what is correlated."""
         notes = []
-        for n, others in zip(self.free, self.with_free, strict=True):
+        for n, companions in zip(self.free, self.with_free, strict=True):
             size = np.abs(n * self.weights)
             named = ", ".join(self.components[i] for i in np.flatnonzero(size >= 0.02 * size.max()))
-            notes.append(f"free: {named}" + (f" (together with {others})" if others else ""))
+            notes.append(f"free: {named}" + (f" (together with {companions})" if companions else ""))
         if self.rank > 1:
             notes.append(f"weakest direction, one sigma: {self.direction(self.weak[0])}")
         r = self.correlation
@@ -152,7 +152,10 @@ class Observability:
             "sigma_known": _finite(self.sigma_known),
             "compared": _finite(self.compared),
             "weakest": self.components[self.weakest],
-            "free": [{"step": n.tolist(), "with": others} for n, others in zip(self.free, self.with_free, strict=True)],
+            "free": [
+                {"step": n.tolist(), "with": companions}
+                for n, companions in zip(self.free, self.with_free, strict=True)
+            ],
             "weak": self.weak.tolist(),
             "correlation": [_finite(row) for row in self.correlation],
         }

@@ -49,11 +49,11 @@ def exchanged(model: Model) -> Factor | None:
     factor = model.factor
     if not isinstance(factor, Between | BetweenSensors | XYH):
         return None
-    i, j, *others = factor.keys
-    other = replaced(factor, keys=[j, i, *others])
-    if isinstance(other, BetweenSensors) and isinstance(other.offset, tuple):
-        other.offset = other.offset[::-1]
-    return other
+    i, j, *sensors = factor.keys
+    swapped = replaced(factor, keys=[j, i, *sensors])
+    if isinstance(swapped, BetweenSensors) and isinstance(swapped.offset, tuple):
+        swapped.offset = swapped.offset[::-1]
+    return swapped
 
 
 def transposed(model: Model) -> Factor | None:

@@ -146,13 +146,13 @@ class Common:
     ----------
     redundancy : share of it that the residuals show.
     t : its test statistic.
-    seen : whether the residuals show every direction of it.
-    dx : (n,) step of the map where the group is freed as one, in the seen directions.
+    observable : whether the residuals show every direction of it.
+    dx : (n,) step of the map where the group is freed as one, in the observable directions.
     """
 
     redundancy: float
     t: float
-    seen: bool
+    observable: bool
     dx: Array
 
 
@@ -173,11 +173,11 @@ def _common(values: Values, system: LinearSystem, groups: Sequence[ClosureGroup]
             M, v = N - U.T @ PU, C.T @ system.b[rows]
             F = _whitening(N)
             rho, E = np.linalg.eigh(F.T @ M @ F)  # eigenvalues of N^-1 M
-            seen = rho > UNSEEN
-            along = (F @ E)[:, seen]
-            n = along @ (along.T @ v / rho[seen])
+            observable = rho > UNSEEN
+            along = (F @ E)[:, observable]
+            n = along @ (along.T @ v / rho[observable])
             redundancy = float(np.clip(rho, 0, 1).mean()) if len(rho) else 1.0  # without weight it says nothing
-            yield Common(redundancy, float(n @ v), bool(seen.all()), -PU @ n)
+            yield Common(redundancy, float(n @ v), bool(observable.all()), -PU @ n)
 
 
 def _model(values: Values, system: LinearSystem, group: ClosureGroup) -> tuple[Index, Array]:
@@ -199,24 +199,24 @@ def _whitening(N: Array) -> Array:
     """F (d, q) with F'N F = I, q the rank of N; meters and radians in units of their own."""
     scale = 1 / np.sqrt(np.where(np.diagonal(N) > 0, np.diagonal(N), 1.0))
     s, V = np.linalg.eigh(scale[:, None] * N * scale)
-    kept = s > UNSEEN * s.max()
-    return np.asarray(scale[:, None] * V[:, kept] / np.sqrt(s[kept]))
+    nonzero = s > UNSEEN * s.max()
+    return np.asarray(scale[:, None] * V[:, nonzero] / np.sqrt(s[nonzero]))
 
 
 def _judged(
     graph: FactorGraph, values: Values, pattern: Pattern, group: ClosureGroup, common: Common
 ) -> Unverified | None:
     """The group, if it is not verified and the map moves without it."""
-    if common.redundancy > REDUNDANCY or (common.seen and common.t < (LINEAR * SIGMAS) ** 2):
+    if common.redundancy > REDUNDANCY or (common.observable and common.t < (LINEAR * SIGMAS) ** 2):
         return None
     before = group.places(values)
     extent = float(np.ptp(before, axis=0).max())
     after = group.places(values.retract(pattern.expand(common.dx)))
-    if common.seen and np.square(displacements(before, after)).mean() < (LINEAR * PART * extent) ** 2:
+    if common.observable and np.square(displacements(before, after)).mean() < (LINEAR * PART * extent) ** 2:
         return None
     meters = rms = sigmas = np.inf
-    if (rest := _rest(graph, values, group)) is not None:
-        optimum, Sigma = rest
+    if (solution := _optimum_without(graph, values, group)) is not None:
+        optimum, Sigma = solution
         after = group.places(optimum)
         moved, known = displacements(before, after), np.trace(Sigma, axis1=1, axis2=2) > 0
         q = (before - after)[known]
@@ -229,20 +229,22 @@ def _judged(
     return Unverified(closures_of, names, common.redundancy, meters, rms, sigmas)
 
 
-def _rest(graph: FactorGraph, values: Values, group: ClosureGroup) -> tuple[Values, Array] | None:
+def _optimum_without(graph: FactorGraph, values: Values, group: ClosureGroup) -> tuple[Values, Array] | None:
     """The optimum without a group, and covariances (n, k, k) of its positions; None where something is free."""
     masks = [np.ones(len(factor), dtype=bool) for factor in graph.factors]
     for number in np.unique(group.batch):
         masks[number][group.index[group.batch == number]] = False
-    rest = graph.only(masks)
-    parts, fewer = (len(np.unique(component_labels(g.pattern(values)))) for g in (rest, graph))
+    subgraph = graph.only(masks)
+    parts, fewer = (len(np.unique(component_labels(g.pattern(values)))) for g in (subgraph, graph))
     if parts > fewer:
         return None
-    other = chordal(rest, values)
+    chordal_start = chordal(subgraph, values)
     try:
-        results = [rest.optimize(start) for start in ([values] if other is values else [values, other])]
+        results = [
+            subgraph.optimize(start) for start in ([values] if chordal_start is values else [values, chordal_start])
+        ]
         optimum = min(results, key=lambda result: result.chi2_final).values
-        marginals = Marginals(rest, optimum)
+        marginals = Marginals(subgraph, optimum)
     except UnderconstrainedError:
         return None
     return optimum, np.concatenate([marginals.all(Kind(kind), view="position") for kind in group.kinds])

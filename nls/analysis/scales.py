@@ -38,7 +38,7 @@ class Outsized:
     quantity : ``length``, m, or ``information`` of a component.
     component : ``yaw``; empty for a length.
     value : of the measurement.
-    others : median of the kind for a length, the largest of the others for an information.
+    reference : median of the kind for a length, the largest of the others for an information.
     """
 
     place: tuple[int, int]
@@ -46,7 +46,7 @@ class Outsized:
     quantity: str
     component: str
     value: float
-    others: float
+    reference: float
 
 
 def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
@@ -88,11 +88,11 @@ def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
         informations = [_informations(model, tuple(names)) for model in models]
         columns += [("information", name, column) for name, column in zip(names, np.hstack(informations), strict=True)]
         for quantity, component, values in columns:
-            far, others = _far(values) if quantity == "length" else _beyond(values)
+            far, reference = _far(values) if quantity == "length" else _beyond(values)
             for row in far.tolist():
                 place = int(factor[row]), int(index[row])
                 keys = tuple(keys[[place[1]]] for keys in pattern.batches[place[0]].model.factor.keys)
-                out.append(Outsized(place, keys, quantity, component, float(values[row]), others))
+                out.append(Outsized(place, keys, quantity, component, float(values[row]), reference))
     return tuple(out)
 
 
@@ -140,6 +140,6 @@ def _beyond(informations: Array) -> tuple[Index, float]:
     return _falling(informations, informations > BEYOND * largest), largest
 
 
-def _falling(values: Array, which: npt.NDArray[np.bool_]) -> Index:
-    rows = np.flatnonzero(which)
+def _falling(values: Array, mask: npt.NDArray[np.bool_]) -> Index:
+    rows = np.flatnonzero(mask)
     return rows[np.argsort(-values[rows], kind="stable")]

@@ -49,22 +49,22 @@ def sights(pattern: Pattern, values: Values, points: Index) -> dict[int, Sight]:
         factor = batch.model.factor
         if not isinstance(factor, Sighting) or batch.model.manifolds[1] is batch.model.manifolds[0]:
             continue
-        which = np.flatnonzero(np.isin(batch.variables[1], points))
-        if not len(which):
+        rows = np.flatnonzero(np.isin(batch.variables[1], points))
+        if not len(rows):
             continue
         count += np.bincount(batch.variables[1], minlength=len(count))
         group = batch.model.manifolds[0]
         assert isinstance(group, LieGroup)
         _, X = values.gather(factor)
         S = factor.sensor_pose(group, X[0], *X[2:])
-        p = np.broadcast_to(point_in_frame(group, S, X[1])[0], (len(batch), group.point_dim))[which]
-        R = np.broadcast_to(group.rotation(S), (len(batch), group.point_dim, group.point_dim))[which]
+        p = np.broadcast_to(point_in_frame(group, S, X[1])[0], (len(batch), group.point_dim))[rows]
+        R = np.broadcast_to(group.rotation(S), (len(batch), group.point_dim, group.point_dim))[rows]
         names, E = _spherical(p)
         E = E @ R.mT  # rows, in the world
-        variables, first = np.unique(batch.variables[1][which], return_index=True)
+        variables, first = np.unique(batch.variables[1][rows], return_index=True)
         for v, k in zip(variables.tolist(), first.tolist(), strict=True):
             if v not in out:
-                out[v] = Sight(factor.keys[0][[which[k]]], 0, E[k], names)
+                out[v] = Sight(factor.keys[0][[rows[k]]], 0, E[k], names)
     return {v: Sight(s.pose, int(count[v]), s.axes, s.names) for v, s in out.items()}
 
 

@@ -90,7 +90,7 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
     count = len(graph.factors)
     kinds = kinds_of(pattern, count)
     scale = _scales(kinds, checks(checked, count), count)
-    closing = sum(len(which) for name, kind in kinds.items() if name.endswith("closures") for _, which in kind)
+    closing = sum(len(indices) for name, kind in kinds.items() if name.endswith("closures") for _, indices in kind)
     most = max(MOST, int(PART * closing))
     removals: list[list[Place]] = []  # of one measurement, or of a group
     rivals: dict[Place, Rivals] = {}
@@ -105,16 +105,16 @@ def suspects(graph: FactorGraph, pattern: Pattern, values: Values, checked: Chec
         try:
             values, checked = _without(graph, pattern, values, list(chain(*removals)))
             chances = _chances(checks(checked, count), scale)
-            kept = [[(k, i) for k, i in removal if chances[k][i] <= SIGNIFICANT] for removal in removals]
-            if kept != removals:
-                values, checked = _without(graph, pattern, values, list(chain(*kept)))
-                removals = [removal for removal in kept if removal]
+            significant = [[(k, i) for k, i in removal if chances[k][i] <= SIGNIFICANT] for removal in removals]
+            if significant != removals:
+                values, checked = _without(graph, pattern, values, list(chain(*significant)))
+                removals = [removal for removal in significant if removal]
         except NoOptimumError:
             break  # the linear problem has the last word
     places = list(chain(*removals))
     tests, accepted = checks(checked, count), _accepted(pattern, places, count)
     s = [np.square(e).sum(axis=1) for e in checked.e[:count]]
-    chi2 = sum(float(each[a > 0].sum()) for each, a in zip(s, accepted, strict=True))
+    chi2 = sum(float(s_k[a > 0].sum()) for s_k, a in zip(s, accepted, strict=True))
     dof = round(sum(float(test.dof[a > 0].sum()) for test, a in zip(tests, accepted, strict=True)), 6) + 0.0
     return Suspects(places, rivals, accepted, tests, s, values, chi2, dof, many)
 
@@ -123,9 +123,9 @@ def _scales(kinds: dict[str, list[tuple[int, Index]]], tests: list[Tested], coun
     """By what t of every measurement is divided: where all of a kind are too large, the sigmas are, not they."""
     out = [np.ones(len(tests[k].t)) for k in range(count)]
     for kind in kinds.values():
-        size = spoiled(tests, kind) if sum(len(which) for _, which in kind) >= MANY else 1.0
-        for k, which in kind:
-            out[k][which] = min(max(size, 1.0), LARGEST)
+        size = spoiled(tests, kind) if sum(len(indices) for _, indices in kind) >= MANY else 1.0
+        for k, indices in kind:
+            out[k][indices] = min(max(size, 1.0), LARGEST)
     return out
 
 
@@ -160,10 +160,10 @@ def _search(checked: Checked, scale: list[Array], most: int, left: int, count: i
         checked.take_out(batch, index)
         tests = checks(checked, count)
         off = _off(checked, tests, scale)
-        taken = list(zip(batch.tolist(), index.tolist(), strict=True))
+        places = list(zip(batch.tolist(), index.tolist(), strict=True))
         # what is as far off still is wrong by itself
-        as_far = [(j, o) for j, o in as_far if not off[j][o] > 0 and (j, o) not in taken]
-        out.append(dict.fromkeys(taken, (len(as_far), as_far[0] if as_far else None)))
+        as_far = [(j, o) for j, o in as_far if not off[j][o] > 0 and (j, o) not in places]
+        out.append(dict.fromkeys(places, (len(as_far), as_far[0] if as_far else None)))
     return out
 
 
@@ -195,10 +195,10 @@ def _without(graph: FactorGraph, pattern: Pattern, values: Values, places: list[
     accepted = _accepted(pattern, places, len(graph.factors))
     damped = LevenbergMarquardt(Stop(max_iterations=ITERATIONS))
     try:
-        rest = graph.only([a > 0 for a in accepted])
-        result = rest.optimize(values, damped)
-        if not result.converged and (start := chordal(rest, values)) is not values:  # what was wrong bent it too far
-            result = min(result, rest.optimize(start, damped), key=lambda each: each.chi2_final)
+        subgraph = graph.only([a > 0 for a in accepted])
+        result = subgraph.optimize(values, damped)
+        if not result.converged and (start := chordal(subgraph, values)) is not values:  # outliers bent it too far
+            result = min(result, subgraph.optimize(start, damped), key=lambda candidate: candidate.chi2_final)
         if not result.converged:
             raise NoOptimumError(result.reason)
         return result.values, Checked(Linearization(pattern, result.values, accepted))

@@ -104,9 +104,9 @@ def observability(
     stack = values.stack(key.kind)
     stack.index(key)  # refuses what has no value
     components = stack.manifold.components
-    pattern, held, said = _held(graph, values, key, gauge)
+    pattern, held, description = _held(graph, values, key, gauge)
     system = LinearSystem.at(pattern.holding(held), values)
-    A_k, X, E, rest = unexplained(system, _place(pattern, key))
+    A_k, X, E, other_columns = unexplained(system, _place(pattern, key))
     length = _distance(system.pattern, values, key) if length is None else float(length)
     w = _weights(components, np.linalg.norm(A_k, axis=0), length)
     R = np.linalg.qr(E / w, mode="r")  # (E/w)'(E/w) = R'R
@@ -119,12 +119,12 @@ def observability(
         covariance=(V.T / t**2 @ V) / np.outer(w, w),
         undetermined=np.linalg.norm(Vt[free], axis=0) > 1e-6,
         free=N / w,
-        with_free=tuple(_with(system, rest, X @ (n / w)) for n in N),
+        with_free=tuple(_with(system, other_columns, X @ (n / w)) for n in N),
         weak=_upright(V / t[:, None] / w, w)[::-1],
         known=np.square(A_k).sum(axis=0),
         weights=w,
         length=length,
-        gauge=said,
+        gauge=description,
     )
 
 
@@ -163,13 +163,13 @@ def _distance(pattern: Pattern, values: Values, key: Keys) -> float:
     """Mean distance between the first two places that the factors of a variable join, m; 1 where there are none."""
     place, total, count = _place(pattern, key), 0.0, 0
     for batch in pattern.batches:
-        theirs = np.any([variables == place for variables in batch.variables], axis=0)
+        mask = np.any([variables == place for variables in batch.variables], axis=0)
         slots = [k for k, v in enumerate(batch.variables) if not (v == place).any()]
         stacks = {k: values.stacks[batch.kinds[k]] for k in slots}
-        P = {k: s.manifold.position(s.X[batch.index[k][theirs]]) for k, s in stacks.items()}
+        P = {k: s.manifold.position(s.X[batch.index[k][mask]]) for k, s in stacks.items()}
         for i, j in list(combinations([k for k in slots if P[k].shape[1]], 2))[:1]:
             if P[i].shape == P[j].shape:
-                total, count = total + float(np.linalg.norm(P[i] - P[j], axis=1).sum()), count + int(theirs.sum())
+                total, count = total + float(np.linalg.norm(P[i] - P[j], axis=1).sum()), count + int(mask.sum())
     return total / count if total else 1.0
 
 
@@ -193,8 +193,8 @@ def _readable(N: Array) -> Array:
         i, j = divmod(int(np.argmax(np.abs(N[k:]))), N.shape[1])
         N[[k, k + i]] = N[[k + i, k]]
         N[k] /= N[k, j]
-        others = np.arange(len(N)) != k
-        N[others] -= np.outer(N[others, j], N[k])
+        other_rows = np.arange(len(N)) != k
+        N[other_rows] -= np.outer(N[other_rows, j], N[k])
     N[np.abs(N) < 1e-6] = 0.0
     order = np.argsort(np.argmax(np.abs(N), axis=1), kind="stable")
     return np.asarray((N / np.linalg.norm(N, axis=1, keepdims=True))[order])
@@ -206,16 +206,18 @@ def _upright(V: Array, w: Array) -> Array:
     return np.asarray(V * np.sign(np.take_along_axis(V, largest, axis=1)))
 
 
-def _with(system: LinearSystem, rest: Index, moved: Array) -> str:
+def _with(system: LinearSystem, columns: Index, moved: Array) -> str:
     """What else moves in a free direction, by kinds: "x, y, z of x; x, y, z of l"."""
     pattern = system.pattern
     owner, component = pattern.column_owner()
-    kind = np.searchsorted(list(pattern.offsets.values()), owner[rest], side="right") - 1
-    seen = np.abs(moved) * system.column_norms[rest]
-    moves = seen >= MOVES * max(1.0, float(seen.max(initial=0.0)))
+    kind = np.searchsorted(list(pattern.offsets.values()), owner[columns], side="right") - 1
+    size = np.abs(moved) * system.column_norms[columns]
+    moves = size >= MOVES * max(1.0, float(size.max(initial=0.0)))
     parts = []
     for k, (name, manifold) in enumerate(pattern.manifolds.items()):
-        theirs = [c for j, c in enumerate(manifold.components) if (moves & (kind == k) & (component[rest] == j)).any()]
-        if theirs:
-            parts.append(f"{', '.join(theirs)} of {name}")
+        names = [
+            c for j, c in enumerate(manifold.components) if (moves & (kind == k) & (component[columns] == j)).any()
+        ]
+        if names:
+            parts.append(f"{', '.join(names)} of {name}")
     return "; ".join(parts)

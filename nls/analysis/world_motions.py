@@ -78,26 +78,26 @@ def motions(N: Array, G: Array) -> tuple[list[Motion], Array]:
     """
     Q = np.linalg.qr(N)[0]
     length = np.linalg.norm(G, axis=0)
-    there = np.flatnonzero(length > 0)
-    if not len(there):
+    active = np.flatnonzero(length > 0)
+    if not len(active):
         return [], Q
-    scaled = G[:, there] / length[there]
+    scaled = G[:, active] / length[active]
     _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
     V = Vt[s > NEAR * s[0]].T  # motions that differ in what they do
     outside = scaled @ V - Q @ (Q.T @ (scaled @ V))
     _, s, Wt = np.linalg.svd(np.linalg.qr(outside, mode="r"))
     size = np.linalg.norm(scaled @ V @ Wt.T, axis=0)
     K = np.linalg.qr(V @ Wt[np.pad(s, (0, len(Wt) - len(s))) <= SAME * size].T)[0]
-    rest = Q - _onto(scaled @ K, Q)
-    U, s, _ = np.linalg.svd(rest, full_matrices=False)
-    pure = [k for k in range(len(there)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME]
-    others = np.linalg.svd(K - np.eye(len(there))[:, pure] @ K[pure], full_matrices=False)
-    found = [np.eye(len(there))[k] for k in pure]
-    found += list(others[0].T[: K.shape[1] - len(pure)])
+    remainder = Q - _onto(scaled @ K, Q)
+    U, s, _ = np.linalg.svd(remainder, full_matrices=False)
+    pure = [k for k in range(len(active)) if K.shape[1] and np.linalg.norm(K.T[:, k]) > 1 - SAME]
+    decomposition = np.linalg.svd(K - np.eye(len(active))[:, pure] @ K[pure], full_matrices=False)
+    coefficients = [np.eye(len(active))[k] for k in pure]
+    coefficients += list(decomposition[0].T[: K.shape[1] - len(pure)])
     out = []
-    for k in found:
+    for k in coefficients:
         of_all = np.zeros(len(AXES))
-        of_all[there] = k / length[there]
+        of_all[active] = k / length[active]
         out.append(Motion(of_all[:3], of_all[3:6], float(of_all[6])))
     return out, U[:, s > 0.5]
 

@@ -60,7 +60,7 @@ class Spectrum:
     certified: bool
 
 
-def spectrum(problem: Problem, found: Optimum) -> Spectrum:
+def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
     """The smallest eigenvalues at an optimum, by Lanczos on the inverse of S + mu D, and what they prove.
 
     Raises
@@ -69,12 +69,12 @@ def spectrum(problem: Problem, found: Optimum) -> Spectrum:
         Weights of positions that differ by more than the digits of numbers hold.
     """
     n, d = problem.n, problem.d
-    multipliers = problem.multipliers(found.M, problem.product(found.M))
+    multipliers = problem.multipliers(optimum.M, problem.product(optimum.M))
     S = problem.on_diagonal - multipliers
     S[problem.held, d, d] += problem.W[:, d].max()  # S is 0 for a shift of all positions: that alone changes by this
     D = np.diag([1.0] * d + [0.0])
     size = float(problem.on_diagonal.max())
-    smallest = mu = max(RELATIVE / 2 * found.cost / (n * d), ROUNDING * size)
+    smallest = mu = max(RELATIVE / 2 * optimum.cost / (n * d), ROUNDING * size)
     while True:
         try:
             state = problem.factorized(S + mu * D, problem.off)
@@ -87,8 +87,8 @@ def spectrum(problem: Problem, found: Optimum) -> Spectrum:
                 ) from error
             mu *= MORE
     lowest = max(float(np.trace(multipliers, axis1=1, axis2=2).sum()) - n * d * mu, 0.0)
-    gap = found.cost - lowest
-    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * found.cost, problem.rounding(found.M))
+    gap = optimum.cost - lowest
+    certified = gap <= 2 * n * d * smallest and gap <= max(COARSE * optimum.cost, problem.rounding(optimum.M))
     theta, v = _largest_of_inverse(state, np.tile(np.arange(d + 1) < d, n), d + 1)
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 

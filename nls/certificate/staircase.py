@@ -25,9 +25,9 @@ ROWS = 4  # that are added at most
 SHORTEST = 1e-5  # an added row whose longest entry is shorter changes the cost by rounding alone
 
 
-def staircase(problem: Problem, found: Optimum, known: Spectrum) -> tuple[Optimum | None, float]:
+def staircase(problem: Problem, optimum: Optimum, known: Spectrum) -> tuple[Optimum | None, float]:
     """The pose graph next to the global optimum with more rows, None where that is not reached; what none is below."""
-    lifted, lowest = found, known.lowest
+    lifted, lowest = optimum, known.lowest
     for _ in range(ROWS):
         if (M := _raised(problem, lifted, known.v)) is None:
             break
@@ -35,7 +35,7 @@ def staircase(problem: Problem, found: Optimum, known: Spectrum) -> tuple[Optimu
         known = spectrum(problem, lifted)
         lowest = max(lowest, known.lowest)
         if known.certified:
-            return newton(problem, placed(_rounded(lifted.M), found.M, problem.held)), lowest
+            return newton(problem, placed(_rounded(lifted.M), optimum.M, problem.held)), lowest
     return None, lowest
 
 
@@ -47,12 +47,12 @@ def placed(M: Array, like: Array, held: int) -> Array:
     return M
 
 
-def _raised(problem: Problem, found: Optimum, v: Array) -> Array | None:
+def _raised(problem: Problem, optimum: Optimum, v: Array) -> Array | None:
     """M with one row more, of lower cost; None where no length of it lowers the cost."""
     length, v = 1.0, v / np.abs(v[:, :-1]).max()
     while length > SHORTEST:
-        M = nearest(np.dstack([found.M, length * v]))
-        if problem.cost(M) < found.cost:
+        M = nearest(np.dstack([optimum.M, length * v]))
+        if problem.cost(M) < optimum.cost:
             return M
         length /= 2
     return None

@@ -74,7 +74,7 @@ class Certificate:
     def report(self, shell: bool = False) -> str:
         """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
         lines, and two more where `lower_chi2` is known, with the advice for Python or for the command line."""
-        said = {
+        sentences = {
             "certified": "in the SE-Sync cost no arrangement of the poses fits these measurements better than the "
             "minimum beside this solution (whether the measurements are right is another question)",
             "refuted": "in the SE-Sync cost another arrangement of the poses fits these measurements better",
@@ -88,7 +88,7 @@ class Certificate:
         }
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
-            f"{self.verdict}: {said[self.verdict]}",
+            f"{self.verdict}: {sentences[self.verdict]}",
             f"that cost is not chi2: its minimum here is {self.cost:.6g}, {known[self.verdict]}",
             f"the solution has {self.cost_given:.6g} and is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg "
             f"rms from that minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg at most",
@@ -149,50 +149,50 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     ('certified', 4.008, True)
     """
     problem = certifiable(graph, values)
-    given = problem.matrices(problem.graph.stack(values))
-    found = newton(problem, given)
-    known = spectrum(problem, found)
-    better, lowest = (None, known.lowest) if known.certified else _better(problem, graph, values, found, known)
-    distance, angle = _apart(given, found.M)
-    minimum, other = (problem.graph.replaced(values, problem.poses(at.M)) for at in (found, better or found))
-    chi2, chi2_given = graph.chi2(other), graph.chi2(values)
+    M_given = problem.matrices(problem.graph.stack(values))
+    optimum = newton(problem, M_given)
+    known = spectrum(problem, optimum)
+    better, lowest = (None, known.lowest) if known.certified else _better(problem, graph, values, optimum, known)
+    distance, angle = _apart(M_given, optimum.M)
+    minimum, best = (problem.graph.replaced(values, problem.poses(at.M)) for at in (optimum, better or optimum))
+    chi2, chi2_given = graph.chi2(best), graph.chi2(values)
     return Certificate(
         verdict="certified" if known.certified else "undecided" if better is None else "refuted",
-        cost=found.cost,
-        cost_given=problem.cost(given),
+        cost=optimum.cost,
+        cost_given=problem.cost(M_given),
         lowest=lowest,
         eigenvalues=known.eigenvalues,
         values=minimum,
-        better=None if better is None else other,
+        better=None if better is None else best,
         better_cost=None if better is None else better.cost,
         direction=None if known.certified else known.v,
         moved=(float(distance.max()), float(angle.max())),
         moved_rms=(float(np.sqrt(np.mean(distance**2))), float(np.sqrt(np.mean(angle**2)))),
-        lower_chi2=chi2 if chi2 < (1 - RELATIVE) * chi2_given - problem.rounding(given) else None,
-        converged=found.converged,
-        steps=found.steps,
+        lower_chi2=chi2 if chi2 < (1 - RELATIVE) * chi2_given - problem.rounding(M_given) else None,
+        converged=optimum.converged,
+        steps=optimum.steps,
     )
 
 
 def _better(
-    problem: Problem, graph: FactorGraph, values: Values, found: Optimum, known: Spectrum
+    problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum, known: Spectrum
 ) -> tuple[Optimum | None, float]:
     """A lower minimum, from the chordal start or else up the staircase, and what no pose graph costs less than."""
-    limit, lowest = (1 - RELATIVE) * found.cost, known.lowest
-    better = _from_chordal(problem, graph, values, found)
+    limit, lowest = (1 - RELATIVE) * optimum.cost, known.lowest
+    better = _from_chordal(problem, graph, values, optimum)
     if better is None or better.cost >= limit:
-        better, lowest = staircase(problem, found, known)
+        better, lowest = staircase(problem, optimum, known)
     if better is None or better.cost >= limit:
         return None, lowest
     return better, max(spectrum(problem, better).lowest, lowest)
 
 
-def _from_chordal(problem: Problem, graph: FactorGraph, values: Values, found: Optimum) -> Optimum | None:
+def _from_chordal(problem: Problem, graph: FactorGraph, values: Values, optimum: Optimum) -> Optimum | None:
     try:
         X = problem.graph.stack(chordal(graph, values))
     except UnderconstrainedError:  # rotations that cancel: there is no such start
         return None
-    return newton(problem, placed(problem.matrices(X), found.M, problem.held))
+    return newton(problem, placed(problem.matrices(X), optimum.M, problem.held))
 
 
 def _apart(A: Array, B: Array) -> tuple[Array, Array]:

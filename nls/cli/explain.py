@@ -51,8 +51,8 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
     import nls
     from models.advice import Advice
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
+    from nls.explanation.applicability import graduates
     from nls.explanation.findings import FindingKind
-    from nls.explanation.offers import graduates
     from nls.io.text import several
     from nls.optimizers import default_optimizer
 

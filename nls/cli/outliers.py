@@ -65,7 +65,7 @@ def record(choice: Robustified) -> dict[str, Any]:
                 "count": d.count,
                 "total": d.total,
                 "number": d.number,
-                "part": d.part,
+                "part": d.fraction,
                 "sentence": str(d),
             }
             for d in choice.doubts

@@ -9,7 +9,7 @@ from nls.analysis.clock import clock_offsets
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
-from nls.analysis.swapped import swapped_landmarks
+from nls.analysis.swapped_landmarks import swapped_landmarks
 from nls.explanation.findings import SOME, Finding, FindingKind
 from nls.linear.singular import SingularSystemError
 
@@ -27,16 +27,16 @@ __all__ = ["beyond_all_others", "exchanged_landmarks", "misread", "readings", "s
 def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
     """Lengths and informations a million times those of all others of their kind."""
     findings = []
-    for one in outsized(pattern):
+    for outlier in outsized(pattern):
         numbers = {
-            "factor": graph.factors[one.place[0]].describe(one.place[1]),
-            "quantity": one.quantity,
-            "component": one.component,
-            "value": one.value,
-            "others": one.others,
+            "factor": graph.factors[outlier.place[0]].describe(outlier.place[1]),
+            "quantity": outlier.quantity,
+            "component": outlier.component,
+            "value": outlier.value,
+            "others": outlier.reference,
         }
         advice = (Advice("inspect", ("it",)), Advice("units"))
-        findings.append(Finding(FindingKind.OUTSIZED, one.keys, numbers, advice, (one.place,)))
+        findings.append(Finding(FindingKind.OUTSIZED, outlier.keys, numbers, advice, (outlier.place,)))
     return findings
 
 
@@ -46,7 +46,7 @@ def misread(graph: FactorGraph, values: Values) -> list[Finding]:
     if not kinds:
         return []
     numbers = {
-        "readings": tuple((one.kind, one.reading) for one in kinds),
+        "readings": tuple((alternative.kind, alternative.reading) for alternative in kinds),
         "chi2": kinds[0].standing,
         "chi2_otherwise": kinds[0].chi2,
         "dof": kinds[0].dof,
@@ -69,17 +69,17 @@ def exchanged_landmarks(graph: FactorGraph, values: Values, tests: list[Tested])
     ]
 
 
-def readings(checked: Checked, found: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
+def readings(checked: Checked, suspects: Suspects) -> dict[tuple[int, int], tuple[str, ...]]:
     """Readings under which a suspect fits the others, by its place; empty where they are many or hold something."""
-    if found.many:
+    if suspects.many:
         return {}
     by_place: dict[tuple[int, int], tuple[str, ...]] = {}
     try:
-        misreadings = misread_measurements(checked.linear.pattern, found.values, found.places)
+        misreadings = misread_measurements(checked.linear.pattern, suspects.values, suspects.places)
     except SingularSystemError:  # without the suspects something is free: nothing tells their readings apart
         return {}
-    for one in misreadings:
-        by_place[one.place] = (*by_place.get(one.place, ()), one.reading)
+    for misreading in misreadings:
+        by_place[misreading.place] = (*by_place.get(misreading.place, ()), misreading.reading)
     return by_place
 
 
@@ -89,8 +89,8 @@ def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding
         Finding(
             FindingKind.CLOCK,
             (),
-            {"kind": one.kind, "dt": one.dt, "sigma": one.sigma, "chance": one.chance, "fall": one.fall},
+            {"kind": offset.kind, "dt": offset.dt, "sigma": offset.sigma, "chance": offset.chance, "fall": offset.fall},
             (Advice("clock"),),
         )
-        for one in clock_offsets(checked, values, count)
+        for offset in clock_offsets(checked, values, count)
     ]

@@ -14,8 +14,8 @@ from models.advice import Advice
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
+from nls.explanation.applicability import certifies, graduates
 from nls.explanation.findings import SOME, Finding, FindingKind, Measurement, Part
-from nls.explanation.offers import certifies, graduates
 from nls.posegraph import closures
 
 if TYPE_CHECKING:
@@ -74,50 +74,50 @@ def local_minimum(lower: float, chi2: float, graph: FactorGraph, values: Values)
     return Finding(FindingKind.LOCAL_MINIMUM, (), {"lower": lower, "chi2": chi2}, advice)
 
 
-def taken_out(found: Suspects, graph: FactorGraph, pattern: Pattern, values: Values) -> tuple[Measurement, ...]:
+def taken_out(suspects: Suspects, graph: FactorGraph, pattern: Pattern, values: Values) -> tuple[Measurement, ...]:
     """The suspects: chi2 where they are in, distance and chance where they are not."""
-    n = sum(int((test.m > 0).sum()) for test in found.tests)
+    n = sum(int((test.m > 0).sum()) for test in suspects.tests)
     out = []
-    for k, i in found.places:
-        t, m = found.tests[k].t[i], found.tests[k].m[i]
+    for k, i in suspects.places:
+        t, m = suspects.tests[k].t[i], suspects.tests[k].m[i]
         out.append(measurement(graph.factors[k], i, values, float(t), min(1.0, float(chi2_tail(t, m)) * n)))
     return tuple(out)
 
 
 def of_suspects(
-    found: Suspects, graph: FactorGraph, pattern: Pattern, readings: Mapping[tuple[int, int], tuple[str, ...]]
+    suspects: Suspects, graph: FactorGraph, pattern: Pattern, readings: Mapping[tuple[int, int], tuple[str, ...]]
 ) -> list[Finding]:
     """One finding for every measurement that was taken out, or one for all where they are many.
 
     Parameters
     ----------
-    found, graph, pattern : the suspects, of which graph.
+    suspects, graph, pattern : the suspects, of which graph.
     readings : under which a suspect fits the others, by its place.
     """
-    if not found.places:
+    if not suspects.places:
         return []
-    names = _names(graph.factors, found.places)
+    names = _names(graph.factors, suspects.places)
     robust = any(factor.kernel is not None for factor in graph.factors)
-    if found.many:
-        keys = _keys(graph.factors, found.places)
-        advice = [Advice("gnc")] * graduates(graph, found.values)
+    if suspects.many:
+        keys = _keys(graph.factors, suspects.places)
+        advice = [Advice("gnc")] * graduates(graph, suspects.values)
         removal = [Advice("inspect", ("them",)), Advice("remove", ("them",))]
         advice += removal if robust else [Advice.robust("Cauchy", 1)]
-        places = tuple(found.places[:SOME])
+        places = tuple(suspects.places[:SOME])
         return [Finding(FindingKind.MANY_OUTLIERS, keys, {"factors": names}, tuple(advice), places)]
     out, closing = [], closures(pattern)
-    for (k, i), name in zip(found.places, names, strict=True):
-        factor, rivals = graph.factors[k], found.rivals[k, i]
+    for (k, i), name in zip(suspects.places, names, strict=True):
+        factor, rivals = graph.factors[k], suspects.rivals[k, i]
         closure, read = bool(closing[k][i]), readings.get((k, i), ())
         numbers: dict[str, Any] = {
             "factor": name,
-            "sigmas": float(np.sqrt(found.tests[k].t[i])),
+            "sigmas": float(np.sqrt(suspects.tests[k].t[i])),
             "rivals": rivals[0],
             "rival": "" if rivals[1] is None else graph.factors[rivals[1][0]].describe(rivals[1][1]),
             "readings": read,
         }
-        if (k, i) == found.places[-1]:
-            numbers |= {"removed": len(names), "chi2_without": found.chi2, "dof_without": found.dof}
+        if (k, i) == suspects.places[-1]:
+            numbers |= {"removed": len(names), "chi2_without": suspects.chi2, "dof_without": suspects.dof}
         doubtful = (Advice("inspect", ("it",)), Advice("remove", ("it",)), Advice.robust("Cauchy", 1))
         kind = FindingKind.WRONG_CLOSURE if closure else FindingKind.OUTLIER
         keys = tuple(keys[[i]] for keys in factor.keys)
@@ -126,13 +126,13 @@ def of_suspects(
     return out
 
 
-def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> list[Finding]:
+def of_parts(parts: tuple[Part, ...], suspects: Suspects, graph: FactorGraph) -> list[Finding]:
     """Kinds of measurements whose chi2 no chance explains; with many outliers only those that are off as a whole.
 
     Parameters
     ----------
     parts : without the suspects.
-    found : these.
+    suspects : these.
     """
     out, alike = [], []
     robust = any(factor.kernel is not None for factor in graph.factors)
@@ -146,7 +146,7 @@ def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> li
         if typical > ALIKE and ratio > 1 and many:
             alike.append((part.name, typical))
             continue
-        if found.many:
+        if suspects.many:
             continue
         if typical > SIZEABLE and ratio > 1 and many:
             cause, advice = "small", [Advice("larger sigmas")] + [Advice("squares")] * (typical > 3)
@@ -162,7 +162,7 @@ def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> li
             continue
         numbers = {
             "kind": part.name,
-            "without": len(found.places),
+            "without": len(suspects.places),
             "chi2": part.chi2,
             "expected": part.expected,
             "typical": typical,
@@ -171,8 +171,8 @@ def of_parts(parts: tuple[Part, ...], found: Suspects, graph: FactorGraph) -> li
         out.append(Finding(FindingKind.SIGMAS, (), numbers, tuple(advice)))
     if alike:
         advice = [Advice("frames"), Advice("start")]
-        advice += [Advice("certify")] * certifies(graph, found.values)
-        advice += [Advice("gnc")] * graduates(graph, found.values)
+        advice += [Advice("certify")] * certifies(graph, suspects.values)
+        advice += [Advice("gnc")] * graduates(graph, suspects.values)
         out.insert(0, Finding(FindingKind.SYSTEMATIC, (), {"kinds": tuple(alike)}, tuple(advice)))
     return out
 

@@ -19,10 +19,10 @@ from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
 from nls.analysis.suspects import Suspects, suspects
 from nls.covariance.frames import axes, turned
 from nls.explanation import causes, doubts
+from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.explanation.parts import moving, separate_parts
-from nls.explanation.twins import twins
+from nls.explanation.separate_parts import moving, separate_parts
 from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
@@ -39,7 +39,7 @@ __all__ = ["explain"]
 
 WORST = 10  # measurements that are named
 AT_OPTIMUM = 0.01, 1e-5  # fall of chi2 in a further step: in all, and as a part of chi2
-PARTS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise what the problem does not keep
+FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise what the problem does not keep
 
 
 @single_thread()
@@ -102,7 +102,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     dof = measured_rows(pattern) - (pattern.n - free.count)
     robust = any(factor.kernel is not None for factor in graph.factors)
     tests: list[Tested] | None = None
-    found: Suspects | None = None
+    outliers: Suspects | None = None
     parts: tuple[Part, ...] = ()
     worst: tuple[Measurement, ...] = ()
     weakest: tuple[Weak, ...] = ()
@@ -120,22 +120,22 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
             findings.insert(0, doubts.no_optimum(fall, chi2))
         else:
             if not free.count:
-                findings += twins(free.checked, pattern, values)
+                findings += duplicate_points(free.checked, pattern, values)
             held = _held(graph, whole, idle)
-            found = suspects(held, free.checked.linear.pattern, values, free.checked)
-            lower = graph.chi2(found.values)
+            outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
+            lower = graph.chi2(outliers.values)
             if lower < graph.chi2(values) - _little(chi2):
                 findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
-            rest = _parts(pattern, found.s, found.tests, found.accepted)
-            kinds = doubts.of_parts(rest, found, graph)
-            if not found.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
-                found = replace(found, places=[])  # where most are off, it is not these
-                kinds = doubts.of_parts(parts, found, graph)
+            parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
+            kinds = doubts.of_parts(parts_without, outliers, graph)
+            if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
+                outliers = replace(outliers, places=[])  # where most are off, it is not these
+                kinds = doubts.of_parts(parts, outliers, graph)
             alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-            findings += _causes(held, values, free.checked, tests, found, alike)
-            findings += alike + doubts.of_suspects(found, graph, whole, causes.readings(free.checked, found))
+            findings += _causes(held, values, free.checked, tests, outliers, alike)
+            findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
             findings += [kind for kind in kinds if kind not in alike]
-            if not (free.count or alike or found.many):
+            if not (free.count or alike or outliers.many):
                 findings += doubts.unverified(held, values)
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)
@@ -158,20 +158,20 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         findings=tuple(findings),
         parts=parts,
         worst=worst,
-        suspects=() if found is None else doubts.taken_out(found, graph, whole, values),
-        chi2_without=None if found is None or not found.places else (found.chi2, found.dof),
+        suspects=() if outliers is None else doubts.taken_out(outliers, graph, whole, values),
+        chi2_without=None if outliers is None or not outliers.places else (outliers.chi2, outliers.dof),
         weakest=weakest,
     )
 
 
 def _causes(
-    graph: FactorGraph, values: Values, checked: Checked, tests: list[Tested], found: Suspects, alike: list[Finding]
+    graph: FactorGraph, values: Values, checked: Checked, tests: list[Tested], outliers: Suspects, alike: list[Finding]
 ) -> list[Finding]:
     """What explains a chi2 that noise does not: a reading, else an exchange of landmarks, else a clock."""
     findings: list[Finding] = []
-    if alike or found.many:
+    if alike or outliers.many:
         findings = causes.misread(graph, values)
-    if not findings and (alike or found.places):
+    if not findings and (alike or outliers.places):
         findings = causes.exchanged_landmarks(graph, values, tests)
     return findings or causes.shifted_clocks(checked, values, len(graph.factors))
 
@@ -182,11 +182,11 @@ def _little(chi2: float) -> float:
 
 
 def _fall(graph: FactorGraph, values: Values, step: Array) -> float:
-    """By how much chi2 falls in a step (dim,) or in a part of it, at most; 0 where it does not."""
-    here, falls = graph.chi2(values), [0.0]
-    for part in PARTS:
+    """By how much chi2 falls in a step (dim,) or in a fraction of it, at most; 0 where it does not."""
+    chi2, falls = graph.chi2(values), [0.0]
+    for fraction in FRACTIONS:
         try:
-            falls.append(here - graph.chi2(values.retract(part * step)))
+            falls.append(chi2 - graph.chi2(values.retract(fraction * step)))
         except (EvaluationError, SingularGeometryError):
             continue
     return max(falls)
@@ -207,8 +207,8 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
     if not idle.any():
         return []
     keys = tuple(pattern.key(int(v)) for v in np.flatnonzero(idle))
-    them = "it" if len(keys) == 1 else "them"
-    return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (them,))))]
+    pronoun = "it" if len(keys) == 1 else "them"
+    return [Finding(FindingKind.UNMEASURED, keys, {}, (Advice("factors"), Advice("drop", (pronoun,))))]
 
 
 def _parts(
@@ -218,12 +218,12 @@ def _parts(
     out = []
     for name, kind in kinds_of(pattern, len(tests)).items():
         if accepted is not None:
-            kind = [(k, which[accepted[k][which] > 0]) for k, which in kind]
-        dof = round(float(sum(tests[k].dof[which].sum() for k, which in kind)), 6) + 0.0
-        count = sum(len(which) for _, which in kind)
-        rows = int(sum(tests[k].rows[which].sum() for k, which in kind))
+            kind = [(k, indices[accepted[k][indices] > 0]) for k, indices in kind]
+        dof = round(float(sum(tests[k].dof[indices].sum() for k, indices in kind)), 6) + 0.0
+        count = sum(len(indices) for _, indices in kind)
+        rows = int(sum(tests[k].rows[indices].sum() for k, indices in kind))
         low, high = chi2_interval(dof)
-        chi2 = float(sum(s[k][which].sum() for k, which in kind))
+        chi2 = float(sum(s[k][indices].sum() for k, indices in kind))
         out.append(Part(name, count, rows, chi2, dof, low, high, spoiled(tests, kind)))
     return tuple(out)
 
@@ -249,7 +249,7 @@ def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tup
     assert free.checked is not None
     moved = np.zeros(pattern.n, dtype=bool)
     moved[free.singles.indices] = True
-    scaled = np.abs(free.others) * free.norms[:, None]
+    scaled = np.abs(free.combinations) * free.norms[:, None]
     moved |= (scaled > 1e-6 * scaled.max(axis=0, initial=0.0)).any(axis=1)
     owner, _ = pattern.column_owner()
     known = ~pattern.held & ~idle

@@ -212,7 +212,7 @@ class Explanation:
 
     def placed(self, place: Callable[[int, int], str]) -> Explanation:
         """The same with the lines of all measurements, from the function that gives the line of one."""
-        findings = tuple(replace(f, places=tuple(place(*one) for one in f.measurements)) for f in self.findings)
+        findings = tuple(replace(f, places=tuple(place(*pair) for pair in f.measurements)) for f in self.findings)
         return replace(self, findings=findings)
 
     def report(self, shell: bool = False) -> str:

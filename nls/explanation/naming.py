@@ -65,11 +65,15 @@ def _group(members: list[Single], pattern: Pattern) -> Finding:
     poses = tuple(repr(single.sight.pose) for single in members if single.sight is not None)
     once = members[0].sight is not None and members[0].sight.count == 1
     numbers = {"moved": "alone", "directions": names, "seen_from": poses, "seen_once": once}
-    them = "it" if len(keys) == 1 else "them"
-    prior = Advice("prior", (them,))
-    advice: tuple[Advice, ...] = (Advice("measure", (f"{', '.join(names)} of {them}",)), prior, Advice("fix", (them,)))
+    pronoun = "it" if len(keys) == 1 else "them"
+    prior = Advice("prior", (pronoun,))
+    advice: tuple[Advice, ...] = (
+        Advice("measure", (f"{', '.join(names)} of {pronoun}",)),
+        prior,
+        Advice("fix", (pronoun,)),
+    )
     if poses:
-        advice = next((CURES[name] for name in names if name in CURES), (Advice("view", (them,)), prior))
+        advice = next((CURES[name] for name in names if name in CURES), (Advice("view", (pronoun,)), prior))
     elif any(" about " in name for name in names):
         advice = (Advice("off axis"), prior)
     return Finding(FindingKind.FREE, keys, numbers, advice)
@@ -82,12 +86,12 @@ def _singles(free: Freedom, pattern: Pattern, values: Values) -> list[Single]:
     owner, _ = pattern.column_owner()
     first = free.singles.indices[free.singles.indptr[:-1]]
     variables, inverse = np.unique(owner[first], return_inverse=True)
-    seen = sights(pattern, values, variables)
+    sight_of = sights(pattern, values, variables)
     out = []
     for k, v in enumerate(variables.tolist()):
         rows = pattern.starts[v] + np.arange(pattern.dims[v])
         U = np.linalg.qr(free.singles[:, np.flatnonzero(inverse == k)][rows].toarray())[0]
-        sight = seen.get(v)
+        sight = sight_of.get(v)
         names = () if sight is None else named(U, sight.axes, sight.names)
         if not names:
             sight, components = None, pattern.component_names(v)
@@ -105,20 +109,20 @@ def _turning(U: Array, v: int, pattern: Pattern, values: Values) -> tuple[str, .
         return ()
     X = np.asarray(stack.X)[stack.index(key)]
     motion = np.asarray(np.linalg.lstsq(generators(stack.manifold, X)[0, :, :6], U[:, 0], rcond=None)[0], dtype=float)
-    others = [pattern.key(int(other)) for other in _beside(v, pattern)]
-    there = [places(values.stack(k.kind).manifold, values[k][None]) for k in others]
-    names = [repr(k) for k, place in zip(others, there, strict=True) if len(place)]
-    positions = np.concatenate([*there, places(stack.manifold, X)])
+    neighbors = [pattern.key(int(other)) for other in _beside(v, pattern)]
+    points = [places(values.stack(k.kind).manifold, values[k][None]) for k in neighbors]
+    names = [repr(k) for k, place in zip(neighbors, points, strict=True) if len(place)]
+    positions = np.concatenate([*points, places(stack.manifold, X)])
     return (_motion_name(Motion(motion[:3], motion[3:], 0.0), positions, [*names, repr(key)]),)
 
 
 def _beside(v: int, pattern: Pattern) -> Index:
     """The other variables of the factors of one."""
-    found = [np.zeros(0, dtype=np.intp)]
+    neighbors = [np.zeros(0, dtype=np.intp)]
     for batch in pattern.batches:
         at = np.logical_or.reduce([variables == v for variables in batch.variables])
-        found += [variables[at] for variables in batch.variables]
-    return np.setdiff1d(np.concatenate(found), [v])
+        neighbors += [variables[at] for variables in batch.variables]
+    return np.setdiff1d(np.concatenate(neighbors), [v])
 
 
 def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
@@ -129,18 +133,18 @@ def _mixed(U: Array, components: tuple[str, ...]) -> tuple[str, ...]:
 
 def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
     """Directions that move several variables: of whole parts of the graph where they are motions of the world."""
-    if not free.others.shape[1]:
+    if not free.combinations.shape[1]:
         return []
     owner, _ = pattern.column_owner()
     label = component_labels(pattern)
-    scaled = free.others * free.norms[:, None]
+    scaled = free.combinations * free.norms[:, None]
     share = np.stack([np.square(scaled[label[owner] == k]).sum(axis=0) for k in np.unique(label[owner])])
     home = np.unique(label[owner])[np.argmax(share, axis=0)]  # component of every direction
     findings = []
     for k in np.unique(home).tolist():
         members = np.flatnonzero(label == k)
         N, G, positions, places_named = _motions_of(members, free, home == k, pattern, values)
-        whole, rest = motions(N, G)
+        whole, remainder = motions(N, G)
         names = sorted(
             (_motion_name(motion, positions, places_named) for motion in whole),
             key=lambda name: AXES.index(name) if name in AXES else len(AXES),
@@ -150,12 +154,12 @@ def _whole(free: Freedom, pattern: Pattern, values: Values) -> list[Finding]:
             findings.append(Finding(FindingKind.FREE, (pattern.key(int(members[0])),), numbers, _cures(names)))
         moved = members[~pattern.held[members]]
         columns = np.concatenate([pattern.starts[v] + np.arange(pattern.dims[v]) for v in moved])
-        findings += _loose(rest[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern)
+        findings += _loose(remainder[np.repeat(~pattern.held[members], pattern.dims[members])], columns, pattern)
     return findings
 
 
 def _motions_of(
-    members: Index, free: Freedom, which: Mask, pattern: Pattern, values: Values
+    members: Index, free: Freedom, mask: Mask, pattern: Pattern, values: Values
 ) -> tuple[Array, Array, Array, list[str]]:
     """Directions and motions over all unknowns of some variables, scaled; positions and names of those that have one.
 
@@ -165,7 +169,7 @@ def _motions_of(
     ends = np.cumsum(sizes)
     begin = np.cumsum(pattern.dims) - pattern.dims
     rows = np.repeat(begin[members] - (ends - sizes), sizes) + np.arange(ends[-1])  # among all unknowns
-    N = np.stack([pattern.expand(u)[rows] for u in free.others.T[which]], axis=1)
+    N = np.stack([pattern.expand(u)[rows] for u in free.combinations.T[mask]], axis=1)
     G = np.zeros((len(rows), len(AXES)))
     positions, names = [], []
     for name, stack in values.stacks.items():
@@ -189,16 +193,16 @@ def _cures(names: list[str]) -> tuple[Advice, ...]:
     return Advice("prior", ("one of them",)), Advice("measure", (f"{axes} of one of them",)), Advice("fix", ("one",))
 
 
-def _loose(rest: Array, columns: Index, pattern: Pattern) -> list[Finding]:
+def _loose(directions: Array, columns: Index, pattern: Pattern) -> list[Finding]:
     """Directions that are no motion of the whole, each by the unknowns that it moves."""
-    if not rest.shape[1]:
+    if not directions.shape[1]:
         return []
     from scipy.linalg import qr
 
-    pivots = qr(rest.T, mode="r", pivoting=True)[1][: rest.shape[1]]
+    pivots = qr(directions.T, mode="r", pivoting=True)[1][: directions.shape[1]]
     owner, component = pattern.column_owner()
     findings = []
-    for u in np.abs(rest @ np.linalg.inv(rest[pivots])).T:
+    for u in np.abs(directions @ np.linalg.inv(directions[pivots])).T:
         moving = columns[np.flatnonzero(u >= SHARE * u.max())]
         names: dict[int, list[str]] = {}
         for v, c in zip(owner[moving].tolist(), component[moving].tolist(), strict=True):
@@ -228,17 +232,17 @@ def _motion_name(motion: Motion, positions: Array, names: list[str]) -> str:
     center = -np.linalg.lstsq(W, v, rcond=1e-9)[0]
     flat = not positions[:, 2].any()
     if growing > turning:
-        what, distance = "scale", np.linalg.norm(positions - center, axis=1)
+        name, distance = "scale", np.linalg.norm(positions - center, axis=1)
     else:
         a = omega / np.linalg.norm(omega)
         axis = np.abs(a)
-        what = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
+        name = AXES[3 + int(axis.argmax())] if axis.max() > 1 - SAME else f"rotation about {_numbers(a)}"
         away = positions - center
         distance = np.linalg.norm(away - np.outer(away @ a, a), axis=1)  # from the axis
     nearest = int(np.argmin(distance)) if len(distance) else -1
     if nearest >= 0 and distance[nearest] <= NEAR * extent:
-        return f"{what} about {names[nearest]}"
-    return f"{what} about {_numbers(center[:2] if flat else center)}"
+        return f"{name} about {names[nearest]}"
+    return f"{name} about {_numbers(center[:2] if flat else center)}"
 
 
 def _numbers(a: Array) -> str:

@@ -57,8 +57,8 @@ def directions(f: Finding) -> list[str]:
         return []
     n = f.numbers
     if n["moved"] == "as one":
-        others = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
-        return [f"{name} {others} {f.keys[0]!r}" for name in n["directions"]]
+        scope = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
+        return [f"{name} {scope} {f.keys[0]!r}" for name in n["directions"]]
     if n["moved"] == "together":
         return [_free(f)]
     poses = n["seen_from"] or [""] * len(f.keys)
@@ -80,11 +80,11 @@ def _free(f: Finding) -> str:
         return f"{some(moved)} {how}"
     names = ", ".join(n["directions"])
     if n["moved"] == "as one":
-        others = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
-        return f"{names} {others} {f.keys[0]!r}, moved as one"
-    them = "it" if len(f.keys) == 1 else "them"
+        scope = f"of all {n['variables']} variables joined to" if n["variables"] > 1 else "of"
+        return f"{names} {scope} {f.keys[0]!r}, moved as one"
+    pronoun = "it" if len(f.keys) == 1 else "them"
     if not n["seen_from"]:
-        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {them}"
+        return f"{names} of {some(f.keys)}: no measurement reacts to a change of {pronoun}"
     points = some([f"{key!r} (from {pose})" for key, pose in zip(f.keys, n["seen_from"], strict=True)])
     count = "this point is" if len(f.keys) == 1 else f"these {len(f.keys)} points are"
     how = "seen once" if n["seen_once"] else "seen more than once, but only from where that does not show"
@@ -142,9 +142,9 @@ def _clock(f: Finding) -> str:
 
 def _outsized(f: Finding) -> str:
     n = f.numbers
-    unit, others = (" m", "the median is") if n["quantity"] == "length" else ("", "the largest of the others is")
+    unit, comparison = (" m", "the median is") if n["quantity"] == "length" else ("", "the largest of the others is")
     quantity = f"{n['quantity']} of {n['component']}" if n["component"] else n["quantity"]
-    return f"{n['factor']}: its {quantity} is {n['value']:.3g}{unit}, {others} {n['others']:.3g}{unit}"
+    return f"{n['factor']}: its {quantity} is {n['value']:.3g}{unit}, {comparison} {n['others']:.3g}{unit}"
 
 
 def _systematic(f: Finding) -> str:
@@ -163,8 +163,8 @@ def _doubtful(f: Finding) -> str:
         rival = f"one of {n['rivals']} others, such as {n['rival']}" if n["rivals"] > 1 else n["rival"]
         text += f"; or {rival}, as nothing tells them apart"
     if "removed" in n:
-        them = "it" if n["removed"] == 1 else f"these {n['removed']}"
-        text += f"; without {them} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
+        pronoun = "it" if n["removed"] == 1 else f"these {n['removed']}"
+        text += f"; without {pronoun} chi2 is {number(n['chi2_without'])}, {number(n['dof_without'])} expected"
     if n["readings"]:
         text += f". It fits {' or '.join(READINGS[reading] for reading in n['readings'])}"
     return text
@@ -201,8 +201,8 @@ def _rejected(f: Finding) -> str:
 
 def _turn(f: Finding) -> str:
     n = f.numbers
-    others = ("", ", and so is another", f", and so are {n['others']} others")[min(n["others"], 2)]
-    return f"{n['factor']}: its error is {n['error']:.3g}, nearly a turn{others}; is it an angle?"
+    companions = ("", ", and so is another", f", and so are {n['others']} others")[min(n["others"], 2)]
+    return f"{n['factor']}: its error is {n['error']:.3g}, nearly a turn{companions}; is it an angle?"
 
 
 def _twins(f: Finding) -> str:

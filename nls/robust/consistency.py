@@ -130,9 +130,10 @@ def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
     S = loops.C[a] + turned(to_j @ group.adjoint(group.inverse(z_b)), C_ik) + turned(to_j, loops.C[b]) + C_lj
     a, b, d = a[new], b[new], mahalanobis(xi[new], S[new])
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
-    told = near.sum() >= FEW
+    enough_pairs = near.sum() >= FEW
     variance, typical = (
-        unit_variance(float(np.quantile(d[near], q)) / chi2_gate(group.dim, q)) if told else 1.0 for q in (LOW, 0.5)
+        unit_variance(float(np.quantile(d[near], q)) / chi2_gate(group.dim, q)) if enough_pairs else 1.0
+        for q in (LOW, 0.5)
     )
     agree = d <= min(variance, 1.0) * chi2_gate(group.dim, AGREED)
     a, b = a[agree], b[agree]

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from nls.posegraph import Mask
-from nls.robust.choice import Choice, Truncated
 from nls.robust.loop_graph import LoopGraph
+from nls.robust.truncated_least_squares import Choice, Truncated
 
 __all__ = ["exchanged"]
 
@@ -27,22 +27,22 @@ def exchanged(problem: Truncated, loops: LoopGraph, choice: Choice) -> tuple[Cho
     """The choice no move improves, and where the last moves led."""
     cluster = loops.neighbors.cluster
     groups = np.unique(cluster)
-    others: list[Choice] = []
+    alternatives: list[Choice] = []
     if len(groups) > FEW:
-        return choice, others
+        return choice, alternatives
     for _ in range(TURNS):
-        kept = loops.accepted(choice.kept)
-        others = [_moved(problem, loops, choice, kept, cluster == group) for group in groups]
-        best = min(others, key=lambda other: other.cost)
+        inliers = loops.accepted(choice.inliers)
+        alternatives = [_moved(problem, loops, choice, inliers, cluster == group) for group in groups]
+        best = min(alternatives, key=lambda alternative: alternative.cost)
         if best.cost >= choice.cost * (1 - BETTER):
             break
         choice = best
-    return choice, others
+    return choice, alternatives
 
 
-def _moved(problem: Truncated, loops: LoopGraph, choice: Choice, kept: Mask, group: Mask) -> Choice:
+def _moved(problem: Truncated, loops: LoopGraph, choice: Choice, inliers: Mask, group: Mask) -> Choice:
     """The choice without a group, or with all of it where most of it is rejected."""
-    takes = 2 * (kept & group).sum() < group.sum()
-    masks = loops.masks(kept | group if takes else kept & ~group)
+    takes = 2 * (inliers & group).sum() < group.sum()
+    masks = loops.masks(inliers | group if takes else inliers & ~group)
     start = problem.graph.only(masks).optimize(choice.result.values).values
     return problem.settled(start)

@@ -47,10 +47,10 @@ from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.posegraph import Mask, closures
 from nls.robust import verdict
-from nls.robust.choice import Truncated
 from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph
 from nls.robust.preselection import Preselection
+from nls.robust.truncated_least_squares import Truncated
 from nls.robust.verdict import Doubt
 from nls.sparse.threads import single_thread
 from nls.values import Values
@@ -175,8 +175,8 @@ def gnc(
     >>> x, = nls.kinds("x")
     >>> wrong = Between(x[[3, 7]], x[[20, 52]], [[1, 0, 0], [0, 2, 1]], Diagonal(x=0.05, y=0.05, yaw=0.01))
     >>> graph = nls.FactorGraph([*world.graph.factors, wrong])
-    >>> found = nls.gnc(graph, world.truth)
-    >>> [rejected.factor for rejected in found.rejected], found.result.converged
+    >>> estimate = nls.gnc(graph, world.truth)
+    >>> [rejected.factor for rejected in estimate.rejected], estimate.result.converged
     (['Between(x3, x20)', 'Between(x7, x52)'], True)
     """
     if not isinstance(graph, FactorGraph) or not isinstance(values, Values):
@@ -199,14 +199,14 @@ def gnc(
         doubts = preselected.doubts()
     else:
         choice, variance, local = problem.choice(values, loss, np.inf), 1.0, float("nan")
-        doubts = verdict.doubts(choice.result, total - problem.rejected(choice.kept), total, probability)
+        doubts = verdict.doubts(choice.result, total - problem.rejected(choice.inliers), total, probability)
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5)
-        for factor, m, s in zip(graph.factors, choice.kept, choice.s, strict=True)
+        for factor, m, s in zip(graph.factors, choice.inliers, choice.s, strict=True)
         for n in np.flatnonzero(~m).tolist()
     ]
-    rejected = tuple(sorted(off, key=lambda each: -each.sigmas))
-    weights = [m.astype(float) for m in choice.kept]
+    rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))
+    weights = [m.astype(float) for m in choice.inliers]
     sigma0 = float(np.sqrt(variance))
     return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, local, tuple(doubts))
 

@@ -86,8 +86,8 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     ends = [poses.i[~poses.odometry], poses.j[~poses.odometry]]
     marginals, numbers = Marginals(graph, values), values.stacks[poses.kinds[0]].numbers
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
-    kept = np.flatnonzero(accepted)
-    order = kept[np.argsort(loops.neighbors.cluster[kept], kind="stable")]
+    closures = np.flatnonzero(accepted)
+    order = closures[np.argsort(loops.neighbors.cluster[closures], kind="stable")]
     starts = np.flatnonzero(np.diff(loops.neighbors.cluster[order])) + 1
     groups = [members for members in np.split(order, starts) if 0 < len(members) <= LARGE]
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))

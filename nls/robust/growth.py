@@ -162,10 +162,10 @@ def _tested(
 
 def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, Array]:
     """The poses under the accepted closures, and chi2 (m,) of every closure there."""
-    part = loops.graph.only(loops.masks(accepted))
-    start = chordal(part, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
-    if part.chi2(start) < part.chi2(values):
+    subgraph = loops.graph.only(loops.masks(accepted))
+    start = chordal(subgraph, values)  # what is accepted is right, mostly: torus3D's odometry is no start for anything
+    if subgraph.chi2(start) < subgraph.chi2(values):
         values = start
-    values = part.optimize(values, BRIEF).values
+    values = subgraph.optimize(values, BRIEF).values
     s = np.concatenate([batch.model.factor.chi2(values) for batch in loops.poses.batches])
     return values, s[~loops.poses.odometry]

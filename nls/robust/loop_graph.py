@@ -63,9 +63,9 @@ class LoopGraph:
 
     def masks(self, accepted: Mask) -> list[Mask]:
         """Per factor which measurements are odometry, accepted closures (m,), or of another kind."""
-        kept = self.poses.odometry.copy()
-        kept[~kept] = accepted
-        parts = zip(self.poses.batches, self.poses.by_batch(kept), strict=True)
+        inliers = self.poses.odometry.copy()
+        inliers[~inliers] = accepted
+        parts = zip(self.poses.batches, self.poses.by_batch(inliers), strict=True)
         of = {id(batch.model.factor): mask for batch, mask in parts}
         return [of.get(id(factor), np.ones(len(factor), dtype=bool)) for factor in self.graph.factors]
 

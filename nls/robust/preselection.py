@@ -10,12 +10,12 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration, Result
 from nls.posegraph import Mask
 from nls.robust import verdict
-from nls.robust.choice import DEARER, Choice, Truncated, lowest
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged
 from nls.robust.groups import Witness, misfits, witnesses
 from nls.robust.growth import grown
 from nls.robust.loop_graph import LoopGraph
+from nls.robust.truncated_least_squares import DEARER, Choice, Truncated, lowest
 from nls.robust.verdict import Doubt, DoubtKind
 from nls.sparse.pattern import measured_rows
 from nls.starts import chordal
@@ -63,38 +63,38 @@ class Preselection:
     def doubts(self) -> list[Doubt]:
         """Reasons to doubt the choice."""
         loops, result = self.loops, self.choice.result
-        kept = loops.accepted(self.choice.kept)
-        m, n = len(kept), int(kept.sum())
-        found = verdict.doubts(result, n, m, self.probability)
-        span, spans = loops.spanned(kept), loops.spanned(np.ones(m, dtype=bool))
+        inliers = loops.accepted(self.choice.inliers)
+        m, n = len(inliers), int(inliers.sum())
+        reasons = verdict.doubts(result, n, m, self.probability)
+        span, spans = loops.spanned(inliers), loops.spanned(np.ones(m, dtype=bool))
         if span < verdict.HALF * spans:
-            found.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
+            reasons.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
         if self.moved > STILL:
             count = int(misfits(self._witnesses(self.choice), result, loops).sum())
-            found.append(Doubt(DoubtKind.CONTRADICTED, count, n, part=self.moved))
-        found += self._rivals()
-        found += self._unchecked(kept)
+            reasons.append(Doubt(DoubtKind.CONTRADICTED, count, n, fraction=self.moved))
+        reasons += self._rivals()
+        reasons += self._unchecked(inliers)
         if (strain := self._strain(result)) > STRAIN:
-            found.append(Doubt(DoubtKind.STRAINED, number=strain))
+            reasons.append(Doubt(DoubtKind.STRAINED, number=strain))
         small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
-        if small and (found or n < MANY * m):
-            found.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
-        return found
+        if small and (reasons or n < MANY * m):
+            reasons.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
+        return reasons
 
     def _strain(self, result: Result) -> float:
         """Noise of an optimum over the typical one between neighbors, or the stated one if that is less."""
         return _sigmas(result) / min(self.loops.neighbors.typical, 1.0)
 
-    def _unchecked(self, kept: Mask) -> list[Doubt]:
+    def _unchecked(self, inliers: Mask) -> list[Doubt]:
         """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
         loops = self.loops
-        _, sizes = np.unique(loops.neighbors.cluster[~kept], return_counts=True)
+        _, sizes = np.unique(loops.neighbors.cluster[~inliers], return_counts=True)
         alike = (sizes > 1).any()
         judged = self._witnesses(self.choice)
         chances = [w.chance if alike or len(w.members) == 1 else 0.0 for w in judged]
         mean = float(np.mean(chances or [0.0]))
-        chosen = not kept.all() or len(chances) > SOLE
-        return [Doubt(DoubtKind.UNCHECKED, part=mean)] if mean > CHANCE and chosen else []
+        chosen = not inliers.all() or len(chances) > SOLE
+        return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > CHANCE and chosen else []
 
     def _rivals(self) -> list[Doubt]:
         """The first choice that fits nearly as well, but for a different map."""
@@ -103,7 +103,7 @@ class Preselection:
             worse = (rival.cost - self.rivals[0].cost) / c2
             away = verdict.shift(self.loops, self.choice.result.values, rival.result.values)
             if worse <= RIVAL and away > AWAY:
-                return [Doubt(DoubtKind.RIVAL, number=worse, part=away)]
+                return [Doubt(DoubtKind.RIVAL, number=worse, fraction=away)]
         return []
 
     def _explained(self) -> tuple[Choice, float] | None:
@@ -125,7 +125,7 @@ class Preselection:
         variance = min(WIDE**2 * noise, 1.0)
         choice = self.problem.scaled(variance).settled(first.values)
         chance = ceil((1 - self.probability) * len(loops.closures))
-        if self.problem.rejected(choice.kept) > chance or self._without_contradicted(choice)[1] > STILL:
+        if self.problem.rejected(choice.inliers) > chance or self._without_contradicted(choice)[1] > STILL:
             return None
         return choice, variance
 
@@ -142,33 +142,35 @@ class Preselection:
             other = problem.choice(loops.values, self.loss, np.inf)
             better = other.cost < self.rivals[0].cost - RIVAL * max(problem.c2)
             self.rivals.insert(0 if better else 1, other)
-        choice, others = exchanged(problem, loops, self.rivals[0])
-        self.rivals = [choice, *self.rivals, *others]
+        choice, alternatives = exchanged(problem, loops, self.rivals[0])
+        self.rivals = [choice, *self.rivals, *alternatives]
         return choice, variance
 
     def _dearer(self, times: float) -> bool:
         """Whether all closures take so many times the operations of those that agree with a neighbor."""
         loops = self.loops
         every = np.ones(len(loops.closures), dtype=bool)
-        whole, part = (self.problem.flops(loops.values, loops.masks(m)) for m in (every, loops.neighbors.support > 0))
-        return whole > times * part
+        whole, supported = (
+            self.problem.flops(loops.values, loops.masks(m)) for m in (every, loops.neighbors.support > 0)
+        )
+        return whole > times * supported
 
     def _without_contradicted(self, choice: Choice) -> tuple[Choice, float]:
         """The choice without the groups that the others contradict, and how far the map moves, part of its extent."""
         wrong = misfits(self._witnesses(choice), choice.result, self.loops)
         if not wrong.any():
             return choice, 0.0
-        right = self.loops.masks(self.loops.accepted(choice.kept) & ~wrong)
-        masks = [a & b for a, b in zip(choice.kept, right, strict=True)]
+        right = self.loops.masks(self.loops.accepted(choice.inliers) & ~wrong)
+        masks = [a & b for a, b in zip(choice.inliers, right, strict=True)]
         other = self.problem.without(choice, masks)
         return other, verdict.shift(self.loops, choice.result.values, other.result.values)
 
     def _witnesses(self, choice: Choice) -> list[Witness]:
         """The groups of a choice, judged by its other closures; kept for the last choice, as they cost a covariance."""
         if self._judged[0] is not choice:
-            kept = self.loops.accepted(choice.kept)
-            found = list(witnesses(self.loops, choice.result.values, kept)) if kept.any() else []
-            self._judged = choice, found
+            inliers = self.loops.accepted(choice.inliers)
+            groups = list(witnesses(self.loops, choice.result.values, inliers)) if inliers.any() else []
+            self._judged = choice, groups
         return self._judged[1]
 
 

@@ -46,31 +46,31 @@ class Doubt:
     kind : the reason.
     count, total : how many measurements, or steps, of how many.
     number : a ratio, or how many measurements.
-    part : part of its extent by which the map moves; a probability.
+    fraction : of its extent, by which the map moves; a probability.
     """
 
     kind: DoubtKind
     count: int = 0
     total: int = 0
     number: float = float("nan")
-    part: float = float("nan")
+    fraction: float = float("nan")
 
     def __str__(self) -> str:
-        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.part}
+        numbers = {"count": self.count, "total": self.total, "number": self.number, "percent": 100 * self.fraction}
         return self.kind.value.format(**numbers)
 
 
-def doubts(result: Result, kept: int, doubted: int, probability: float) -> list[Doubt]:
+def doubts(result: Result, inlier_count: int, doubted: int, probability: float) -> list[Doubt]:
     """Reasons to doubt any choice: how much was kept, and whether chi2 of it is explained.
 
     Of a right half some are lost by chance: the bound is `probability` times half.
     """
-    found = []
-    if kept < HALF * probability * doubted:
-        found.append(Doubt(DoubtKind.FEW_KEPT, kept, doubted))
+    reasons = []
+    if inlier_count < HALF * probability * doubted:
+        reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
     if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - UNLIKELY)):
-        found.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
-    return found
+        reasons.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
+    return reasons
 
 
 def shift(loops: LoopGraph, before: Values, after: Values) -> float:

@@ -71,25 +71,25 @@ class Pairs:
 
         Returns
         -------
-        which : (k,) numbers of these pairs.
+        rows : (k,) numbers of these pairs.
         p : (k, 3) points in the frame of the vehicle, m.
         variance : (k,) of a coordinate of p, the mean over the three, m^2.
         """
         s = SE3.position(SE3.between(self.C, O))
-        found = ray_range(self.b, s, self.z[:, 0])
-        nearer = self._nearer(O, found)
-        d = np.where(nearer, found.depth[1], found.depth[0])
-        which = np.flatnonzero(np.abs(d - found.closest) > CLOSE)  # nan is not
-        found = ray_range(self.b[which], s[which], self.z[which, 0])
-        Sigma = found.covariance(self.J_b[which], self.Sigma_uv[which], self.sigma_r[which], near=nearer[which])
-        p = SE3.act(self.C[which], d[which, None] * self.b[which])
-        return which, p, np.trace(Sigma, axis1=1, axis2=2) / 3
+        crossings = ray_range(self.b, s, self.z[:, 0])
+        nearer = self._nearer(O, crossings)
+        d = np.where(nearer, crossings.depth[1], crossings.depth[0])
+        rows = np.flatnonzero(np.abs(d - crossings.closest) > CLOSE)  # nan is not
+        crossings = ray_range(self.b[rows], s[rows], self.z[rows, 0])
+        Sigma = crossings.covariance(self.J_b[rows], self.Sigma_uv[rows], self.sigma_r[rows], near=nearer[rows])
+        p = SE3.act(self.C[rows], d[rows, None] * self.b[rows])
+        return rows, p, np.trace(Sigma, axis1=1, axis2=2) / 3
 
-    def _nearer(self, O: Array, found: RayRange) -> Rows:
+    def _nearer(self, O: Array, crossings: RayRange) -> Rows:
         """Which (n,) of the pairs with two points in front have the azimuth of the near one."""
-        twice = np.flatnonzero(found.roots == 2)
+        twice = np.flatnonzero(crossings.roots == 2)
         off = []
-        for p in found.points[:, twice]:
+        for p in crossings.points[:, twice]:
             q = SE3.act(SE3.between(O[twice], self.C[twice]), p)
             off.append(np.abs(wrap(np.arctan2(q[:, 1], q[:, 0]) - self.z[twice, 1])))
         nearer = np.zeros(len(O), dtype=bool)
@@ -111,8 +111,8 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
     """
     pixels = [f for f in graph.factors if isinstance(f, Projection) and _of_points(f, values)]
     contacts = [f for f in graph.factors if isinstance(f, RangeAzimuth) and _of_points(f, values)]
-    for name, found in (("Projection", pixels), ("RangeAzimuth", contacts)):
-        if not found:
+    for name, factors in (("Projection", pixels), ("RangeAzimuth", contacts)):
+        if not factors:
             raise GraphError(
                 f"rig: the graph has no {name} of points in R3; this start needs `Projection` and `RangeAzimuth` of "
                 "the same points from the same poses"
@@ -127,8 +127,8 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
             f"rig: no point was seen by camera and sonar from one pose ({len(codes[0])} pixels, {len(codes[1])} "
             "contacts); check that both name the same poses and points"
         )
-    pose, point, C, b, J_b, Sigma_uv = (part[k] for part in camera)
-    _, _, O, z, sigma_r, row = (part[m] for part in sonar)
+    pose, point, C, b, J_b, Sigma_uv = (column[k] for column in camera)
+    _, _, O, z, sigma_r, row = (column[m] for column in sonar)
     mounting = _only("sonars", mounted, 2) if mounted else ""
     return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
 
@@ -137,11 +137,11 @@ def _of_points(factor: Sighting, values: Values) -> bool:
     return len(factor) > 0 and values.stack(factor.keys[1].kind).manifold is R(3)
 
 
-def _only(what: str, factors: Sequence[Factor], slot: int) -> str:
+def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
     """The one kind in a slot of factors."""
     kinds = sorted({f.keys[slot].kind for f in factors})
     if len(kinds) > 1:
-        raise GraphError(f"rig: {what} of several kinds, {', '.join(kinds)}; this start takes one: give them one kind")
+        raise GraphError(f"rig: {role} of several kinds, {', '.join(kinds)}; this start takes one: give them one kind")
     return kinds[0]
 
 
@@ -151,7 +151,7 @@ def _pixels(factor: Projection, values: Values) -> Columns:
     Sigma, good = covariance(factor, values)
     with named_singularity(factor):
         b, J_b = factor.camera.ray(model.z)
-    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), b, J_b, Sigma)]
+    return [column[good] for column in (*_rows(factor, values), on_vehicle(factor, X), b, J_b, Sigma)]
 
 
 def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
@@ -161,7 +161,7 @@ def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
     variable = [values.stack(k.kind).index(k) for k in factor.keys[2:]]
     sonar = variable[0] if variable else np.full(len(factor), -1)
     sigma_r = np.sqrt(Sigma[:, 0, 0])
-    return [part[good] for part in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma_r, sonar)]
+    return [column[good] for column in (*_rows(factor, values), on_vehicle(factor, X), model.z, sigma_r, sonar)]
 
 
 def _rows(factor: Sighting, values: Values) -> Columns:
@@ -170,7 +170,7 @@ def _rows(factor: Sighting, values: Values) -> Columns:
 
 
 def _joined(parts: Sequence[Columns]) -> Columns:
-    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
 
 def on_vehicle(factor: Sighting, X: Sequence[Array]) -> Array:

@@ -167,23 +167,25 @@ class _Relaxation:
         free[poses.roots] = False
         self.poses, self.free, self.held = poses, free.nonzero()[0], (~free).nonzero()[0]
         between_free = free.take(poses.i) & free.take(poses.j)
-        self.both, self.rest = between_free.nonzero()[0], (~between_free).nonzero()[0]
+        self.free_edges, self.held_edges = between_free.nonzero()[0], (~between_free).nonzero()[0]
         number = np.cumsum(free) - 1
-        u, v = number.take(poses.i.take(self.both)), number.take(poses.j.take(self.both))
+        u, v = number.take(poses.i.take(self.free_edges)), number.take(poses.j.take(self.free_edges))
         self.laplacian = Laplacian(u, v, len(self.free), eliminations)  # of both systems
 
     def turned(self, w: Array, T: Array, held: Array) -> Array:
         """Minimizer of sum w |y_j - T y_i|^2, w (m,), T (m, d, d) orthogonal, that keeps ``held`` (h, d, k)."""
-        y, i, j = self._start(held), self.poses.i[self.rest], self.poses.j[self.rest]
+        y, i, j = self._start(held), self.poses.i[self.held_edges], self.poses.j[self.held_edges]
         wT_t = w[:, None, None] * T.mT.conj()
-        e = product(T[self.rest], y[i]) - y[j]  # 0 between free ones
-        return self._solve(w, -wT_t[self.both], y, i, j, product(wT_t[self.rest], e), w[self.rest, None, None] * e)
+        e = product(T[self.held_edges], y[i]) - y[j]  # 0 between free ones
+        return self._solve(
+            w, -wT_t[self.free_edges], y, i, j, product(wT_t[self.held_edges], e), w[self.held_edges, None, None] * e
+        )
 
     def moved(self, w: Array, c: Array, held: Array) -> Array:
         """Minimizer of sum w |y_j - y_i - c|^2, w (m,), c (m, 1, k), that keeps ``held`` (h, 1, k)."""
         y, i, j = self._start(held), self.poses.i, self.poses.j
         we = w[:, None, None] * (y.take(i, axis=0) + c - y.take(j, axis=0))
-        return self._solve(w, -w[self.both, None, None], y, i, j, we, we)
+        return self._solve(w, -w[self.free_edges, None, None], y, i, j, we, we)
 
     def _start(self, held: Array) -> Array:
         y = np.zeros((self.poses.n, *held.shape[1:]), dtype=held.dtype)

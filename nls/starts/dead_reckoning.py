@@ -60,8 +60,8 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     >>> (x,) = kinds("x")
     >>> ahead_and_turn = XYH(x[[0, 1]], x[[1, 2]], [[1, 0, 1.5], [1, 0, 0]], Isotropic(1))
     >>> tilt = ZPR(x[2], [5.0, 0.1, -0.2], Isotropic(1))
-    >>> found = dead_reckoning(FactorGraph([ahead_and_turn, tilt]), Values({x: (SE3, SE3.identity(3))}))
-    >>> euler.from_se3(found[x[2]]).round(3)  # roll, pitch, yaw, x, y, z
+    >>> start = dead_reckoning(FactorGraph([ahead_and_turn, tilt]), Values({x: (SE3, SE3.identity(3))}))
+    >>> euler.from_se3(start[x[2]]).round(3)  # roll, pitch, yaw, x, y, z
     array([-0.2  ,  0.1  ,  1.5  ,  1.071,  0.997,  5.   ])
     """
     batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH) and len(batch)]
@@ -71,10 +71,10 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     X = np.array(poses.stack(values))
     tilt, measured = _tilts(poses)
 
-    kept = poses.touched & ~measured  # their z, pitch and roll
-    kept[poses.roots[poses.touched[poses.roots]]] = True  # their x, y and yaw
+    nodes = poses.touched & ~measured  # that keep z, pitch and roll
+    nodes[poses.roots[poses.touched[poses.roots]]] = True  # that keep x, y and yaw
     state = np.zeros((poses.n, 6))
-    state[kept] = _euler(poses, X, kept)
+    state[nodes] = _euler(poses, X, nodes)
     state[:, Z_PITCH_ROLL] = np.where(measured[:, None], tilt, state[:, Z_PITCH_ROLL])
     state[:, X_Y_YAW] = poses.along(poses.odometry_tree(), state[:, X_Y_YAW])
 
@@ -93,13 +93,13 @@ def _tilts(poses: PoseGraph) -> tuple[Array, Mask]:
     return tilt, measured
 
 
-def _euler(poses: PoseGraph, X: Array, kept: Mask) -> Array:
+def _euler(poses: PoseGraph, X: Array, nodes: Mask) -> Array:
     """Euler 6-vectors of some nodes, named where they have none."""
-    R = SE3.rotation(X[kept])
+    R = SE3.rotation(X[nodes])
     try:
         refuse_gimbal_lock(R)
     except SingularAt as error:
-        key = poses.pattern.key(int(poses.variables[kept][error.index]))
+        key = poses.pattern.key(int(poses.variables[nodes][error.index]))
         message = f"dead reckoning from {key}: {error}"
         raise SingularGeometryError(message, keys=[key]) from error
-    return euler.from_se3(X[kept])
+    return euler.from_se3(X[nodes])

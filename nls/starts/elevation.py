@@ -129,14 +129,14 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
         raise OptionError("search_elevation: limit", limit, "half an aperture in (0, pi / 2), rad")
     if not is_whole(steps) or steps < 1:
         raise OptionError("search_elevation: steps", steps, "a whole number of at least 1, on either side")
-    found = {}
+    landmarks = {}
     for arcs in _arcs(graph, values):
-        seen = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
-        hinges = [f.limit for f in seen if isinstance(f, ElevationHinge)]
+        sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
+        hinges = [f.limit for f in sightings if isinstance(f, ElevationHinge)]
         widest = limit if limit is not None else max(hinges, default=APERTURE / 2)
-        elevation = _best(_misfit(seen, values, arcs), len(arcs.rows), widest, steps)
-        found[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
-    return values.replaced(found)
+        elevation = _best(_misfit(sightings, values, arcs), len(arcs.rows), widest, steps)
+        landmarks[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
+    return values.replaced(landmarks)
 
 
 def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
@@ -149,8 +149,8 @@ def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
                 pose, target = factor.keys[:2]
                 S = factor.sensor_pose(SE3, X[0], *X[2:])
                 contacts.setdefault(target.kind, []).append((S, pose.numbers, target.numbers, model.z))
-    for kind, each in contacts.items():
-        S, pose_numbers, numbers, z = (np.concatenate(parts) for parts in zip(*each, strict=True))
+    for kind, views in contacts.items():
+        S, pose_numbers, numbers, z = (np.concatenate(parts) for parts in zip(*views, strict=True))
         first = first_contacts(Keys("pose", pose_numbers), Keys(kind, numbers))
         rows = values.stack(kind).index(Keys(kind, numbers[first]))
         free = np.ones(len(values.stack(kind)), dtype=bool)
@@ -168,10 +168,10 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
-def _misfit(seen: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
+def _misfit(sightings: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
     """The function that takes elevations (k,) to the chi2 (k,) of all sightings of each landmark."""
     stack = values.stack(arcs.kind)
-    bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in seen]
+    bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in sightings]
 
     def misfit(elevation: Array) -> Array:
         L, chi2 = _placed(values, arcs, arcs.points(elevation)), np.zeros(len(stack))
@@ -187,12 +187,12 @@ def _best(misfit: Callable[[Array], Array], k: int, limit: float, steps: int) ->
     """Elevations (k,) of smallest misfit within +-limit: on a grid, then at the lowest point of a parabola."""
     grid = limit * np.arange(-steps, steps + 1) / steps
     f = np.array([misfit(np.full(k, elevation)) for elevation in grid])  # (2 steps + 1, k)
-    each, lowest = np.arange(k), np.argmin(f, axis=0)
-    best = np.where(f[steps] - f[lowest, each] < FLAT, steps, lowest)
+    columns, lowest = np.arange(k), np.argmin(f, axis=0)
+    best = np.where(f[steps] - f[lowest, columns] < FLAT, steps, lowest)
     inside = (best > 0) & (best < 2 * steps) & (best == lowest)
-    left, here, right = f[best - inside, each], f[best, each], f[best + inside, each]
-    curvature = left - 2 * here + right  # 0 where not inside
+    left, center, right = f[best - inside, columns], f[best, columns], f[best + inside, columns]
+    curvature = left - 2 * center + right  # 0 where not inside
     bent = curvature > 0
     shift = np.where(bent, (left - right) / (2 * np.where(bent, curvature, 1.0)), 0.0)
     refined = grid[best] + shift * limit / steps
-    return np.where(misfit(refined) < here - FLAT, refined, grid[best])
+    return np.where(misfit(refined) < center - FLAT, refined, grid[best])

@@ -42,7 +42,7 @@ from nls.values import Values
 
 __all__ = ["incremental", "sees_points"]
 
-EACH, STAGES = 50, 20  # poses a stage, at most, and stages, at least
+STAGE_SIZE, STAGES = 50, 20  # poses a stage, at most, and stages, at least
 STEPS = 20  # at most, in a stage
 DAMPING = 3e-3  # of the first step: holds elevations that are nearly free so far, or rounding decides on centimeters
 ENOUGH, ENOUGH_OF_ALL = 1e-2, 1e-3  # a stage ends when a step lowers its chi2 by less; 1e-2 bends Victoria Park
@@ -50,7 +50,7 @@ POOR = 5.0  # chi2 per measured row of a stage, beside what all before it left: 
 ELEVATIONS = 7  # on either side, a degree apart in a DIDSON; a search of 14 takes twice as long for the same start
 
 
-def incremental(graph: FactorGraph, values: Values, each: int | None = None) -> Values:
+def incremental(graph: FactorGraph, values: Values, stage_size: int | None = None) -> Values:
     """Poses and points from a graph that is solved while it grows, pose by pose in the order of their numbers.
 
     Parameters
@@ -59,7 +59,7 @@ def incremental(graph: FactorGraph, values: Values, each: int | None = None) -> 
         the points; all factors whose variables are known are optimized.
     values : every variable. Of the poses only the first of each component matters, and fixed ones, which stay.
         Variables that are neither poses nor points seen from them are known from the beginning, at these values.
-    each : how many poses make a stage, at least 1: so few that dead reckoning stays near what the sensor can tell
+    stage_size : how many poses make a stage, at least 1: so few that dead reckoning stays near what the sensor can tell
         apart. When omitted 50, or a twentieth of all poses where that is less.
 
     Returns
@@ -86,14 +86,14 @@ def incremental(graph: FactorGraph, values: Values, each: int | None = None) -> 
     >>> from nls.starts import incremental
     >>> x, l = kinds("x", "l")
     >>> walk = Between(x[[0, 1]], x[[1, 2]], [[1, 0, 0.1], [1, 0, 0]], Isotropic(0.1))
-    >>> seen = Landmark(x[[0, 1, 2]], l[0], [[2.0, 1.0], [1.0, 1.0], [0.0, 1.0]], Isotropic(0.01))
+    >>> sightings = Landmark(x[[0, 1, 2]], l[0], [[2.0, 1.0], [1.0, 1.0], [0.0, 1.0]], Isotropic(0.01))
     >>> start = Values({x: (SE2, SE2.identity(3)), l: (R(2), [0.0, 0.0])})
-    >>> incremental(FactorGraph([walk, seen]), start, each=1)[x[2]].round(2)
+    >>> incremental(FactorGraph([walk, sightings]), start, stage_size=1)[x[2]].round(2)
     array([2.03, 0.  , 0.03])
     """
-    if each is not None and (not is_whole(each) or each < 1):
-        raise OptionError("each", each, "a number of poses, at least 1")
-    growth, left = _Growth(graph, values, each), 1.0
+    if stage_size is not None and (not is_whole(stage_size) or stage_size < 1):
+        raise OptionError("stage_size", stage_size, "a number of poses, at least 1")
+    growth, left = _Growth(graph, values, stage_size), 1.0
     for stage in range(growth.stages):
         values = growth.reckoned(values, stage)
         values = growth.located(values, stage)
@@ -119,12 +119,12 @@ class _Growth:
     ripe : per factor the stage (n,) from which its poses are known.
     """
 
-    def __init__(self, graph: FactorGraph, values: Values, each: int | None) -> None:
+    def __init__(self, graph: FactorGraph, values: Values, stage_size: int | None) -> None:
         self.parts, points = Parts(graph, values), _points(graph, values)
         poses = {kind: values.stack(kind).numbers for kind in _poses(graph, values)}
         numbers = np.sort(np.concatenate([np.zeros(0, np.int64), *poses.values()]))
-        each = min(EACH, max(len(numbers) // STAGES, 1)) if each is None else each
-        last = np.unique(numbers[each - 1 : -1 : each])  # of every stage but the last
+        stage_size = min(STAGE_SIZE, max(len(numbers) // STAGES, 1)) if stage_size is None else stage_size
+        last = np.unique(numbers[stage_size - 1 : -1 : stage_size])  # of every stage but the last
         self.stages = len(last) + 1 if len(numbers) else 0
         self.born = {kind: np.searchsorted(last, n) for kind, n in poses.items()}
         self.placed: Mask = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in points}
@@ -141,8 +141,10 @@ class _Growth:
         """The poses of a stage chained from those before."""
         carry = [is_relative(factor) or isinstance(factor, XYH | ZPR) for factor in self.parts.factors]
         steps = [(ripe == stage) & carries for ripe, carries in zip(self.ripe, carry, strict=True)]
-        part, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
-        return put_back(values, part, dead_reckoning(part, chain(part, within))) if len(part) else values
+        subgraph, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
+        if not len(subgraph):
+            return values
+        return put_back(values, subgraph, dead_reckoning(subgraph, chain(subgraph, within)))
 
     def located(self, values: Values, stage: int) -> Values:
         """The points that are measured in as many numbers as they have, for the first time, placed by their views."""
@@ -157,30 +159,31 @@ class _Growth:
             kind: ~placed & (self.measured[kind] >= values.stack(kind).manifold.dim)
             for kind, placed in self.placed.items()
         }
-        seen = [np.zeros(len(factor), dtype=bool) for factor in self.parts.factors]
+        sightings = [np.zeros(len(factor), dtype=bool) for factor in self.parts.factors]
         for k in views:
-            seen[k] = (self.ripe[k] <= stage) & self.parts.any(k, new)
+            sightings[k] = (self.ripe[k] <= stage) & self.parts.any(k, new)
         self.placed = {kind: placed | new[kind] for kind, placed in self.placed.items()}
-        part, within = self.parts.take(seen, {}, values)
-        if not len(part):
+        subgraph, within = self.parts.take(sightings, {}, values)
+        if not len(subgraph):
             return values
-        return put_back(values, part, search_elevation(part, locate_points(part, within), steps=ELEVATIONS))
+        return put_back(values, subgraph, search_elevation(subgraph, locate_points(subgraph, within), steps=ELEVATIONS))
 
     def optimized(self, values: Values, stage: int, everything: bool) -> tuple[Values, float]:
         """What is known at its optimum, everything or the poses of a stage and the points they see; chi2 per row."""
         known = self._known(stage)
-        wanted, held = (known, {}) if everything else self._near(known, values, stage)
-        part, within = self.parts.take(wanted, held, values)
-        if not len(part):
+        measurements, held = (known, {}) if everything else self._near(known, values, stage)
+        subgraph, within = self.parts.take(measurements, held, values)
+        if not len(subgraph):
             return values, 0.0
         method = LevenbergMarquardt(
             Stop(max_iterations=STEPS), _Falls(ENOUGH_OF_ALL if everything else ENOUGH), DAMPING
         )
         try:
-            found = part.optimize(within, method)
+            result = subgraph.optimize(within, method)
         except UnderconstrainedError:
             return values, 0.0  # fewer measurements than unknowns so far
-        return put_back(values, part, found.values), found.chi2_final / max(measured_rows(part.pattern(within)), 1)
+        rows = measured_rows(subgraph.pattern(within))
+        return put_back(values, subgraph, result.values), result.chi2_final / max(rows, 1)
 
     def _known(self, stage: int) -> list[npt.NDArray[np.bool_]]:
         """Measurements (n,) by factor whose variables are known."""
@@ -214,11 +217,11 @@ class _Falls:
     that was seen once so far: half of the time of a mission.
     """
 
-    def __init__(self, part: float) -> None:
-        self.part, self.before = part, math.inf
+    def __init__(self, fraction: float) -> None:
+        self.fraction, self.before = fraction, math.inf
 
     def __call__(self, iteration: Iteration) -> bool:
-        little = iteration.chi2 > (1 - self.part) * self.before
+        little = iteration.chi2 > (1 - self.fraction) * self.before
         self.before = iteration.chi2
         return little
 
@@ -231,5 +234,5 @@ def _poses(graph: FactorGraph, values: Values) -> set[str]:
 
 def _points(graph: FactorGraph, values: Values) -> set[str]:
     """Kinds of points seen from poses."""
-    seen = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting) and len(factor)}
-    return {kind for kind in seen if values.stack(kind).manifold not in (SE2, SE3)}
+    kinds = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting) and len(factor)}
+    return {kind for kind in kinds if values.stack(kind).manifold not in (SE2, SE3)}

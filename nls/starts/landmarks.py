@@ -75,7 +75,7 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
     >>> locate_points(graph, values)[l[0]].round(6)
     array([3., 4.])
     """
-    seen: dict[str, list[Sightings]] = {}
+    sightings: dict[str, list[Sightings]] = {}
     for factor in graph.factors:
         if isinstance(factor, Sighting) and len(factor):
             model, X = values.gather(factor)
@@ -87,8 +87,8 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
                 least = np.abs(model.W).min(axis=1) if model.W.ndim == 2 else np.linalg.svd(model.W)[1][:, -1]
                 least = np.broadcast_to(least, len(factor))
                 sighting = Sightings(factor, group, point, factor.keys[0].numbers, S, model.z, least)
-                seen.setdefault(factor.keys[1].kind, []).append(sighting)
-    return values.replaced({kind: _located(values.stack(kind), each, graph) for kind, each in seen.items()})
+                sightings.setdefault(factor.keys[1].kind, []).append(sighting)
+    return values.replaced({kind: _located(values.stack(kind), views, graph) for kind, views in sightings.items()})
 
 
 def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Array:
@@ -109,16 +109,16 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
         informed = np.flatnonzero((says > 0) & (says >= POORLY * most[point]))
         point, number, at = point[informed], number[informed], at[informed]
         first = np.lexsort((number, point))
-        which, place = np.unique(point[first], return_index=True)
-        rows = first[place][todo[which]]
+        points, place = np.unique(point[first], return_index=True)
+        rows = first[place][todo[points]]
         X[point[rows]] = at[rows]
         todo[point] = False
     for kind, system, misfit in ((Range, _ranges, _range_misfit), (Bearing, _rays, _ray_misfit)):
-        found = [s for s in sightings if isinstance(s.factor, kind)]
-        if found:
-            point = np.concatenate([s.point for s in found])
-            s_i = np.concatenate([s.group.position(s.S) for s in found])
-            z = np.concatenate([s.z[:, 0] if kind is Range else _directions(s) for s in found])
+        subset = [s for s in sightings if isinstance(s.factor, kind)]
+        if subset:
+            point = np.concatenate([s.point for s in subset])
+            s_i = np.concatenate([s.group.position(s.S) for s in subset])
+            z = np.concatenate([s.z[:, 0] if kind is Range else _directions(s) for s in subset])
             todo &= ~_solve(X, todo, point, s_i, z, system, misfit)
     return X
 

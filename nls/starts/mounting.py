@@ -86,14 +86,14 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     UnderconstrainedError
         The motion leaves a place free.
     """
-    which, _, _ = pairs.placed(pairs.O)
-    code = pairs.pose[which] * len(pairs.points) + pairs.point[which]
-    distances, wanted, held = FactorGraph(fixed=graph.fixed), [], dict[str, npt.NDArray[np.bool_]]()
+    rows, _, _ = pairs.placed(pairs.O)
+    code = pairs.pose[rows] * len(pairs.points) + pairs.point[rows]
+    distances, masks, held = FactorGraph(fixed=graph.fixed), [], dict[str, npt.NDArray[np.bool_]]()
     for factor in graph.factors:
         if isinstance(factor, Projection | RangeAzimuth) and len(factor) and factor.keys[1].kind == pairs.points.kind:
             Sigma, good = covariance(factor, values)
             i, j = (stack.index(keys) for stack, keys in zip((pairs.poses, pairs.points), factor.keys, strict=False))
-            wanted.append(good & np.isin(i * len(pairs.points) + j, code))
+            masks.append(good & np.isin(i * len(pairs.points) + j, code))
             distances.add(factor if isinstance(factor, Projection) else _distance(factor, values, Sigma[:, 0, 0]))
             for keys in factor.keys[2:]:  # where the cameras are, which may be of the kind of the sonars
                 stack = values.stack(keys.kind)
@@ -101,10 +101,10 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
                 mask[stack.index(keys)] |= isinstance(factor, Projection)
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
-    part, within = Parts(distances, values).take([*wanted, np.ones(len(axes), dtype=bool)], held, values)
+    subgraph, within = Parts(distances, values).take([*masks, np.ones(len(axes), dtype=bool)], held, values)
     advice = Advice("move rig"), Advice("guess")
     try:
-        found = part.optimize(within, LevenbergMarquardt(ENOUGH))
+        result = subgraph.optimize(within, LevenbergMarquardt(ENOUGH))
     except UnderconstrainedError as error:
         raise UnderconstrainedError(
             f"rig: pixels and ranges do not tell where {unknown} is: {error.message}",
@@ -114,11 +114,11 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
             values,
             advice,
         ) from error
-    if found.underconstrained:
-        free = found.underconstrained
+    if result.underconstrained:
+        free = result.underconstrained
         message = f"rig: pixels and ranges do not tell where {unknown} is; free: {'; '.join(free)}"
         raise UnderconstrainedError(message, [unknown], len(free), free, values, advice)
-    return put_back(values, part, found.values)
+    return put_back(values, subgraph, result.values)
 
 
 def _distance(factor: RangeAzimuth, values: Values, variance: Array) -> Factor:

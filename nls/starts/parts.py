@@ -48,19 +48,19 @@ class Parts:
                 touched |= mask[keys.kind].take(index)
         return touched
 
-    def take(self, wanted: Sequence[Rows], held: Mask, values: Values) -> tuple[FactorGraph, Values]:
+    def take(self, measurements: Sequence[Rows], held: Mask, values: Values) -> tuple[FactorGraph, Values]:
         """Wanted measurements (n,) of every factor, and the values of what they touch; held and fixed ones are fixed.
 
         A factor from a function, whose data only the function knows, comes as a whole.
         """
-        part, touched = FactorGraph(), {kind: np.zeros(len(s), dtype=bool) for kind, s in values.stacks.items()}
-        for factor, index, rows in zip(self.factors, self.index, wanted, strict=True):
+        subgraph, touched = FactorGraph(), {kind: np.zeros(len(s), dtype=bool) for kind, s in values.stacks.items()}
+        for factor, index, rows in zip(self.factors, self.index, measurements, strict=True):
             if not rows.any():
                 continue
             whole = rows.all() or isinstance(factor, FunctionFactor)
-            part.add(factor if whole else factor[rows])
-            for keys, each in zip(factor.keys, index, strict=True):
-                touched[keys.kind][each if whole else each[rows]] = True
+            subgraph.add(factor if whole else factor[rows])
+            for keys, places in zip(factor.keys, index, strict=True):
+                touched[keys.kind][places if whole else places[rows]] = True
         stacks = []
         for kind, mask in touched.items():
             if mask.any():
@@ -68,18 +68,18 @@ class Parts:
                 stacks.append(Stack(kind, stack.manifold, stack.X[mask], stack.numbers[mask]))
                 still = mask & (self.fixed[kind] | held[kind] if kind in held else self.fixed[kind])
                 if still.any():
-                    part.fix(Keys(kind, stack.numbers[still]))
-        return part, Values.of(stacks)
+                    subgraph.fix(Keys(kind, stack.numbers[still]))
+        return subgraph, Values.of(stacks)
 
 
-def put_back(values: Values, part: FactorGraph, found: Values) -> Values:
-    """Values with those found for the variables of a part; what it holds stays as it is, bit for bit."""
+def put_back(values: Values, subgraph: FactorGraph, solution: Values) -> Values:
+    """Values with those found for the variables of a subgraph; what it holds stays as it is, bit for bit."""
     X = {}
-    for kind, those in found.stacks.items():
+    for kind, estimates in solution.stacks.items():
         stack = values.stack(kind)
         X[kind] = np.array(stack.X)
-        X[kind][stack.index(Keys(kind, those.numbers))] = those.X
-    for keys in part.fixed:
+        X[kind][stack.index(Keys(kind, estimates.numbers))] = estimates.X
+    for keys in subgraph.fixed:
         held = values.stack(keys.kind).index(keys)
         X[keys.kind][held] = values.stack(keys.kind).X[held]
     return values.replaced(X)

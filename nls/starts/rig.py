@@ -107,12 +107,12 @@ def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_point
 def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Rows]:
     """Poses and points from the pairs, and which points (n,) are known."""
     poses, points = pairs.poses, pairs.points
-    which, p, variance = pairs.placed(pairs.O)
-    pose, point = pairs.pose[which], pairs.point[which]
+    rows, p, variance = pairs.placed(pairs.O)
+    pose, point = pairs.pose[rows], pairs.point[rows]
     X, L, known = np.array(poses.X), np.array(points.X), _fixed(graph, values, points.kind)
     order = np.argsort(pose, kind="stable")
     first = np.searchsorted(pose[order], np.arange(len(X) + 1))
-    shared = csr_array((np.ones(len(which), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
+    shared = csr_array((np.ones(len(rows), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
     count = shared[known].sum(axis=0)  # (n,) points each pose shares with the known ones
 
     todo = _observing(graph, values, pairs)
@@ -173,11 +173,11 @@ def _far_apart(v: Array) -> list[int]:
 
 def _observing(graph: FactorGraph, values: Values, pairs: Pairs) -> Rows:
     """Poses (n,) that saw a point with camera or sonar."""
-    seen = np.zeros(len(pairs.poses), dtype=bool)
+    observers = np.zeros(len(pairs.poses), dtype=bool)
     for factor in graph.factors:
         if isinstance(factor, Projection | RangeAzimuth) and len(factor) and factor.keys[1].kind == pairs.points.kind:
-            seen[pairs.poses.index(factor.keys[0])] = True
-    return seen
+            observers[pairs.poses.index(factor.keys[0])] = True
+    return observers
 
 
 def _fixed(graph: FactorGraph, values: Values, kind: str) -> Rows:

@@ -129,7 +129,7 @@ def test_the_incremental_start_places_lines() -> None:
     pose, wall, z = sights(X)
     graph = graph_of(X, noisy(z, 6), pose, wall)
     start = Values({x: (SE2, np.tile(X[:1], (len(X), 1))), l: (LINE, LINE.identity(3))})
-    found = incremental(graph, start, each=5)
+    found = incremental(graph, start, stage_size=5)
     same(LINE.local(WALLS, found[l]), 0.0, atol=0.1)
     same(found[x][:, :2], X[:, :2], atol=0.2)
 

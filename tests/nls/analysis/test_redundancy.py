@@ -75,7 +75,7 @@ def test_the_numbers_are_those_of_the_dense_problem_with_a_common_error(space: L
     assert group.redundancy == pytest.approx(np.trace(np.linalg.solve(C.T @ C, C.T @ rest @ C)) / d, rel=1e-4)
     assert group.t == pytest.approx(b @ b - freed @ freed, rel=1e-2)
     assert group.dx == pytest.approx(step[: A.shape[1]], rel=1e-2, abs=1e-2 * np.abs(step).max())
-    assert group.seen
+    assert group.observable
 
 
 def test_a_loop_of_vectors_has_the_redundancy_and_the_motion_of_the_closed_form() -> None:

@@ -18,9 +18,9 @@ from models.advice import ACTIONS, Advice
 from nls.analysis.readings import READINGS
 from nls.analysis.suspects import Suspects
 from nls.explanation import Finding, FindingKind, Measurement, words
+from nls.explanation.applicability import certifies, graduates
 from nls.explanation.doubts import CURES, of_suspects
 from nls.explanation.naming import _loose
-from nls.explanation.offers import certifies, graduates
 from nls.explanation.words import together
 from nls.plot import report as page
 from tests.nls.explanation.sentences import SNAPSHOT, sentences

@@ -15,9 +15,9 @@ from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
 from nls.robust import Doubt, DoubtKind
 from nls.robust import preselection as preselection_module
-from nls.robust.choice import Truncated
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
+from nls.robust.truncated_least_squares import Truncated
 from nls.robust.verdict import doubts, shift
 
 (x,) = kinds("x")
@@ -173,7 +173,7 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> Non
     start = problem.without(problem.settled(values), [np.ones(19, bool), np.zeros(3, bool), np.ones(1, bool)])
     assert start.cost > 3 * 6.6 - 1e-9
     choice, others = exchanged(problem, loops, start)
-    assert [mask.all() for mask in choice.kept] == [True, True, False]
+    assert [mask.all() for mask in choice.inliers] == [True, True, False]
     assert choice.cost == pytest.approx(6.6, rel=1e-6)
     assert all(other.cost >= choice.cost * (1 - 1e-3) for other in others)
 

@@ -61,9 +61,9 @@ def test_drift_that_no_solve_at_the_end_undoes(sensor: type[Factor], rows: int) 
     assert graph.optimize(dead).chi2_final > 10 * best
     start = incremental(graph, blind)  # twenty stages
     assert graph.chi2(start) < 1.1 * best
-    np.testing.assert_array_equal(start[x], incremental(graph, blind, each=12)[x])
-    assert graph.chi2(incremental(graph, blind, each=50)) < 2 * best  # the heading drifts by 2.5 rad in a stage
-    assert graph.chi2(incremental(graph, blind, each=len(truth))) > 10 * best
+    np.testing.assert_array_equal(start[x], incremental(graph, blind, stage_size=12)[x])
+    assert graph.chi2(incremental(graph, blind, stage_size=50)) < 2 * best  # the heading drifts by 2.5 rad in a stage
+    assert graph.chi2(incremental(graph, blind, stage_size=len(truth))) > 10 * best
     result = graph.optimize(start)
     assert result.converged
     assert result.iterations <= 5
@@ -84,7 +84,7 @@ def test_optimized_points_are_not_put_back_to_their_first_sighting(monkeypatch: 
 
     monkeypatch.setattr(module, "locate_points", spied)
     graph, truth = rounds()
-    incremental(graph, forgotten(truth), each=30)
+    incremental(graph, forgotten(truth), stage_size=30)
     assert sum(moved) == 24  # every one of them once
     assert moved[0] > 10
     assert len(moved) == 2  # stages that see new ones
@@ -105,13 +105,14 @@ def test_auto_tries_it_only_where_landmarks_are_far_off() -> None:
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-@pytest.mark.parametrize("each", [1, 4, 99])
-def test_pose_graphs_without_points(group: LieGroup, each: int) -> None:
+@pytest.mark.parametrize("stage_size", [1, 4, 99])
+def test_pose_graphs_without_points(group: LieGroup, stage_size: int) -> None:
     sample = pose_graph(group, n=12, numbers=(40, 2, 31, 4, 55, 6, 7, 28, 9, 10, 11, 12))
     best = sample.graph.optimize(sample.values).chi2_final
-    start = incremental(sample.graph, sample.values, each)
+    start = incremental(sample.graph, sample.values, stage_size)
     assert sample.graph.optimize(start).chi2_final == pytest.approx(best, rel=1e-6)
-    assert sample.graph.chi2(start) < (1.01 if each == 99 else 6) * best  # a loop that fits well enough does not pull
+    limit = 1.01 if stage_size == 99 else 6  # a loop that fits well enough does not pull
+    assert sample.graph.chi2(start) < limit * best
 
 
 def test_what_is_fixed_stays() -> None:
@@ -198,5 +199,5 @@ def test_nothing_to_take_in_stages() -> None:
     values = Values({l: (R(2), [[1.0, 2.0], [3.0, 4.0]])})
     graph = FactorGraph([Prior(l[0], [5.0, 5.0], Isotropic(1))])
     assert incremental(graph, values) is values
-    with pytest.raises(OptionError, match="each"):
-        incremental(graph, values, each=0)
+    with pytest.raises(OptionError, match="stage_size"):
+        incremental(graph, values, stage_size=0)

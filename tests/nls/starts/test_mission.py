@@ -86,7 +86,7 @@ def test_older_poses_are_held_where_they_fit(solved: list[tuple[int, bool]]) -> 
     """So that the cost is linear: 511 poses are eleven stages of 50, and none needs all before it."""
     mission = floor()
     assert mission.poses == 511
-    incremental(mission.graph, mission.start, each=50)
+    incremental(mission.graph, mission.start, stage_size=50)
     assert solved == [(0, True), *((stage, False) for stage in range(1, 11))]
 
 

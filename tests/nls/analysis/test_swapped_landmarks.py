@@ -15,7 +15,7 @@ from factors.replaced import replaced
 from nls import FactorGraph, Values
 from nls.analysis.freedom import freedom
 from nls.analysis.leave_one_out import checks
-from nls.analysis.swapped import SwappedLandmarks, swapped_landmarks
+from nls.analysis.swapped_landmarks import SwappedLandmarks, swapped_landmarks
 from nls.gauge import choose_gauge
 from tests.nls.misreadings import misread, optimum, world
 

@@ -37,16 +37,16 @@ class Choice:
 
     Attributes
     ----------
-    result : the optimum of what is kept.
-    graph : what is kept.
-    kept : per factor which of its measurements are.
+    result : the optimum of the inliers.
+    graph : the inliers.
+    inliers : per factor which of its measurements are kept.
     s : per factor (n,) squared residuals at the optimum, of all.
     cost : the sum of min(s, c^2) where doubted, of s elsewhere.
     """
 
     result: Result
     graph: FactorGraph
-    kept: list[Mask]
+    inliers: list[Mask]
     s: list[Array]
     cost: float
 
@@ -69,9 +69,9 @@ class Truncated:
         """The same problem with all thresholds c^2 times so much."""
         return replace(self, c2=[variance * c2 for c2 in self.c2])
 
-    def rejected(self, kept: list[Mask]) -> int:
+    def rejected(self, inliers: list[Mask]) -> int:
         """How many doubted measurements are not kept."""
-        return sum(int((m & ~k).sum()) for m, k in zip(self.masks, kept, strict=True))
+        return sum(int((m & ~k).sum()) for m, k in zip(self.masks, inliers, strict=True))
 
     def affordable(self, values: Values, reaches: tuple[float, ...]) -> list[float]:
         """The reaches, thresholds within which measurements pull, that are not much dearer to solve than the first."""
@@ -79,44 +79,44 @@ class Truncated:
         flops = [self.flops(values, self._within(s, far)) for far in reaches]
         return [far for far, count in zip(reaches, flops, strict=True) if count <= DEARER * flops[0]]
 
-    def flops(self, values: Values, kept: list[Mask]) -> float:
+    def flops(self, values: Values, selection: list[Mask]) -> float:
         """Operations to factorize A'A of some measurements."""
-        pattern, held = self.graph.only(kept).pattern(values), fixed_variables(self.graph.fixed, values)
+        pattern, held = self.graph.only(selection).pattern(values), fixed_variables(self.graph.fixed, values)
         return fill_in(pattern, held, best_decomposition().order).flops
 
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""
         values = self._bent(values, loss, far)
-        part = self.graph.only(self._within(self._s(values), 1.0))
-        return self.settled(lowest(part, values).values)
+        subgraph = self.graph.only(self._within(self._s(values), 1.0))
+        return self.settled(lowest(subgraph, values).values)
 
     def settled(self, values: Values) -> Choice:
         """The choice that reproduces itself, from what is within the thresholds at some values."""
-        kept: list[Mask] = []
+        inliers: list[Mask] = []
         for _ in range(PASSES):
             s = self._s(values)
-            before, kept = kept, self._within(s, 1.0)
-            if before and all((a == b).all() for a, b in zip(before, kept, strict=True)):
+            before, inliers = inliers, self._within(s, 1.0)
+            if before and all((a == b).all() for a, b in zip(before, inliers, strict=True)):
                 break
-            part = self.graph.only(kept)
-            result = part.optimize(values)
+            subgraph = self.graph.only(inliers)
+            result = subgraph.optimize(values)
             values = result.values
         else:
             s = self._s(values)  # two choices take turns: the last one is taken
-        return self.chosen(result, part, kept, s)
+        return self.chosen(result, subgraph, inliers, s)
 
-    def chosen(self, result: Result, graph: FactorGraph, kept: list[Mask], s: list[Array]) -> Choice:
+    def chosen(self, result: Result, graph: FactorGraph, inliers: list[Mask], s: list[Array]) -> Choice:
         """The choice with its cost."""
         cost = sum(
             float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)
         )
-        return Choice(result, graph, kept, s, cost)
+        return Choice(result, graph, inliers, s, cost)
 
-    def without(self, choice: Choice, kept: list[Mask]) -> Choice:
+    def without(self, choice: Choice, inliers: list[Mask]) -> Choice:
         """The optimum of fewer measurements, from a choice of more."""
-        graph = self.graph.only(kept)
+        graph = self.graph.only(inliers)
         result = graph.optimize(choice.result.values)
-        return self.chosen(result, graph, kept, self._s(result.values))
+        return self.chosen(result, graph, inliers, self._s(result.values))
 
     def _s(self, values: Values) -> list[Array]:
         return [factor.chi2(values) for factor in self.graph.factors]

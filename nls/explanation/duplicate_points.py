@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["twins"]
+__all__ = ["duplicate_points"]
 
 PAIRS = 20  # nearest pairs that are looked at
 SAME = 0.999  # of such pairs that are one point are found
 SPACING = 0.25  # of the usual distance to the next point: sigmas above that make neighbors of any two
 
 
-def twins(checked: Checked, pattern: Pattern, values: Values) -> list[Finding]:
+def duplicate_points(checked: Checked, pattern: Pattern, values: Values) -> list[Finding]:
     """Pairs of points that the data cannot tell apart, by kind.
 
     Parameters
@@ -51,27 +51,27 @@ def twins(checked: Checked, pattern: Pattern, values: Values) -> list[Finding]:
 
 def _poses(pattern: Pattern, points: Index) -> dict[int, set[int]]:
     """From which variables each point is seen."""
-    seen: dict[int, set[int]] = {int(v): set() for v in points}
+    poses: dict[int, set[int]] = {int(v): set() for v in points}
     for batch in pattern.batches:
         if isinstance(batch.model.factor, Sighting):
-            which = np.isin(batch.variables[1], points)
-            for v, pose in zip(batch.variables[1][which].tolist(), batch.variables[0][which].tolist(), strict=True):
-                seen[v].add(pose)
-    return seen
+            mask = np.isin(batch.variables[1], points)
+            for v, pose in zip(batch.variables[1][mask].tolist(), batch.variables[0][mask].tolist(), strict=True):
+                poses[v].add(pose)
+    return poses
 
 
 def _nearest(
-    checked: Checked, pattern: Pattern, values: Values, name: str, points: Index, seen: dict[int, set[int]]
+    checked: Checked, pattern: Pattern, values: Values, name: str, points: Index, poses: dict[int, set[int]]
 ) -> list[tuple[int, int, float, float]]:
     """Pairs of points (a, b) never seen together, how far apart and in how many sigmas, where that is no difference."""
     from scipy.spatial import cKDTree
 
     p = values[Keys(name, pattern.numbers[name][points - pattern.offsets[name]])]
     d = p.shape[1]
-    distance, other = cKDTree(p).query(p, k=2)
+    distance, neighbor = cKDTree(p).query(p, k=2)
     spacing, ids = float(np.quantile(distance[:, 1], 0.75)), points.tolist()  # of most: twins are near each other
-    near = {(float(distance[i, 1]), min(i, j), max(i, j)) for i, j in enumerate(other[:, 1].tolist()) if i != j}
-    apart = [pair for pair in sorted(near) if _never_together(seen[ids[pair[1]]], seen[ids[pair[2]]])][:PAIRS]
+    near = {(float(distance[i, 1]), min(i, j), max(i, j)) for i, j in enumerate(neighbor[:, 1].tolist()) if i != j}
+    apart = [pair for pair in sorted(near) if _never_together(poses[ids[pair[1]]], poses[ids[pair[2]]])][:PAIRS]
     out: list[tuple[int, int, float, float]] = []
     if not apart:
         return out

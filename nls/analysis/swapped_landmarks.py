@@ -23,8 +23,8 @@ import numpy as np
 from factors.keys import Keys
 from nls.analysis.alternatives import FIRST, UNLIKELY, Fit, expected, solved, supported
 from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.landmark_pairs import Pair, landmark_factors
 from nls.analysis.leave_one_out import Tested, measuring
-from nls.analysis.pairs import Pair, landmark_factors
 from nls.graph import FactorGraph
 from nls.values import Values
 
@@ -97,10 +97,10 @@ def swapped_landmarks(
     standing = solved(graph, values, start=False) if pairs else None
     if standing is None or expected(standing):
         return ()
-    rest = [(fit, pair) for pair in pairs if (fit := _without(standing, pair)) is not None]
-    rest.sort(key=lambda without: without[0].chi2)
+    fits = [(fit, pair) for pair in pairs if (fit := _without(standing, pair)) is not None]
+    fits.sort(key=lambda without: without[0].chi2)
     now, swaps, tries = standing, [], len(pairs)
-    candidates = rest[:PAIRS]
+    candidates = fits[:PAIRS]
     while candidates and not expected(now):
         best = _best(now, candidates, len(pairs))
         if best is None:
@@ -139,16 +139,16 @@ def _doubtful(graph: FactorGraph, values: Values, tests: Sequence[Tested] | None
 
 def _without(now: Fit, pair: Keys) -> Fit | None:
     """The optimum without the sightings of two landmarks."""
-    kept = [np.ones(len(factor), dtype=bool) for factor in now.graph.factors]
+    masks = [np.ones(len(factor), dtype=bool) for factor in now.graph.factors]
     for k in landmark_factors(now.graph, now.values):
         target = now.graph.factors[k].keys[1]
         if target.kind == pair.kind:
-            kept[k] = ~np.isin(target.numbers, pair.numbers)
-    here = solved(now.graph.only(kept), now.values, False, FIRST)
-    if here is not None and expected(here):
-        return here
-    again = solved(now.graph.only(kept), now.values, True, FIRST)
-    return min((fit for fit in (here, again) if fit is not None), key=lambda fit: fit.chi2, default=None)
+            masks[k] = ~np.isin(target.numbers, pair.numbers)
+    local = solved(now.graph.only(masks), now.values, False, FIRST)
+    if local is not None and expected(local):
+        return local
+    again = solved(now.graph.only(masks), now.values, True, FIRST)
+    return min((fit for fit in (local, again) if fit is not None), key=lambda fit: fit.chi2, default=None)
 
 
 def _best(

@@ -48,12 +48,12 @@ def aligned(graph: FactorGraph, values: Values) -> Values:
     (group,) = groups
     assert group in (SE2, SE3)
     start = initialize(graph, values, "odometry")[0]
-    measured, here = [], []
+    measured, positions = [], []
     for factor in fixes:
         model, X = start.gather(factor)
         measured.append(model.z)
-        here.append(model.factor.predict(model.manifolds, *X)[0])
-    T = align(np.concatenate(measured), np.concatenate(here))
+        positions.append(model.factor.predict(model.manifolds, *X)[0])
+    T = align(np.concatenate(measured), np.concatenate(positions))
     points = {factor.keys[1].kind for factor in graph.factors if isinstance(factor, Sighting)}
     moved = {}
     for kind, stack in start.stacks.items():

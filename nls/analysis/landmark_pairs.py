@@ -29,13 +29,13 @@ Mask = npt.NDArray[np.bool_]
 
 def landmark_factors(graph: FactorGraph, values: Values) -> list[int]:
     """Numbers of the factors that see landmarks."""
-    seen = []
+    numbers = []
     for k, factor in enumerate(graph.factors):
         if isinstance(factor, Sighting):
             manifolds = values.gather(factor)[0].manifolds
             if manifolds[1] is not manifolds[0]:
-                seen.append(k)
-    return seen
+                numbers.append(k)
+    return numbers
 
 
 class Pair:
@@ -63,16 +63,16 @@ class Pair:
         priors = [f for f in graph.factors if isinstance(f, Prior) and f.keys[0].kind == pair.kind]
         self.priors = [f[mask] for f in priors if (mask := np.isin(f.keys[0].numbers, pair.numbers)).any()]
 
-    def _relabelled(self, factor: Factor, which: Mask) -> Factor:
+    def _relabelled(self, factor: Factor, mask: Mask) -> Factor:
         """The factor with the two landmarks exchanged in some measurements (n,)."""
-        pose, target, *others = factor.keys
+        pose, target, *sensors = factor.keys
         a, b = self.pair.numbers
         numbers = np.where(target.numbers == a, b, np.where(target.numbers == b, a, target.numbers))
-        return replaced(factor, [pose, Keys(target.kind, np.where(which, numbers, target.numbers)), *others])
+        return replaced(factor, [pose, Keys(target.kind, np.where(mask, numbers, target.numbers)), *sensors])
 
     def local(self, exchanged: Mask) -> FactorGraph:
         """Sightings and priors of the two, everything else held."""
-        factors = [self._relabelled(part, exchanged[self.group[k]]) for k, part in self.parts.items()]
+        factors = [self._relabelled(sightings, exchanged[self.group[k]]) for k, sightings in self.parts.items()]
         held = [keys for factor in factors for slot, keys in enumerate(factor.keys) if slot != 1]
         return FactorGraph([*factors, *self.priors], held)
 
@@ -80,10 +80,10 @@ class Pair:
         """The graph with some sightings (n,) exchanged."""
         factors = list(self.graph.factors)
         for k, rows in self.rows.items():
-            which = np.zeros(len(factors[k]), dtype=bool)
-            which[rows] = exchanged[self.group[k]]
-            if which.any():
-                factors[k] = self._relabelled(factors[k], which)
+            mask = np.zeros(len(factors[k]), dtype=bool)
+            mask[rows] = exchanged[self.group[k]]
+            if mask.any():
+                factors[k] = self._relabelled(factors[k], mask)
         return FactorGraph(factors, self.graph.fixed)
 
     def places(self, exchanged: Mask) -> tuple[tuple[int, int], ...]:
@@ -94,9 +94,9 @@ class Pair:
     def nearer(self, values: Values) -> Mask:
         """Sightings (n,) whose chi2 is lower with the other landmark."""
         gain: Array = np.zeros(self.n)
-        for k, part in self.parts.items():
-            other = self._relabelled(part, np.ones(len(part), dtype=bool))
-            gain += np.bincount(self.group[k], part.chi2(values) - other.chi2(values), minlength=self.n)
+        for k, sightings in self.parts.items():
+            swapped = self._relabelled(sightings, np.ones(len(sightings), dtype=bool))
+            gain += np.bincount(self.group[k], sightings.chi2(values) - swapped.chi2(values), minlength=self.n)
         return gain > 0
 
     def best(self) -> tuple[Mask, Array] | None:
