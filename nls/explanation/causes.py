@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from models.advice import Advice
+from models.listing import SOME
 from nls.analysis.clock import clock_offsets
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
 from nls.analysis.scales import outsized
 from nls.analysis.swapped_landmarks import swapped_landmarks
-from nls.explanation.findings import SOME, Finding, FindingKind
+from nls.explanation.findings import Finding, FindingKind
 from nls.linear.singular import SingularSystemError
 
 if TYPE_CHECKING:

@@ -11,11 +11,12 @@ from factors import Cauchy, Huber
 from factors.base import Factor
 from factors.function import FunctionFactor
 from models.advice import Advice
+from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import Tested
 from nls.analysis.redundancy import unverified_groups
 from nls.explanation.applicability import certifies, graduates
-from nls.explanation.findings import SOME, Finding, FindingKind, Measurement, Part
+from nls.explanation.findings import Finding, FindingKind, Measurement, Part
 from nls.posegraph import closures
 
 if TYPE_CHECKING:

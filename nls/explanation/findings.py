@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -11,10 +11,9 @@ from typing import Any
 from factors.keys import Keys
 from models.advice import Advice, listed
 
-__all__ = ["SOME", "Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number", "some"]
+__all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number"]
 
 SCHEMA = "explain 1"  # name and version of schema.json, which describes the report for programs
-SOME = 5  # of a list that are named
 
 
 class FindingKind(StrEnum):
@@ -271,18 +270,6 @@ def _plain(item: Part | Measurement | Weak) -> dict[str, Any]:
 def _finite(value: Any) -> Any:
     """None for what is not known."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def some(items: Sequence[object], shown: int = SOME) -> str:
-    """The first few of some things, and how many more.
-
-    Examples
-    --------
-    >>> some(["x0", "x1", "x2", "x3"], 2)
-    'x0, x1 and 2 more'
-    """
-    listed = ", ".join(map(str, items[:shown]))
-    return listed + (f" and {len(items) - shown} more" if len(items) > shown else "")
 
 
 def number(value: float) -> str:

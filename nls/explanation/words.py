@@ -7,8 +7,9 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
+from models.listing import some
 from nls.analysis.observable import shown
-from nls.explanation.findings import FindingKind, number, some
+from nls.explanation.findings import FindingKind, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
