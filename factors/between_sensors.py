@@ -91,9 +91,9 @@ class BetweenSensors(Factor):
         return group
 
     def relative_poses(self, model: Model) -> Array | None:
+        group = model.manifolds[0]
         if isinstance(self.offset, Keys):  # known by its estimate alone
             return None
-        group = model.manifolds[0]
         assert isinstance(group, LieGroup)
         return group.compose(group.compose(self.offset[0], model.z), group.inverse(self.offset[1]))
 

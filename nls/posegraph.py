@@ -27,15 +27,11 @@ from models.algebra import Array, Index, congruence, gram
 from models.errors import GraphError
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.linear import best_decomposition
-from nls.linear.factorization import Factorization
 from nls.sparse.components import connected, firsts
-from nls.sparse.elimination import Eliminations
-from nls.sparse.hessian import Hessian
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
-__all__ = ["Edges", "Laplacian", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs"]
+__all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses"]
 Mask = npt.NDArray[np.bool_]
 SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
@@ -43,6 +39,11 @@ SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 def is_relative(factor: Factor) -> bool:
     """Whether a factor is of a kind that measures relative poses, see `Factor.relative_poses`."""
     return type(factor).relative_poses is not Factor.relative_poses
+
+
+def says_poses(factor: Factor) -> bool:
+    """Whether it does so by itself: no third variable, such as the place of a sensor, takes part."""
+    return is_relative(factor) and len(factor.keys) == 2
 
 
 def places(pattern: Pattern) -> Index:
@@ -129,7 +130,7 @@ class PoseGraph:
     Attributes
     ----------
     group, pattern, batches : as they were given.
-    kinds : the kinds of variables in the manifold; their stacks, one after the other, are the nodes.
+    kinds : the kinds of variables they join; their stacks, one after the other, are the nodes.
     n : the number of nodes.
     variables : (n,) their numbers among all variables.
     place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
@@ -153,8 +154,8 @@ class PoseGraph:
         self, graph: FactorGraph, values: Values, batches: Sequence[Batch], group: LieGroup, z: Sequence[Array]
     ) -> None:
         self.pattern, self.batches, self.group = graph.pattern(values), batches, group
-        offsets, numbers, manifold = self.pattern.offsets, self.pattern.numbers, batches[0].model.manifolds[0]
-        self.kinds = tuple(kind for kind, space in self.pattern.manifolds.items() if space is manifold)
+        offsets, numbers = self.pattern.offsets, self.pattern.numbers
+        self.kinds = tuple(kind for kind in self.pattern.manifolds if any(kind in batch.kinds[:2] for batch in batches))
         self.variables = np.concatenate([offsets[kind] + np.arange(len(numbers[kind])) for kind in self.kinds])
         self.n = len(self.variables)
         self.place = self.nodes(places(self.pattern)[self.variables])
@@ -188,12 +189,22 @@ class PoseGraph:
 
     @cached_property
     def C(self) -> Array:
-        """(m, d, d) covariances of Exp at j; a GraphError names weights without some component."""
+        """(m, d, d) covariances of Exp at j, infinite where weights say nothing of some component."""
         C = [_covariances(batch.model, self.group, z) for batch, z in zip(self.batches, self._z, strict=True)]
         return np.concatenate(C)
 
+    def refuse_infinite(self, edges: Index) -> None:
+        """A GraphError that names the first of some edges whose weights say nothing of some component."""
+        bad = np.zeros(len(self.i), dtype=bool)
+        bad[edges] = ~np.isfinite(self.C[edges, 0, 0])
+        for batch, mask in zip(self.batches, self.by_batch(bad), strict=True):
+            if mask.any():
+                name = batch.model.factor.describe(int(np.argmax(mask)))
+                text = "its weights say nothing of one of its components, so no uncertainty of a loop through it exists"
+                raise GraphError(f"{name}: {text}", batch.model.factor.keys, name, advice=[Advice("judge all")])
+
     def edges(self) -> Edges:
-        """All edges in the order of the measurements, with covariances; raises as `C`."""
+        """All edges in the order of the measurements, with their covariances."""
         return Edges(self.group, self.place[self.i], self.place[self.j], self.z, self.C)
 
     def mean_weights(self) -> tuple[Array, Array]:
@@ -215,9 +226,11 @@ class PoseGraph:
 
     @property
     def _W(self) -> list[Array]:
-        """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the factor computes the pose from its z."""
+        """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the measurements are no poses themselves."""
         models = [batch.model for batch in self.batches]
-        return [m.W if z is m.z else _ends(m, self.group, z) for m, z in zip(models, self._z, strict=True)]
+        themselves = [z is m.z and m.space is self.group for m, z in zip(models, self._z, strict=True)]
+        parts = zip(models, self._z, themselves, strict=True)
+        return [m.W if same else _jacobians_at_j(m, self.group, z) for m, z, same in parts]
 
     def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         """Numbers (m, ...) of all edges, batch by batch (k, ...)."""
@@ -322,43 +335,17 @@ class PoseGraph:
         return out
 
 
-class Laplacian:
-    """Symmetric matrices of blocks (k, k) at V nodes and at P pairs of them; all sizes k have one elimination order.
-
-    Parameters
-    ----------
-    u, v : (P,) the pairs, repeats allowed: their blocks add up.
-    V : the number of nodes.
-    eliminations : structure kept by others, such as `Pattern.eliminations`; None for a new one.
-    """
-
-    def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
-        self._decomposition = best_decomposition()
-        self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
-        self._factorizations: dict[int, Factorization] = {}
-
-    def factorized(self, on_diagonal: Array, off: Array) -> Factorization:
-        """Factorization of the matrix of diagonal blocks (V, k, k) and blocks (u, v) (P, k, k); (v, u) are adjoint.
-
-        All matrices of one k are real, or all complex. Raises SingularSystemError where one is not positive definite.
-        """
-        S, V, k = np.concatenate([on_diagonal, off]), len(on_diagonal), off.shape[-1]
-        if np.iscomplexobj(S):  # a `Hessian` transposes these blocks
-            np.conjugate(S[V:], out=S[V:], where=self._elimination.turned[:, None, None])
-        if k not in self._factorizations:
-            begin = np.arange(len(S)) * k * k
-            hessian = Hessian(self._elimination, np.full(V, k), begin[:V], begin[V:])
-            self._factorizations[k] = Factorization(hessian, self._decomposition(hessian, S.dtype.type))
-        return self._factorizations[k].factorize(S.reshape(-1))
-
-
 def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
     """The relative poses of a graph by group, in the order of the groups' names."""
     batches: dict[LieGroup, list[tuple[Batch, Array]]] = {}
     for batch in graph.pattern(values).batches:
-        if len(batch) and (z := batch.model.factor.relative_poses(batch.model)) is not None:
+        factor = batch.model.factor
+        if len(batch) and says_poses(factor) and (z := factor.relative_poses(batch.model)) is not None:
             group = batch.model.manifolds[0]
             assert isinstance(group, LieGroup)
+            if np.shape(z) != (expected := (len(batch), group.size)):
+                text = f"relative_poses returned an array of shape {np.shape(z)}, expected {expected}, poses in {group}"
+                raise GraphError(f"{factor!r:.80}: {text}", factor.keys, factor.name)
             batches.setdefault(group, []).append((batch, z))
     for group in sorted(batches, key=repr):
         of_group, z_of_group = zip(*batches[group], strict=True)
@@ -380,20 +367,17 @@ def _inverse_trace(blocks: Array) -> Array:
     return out
 
 
-def _ends(model: Model, group: LieGroup, z: Array) -> Array:
+def _jacobians_at_j(model: Model, group: LieGroup, z: Array) -> Array:
     """A_j (m, d, d) of relative poses z at residual zero."""
     return model.linearize(group.identity(len(z)), z)[0][1]
 
 
 def _covariances(model: Model, group: LieGroup, z: Array) -> Array:
-    """(m, d, d) covariances of relative poses z."""
-    information = gram(_ends(model, group, z))
+    """(m, d, d) covariances of relative poses z, infinite where weights say nothing of some component."""
+    information = gram(_jacobians_at_j(model, group, z))
     sizes = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     sizes = np.where(sizes > 0, sizes, 1.0)  # meters and radians in units of their own: a rank is of numbers alike
-    correlation = information / (sizes[:, :, None] * sizes[:, None, :])
-    bad = np.linalg.matrix_rank(correlation, hermitian=True) < group.dim
-    if bad.any():
-        name = model.factor.describe(int(np.argmax(bad)))
-        text = "its weights say nothing of one of its components, so that no uncertainty of a loop through it exists"
-        raise GraphError(f"{name}: {text}", model.factor.keys, name, advice=[Advice("judge all")])
-    return np.asarray(np.linalg.inv(information))
+    rank = np.linalg.matrix_rank(information / (sizes[:, :, None] * sizes[:, None, :]), hermitian=True)
+    C = np.full_like(information, np.inf)
+    C[rank == group.dim] = np.linalg.inv(information[rank == group.dim])
+    return C

@@ -23,7 +23,7 @@ import numpy as np
 from models.algebra import Array
 from nls.analysis.chi_squared import chi2_log_tail
 from nls.analysis.closure_groups import closure_groups
-from nls.analysis.leave_one_out import UNCHECKED, UNSEEN, left_out, measuring
+from nls.analysis.leave_one_out import UNCHECKED, left_out, measuring
 from nls.analysis.linearization import Checked, Together, stacked
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class GroupTests:
         root = self._checked.roots(batch, index)
         C = root[:, None] * self._joint[number].C * root
         (t,), (r,) = left_out(stacked(e, batch, index)[None], C[None], np.ones(1))
-        if r.min() <= UNSEEN:
+        if r.min() <= UNCHECKED:
             return None
         models = {k: self._checked.linear.pattern.batches[k].model for k in np.unique(batch)}
         idle = sum(int((model.dim - measuring(model)[index[batch == k]]).sum()) for k, model in models.items())

@@ -11,10 +11,10 @@ shown the elevation; `elevation_angle` says how far from it.
 
 The marginal information is the inverse of the marginal covariance,
 
-    M_l = (((H + W)^-1)_ll)^-1 - W_l
+    M_l = V (V' Sigma_ll V)^-1 V',   Sigma = (H + W)^-1
 
-where W gives a landmark weight along the directions that its own measurements leave free, A_l v = 0. These directions
-are joined to nothing else, so that the weight of one landmark changes the covariance of no other.
+where V are the directions that the measurements of the landmark see. W gives it weight along the others, A_l v = 0.
+These are joined to nothing else, so that the weight of one landmark changes the covariance of no other.
 """
 
 from __future__ import annotations
@@ -28,13 +28,12 @@ from factors import RangeAzimuth
 from factors.keys import Keys, Kind
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array, apply, dot, gram
+from models.algebra import Array, apply, congruence, dot, gram
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
 from nls.analysis.linearization import MEMORY_LIMIT
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear.default import default_solver
-from nls.linear.schur.truncated import truncated_inverse
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
@@ -196,15 +195,21 @@ def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
     begin = pattern.offsets[kind]
     free = np.flatnonzero(~pattern.held[begin : begin + len(H)])
     place = (np.cumsum(~pattern.held) - 1)[begin + free]
-    unseen = np.eye(d) - truncated_inverse(H[free], tau=SINGULAR) @ H[free]  # projections on what is free
+    w, V = np.linalg.eigh(H[free])
+    V = V * (w > SINGULAR * w[:, -1:])[:, None, :]
+    onto = V @ V.mT
+    unseen = np.eye(d) - onto  # projections on what its own measurements leave free
     weight = np.trace(H[free], axis1=1, axis2=2) / d
-    W = np.where(weight > 0, weight, 1.0)[:, None, None] * (unseen + unseen.mT) / 2
+    W = np.where(weight > 0, weight, 1.0)[:, None, None] * unseen
     blocks = system.H_blocks.copy()
     blocks[pattern.blocks.diagonal[place, None] + np.arange(d * d)] += W.reshape(-1, d * d)
     try:
         factorization = default_solver().prepared(pattern).factorize(blocks)
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    M, Sigma = H.copy(), factorization.inverse_blocks(place, place, MEMORY_LIMIT)
-    M[free] = np.linalg.inv(Sigma.reshape(-1, d, d)) - W
+    Sigma = factorization.inverse_blocks(place, place, MEMORY_LIMIT).reshape(-1, d, d)
+    Sigma = congruence(onto, Sigma)
+    size = np.maximum(np.trace(Sigma, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None]
+    M = H.copy()
+    M[free] = congruence(onto, np.linalg.inv(Sigma + size * unseen))  # V (V'Sigma V)^-1 V'
     return M

@@ -45,7 +45,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result
-from nls.posegraph import Mask, closures
+from nls.posegraph import Mask, closures, says_poses
 from nls.robust import verdict
 from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph
@@ -213,10 +213,8 @@ def gnc(
 
 def _loop_closures(graph: FactorGraph, values: Values) -> list[Mask]:
     """Per factor which of its measurements are closures; none whose poses are not known without an estimate."""
-    pattern = graph.pattern(values)
-    models = [batch.model for batch in pattern.batches]
-    known = [model.factor.relative_poses(model) is not None for model in models]
-    return [mask & poses for mask, poses in zip(closures(pattern), known, strict=True)]
+    masks = closures(graph.pattern(values))
+    return [mask & says_poses(factor) for mask, factor in zip(masks, graph.factors, strict=True)]
 
 
 def _named(graph: FactorGraph, doubted: Sequence[Factor]) -> list[Mask]:

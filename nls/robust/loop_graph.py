@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
@@ -30,12 +30,14 @@ class LoopGraph:
     values : the poses along odometry.
     poses : the relative poses as measured, between nodes.
     edges : the relative poses with their covariances, between places.
+    steps : the edges, one from each pose to the next, that the poses were composed along.
     """
 
     graph: FactorGraph
     values: Values
     poses: PoseGraph
     edges: Edges
+    steps: Index
 
     @cached_property
     def closures(self) -> Edges:
@@ -45,7 +47,7 @@ class LoopGraph:
     @cached_property
     def odometry(self) -> Edges:
         """The steps from each pose to the next."""
-        return self.edges[self.poses.odometry]
+        return self.edges[self.steps]
 
     @cached_property
     def neighbors(self) -> Neighbors:
@@ -110,5 +112,17 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
             "closures are judged along one",
             advice=[Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")],
         )
-    X = poses.along(poses.odometry_tree(), poses.stack(values))
-    return LoopGraph(graph, poses.replaced(values, X), poses, edges)
+    steps = _surest(edges, poses.odometry)
+    poses.refuse_infinite(np.concatenate([steps, np.flatnonzero(~poses.odometry)]))
+    X = poses.along(poses.tree(steps), poses.stack(values))
+    return LoopGraph(graph, poses.replaced(values, X), poses, edges, steps)
+
+
+def _surest(edges: Edges, odometry: Mask) -> Index:
+    """One edge of odometry to every pose, of several the one of the smallest covariance."""
+    along = np.flatnonzero(odometry)
+    later = np.maximum(edges.i, edges.j)[along]
+    finite = np.isfinite(edges.C[along, 0, 0])
+    size = np.where(finite, np.linalg.det(np.where(finite[:, None, None], edges.C[along], 0.0)), np.inf)
+    order = np.lexsort((size, later))
+    return np.sort(along[order[np.flatnonzero(np.diff(later[order], prepend=-1))]])

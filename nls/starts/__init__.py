@@ -8,7 +8,7 @@ from collections.abc import Callable
 from models import SE2, SE3
 from models.errors import GraphWarning, OptionError
 from nls.graph import FactorGraph
-from nls.posegraph import is_relative, pose_graphs
+from nls.posegraph import pose_graphs, says_poses
 from nls.sparse.threads import single_thread
 from nls.stages import stage
 from nls.starts.candidates import Candidates
@@ -122,7 +122,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
             candidates.add(candidate, values, STARTS[candidate])
     if not candidates.chi2:
         raise candidates.refused.popitem()[1]
-    relative = all(is_relative(factor) for factor in graph.factors)  # chordal relaxation uses all of these
+    relative = all(says_poses(factor) for factor in graph.factors)  # chordal relaxation uses all of these
     if not relative and len(limits) > 1 and candidates.poor():
         candidates.compare()
         if grows and not candidates.explained() and not candidates.knows("incremental"):

@@ -87,7 +87,7 @@ def _tilts(poses: PoseGraph) -> tuple[Array, Mask]:
     """Measured z, pitch and roll (n, 3) of the nodes, and which nodes (n,) have them."""
     tilt, measured = np.zeros((poses.n, 3)), np.zeros(poses.n, dtype=bool)
     for batch in poses.pattern.batches:
-        if isinstance(batch.model.factor, ZPR):
+        if isinstance(batch.model.factor, ZPR) and batch.kinds[0] in poses.kinds:
             nodes = poses.nodes(batch.variables[0])
             tilt[nodes], measured[nodes] = batch.model.z, True
     return tilt, measured

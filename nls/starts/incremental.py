@@ -31,7 +31,7 @@ from models.errors import OptionError, UnderconstrainedError
 from models.options import is_whole
 from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
-from nls.posegraph import is_relative
+from nls.posegraph import says_poses
 from nls.sparse.pattern import measured_rows
 from nls.starts.chain import chain
 from nls.starts.dead_reckoning import dead_reckoning
@@ -139,7 +139,7 @@ class _Growth:
 
     def reckoned(self, values: Values, stage: int) -> Values:
         """The poses of a stage chained from those before."""
-        carry = [is_relative(factor) or isinstance(factor, XYH | ZPR) for factor in self.parts.factors]
+        carry = [says_poses(factor) or isinstance(factor, XYH | ZPR) for factor in self.parts.factors]
         steps = [(ripe == stage) & carries for ripe, carries in zip(self.ripe, carry, strict=True)]
         subgraph, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
         if not len(subgraph):

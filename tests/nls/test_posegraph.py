@@ -28,8 +28,9 @@ from models.algebra import Array, Index
 from models.errors import GraphError
 from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
+from nls.linear.laplacian import Laplacian
 from nls.linear.singular import SingularSystemError
-from nls.posegraph import Edges, Laplacian, PoseGraph, closures, odometry, pose_graphs
+from nls.posegraph import Edges, PoseGraph, closures, odometry, pose_graphs
 from tests.nls.graphs import ODD, informations, moved, pose_graph, walk, x, y
 
 RNG = np.random.default_rng
@@ -110,8 +111,10 @@ def test_a_covariance_needs_information_of_every_component_in_units_of_its_own()
     (poses,) = pose_graphs(FactorGraph(edges[:1]), values)
     np.testing.assert_allclose(poses.C[0], np.diag([0.25, 0.25, 1e-20]))
     (poses,) = pose_graphs(FactorGraph(edges), values)
+    assert np.isfinite(poses.C).all(axis=(1, 2)).tolist() == [True, False]
+    poses.refuse_infinite(np.array([0]))
     with pytest.raises(GraphError, match=r"^Between\(x0, x1\): its weights say nothing of one of its components"):
-        _ = poses.C
+        poses.refuse_infinite(np.array([0, 1]))
 
 
 def test_every_group_has_a_pose_graph_by_name() -> None:
@@ -307,3 +310,38 @@ def test_a_sensor_whose_place_is_unknown_says_no_pose_of_the_vehicle() -> None:
     values = Values({x: (SE2, np.zeros((3, 3))), y: (SE2, np.zeros((1, 3)))})
     assert list(pose_graphs(FactorGraph([factor]), values)) == []
     assert closures(FactorGraph([factor]).pattern(values))[0].tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize("across", [0.0, 3.0])
+def test_the_surest_of_parallel_steps_carries_the_track(across: float) -> None:
+    """Wheels beside scan matching, whichever comes first; wheels without a weight across say no covariance."""
+    i, j, z = square(RNG(6))
+    scans = Between(x[i], x[j], z, Isotropic(0.01))
+    k = np.arange(120)
+    slipping = wheel_travel(SE2.identity(120), SE2.compose(z[k], SE2.exp(0.3 * RNG(1).normal(size=(120, 3)))), 0.5)[0]
+    wheels = Wheels(x[k], x[k + 1], slipping, SqrtInformation(np.diag([3.0, 3.0, across])), 0.5)
+    values = Values({x: (SE2, np.zeros((121, 3)))})
+    for factors in ([scans, wheels], [wheels, scans]):
+        robust = nls.gnc(FactorGraph(factors), values)
+        assert [r.factor for r in robust.rejected] == ["Between(x95, x107)"]
+
+
+def test_sensors_whose_place_is_estimated_leave_starts_and_gnc_to_the_others() -> None:
+    i, j, z = square(RNG(6))
+    noisy = SE2.compose(z[:120], SE2.exp(0.03 * RNG(3).normal(size=(120, 3))))
+    scans = BetweenSensors(x[i[:120]], x[j[:120]], noisy, Isotropic(0.03), y[0])
+    graph = FactorGraph([scans, Between(x[i], x[j], z, Isotropic(0.01)), Prior(y[0], np.zeros(3), Isotropic(0.1))])
+    values = Values({x: (SE2, np.zeros((121, 3))), y: (SE2, np.zeros((1, 3)))})
+    assert [r.factor for r in nls.gnc(graph, values).rejected] == ["Between(x95, x107)"]
+    right = FactorGraph([graph.factors[0], graph.factors[1][:-1]])
+    assert right.optimize(nls.initialize(right, values)[0]).chi2_final < 1.2 * (3 * (120 + 139) - 3 * 121)
+
+
+def test_poses_of_another_shape_are_refused_by_name() -> None:
+    class OneRow(Counts):
+        def relative_poses(self, model: Model) -> Array:
+            return model.z[0] / 100
+
+    graph = FactorGraph([OneRow(x[[0, 1]], x[[1, 2]], [[100.0, 0, 0]] * 2, Isotropic(1.0))])
+    with pytest.raises(GraphError, match=r"OneRow.*returned an array of shape \(3,\), expected \(2, 3\), poses in SE2"):
+        nls.starts.chain(graph, Values({x: (SE2, np.zeros((3, 3)))}))

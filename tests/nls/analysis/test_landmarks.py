@@ -10,7 +10,7 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Isotropic, Landmark, Prior
+from factors import Between, Diagonal, Isotropic, Landmark, Prior, RangeAzimuth
 from models import SE2, SE3, R, euler
 from models.algebra import Array
 from nls import (
@@ -270,3 +270,15 @@ def test_landmarks_of_the_plane_and_kinds_that_are_none() -> None:
     assert joined is not None  # l1 is measured from l0 alone: their squared sigmas add up
     Sigma = np.array([[2.0, -2.0], [-2.0, 5.0]]) + 0.01 * np.array([1, 2])[:, None, None] * np.eye(2)
     np.testing.assert_allclose(np.linalg.inv(joined), Sigma, rtol=1e-9)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 10.0, 100.0])
+def test_a_free_direction_stays_free_whatever_the_poses_are_known_to(sigma: float) -> None:
+    """One sighting by a sonar to a millimeter, from a pose known to decimeters or to hundreds of meters."""
+    values = Values({x: (SE3, SE3.identity(1)), l: (R(3), [[4.0, 1.0, 0.5]])})
+    sight = RangeAzimuth(x[0], l[0], [4.15, 0.245], Diagonal([0.001, 0.001]))
+    graph = FactorGraph([Prior(x[0], SE3.identity(1), Isotropic(sigma)), sight])
+    report = landmark_information(graph, values, l, marginal=True)
+    assert report.degenerate(1e-9).all()
+    arc = np.array([-4.0, -1.0, 17 / 0.5])
+    assert abs(report.weak[0] @ arc) / np.linalg.norm(arc) == pytest.approx(1.0, abs=1e-6)
