@@ -11,11 +11,12 @@ import nls
 from factors import Between, Covariance, Diagonal, Isotropic
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
-from nls import FactorGraph, Values, posegraph
+from nls import FactorGraph, Values
 from nls.certificate.newton import Optimum, _second_order, nearest, newton, rotations, tangent
 from nls.certificate.problem import Problem, certifiable
 from nls.certificate.spectrum import spectrum
 from nls.certificate.staircase import _rounded, placed, staircase
+from nls.linear import laplacian
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import ODD, informations, pose_graph, walk, x
@@ -174,7 +175,7 @@ def test_the_bound_holds_for_random_pose_graphs() -> None:
 def test_without_cholmod_it_is_the_same(group: LieGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, M, *_ = problem_of(group)
     expected = spectrum(graph, newton(graph, M))
-    monkeypatch.setattr(posegraph, "best_decomposition", lambda: SuperLU)
+    monkeypatch.setattr(laplacian, "best_decomposition", lambda: SuperLU)
     other, *_ = problem_of(group)
     found = spectrum(other, newton(other, M))
     assert found.certified
