@@ -7,7 +7,7 @@
 A mutant swaps one operator (< and <=, + and -, * and /, and/or, is/is not ...) or changes one number, in a copy of the
 project. The tests of its room run until one fails: that kills it. What survives is tried again with the whole suite
 where --survivors is given. Each result is a line of mutants.csv beside this file; a mutant that is there is not tried
-again unless its line of source has changed.
+again.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import time
 import tokenize
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import islice, zip_longest
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -42,19 +43,6 @@ SWAPS = {
     **{"any": "all", "all": "any", "break": "continue", "continue": "break"},
 }
 SECONDS = 900  # of the tests of a mutant; one that runs longer is killed by the clock
-COPIED = (
-    "models",
-    "factors",
-    "nls",
-    "sim",
-    "tests",
-    "benchmarks",
-    "tools",
-    "docs",
-    "pyproject.toml",
-    "README.md",
-    "Makefile",
-)
 
 
 @dataclass(frozen=True)
@@ -76,24 +64,25 @@ class Mutant:
         return "".join(lines)
 
 
-def mutants_of(path: Path) -> Iterator[Mutant]:
-    """Every change of one token that is another program; annotations and docstrings change nothing, so they are not."""
-    text = path.read_text(encoding="utf-8")
-    before, lines = _program(text), text.splitlines()
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+def changes(path: Path) -> Iterator[tuple[int, int, str, str]]:
+    """Line, column, old and new token of every change that this script knows."""
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
         new = SWAPS.get(token.string)
         if token.type == tokenize.NUMBER:
             new = {"0": "1", "1": "2", "2": "3", "3": "4"}.get(token.string)  # places and counts; no tuning constant
-        if new is None or token.line.startswith("@dataclass"):
-            continue
-        (line, column), old = token.start, token.string
-        mutant = Mutant(path.relative_to(ROOT).as_posix(), line, column, old, new, lines[line - 1].strip())
-        try:
-            after = _program(mutant.applied(text))
-        except SyntaxError:
-            continue
-        if after != before:
-            yield mutant
+        if new is not None and not token.line.startswith("@dataclass"):
+            yield *token.start, token.string, new
+
+
+def mutant_of(path: Path, line: int, column: int, old: str, new: str) -> Mutant | None:
+    """The mutant, if it is another program; annotations and docstrings change nothing."""
+    text = path.read_text(encoding="utf-8")
+    source = text.splitlines()[line - 1].strip()
+    mutant = Mutant(path.relative_to(ROOT).as_posix(), line, column, old, new, source)
+    try:
+        return mutant if _program(mutant.applied(text)) != _program(text) else None
+    except SyntaxError:
+        return None
 
 
 def _program(text: str) -> str:
@@ -107,16 +96,18 @@ def _program(text: str) -> str:
 
 
 def chosen(count: int, seed: int, words: list[str]) -> list[Mutant]:
-    """As many from every room, as few as possible from one file."""
+    """As many from every room as there are, as few as possible from one file, of files whose path has all words."""
     rng, drawn = random.Random(seed), []
     for room in ROOMS:
-        files = [path for path in sorted((ROOT / room).rglob("*.py")) if path.name != "__init__.py"]
+        paths = [path for path in sorted((ROOT / room).rglob("*.py")) if path.name != "__init__.py"]
+        files = [path for path in paths if all(word in path.as_posix() for word in words)]
         rng.shuffle(files)
-        pools = [rng.sample(found, len(found)) for found in map(list, map(mutants_of, files)) if found]
-        turns = [pool[k] for k in range(max(map(len, pools))) for pool in pools if k < len(pool)]
-        drawn.append(turns[: -(-count // len(ROOMS))])
-    mutants = [mutant for turn in zip(*drawn, strict=True) for mutant in turn][:count]
-    return [mutant for mutant in mutants if all(word in mutant.file for word in words)]
+        pools = [(path, rng.sample(tokens, len(tokens))) for path in files if (tokens := list(changes(path)))]
+        longest = max((len(pool) for _, pool in pools), default=0)
+        turns = [(path, pool[k]) for k in range(longest) for path, pool in pools if k < len(pool)]
+        drawn.append((mutant for path, change in turns if (mutant := mutant_of(path, *change))))
+    turn = (mutant for mutants in zip_longest(*(islice(room, count) for room in drawn)) for mutant in mutants if mutant)
+    return list(islice(turn, count))
 
 
 def tests_of(file: str) -> list[str]:
@@ -127,18 +118,14 @@ def tests_of(file: str) -> list[str]:
     return [file, *named, folder.relative_to(ROOT).as_posix()]
 
 
-def killed(mutant: Mutant, tests: list[str]) -> str:
-    """The first test that fails, ``timeout``, or nothing."""
+def killed(mutant: Mutant | None, tests: list[str]) -> str:
+    """The first test that fails, ``timeout``, or nothing; None for the project as it is."""
     with tempfile.TemporaryDirectory() as name:
-        copy = Path(name)
-        for part in COPIED:
-            source = ROOT / part
-            if source.is_dir():
-                shutil.copytree(source, copy / part, ignore=shutil.ignore_patterns("_build", "__pycache__"))
-            else:
-                shutil.copy(source, copy / part)
-        path = copy / mutant.file
-        path.write_text(mutant.applied(path.read_text(encoding="utf-8")), encoding="utf-8")
+        copy = Path(name) / "project"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "_build", "build", "__pycache__"))
+        if mutant is not None:
+            path = copy / mutant.file
+            path.write_text(mutant.applied(path.read_text(encoding="utf-8")), encoding="utf-8")
         command = [
             sys.executable,
             "-m",
@@ -156,10 +143,14 @@ def killed(mutant: Mutant, tests: list[str]) -> str:
             run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS)
         except subprocess.TimeoutExpired:
             return "timeout"
-    if run.returncode == 0:
-        return ""
-    failed = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return failed[0].split(" - ")[0].split(" ", 1)[1] if failed else f"exit {run.returncode}"
+    failures = [line for line in run.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if run.returncode in (1, 2) and failures:
+        return failures[0].split(" - ")[0].split(" ", 1)[1]
+    if run.returncode != 0:
+        raise RuntimeError(
+            f"pytest ended with {run.returncode} and named no test: {run.stdout[-500:]}{run.stderr[-500:]}"
+        )
+    return ""
 
 
 def main() -> int:
@@ -169,21 +160,28 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the choice (default 0)")
     parser.add_argument("--survivors", action="store_true", help="try what survived again, with the whole suite")
     options = parser.parse_args()
-    fields = [*Mutant.__dataclass_fields__, "killed", "seconds"]
+    names = list(Mutant.__dataclass_fields__)
     rows = list(csv.DictReader(RESULTS.open(encoding="utf-8"))) if RESULTS.exists() else []
-    results = {tuple(row[name] for name in Mutant.__dataclass_fields__): row for row in rows}
-    for mutant in chosen(options.count, options.seed, options.words):
-        key = tuple(map(str, asdict(mutant).values()))
-        if key in results and (results[key]["killed"] or not options.survivors):
-            continue
-        began = time.monotonic()
-        by = killed(mutant, ["tests"] if options.survivors else tests_of(mutant.file))
-        results[key] = asdict(mutant) | {"killed": by, "seconds": f"{time.monotonic() - began:.0f}"}
-        print(
-            f"{by or 'SURVIVED'}: {mutant.file}:{mutant.line} {mutant.old} -> {mutant.new}: {mutant.source}", flush=True
-        )
+    results = {tuple(row[name] for name in names): row for row in rows}
+    if options.survivors:
+        mutants = [Mutant(r["file"], int(r["line"]), int(r["column"]), r["old"], r["new"], r["source"]) for r in rows]
+        mutants = [mutant for mutant, row in zip(mutants, rows, strict=True) if not row["killed"]]
+    else:
+        mutants = chosen(options.count, options.seed, options.words)
+        mutants = [mutant for mutant in mutants if tuple(map(str, asdict(mutant).values())) not in results]
+    suites = {mutant.file: ["tests"] if options.survivors else tests_of(mutant.file) for mutant in mutants}
+    unchanged: dict[str, str] = {}  # what fails without a mutant, by the folder of tests
+    for mutant in mutants:
+        tests, began = suites[mutant.file], time.monotonic()
+        if tests[-1] not in unchanged and (failure := unchanged.setdefault(tests[-1], killed(None, tests[-1:]))):
+            print(f"{failure} fails without any mutant: mend it first")
+            return 1
+        row = asdict(mutant) | {"killed": killed(mutant, tests), "seconds": f"{time.monotonic() - began:.0f}"}
+        results[tuple(map(str, asdict(mutant).values()))] = row
+        change = f"{mutant.file}:{mutant.line} {mutant.old} -> {mutant.new}: {mutant.source}"
+        print(f"{row['killed'] or 'SURVIVED'}: {change}", flush=True)
         with RESULTS.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, fields, lineterminator="\n")
+            writer = csv.DictWriter(file, [*names, "killed", "seconds"], lineterminator="\n")
             writer.writeheader()
             writer.writerows(results.values())
     survived = sum(not row["killed"] for row in results.values())
