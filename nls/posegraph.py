@@ -158,7 +158,8 @@ class PoseGraph:
         self.kinds = tuple(kind for kind in self.pattern.manifolds if any(kind in batch.kinds[:2] for batch in batches))
         self.variables = np.concatenate([offsets[kind] + np.arange(len(numbers[kind])) for kind in self.kinds])
         self.n = len(self.variables)
-        self.place = self.nodes(places(self.pattern)[self.variables])
+        self._places = places(self.pattern)
+        self.place = self.nodes(self._places[self.variables])
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
         held = [keys for keys in graph.fixed if keys.kind in self.kinds]
@@ -184,8 +185,7 @@ class PoseGraph:
     @cached_property
     def odometry(self) -> Mask:
         """(m,) edges that are odometry; all others are closures."""
-        place = places(self.pattern)
-        return np.concatenate([_steps(batch, place) for batch in self.batches])
+        return np.concatenate([_steps(batch, self._places) for batch in self.batches])
 
     @cached_property
     def C(self) -> Array:
@@ -227,10 +227,8 @@ class PoseGraph:
     @property
     def _W(self) -> list[Array]:
         """Roots of Omega by batch, (k or 1, d, d) or diagonals; at j where the measurements are no poses themselves."""
-        models = [batch.model for batch in self.batches]
-        themselves = [z is m.z and m.space is self.group for m, z in zip(models, self._z, strict=True)]
-        parts = zip(models, self._z, themselves, strict=True)
-        return [m.W if same else _jacobians_at_j(m, self.group, z) for m, z, same in parts]
+        parts = zip((batch.model for batch in self.batches), self._z, strict=True)
+        return [m.W if z is m.z and m.space is self.group else _jacobians_at_j(m, self.group, z) for m, z in parts]
 
     def by_batch(self, x: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         """Numbers (m, ...) of all edges, batch by batch (k, ...)."""

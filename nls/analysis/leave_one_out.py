@@ -92,7 +92,7 @@ def measuring(model: Model) -> Index:
 
 
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
-    """Measurements by kind: factor type, `Between` in two where it holds steps and closures; (batch, indices) each."""
+    """Measurements by kind: factor type, relative poses in steps and closures if there are both; (batch, indices)."""
     out: dict[str, list[tuple[int, Index]]] = {}
     split = closures(pattern)[:count]
     mixed = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}

@@ -90,7 +90,7 @@ class Part:
 
     Attributes
     ----------
-    name : factor type; `Between` in two, steps and closures, where it has both.
+    name : factor type; relative poses in two, steps and closures, where there are both.
     measurements, rows : how many, and how many numbers.
     chi2 : sum of squared whitened errors at the values, before any robust kernel.
     expected : degrees of freedom: rows less what the kind has spent on the unknowns.

@@ -18,6 +18,7 @@ from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
 from nls.io.text import Text, several
+from nls.posegraph import says_poses
 from nls.starts.chain import chain
 from nls.starts.landmarks import locate_points
 from nls.values import Values
@@ -63,16 +64,15 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
     return values
 
 
-def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Between]:
-    """A measured difference of poses as one of the vehicles: z, or O_i z O_j^-1 where sensors measured it."""
-    if isinstance(factor, Between) and factor.keys[0].kind == POSE:
-        return [factor]
+def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:
+    """A measured difference of poses as one of the vehicles: O z O^-1 where a sensor at an estimated place O saw it."""
+    if says_poses(factor):
+        return [factor] if factor.keys[0].kind == POSE else []
     if not isinstance(factor, BetweenSensors):
         return []
-    O = factor.offset
-    O_i, O_j = (values[O], values[O]) if isinstance(O, Keys) else O
-    z = group.compose(group.compose(O_i, factor.z), group.inverse(O_j))
-    return [Between(factor.keys[0], factor.keys[1], z, Isotropic())]
+    i, j, mount = factor.keys
+    O = values[mount]
+    return [Between(i, j, group.compose(group.compose(O, factor.z), group.inverse(O)), Isotropic())]
 
 
 def _placed(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, values: Values) -> Values:

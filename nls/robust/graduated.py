@@ -149,7 +149,7 @@ def gnc(
     loss : ``tls``, truncated least squares, or ``gm``, Geman and McClure's.
     probability : with which a right measurement is kept, if its sigmas are right.
     doubted : factors of the graph whose measurements may be wrong, all others are trusted. When omitted the loop
-        closures: `Between` of poses that are no neighbors in number.
+        closures: relative poses of two that are no neighbors in number.
     preselect : begin with what `nls.robust.grow` accepts. False, or with `doubted`: begin with all measurements, at
         the values given; odometry for example, ``nls.initialize(graph, values, "odometry")``.
 

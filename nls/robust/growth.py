@@ -70,7 +70,7 @@ def grow(graph: FactorGraph, values: Values) -> Growth:
 
     Parameters
     ----------
-    graph : relative poses (`Between`) of one kind: steps from each pose to the next, taken to be right, and loop
+    graph : relative poses of one kind: steps from each pose to the next, taken to be right, and loop
         closures. Other factors stay in the graph and are not doubted.
     values : where the poses begin; only the first one matters.
 

@@ -37,7 +37,7 @@ __all__ = [
 
 
 def odometry(graph: FactorGraph, values: Values) -> Values:
-    """Poses chained from `Between`, then from `XYH`, points where they saw them, contacts of a sonar along their arcs.
+    """Poses chained from relative ones, then from `XYH`; points where they saw them; sonar contacts along their arcs.
 
     A track in which the two take turns it does not chain; `incremental` does.
     """
@@ -65,8 +65,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ----------
     graph, values : the graph and what the file, or the user, gave.
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
-        to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from `Between`, and puts a
-        point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
+        to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from relative poses, and
+        puts a point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
         ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
         chordal; above 100 per measured row it tries ``incremental``, which costs several solves, where the graph has
         measurements between poses and points, or both kinds of odometry, and above 10 the odometry chain. Where the

@@ -18,7 +18,7 @@ def chain(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : its `Between` factors over groups are used, whatever their noise.
+    graph : its relative poses are used, see `Factor.relative_poses`, whatever their noise.
     values : every variable; only the first poses matter.
 
     Returns

@@ -38,7 +38,7 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : its `Between` factors are used.
+    graph : its relative poses are used, see `Factor.relative_poses`. Long levers of sensors make it poor.
     values : every variable; of the poses only the first of each component matters.
 
     Returns

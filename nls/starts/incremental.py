@@ -55,8 +55,8 @@ def incremental(graph: FactorGraph, values: Values, stage_size: int | None = Non
 
     Parameters
     ----------
-    graph : `Between`, or `XYH` and `ZPR`, carry the poses on; `Landmark`, `Range`, `RangeAzimuth` and their like place
-        the points; all factors whose variables are known are optimized.
+    graph : relative poses, or `XYH` and `ZPR`, carry the poses on; `Landmark`, `Range`, `RangeAzimuth` and their like
+        place the points; all factors whose variables are known are optimized.
     values : every variable. Of the poses only the first of each component matters, and fixed ones, which stay.
         Variables that are neither poses nor points seen from them are known from the beginning, at these values.
     stage_size : how many poses make a stage, at least 1: so few that dead reckoning stays near what the sensor can tell
