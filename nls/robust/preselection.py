@@ -32,6 +32,7 @@ CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at m
 MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
 SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
+NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 CHEAP = 2.0  # times the operations at which all closures are tried from odometry, too
 SETTLED, HOPELESS = 3, 2.0  # steps from a chordal start, and chi2 per row then that noise will not explain; clean: 0.5
@@ -72,6 +73,7 @@ class Preselection:
         if self.moved > STILL:
             count = int(misfits(self._witnesses(self.choice), result, loops).sum())
             reasons.append(Doubt(DoubtKind.CONTRADICTED, count, n, fraction=self.moved))
+        reasons += self._alone(inliers)
         reasons += self._rivals()
         reasons += self._unchecked(inliers)
         if (strain := self._strain(result)) > STRAIN:
@@ -95,6 +97,26 @@ class Preselection:
         mean = float(np.mean(chances or [0.0]))
         chosen = not inliers.all() or len(chances) > SOLE
         return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > CHANCE and chosen else []
+
+    def _alone(self, inliers: Mask) -> list[Doubt]:
+        """Whether the closures (m,) that agree with no neighbor are much noisier than all else without them.
+
+        Where the stated sigmas are too large wrong closures fit, and right ones fit much better. One by one the wrong
+        ones hide each other, so they are left out together.
+        """
+        loops, result = self.loops, self.choice.result
+        alone = inliers & (loops.neighbors.support == 0)
+        if not alone.any() or alone.sum() == inliers.sum():
+            return []
+        other = self._only(self.choice, ~alone)
+        if not 0 < other.result.dof < result.dof:
+            return []
+        ratio = (result.chi2_final - other.result.chi2_final) / (result.dof - other.result.dof) / _noise(other.result)
+        moved = verdict.shift(loops, result.values, other.result.values)
+        if ratio <= NOISIER**2 or moved <= AWAY:
+            return []
+        count, total = int(alone.sum()), int(inliers.sum())
+        return [Doubt(DoubtKind.ALONE, count, total, number=float(np.sqrt(ratio)), fraction=moved)]
 
     def _rivals(self) -> list[Doubt]:
         """The first choice that fits nearly as well, but for a different map."""
@@ -160,10 +182,13 @@ class Preselection:
         wrong = misfits(self._witnesses(choice), choice.result, self.loops)
         if not wrong.any():
             return choice, 0.0
-        right = self.loops.masks(self.loops.accepted(choice.inliers) & ~wrong)
-        masks = [a & b for a, b in zip(choice.inliers, right, strict=True)]
-        other = self.problem.without(choice, masks)
+        other = self._only(choice, ~wrong)
         return other, verdict.shift(self.loops, choice.result.values, other.result.values)
+
+    def _only(self, choice: Choice, right: Mask) -> Choice:
+        """The optimum of those of a choice that are among some closures (m,)."""
+        masks = self.loops.masks(self.loops.accepted(choice.inliers) & right)
+        return self.problem.without(choice, [a & b for a, b in zip(choice.inliers, masks, strict=True)])
 
     def _witnesses(self, choice: Choice) -> list[Witness]:
         """The groups of a choice, judged by its other closures; kept for the last choice, as they cost a covariance."""

@@ -29,6 +29,10 @@ class DoubtKind(Enum):
         "{count} of {total} kept closures contradict the others: without them the map moves by {percent:.2g} %"
     )
     UNCHECKED = "a wrong closure would pass with a probability of {percent:.2g} %: too little checks the closures"
+    ALONE = (
+        "{count} of {total} kept closures agree with no neighbor, their noise is {number:.3g} times that of the others,"
+        " and without them the map moves by {percent:.2g} %"
+    )
     RIVAL = "another choice fits about as well, its cost {number:+.2g} rejections, and its map is {percent:.2g} % away"
     STRAINED = "the noise of the map is {number:.3g} times that between neighboring closures"
     UNEXPLAINED = "chi2 of the kept measurements is {number:.3g} times its degrees of freedom"

@@ -99,6 +99,27 @@ def test_closures_that_span_little_of_the_track_are_near_dead_reckoning() -> Non
     assert (doubt.count, doubt.total) == (20, 98)
 
 
+def test_closures_alone_that_are_noisier_than_all_others_are_doubtful() -> None:
+    """Sigmas six times too large, which 13 wrong closures across a ring fit: each half a meter short and more."""
+    world = sim.ring(np.random.default_rng(0), laps=2, per_lap=100)
+    wide = Diagonal(x=0.3, y=0.3, yaw=0.06)
+    right = [Between(*factor.keys, factor.z, wide) for factor in world.graph.factors]
+    truth, i = world.truth[x], np.arange(0, 50, 4)
+    z = SE2.between(truth[i], truth[i + 50])
+    z[:, 1] -= np.linspace(0.5, 1.0, len(i))
+    z[:, 2] += 0.12 * (-1.0) ** np.arange(len(i))  # no two agree
+    for factors, kinds_of in ((right, []), ([*right, Between(x[i], x[i + 50], z, wide)], [DoubtKind.ALONE])):
+        found = nls.gnc(FactorGraph(factors), world.truth)
+        assert found.result.chi2_final < 0.5 * found.result.dof
+        assert [doubt.kind for doubt in found.doubts] == kinds_of
+    (doubt,), kept = found.doubts, int(found.weights[2].sum())
+    assert (doubt.count, doubt.total) == (kept, kept + len(right[1]))
+    without = FactorGraph(right).optimize(found.result.values)
+    spent = (found.result.chi2_final - without.chi2_final) / (found.result.dof - without.dof)
+    assert doubt.number**2 == pytest.approx(spent / (without.chi2_final / without.dof), rel=0.3)
+    assert doubt.number > 2.5
+
+
 @pytest.mark.parametrize("space", [SE2, SE3])
 def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
     rng = np.random.default_rng(2)
