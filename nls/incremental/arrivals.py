@@ -163,7 +163,7 @@ class Arrivals:
         spaces = [space if k == slot else self._known[keys.kind].manifold for k, keys in enumerate(first.keys)]
         model = first.bind(*spaces)
         W = model.W[0] if model.W.ndim == 3 else np.diag(model.W[0])
-        if model.dim < space.dim or np.linalg.matrix_rank(W) < model.dim:
+        if model.dim < space.dim or not np.linalg.det(W):
             return None
         if isinstance(first, Prior) and first.offset is None:
             return np.asarray(model.z[0])

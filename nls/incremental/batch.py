@@ -54,11 +54,13 @@ class GrowingBatch:
         """Whether measurements are of this sort."""
         return model.W.ndim == self._first.W.ndim and alike(self._first, model)
 
-    def append(self, model: Model) -> slice:
-        """Add measurements whose variables are there; which rows they have."""
-        begin, n = len(self), len(model.z)
+    def append(self, model: Model) -> tuple[slice, float]:
+        """Add measurements whose variables are there; which rows they have, and their cost at the present values."""
+        begin, n, X = len(self), len(model.z), []
         for slot, keys in enumerate(model.factor.keys):
-            self._index[slot].append(self.variables[slot].index(keys))
+            index = self.variables[slot].index(keys)
+            X.append(take(self.variables[slot].X, index))
+            self._index[slot].append(index)
             self._numbers[slot].append(keys.numbers)
         self._z.append(model.z)
         self._W.append(np.broadcast_to(model.W, (n, *model.W.shape[1:])))
@@ -66,7 +68,8 @@ class GrowingBatch:
             value = getattr(model.factor, name)
             rows.append(np.broadcast_to(np.atleast_2d(value), (n, *rows.rows.shape[1:])))
         self._model = None
-        return slice(begin, begin + n)
+        s, kernel = np.square(model.error(*X)).sum(axis=1), self._first.factor.kernel
+        return slice(begin, begin + n), float((s if kernel is None else kernel.rho(s)).sum())
 
     def silence(self, rows: slice) -> Array:
         """Take the weight of some measurements, which is returned: they say nothing any more."""
@@ -77,15 +80,6 @@ class GrowingBatch:
     def restore(self, rows: slice, W: Array) -> None:
         """Give measurements their weight back."""
         self._W.rows[rows] = W
-
-    def part(self, rows: slice) -> Model:
-        """Some of the measurements."""
-        whole = self.model
-        factor = copy(whole.factor)
-        factor.keys = tuple(keys[rows] for keys in whole.factor.keys)
-        for name in self._own:
-            setattr(factor, name, getattr(factor, name)[rows])
-        return replace(whole, factor=factor, z=whole.z[rows], W=whole.W[rows])
 
     @property
     def model(self) -> Model:
@@ -103,19 +97,10 @@ class GrowingBatch:
         """Row (n,) of the variable of a slot among those of its kind."""
         return np.asarray(self._index[slot].rows)
 
-    def gather(self, rows: slice = slice(None)) -> list[Array]:
-        """Values of the variables of every slot, of some measurements."""
-        return [take(v.X, self.index(slot)[rows]) for slot, v in enumerate(self.variables)]
-
-    def costs(self, rows: slice) -> Array:
-        """rho(|b_i|^2) of some measurements at the present values."""
-        s = np.square(self.part(rows).error(*self.gather(rows))).sum(axis=1)
-        kernel = self._first.factor.kernel
-        return s if kernel is None else kernel.rho(s)
-
     def linearize(self) -> float:
         """A and b at the present values; returns the sum of their costs."""
-        A, b = self.model.linearize(*self.gather())
+        X = [take(v.X, self.index(slot)) for slot, v in enumerate(self.variables)]
+        A, b = self.model.linearize(*X)
         kernel = self._first.factor.kernel
         if kernel is None:
             cost = float(np.square(b).sum())

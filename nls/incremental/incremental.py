@@ -137,9 +137,8 @@ class Incremental:
             batch = GrowingBatch(model, variables)
             self._batches.append(batch)
             self._entered.append(0)
-        rows = batch.append(model)
+        rows, cost = batch.append(model)
         self._places.append((given, factor, batch, rows))
-        cost = float(batch.costs(rows).sum())
         self.chi2 += cost
         self.gap += cost
         if self._held and not factor.relative:
