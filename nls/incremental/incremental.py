@@ -150,35 +150,37 @@ class Incremental:
         self._linearize()
         for _ in range(PASSES):
             self.passes += 1
-            F = self._refreshed()
-            g = self._flat(self._gradient())
-            z = F.solve(g)
-            self.gap = float(g @ z)
+            dx, self.gap = self._solved(self._refreshed())
             if self.gap <= SETTLED * self.tol * max(self.chi2, 1.0):
                 return
-            dx = self._by_kind(self._solved(F, g, z))
             for kind, variables in self._variables.items():
                 variables.move(dx[kind])
             self._linearize()
         self._solve_batch()
 
-    def _solved(self, F: Preconditioner, g: Array, z: Array) -> Array:
-        """Solution of A'A dx = g by conjugate gradients, z = F^-1 g."""
-        goal = max(SOLVED * self.gap, SETTLED**2 * self.tol * max(self.chi2, 1.0))
-        dx, r, d, rz = np.zeros_like(g), g, z, self.gap
+    def _solved(self, F: Preconditioner) -> tuple[dict[str, Array], float]:
+        """The step dx with A'A dx = A'b by conjugate gradients, by kind, and by how much it lowers |A dx - b|^2."""
+        r = self._flat(self._gradient())
+        z = F.solve(r)
+        rz = float(r @ z)
+        if not rz > 0:
+            return self._zeros(), 0.0  # at the minimum to the last digit
+        dx, d, fall = np.zeros_like(r), z, 0.0
+        enough = SETTLED**2 * self.tol * max(self.chi2, 1.0)
         for iteration in range(ITERATIONS):
             q = self._flat(self._hessian_times(self._by_kind(d)))
             alpha = rz / float(d @ q)
-            dx = dx + alpha * d
-            r = r - alpha * q
+            dx += alpha * d
+            r -= alpha * q
+            fall += alpha * rz
             z = F.solve(r)
             before, rz = rz, float(r @ z)
             self.iterations += 1
             self._age += iteration > 0
-            if rz <= goal:
+            if rz <= max(SOLVED * fall, SOLVED * enough):
                 break
             d = z + (rz / before) * d
-        return dx
+        return self._by_kind(dx), fall + rz
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""
@@ -266,9 +268,7 @@ class Incremental:
             variables.X[...] = result.values.stacks[kind].X
         self._preconditioner = None
         self._linearize()
-        F = self._refreshed()
-        g = self._flat(self._gradient())
-        self.gap = float(g @ F.solve(g))
+        _, self.gap = self._solved(self._refreshed())
 
     def remove(self, factor: Factor) -> None:
         """Take out measurements that were given, and settle.
