@@ -379,7 +379,7 @@ class Model:
         if not jacobians:
             return h, ()
         if H is None:
-            H = central_differences(self, X, h)
+            H = central_differences(self.factor, self.manifolds, self.space, X, h)
         return h, checked_jacobians(self.factor, H, len(h), self.space.dim, self.manifolds)
 
     def _check(self, array: Array, slot: int | None) -> None:

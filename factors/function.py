@@ -108,7 +108,7 @@ class FunctionFactor(Factor):
             return tuple(np.array(array, dtype=float) for array in arrays)
         except LeadlineError:
             raise  # it says its own name: a singular geometry, for example, is a place to avoid
-        except Exception as error:  # the user's code may raise anything; it comes through, named and chained
+        except Exception as error:  # broad: the function is the user's and may raise anything; it is named and chained
             raise EvaluationError(
                 f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys
             ) from error
