@@ -57,7 +57,7 @@ def test_only_what_is_used_is_imported() -> None:
     assert fresh("import nls, sys; print([m for m in ('numpy', 'nls.graph') if m in sys.modules])") == "[]\n"
     assert fresh("import sim.process, sys; print([m for m in ('numpy', 'typing') if m in sys.modules])") == "[]\n"
     used = "nls.Values, nls.FactorGraph, nls.load"
-    rest = ("nls.covariance", "nls.plot", "nls.io.bal", "nls.io.pyfg", "nls.inspect", "matplotlib", "threadpoolctl")
+    rest = ("nls.covariance", "nls.plot", "nls.io.bal", "nls.io.pyfg", "nls.analysis", "matplotlib", "threadpoolctl")
     assert fresh(f"import nls, sys; {used}; print([m for m in {rest} if m in sys.modules])") == "[]\n"
     assert fresh("from nls import *; print(FactorGraph.__module__, plot.__name__)") == "nls.graph nls.plot\n"
 

@@ -104,7 +104,7 @@ def test_the_line_is_true_in_every_phase_of_solve(
 @pytest.mark.parametrize(
     ("command", "function", "doing"),
     [
-        ("info", "nls.inspect.inspect", "while inspecting {file}"),
+        ("info", "nls.analysis.inspection.inspect", "while inspecting {file}"),
         ("explain", "nls.explain", "while explaining {file}"),
         ("convert", "nls.io.files.write_bytes", "while writing {file}.tum"),
         ("plot", "nls.plot.trajectory", "while writing {file}.png"),

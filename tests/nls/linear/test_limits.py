@@ -15,8 +15,8 @@ from factors import Between, Isotropic, Prior
 from models import SE3, R
 from models.algebra import Index
 from nls import LU, QR, Cholesky, FactorGraph, OptionError, ResourceLimitError, Values
+from nls.analysis.inspection import inspect
 from nls.gauge import choose_gauge
-from nls.inspect import inspect
 from nls.linear import LinearSolver, limits
 from nls.linear.limits import FRACTION, UNKNOWN, default_limit
 from nls.sparse.fill import counted, rows_below

@@ -48,7 +48,7 @@ def test_the_page_says_what_the_result_says() -> None:
     assert len(page.images) == 5  # before, after, ellipses, convergence, sparsity
     assert "http" not in page.text
     assert "url(" not in STYLE
-    cost = nls.inspect.inspect(graph, result.values)
+    cost = nls.analysis.inspection.inspect(graph, result.values)
     for name in ("rows_of_A", "columns_of_A", "numbers_in_A", "numbers_in_R"):
         assert f"{cost[name]:,} " in page.text
 

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from factors import Between, Diagonal, Information, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, GraphWarning, Values
-from nls.inspect import inspect
+from nls.analysis.inspection import inspect
 from nls.linear import best_decomposition, factorize
 from nls.linear.lu import SuperLU
 from nls.sparse.fill import fill_in
