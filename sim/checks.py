@@ -18,7 +18,7 @@ __all__ = [
     "check_poses",
     "check_positive",
     "check_rng",
-    "check_whole",
+    "check_size",
 ]
 
 MAX_POSES = 10_000_000  # 560 MB of truth in three dimensions; more is a slip of the keyboard
@@ -36,7 +36,7 @@ def check_rng(rng: Any) -> None:
         raise OptionError("rng", rng, "a generator such as numpy.random.default_rng(0)")
 
 
-def check_whole(option: str, value: int, least: int) -> None:
+def check_size(option: str, value: int, least: int) -> None:
     """A whole number from `least` to `MAX_POSES`.
 
     Raises

@@ -124,7 +124,7 @@ def _trajectory(
 
     from models import SE2, SE3
     from models.errors import GraphError
-    from nls.io.text import several
+    from models.listing import several
     from nls.io.trajectory import kitti_text, tum_text
 
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]

@@ -83,7 +83,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     warned : notes that were printed already.
     verbose : whether iterations and seconds follow.
     """
-    from nls.io.text import several
+    from models.listing import several
 
     lines = result.steps if verbose else []
     file = "dead reckoning" if "mission" in report else "file"  # a mission has no start in a file

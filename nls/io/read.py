@@ -15,6 +15,7 @@ from models import LieGroup, R
 from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
+from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
@@ -24,7 +25,7 @@ from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport, Source
 from nls.io.roles import Roles
 from nls.io.start import started
-from nls.io.text import Text, printable, several
+from nls.io.text import Text, printable
 from nls.io.unused_lines import keep, keep_unknown, note_comments
 from nls.io.weights import AsRead, matrix, noise_of, repaired
 from nls.stages import stage

@@ -20,7 +20,7 @@ from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["NUMBER", "Text", "printable", "rows", "several", "strange"]
+__all__ = ["NUMBER", "Text", "printable", "rows", "strange"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")
@@ -41,17 +41,6 @@ PER_TAG = 700  # bytes of memory for every line of a first word of its own
 def printable(word: bytes, most: int | None = None) -> str:
     """Bytes of a file as text for a message, whatever their encoding; at most so many characters of them."""
     return (word if most is None else word[: 4 * most]).decode("utf-8", "backslashreplace")[:most]
-
-
-def several(count: int, noun: str) -> str:
-    """A count and its noun.
-
-    Examples
-    --------
-    >>> several(1, "pose"), several(1200, "line")
-    ('1 pose', '1200 lines')
-    """
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def strange(line: bytes) -> str:

@@ -17,11 +17,12 @@ from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import GraphError, SingularGeometryError
+from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.lines import Numbers
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
-from nls.io.text import rows, several
+from nls.io.text import rows
 from nls.io.weights import AsRead, entries
 from nls.values import Values
 

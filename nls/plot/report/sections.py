@@ -9,12 +9,12 @@ import numpy as np
 
 from models.advice import listed as listed_advice
 from models.errors import UnderconstrainedError
+from nls.analysis.inspection import inspect
+from nls.explanation.findings import number
 from nls.explanation.words import sentence, together
-from nls.inspect import inspect
 from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
 from nls.plot.report.pictures import picture
-from nls.plot.report.verdict import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

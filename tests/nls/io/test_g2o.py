@@ -300,7 +300,7 @@ def test_rounded_quaternions_are_kept_with_a_warning(w: str, warned: bool, tmp_p
 
 def test_many_unknown_tags_are_a_short_warning() -> None:
     _, _, report = read(TWO + "\n".join(f"T{k}" for k in range(100)))
-    assert re.search(r"T8 \(1, first on line 11\) and 91 other tags", report.warnings[0])
+    assert re.search(r"T8 \(1, first on line 11\) and 91 more tags", report.warnings[0])
     assert len(report.warnings[0]) < 500
     assert len(report.ignored) == 100
 
