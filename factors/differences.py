@@ -39,7 +39,7 @@ from models.algebra import Array
 from models.errors import EvaluationError, SingularGeometryError
 from models.manifolds.measured import ANGLES
 
-__all__ = ["EPS", "central_differences", "derivative", "sizes"]
+__all__ = ["EPS", "derivative"]
 
 EPS = float(np.finfo(float).eps)
 FIRST = 5e-4  # first step of a variable of size 1: eps^(1/5), where rounding balances what extrapolation leaves

@@ -22,18 +22,7 @@ from models.abstract import Abstract
 from models.algebra import Array, apply, product
 from models.errors import GraphError, NoiseModelError
 
-__all__ = [
-    "SQUARABLE",
-    "Covariance",
-    "Diagonal",
-    "Information",
-    "Isotropic",
-    "Noise",
-    "SqrtInformation",
-    "square",
-    "weights",
-    "whiten",
-]
+__all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits

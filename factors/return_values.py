@@ -12,8 +12,6 @@ from models import Manifold
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, NoiseModelError
 
-__all__ = ["Batch", "checked_jacobians", "checked_prediction", "checked_space", "refuse_extreme"]
-
 
 class Batch(Protocol):
     """A factor, as far as checks of it need one."""

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "TINY",
     "Array",
     "Index",
     "apply",

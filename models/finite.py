@@ -11,7 +11,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import GraphError
 
-__all__ = ["finite", "finite_or_none", "numbers"]
+__all__ = ["finite_or_none", "numbers"]
 
 
 def numbers(who: str, name: str, X: npt.ArrayLike) -> Array:

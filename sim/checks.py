@@ -11,16 +11,6 @@ import numpy as np
 from models.errors import OptionError
 from models.options import is_whole
 
-__all__ = [
-    "MAX_POSES",
-    "check_fraction",
-    "check_not_negative",
-    "check_poses",
-    "check_positive",
-    "check_rng",
-    "check_size",
-]
-
 MAX_POSES = 10_000_000  # 560 MB of truth in three dimensions; more is a slip of the keyboard
 MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two stay finite
 

@@ -21,7 +21,7 @@ from models.options import check_between
 from models.sensors import DIDSON_HIGH, ImagingSonar
 from sim.checks import check_rng, check_size
 
-__all__ = ["SIGMA_SONAR", "SIGMA_XYH", "SIGMA_ZPR", "STEP", "didson", "lawn_mower", "mounted", "scattered", "swaying"]
+__all__ = ["lawn_mower", "swaying"]
 
 STEP = 0.25  # m, from pose to pose along a leg
 SIGMA_XYH = np.array([0.01, 0.01, radians(0.25)])  # a step: x and y, m, heading, rad

@@ -32,7 +32,7 @@ from sim.checks import check_not_negative, check_rng
 from sim.hauv import SIGMA_SONAR, SIGMA_XYH, SIGMA_ZPR
 from sim.world import Index, reflected, seed_of
 
-__all__ = ["Mission", "rebuilt", "survey", "visible"]
+__all__ = ["Mission", "rebuilt", "visible"]
 
 FEWEST = 3  # contacts of a landmark; what was seen less often is left out
 ANCHOR_XY, ANCHOR_YAW = 1e-3, 1e-4  # m and rad: sigmas of the known first pose

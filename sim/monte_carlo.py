@@ -37,7 +37,7 @@ from models.options import check_whole
 from nls.io.files import read_bytes, write_bytes
 from nls.sparse.threads import single_thread
 
-__all__ = ["FailedRunsError", "Record", "runs", "sentence"]
+__all__ = ["FailedRunsError", "Record", "runs"]
 
 Record = dict[str, Any]  # what json can hold
 FAILURES = (LeadlineError, ArithmeticError, np.linalg.LinAlgError)  # of one seed; all else is a fault of the function

@@ -31,7 +31,7 @@ from sim.landmark_world import KNOWN_START, LandmarkWorld
 from sim.world import chain, seed_of
 from sim.worlds.subsea import STEP, sightings
 
-__all__ = ["FITTED", "SCALED", "SIZES", "Cost", "circuit", "costs", "exponent", "panels", "scaling_rows"]
+__all__ = ["FITTED", "SCALED", "Cost", "circuit", "costs", "exponent", "panels", "scaling_rows"]
 
 SCALED = ("ekf", "online", "batch")
 SIZES = tuple(100 * 2**k for k in range(8))  # landmarks

@@ -16,7 +16,7 @@ from sim.hauv import SIGMA_SONAR
 from sim.mission import FEWEST, Mission, rebuilt
 from sim.world import Index
 
-__all__ = ["drop_contacts", "exchange_contacts", "false_contacts", "poor_odometry", "spoiled"]
+__all__ = ["drop_contacts", "exchange_contacts", "false_contacts", "poor_odometry"]
 
 WRONG = 10.0  # whitened distance below which a wrong contact could pass for a right one
 APART = 1e6  # whitened distance put between two images, so that neighbors are those of one image

@@ -13,21 +13,6 @@ from models.manifolds.se3 import SE3
 from models.manifolds.so3 import not_unit
 from models.options import is_number
 
-__all__ = [
-    "attitudes",
-    "bottom_lock",
-    "bridge",
-    "fraction",
-    "mounting",
-    "not_negative",
-    "positive",
-    "rising",
-    "turning",
-    "unused",
-    "vectors",
-    "within",
-]
-
 
 def rising(name: str, value: npt.ArrayLike) -> Array:
     """Two or more finite times that rise, s."""

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from models.errors import SingularGeometryError
 
-__all__ = ["CLOSE", "SingularAt", "refuse"]
+__all__ = ["CLOSE", "SingularAt"]
 
 CLOSE = 1e-9  # m; coordinates of 1 km are rounded to 1e-13 m: nearer than this the digits of a direction are noise
 

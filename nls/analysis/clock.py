@@ -28,7 +28,7 @@ from nls.analysis.leave_one_out import checks, kinds_of
 from nls.analysis.linearization import Checked
 from nls.values import Stack, Values
 
-__all__ = ["ClockOffset", "clock_offsets", "velocities"]
+__all__ = ["ClockOffset", "clock_offsets"]
 
 UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
 LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock

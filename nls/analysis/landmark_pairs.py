@@ -19,8 +19,6 @@ from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import locate_points
 from nls.values import Values
 
-__all__ = ["Pair", "landmark_factors"]
-
 BEGINNINGS = (1.0, 0.5, 0.25, 0.75)  # part of the sightings after which they are exchanged
 TURNS = 4  # of locating the landmarks and choosing what is exchanged
 

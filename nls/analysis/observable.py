@@ -17,7 +17,7 @@ from models.manifolds.measured import unit
 if TYPE_CHECKING:
     from factors.keys import Keys
 
-__all__ = ["FREE", "Observability", "shown"]
+__all__ = ["Observability", "shown"]
 
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["check_one", "observability"]
+__all__ = ["observability"]
 
 MOVES = 0.02  # what else moves is named when it would be seen, alone, by this part of what the variable would
 

@@ -6,8 +6,6 @@ import argparse
 
 from nls.cli.outputs import refuse_loss, refuse_unwritable
 
-__all__ = ["convert"]
-
 
 def convert(options: argparse.Namespace) -> int:
     """Read, write, say what the file leaves out; returns the exit status."""

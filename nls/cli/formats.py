@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["formats", "output_format", "read", "refuse_unwritable_graph", "rendered"]
+__all__ = ["refuse_unwritable_graph", "rendered"]
 
 TRAJECTORIES = ("tum", "kitti")
 

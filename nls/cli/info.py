@@ -8,8 +8,6 @@ from typing import Any
 
 from nls.cli.outputs import refuse_unwritable, write_json
 
-__all__ = ["info"]
-
 
 def info(options: argparse.Namespace) -> int:
     """Read, inspect, print; returns the exit status."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["chosen", "doubtful", "is_gnc", "left_out", "record", "rows", "without_rejected"]
+__all__ = ["record", "without_rejected"]
 
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]

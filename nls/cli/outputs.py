@@ -10,17 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = [
-    "PAGES",
-    "PICTURES",
-    "complain",
-    "input_name",
-    "json_text",
-    "refuse_loss",
-    "refuse_name",
-    "refuse_unwritable",
-    "write_json",
-]
+__all__ = ["json_text"]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.optimizers import Iteration, Result
 
-__all__ = ["SCHEMA", "advice", "record_of", "table"]
+__all__ = ["table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table

@@ -26,19 +26,7 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = [
-    "local_minimum",
-    "measurement",
-    "no_optimum",
-    "of_parts",
-    "of_suspects",
-    "repeated",
-    "switched_off",
-    "taken_out",
-    "turns",
-    "unchecked",
-    "unverified",
-]
+__all__ = ["of_suspects"]
 
 UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     Mask = npt.NDArray[np.bool_]
 
-__all__ = ["named_directions"]
 
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
 CURES = {

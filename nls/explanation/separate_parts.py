@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
-__all__ = ["moving", "separate_parts"]
+__all__ = ["separate_parts"]
 
 
 def moving(pattern: Pattern) -> npt.NDArray[np.bool_]:

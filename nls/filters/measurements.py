@@ -16,8 +16,6 @@ from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState
 
-__all__ = ["Measurements", "associated", "distances", "select", "stacked"]
-
 Measurements = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
 
 

@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from models.algebra import Array
 
-__all__ = ["turns"]
-
 TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 

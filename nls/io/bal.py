@@ -31,7 +31,7 @@ from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["bal_text", "read_bal", "write_bal"]
+__all__ = ["read_bal", "write_bal"]
 
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, Index
 
-__all__ = ["BLANK", "LINE_END", "MARKS", "PAD", "UNREAD", "WHOLE", "decimals", "windows", "words"]
+__all__ = ["MARKS", "PAD", "UNREAD", "WHOLE", "decimals"]
 Words = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]
 Places = npt.NDArray[np.int8]

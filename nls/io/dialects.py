@@ -34,7 +34,7 @@ from nls.io.g2o import G2O, POINT2, POINT3, POSE2, STEP2
 from nls.io.records import Element, Format, Record
 from nls.io.text import Text, printable
 
-__all__ = ["FORMATS", "SUFFIXES", "check_dialect", "choose", "format_of", "no_information"]
+__all__ = ["FORMATS", "SUFFIXES", "format_of", "no_information"]
 
 POSES = ("pose", "pose")
 POSE_AND_POINT = ("pose", "point")

@@ -14,7 +14,7 @@ from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
 from nls.io.text import Text
 
-__all__ = ["Lines", "Numbers", "among", "by_number", "different", "joined", "read_lines"]
+__all__ = ["among"]
 Numbers = npt.NDArray[np.int64]
 NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most

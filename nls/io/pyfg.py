@@ -49,7 +49,7 @@ from nls.io.unused_lines import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
+__all__ = ["read_pyfg", "write_pyfg"]
 LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name

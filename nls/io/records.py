@@ -23,8 +23,6 @@ from models import SE2, SE3, LieGroup, Manifold, R
 from models.algebra import Array
 from models.manifolds.euler import from_se3, to_se3
 
-__all__ = ["KINDS", "Element", "Format", "Record", "a_file", "at_origin", "fixed_offsets"]
-
 KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by what measurements use them as
 ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
 

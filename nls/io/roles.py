@@ -11,7 +11,6 @@ from nls.io.lines import Lines, Numbers, among, by_number, different, joined
 from nls.io.records import KINDS
 from nls.io.text import Text, printable
 
-__all__ = ["Roles"]
 ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 
 

@@ -24,8 +24,6 @@ from nls.starts.chain import chain
 from nls.starts.landmarks import locate_points
 from nls.values import Values
 
-__all__ = ["started"]
-
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 
 

@@ -20,7 +20,7 @@ from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["NUMBER", "Text", "printable", "rows", "strange"]
+__all__ = ["Text"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")

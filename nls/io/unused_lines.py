@@ -13,7 +13,7 @@ from nls.io.records import a_file
 from nls.io.report import LoadReport
 from nls.io.text import Text, printable
 
-__all__ = ["appended", "keep", "keep_unknown", "left_out", "note_comments"]
+__all__ = ["appended", "left_out"]
 NAMED = 9  # tags in a sentence
 
 

@@ -30,7 +30,7 @@ from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
 from nls.io.records import Format, Record
 
-__all__ = ["HALF", "NOISES", "AsRead", "covariance", "entries", "matrix", "noise_of", "refuse_robust", "repaired"]
+__all__ = ["AsRead", "repaired"]
 
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,

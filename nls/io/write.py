@@ -26,7 +26,7 @@ from nls.io.text import rows
 from nls.io.weights import AsRead, entries
 from nls.values import Values
 
-__all__ = ["graph_text", "refuse_unwritable_graph"]
+__all__ = ["refuse_unwritable_graph"]
 
 ROLES = {kind: role for role, kind in KINDS.items()}
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.covariance import Marginals
 
-__all__ = ["ellipses", "visible_scale"]
+__all__ = ["ellipses"]
 
 POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
 MOST = 120  # of one kind, where it is not said how many

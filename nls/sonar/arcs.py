@@ -21,7 +21,7 @@ from models.errors import SingularGeometryError
 from models.sensors.arcs import Contacts, least_information
 from models.sensors.singular import SingularAt
 
-__all__ = ["Arcs", "search"]
+__all__ = ["search"]
 
 Mask = npt.NDArray[np.bool_]
 

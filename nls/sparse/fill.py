@@ -27,7 +27,7 @@ from models.algebra import Index
 from nls.sparse.elimination import Order
 from nls.sparse.pattern import Pattern
 
-__all__ = ["Fill", "counted", "fill_in", "rows_below"]
+__all__ = ["counted", "fill_in", "rows_below"]
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from nls.sparse.hessian import Hessian
 from nls.sparse.supernodes import Supernodes
 from nls.sparse.threads import single_thread
 
-__all__ = ["inverse_blocks", "takahashi"]
+__all__ = ["inverse_blocks"]
 
 
 def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float) -> Array:

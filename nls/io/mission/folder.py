@@ -15,8 +15,6 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
 
-__all__ = ["EXPECTED", "read_tables"]
-
 README = "README.txt"  # for people: nothing in it is missed
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "

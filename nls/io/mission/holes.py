@@ -27,7 +27,7 @@ from models.dead_reckoning.drop_outs import longest_step, losses
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["Holes", "holes_of"]
+__all__ = ["holes_of"]
 ROUNDING = 1e-9  # of a step: times that are told apart
 
 

@@ -48,8 +48,6 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["integrated"]
-
 Numbers = npt.NDArray[np.int64]
 EVERY = 1.0  # s from pose to pose where poses.csv does not say when they are
 MOST = 10_000_000  # such poses: four months, or times that are no seconds

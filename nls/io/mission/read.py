@@ -26,7 +26,7 @@ from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
-__all__ = ["ANCHORED", "read_mission"]
+__all__ = ["read_mission"]
 
 Numbers = npt.NDArray[np.int64]
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from nls.plot.report.data import ReportData
     from nls.values import Values
 
-__all__ = ["SECTIONS"]
 
 WRONG = "#c1121f"
 MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone

@@ -12,7 +12,6 @@ from nls.plot.report.markup import Html, joined, listed, tag
 if TYPE_CHECKING:
     from nls.plot.report.data import ReportData
 
-__all__ = ["key_figures", "verdict"]
 
 # Findings that one should know; an optimum with them is sound.
 NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.UNVERIFIED, FindingKind.SEPARATE_PARTS}
