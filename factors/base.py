@@ -28,7 +28,7 @@ from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
 from models import Manifold
 from models.abstract import Abstract
-from models.algebra import Array, product
+from models.algebra import Array, Index, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
 
 __all__ = ["Factor", "Model"]
@@ -215,7 +215,7 @@ class Factor(Abstract):
         An H_k of None is the identity; None for the whole tuple asks for central differences.
         """
 
-    def rows(self, space: Manifold) -> npt.NDArray[np.intp] | slice:
+    def rows(self, space: Manifold) -> Index | slice:
         """Which components of the innovation are measured; all, unless a subclass says otherwise."""
         return slice(None)
 
@@ -322,7 +322,7 @@ class Model:
     space: Manifold
     z: Array
     W: Array
-    rows: npt.NDArray[np.intp] | slice
+    rows: Index | slice
     names: tuple[str, ...]
 
     @property

@@ -31,11 +31,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.return_values import Batch
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError
 from models.manifolds.measured import ANGLES
 
@@ -144,8 +143,8 @@ class _Trial(NamedTuple):
     D: Array
     error: Array
     relative: Array
-    rounded: npt.NDArray[np.bool_]
-    silent: npt.NDArray[np.bool_]
+    rounded: Mask
+    silent: Mask
 
 
 def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from factors.slices import rows
 from models.abstract import Abstract
-from models.algebra import Array, apply, product
+from models.algebra import Array, Index, Mask, apply, product
 from models.errors import GraphError, NoiseModelError
 
 __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
@@ -66,7 +66,7 @@ class Noise(Abstract):
             Not a valid noise for this many measurements or components; names the measurement.
         """
 
-    def take(self, index: npt.NDArray[np.intp], n: int) -> Self:
+    def take(self, index: Index, n: int) -> Self:
         """The noise of some of n measurements; shared stays shared.
 
         Examples
@@ -207,7 +207,7 @@ class Information(_Matrix):
             W[bad] = self._semi_definite(Omega[bad], np.flatnonzero(bad))
         return W
 
-    def _semi_definite(self, Omega: Array, index: npt.NDArray[np.intp]) -> Array:
+    def _semi_definite(self, Omega: Array, index: Index) -> Array:
         """W = diag(sqrt(lambda)) V' D, D^2 = diag(Omega), D^-1 Omega D^-1 = V diag(lambda) V'; zeros for lambda = 0."""
         d = np.sqrt(np.abs(np.diagonal(Omega, axis1=1, axis2=2)))
         D = 1 / np.where(d > 0, d, 1.0)
@@ -307,7 +307,7 @@ def _diagonal(M: Array) -> Array | None:
     return None if np.any(M, axis=0)[off].any() else np.asarray(np.diagonal(M, axis1=1, axis2=2))
 
 
-def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _cholesky(M: Array) -> tuple[Array, Mask]:
     """Lower L with L L' = M for a stack (n, m, m), and which of them are not positive definite.
 
     Over many matrices at a time, components first: 1 ms for 5,000 6x6 matrices, `numpy.linalg.cholesky` pays per
@@ -320,7 +320,7 @@ def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     return L.transpose(2, 0, 1), bad
 
 
-def _factorize(C: Array, L: Array, bad: npt.NDArray[np.bool_]) -> None:
+def _factorize(C: Array, L: Array, bad: Mask) -> None:
     """Fill L with the factors of the matrices C, both (m, m, n), and bad (n,), column by column."""
     S = np.zeros(C.shape)  # sum of L_k L_k' over the columns k < j
     for j in range(len(C)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
 from models.finite import numbers
 from models.manifolds.euler import quaternion_from_angles
@@ -30,7 +30,7 @@ def rising(name: str, value: npt.ArrayLike) -> Array:
     return t
 
 
-def vectors(name: str, value: npt.ArrayLike, n: int, ok: npt.NDArray[np.bool_] | None = None) -> Array:
+def vectors(name: str, value: npt.ArrayLike, n: int, ok: Mask | None = None) -> Array:
     """Vectors (n, 3), finite where they are ok."""
     x = _shaped(name, numbers("integrate", name, value), n, (3,))
     _finite(
@@ -52,7 +52,7 @@ def attitudes(value: npt.ArrayLike, n: int) -> Array:
     return x
 
 
-def bottom_lock(valid: npt.ArrayLike | None, n: int) -> npt.NDArray[np.bool_]:
+def bottom_lock(valid: npt.ArrayLike | None, n: int) -> Mask:
     """Which of n velocities are valid."""
     ok = np.ones(n, dtype=bool) if valid is None else np.asarray(valid)
     if ok.shape != (n,) or not (ok.dtype == bool or np.isin(ok, (0, 1)).all()):

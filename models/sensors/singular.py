@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from models.algebra import Mask
 from models.errors import SingularGeometryError
 
 __all__ = ["CLOSE", "SingularAt"]
@@ -26,7 +26,7 @@ class SingularAt(SingularGeometryError):
         super().__init__(message)
 
 
-def refuse(bad: npt.NDArray[np.bool_], message: str) -> None:
+def refuse(bad: Mask, message: str) -> None:
     """Raise `SingularAt` for the first True of bad (n,)."""
     if bad.any():
         raise SingularAt(message, int(np.argmax(bad)))

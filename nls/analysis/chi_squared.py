@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.options import check_between, check_whole
 
 __all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail"]
@@ -59,7 +58,7 @@ def chi2_interval(dof: float, probability: float = 0.95) -> tuple[float, float]:
     return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
 
 
-def chi2_tail(t: Array, dof: npt.NDArray[np.intp] | Array) -> Array:
+def chi2_tail(t: Array, dof: Index | Array) -> Array:
     """Probability of chi-squared of dof degrees of freedom, whole or not, above t, elementwise; 1 where there are none.
 
     Examples

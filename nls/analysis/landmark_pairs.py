@@ -5,13 +5,12 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import Prior, Sighting
 from factors.base import Factor
 from factors.keys import Keys
 from factors.replaced import replaced
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED
 from nls.graph import FactorGraph
@@ -21,8 +20,6 @@ from nls.values import Values
 
 BEGINNINGS = (1.0, 0.5, 0.25, 0.75)  # part of the sightings after which they are exchanged
 TURNS = 4  # of locating the landmarks and choosing what is exchanged
-
-Mask = npt.NDArray[np.bool_]
 
 
 def landmark_factors(graph: FactorGraph, values: Values) -> list[int]:

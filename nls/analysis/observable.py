@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.manifolds.measured import unit
 
@@ -50,7 +50,7 @@ class Observability:
     key: Keys
     components: tuple[str, ...]
     covariance: Array
-    undetermined: npt.NDArray[np.bool_]
+    undetermined: Mask
     free: Array
     with_free: tuple[str, ...]
     weak: Array

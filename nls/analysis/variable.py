@@ -13,10 +13,9 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.manifolds.measured import ANGLES, LENGTHS
 from models.options import check_between
@@ -134,7 +133,7 @@ def check_one(who: str, key: Keys) -> None:
         raise GraphError(f"{who}: expected one variable such as s[0], got {key!r:.60}")
 
 
-def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pattern, npt.NDArray[np.bool_], str]:
+def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pattern, Mask, str]:
     """The pattern, which of its variables (V,) are held, and the sentence of the gauge; refuses a held key."""
     fixed = fixed_variables(graph.fixed, values)
     pattern = graph.pattern(values)

@@ -36,7 +36,7 @@ from factors.noise import Covariance, square
 from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Numbers
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
@@ -86,7 +86,7 @@ class Batch:
     """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
 
     kinds: tuple[str, ...]
-    numbers: list[npt.NDArray[np.int64]]
+    numbers: list[Numbers]
     lines: Index
     times: Array
     table: Array
@@ -212,7 +212,7 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
         yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 
 
-def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], npt.NDArray[np.int64]]:
+def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], Numbers]:
     """Names such as A17 as their letters (n,) and numbers (n,)."""
     tokens = text.first[lines] + column
     lengths = text.ends[tokens] - text.starts[tokens]
@@ -239,7 +239,7 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     return kind, number
 
 
-def _once(text: Text, kind: str, numbers: npt.NDArray[np.int64], lines: Index) -> None:
+def _once(text: Text, kind: str, numbers: Numbers, lines: Index) -> None:
     """Refuse a vertex that is given twice."""
     order = np.lexsort((lines, numbers))
     again = np.flatnonzero(numbers[order][1:] == numbers[order][:-1])

@@ -20,12 +20,11 @@ apply the difference between the axes of the two poses to it.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation, square
 from factors.robust import Robust
-from models.algebra import Array
+from models.algebra import Array, Mask, Numbers
 from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
 from nls.io.records import Format, Record
@@ -60,7 +59,7 @@ class AsRead(Noise):
         convention: str,
         z: Array,
         numbers: Array,
-        parameters: npt.NDArray[np.int64],
+        parameters: Numbers,
         offsets: Array,
     ) -> None:
         self.noise, self.format, self.tag, self.convention = noise, format, tag, convention
@@ -164,7 +163,7 @@ def covariance(factor: Factor, W: Array) -> Array:
     return np.asarray(W_inv @ W_inv.mT)
 
 
-def repaired(Omega: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def repaired(Omega: Array) -> tuple[Array, Mask]:
     """Information matrices (n, m, m) with negative eigenvalues set to 0, and which had some.
 
     The matrices are scaled to a diagonal of ones for it, as they are when they are judged: units do not decide.

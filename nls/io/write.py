@@ -15,12 +15,11 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array
+from models.algebra import Array, Numbers
 from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.io.lines import Numbers
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
 from nls.io.text import rows
 from nls.io.weights import AsRead, entries

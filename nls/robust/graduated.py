@@ -38,14 +38,14 @@ import numpy as np
 
 from factors.base import Factor
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result
-from nls.posegraph import Mask, closures, says_poses
+from nls.posegraph import closures, says_poses
 from nls.robust import verdict
 from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph

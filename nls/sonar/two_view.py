@@ -37,7 +37,7 @@ import numpy.typing as npt
 from factors import Between, SqrtInformation
 from factors.keys import Keys
 from models import SE3
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, OptionError
 from models.options import check_between, is_number
 from models.sensors.arcs import Contacts
@@ -75,11 +75,11 @@ class TwoView:
     sqrt_information: Array
     gains: Array
     directions: Array
-    kept_directions: npt.NDArray[np.bool_]
+    kept_directions: Mask
     h: Array
     chi2: Array
-    ambiguous: npt.NDArray[np.bool_]
-    weak: npt.NDArray[np.bool_]
+    ambiguous: Mask
+    weak: Mask
     converged: bool
     iterations: int
 
@@ -201,7 +201,7 @@ class _Step:
 
     gains: Array
     directions: Array
-    kept_directions: npt.NDArray[np.bool_]
+    kept_directions: Mask
     W: Array
     step: Array
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from factors import Diagonal, Projection, RangeAzimuth
 from models import SE3, SO3, R
-from models.algebra import Array, wrap
+from models.algebra import Array, Index, wrap
 from models.errors import GraphError, OptionError
 from models.manifolds.so3 import quaternion_from_matrix
 from models.sensors import Camera, range_azimuth
@@ -21,7 +21,7 @@ from nls import FactorGraph, Values, kinds
 from nls.starts.rig import rig as start_of
 from sim.camera_sonar import Rig
 from sim.checks import check_not_negative, check_rng, check_size
-from sim.world import Index, reflected, seed_of
+from sim.world import reflected, seed_of
 
 __all__ = ["rig"]
 
