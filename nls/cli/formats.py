@@ -92,14 +92,13 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     GraphError
     """
     from nls.io.dialects import FORMATS
-    from nls.io.unused_lines import appended
     from nls.io.write import refuse_unwritable_graph
 
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
     with _renamed(graph, values, form) as (graph, values, _):
-        refuse_unwritable_graph(path, graph, values, appended(report, form), FORMATS[form])
+        refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
 
 
 @contextmanager

@@ -10,7 +10,6 @@ import numpy as np
 from factors import Factor
 from nls import FactorGraph, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
-from nls.io.weights import AsRead
 
 INFORMATION_2 = "500 1 2 400 3 300"
 UPPER_3 = "100 1 2 3 4 5 200 6 7 8 9 300 10 11 12 400 13 14 500 15 600"
@@ -58,10 +57,9 @@ def read(text: str | bytes, convention: str = "g2o", dialect: str = "auto", repa
 
 def arrays(factor: Factor) -> list[np.ndarray]:
     """Everything a factor of a file holds: variables, measurements, noise, offsets."""
-    noise = factor.noise.noise if isinstance(factor.noise, AsRead) else factor.noise
     offset = getattr(factor, "offset", None)
     offsets = list(offset) if isinstance(offset, tuple) else [offset] if isinstance(offset, np.ndarray) else []
-    return [*(k.numbers for k in factor.keys), factor.z, noise.matrix, *offsets]  # type: ignore[attr-defined]
+    return [*(k.numbers for k in factor.keys), factor.z, factor.noise.matrix, *offsets]  # type: ignore[attr-defined]
 
 
 def same(one: Loaded, other: Loaded) -> None:

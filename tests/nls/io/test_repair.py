@@ -62,7 +62,7 @@ def test_before_units_and_angles_are_turned(tmp_path: Path) -> None:
         read(bad, dialect="toro")
     loaded = read(bad, dialect="toro", repair=True)
     assert "EDGE3 had negative eigenvalues, first on line 1" in loaded[2].warnings[0]
-    assert smallest(loaded[0].factors[0].noise.noise.matrix)[0] > -NEGATIVE  # type: ignore[attr-defined]
+    assert smallest(loaded[0].factors[0].noise.matrix)[0] > -NEGATIVE  # type: ignore[attr-defined]
     same_factors(loaded, again(loaded, tmp_path, dialect="toro"))
 
 

@@ -91,13 +91,13 @@ def test_aliases_are_read_and_not_written(canonical: str, text: str, tmp_path: P
 def test_numbers_are_turned_again_where_something_changed(tmp_path: Path) -> None:
     """What was remembered of a line is used only for the factor that was read from it."""
     dialect, text = FILES["isam, space"]
-    graph, values, _ = read(text, "g2o", dialect)
+    graph, values, report = read(text, "g2o", dialect)
     edge = graph.factors[0]
     moved = np.array(edge.z)
     moved[0, 0] += 0.5
     changed = FactorGraph([Between(*edge.keys, moved, edge.noise, "g2o"), *graph.factors[1:]])
     with pytest.warns(GraphWarning, match="isam files hold measurements only: the values of 4 variables are not in it"):
-        save(tmp_path / "out.txt", changed, values, dialect=dialect)
+        save(tmp_path / "out.txt", changed, values, report, dialect)
     first = (tmp_path / "out.txt").read_text().split("\n")[0].split()
     assert float(first[3]) == pytest.approx(1.51)
     again_read = load(tmp_path / "out.txt", dialect=dialect)
@@ -183,9 +183,9 @@ def test_the_largest_id_of_a_parameter_leaves_others_free(tmp_path: Path) -> Non
     """A new offset gets the first id that is left."""
     most = 2**63 - 1
     seen = f"PARAMS_SE3OFFSET {most} 0.5 0 0 0 0 0 1\nEDGE_SE3_TRACKXYZ 0 10 {most} 3 1 0 1 0 0 1 0 1\n"
-    graph, values, _ = read(seen)
+    graph, values, report = read(seen)
     new = Landmark(x[0], l[10], [3.1, 0.9, 0.4], Isotropic(1), offset=SE3.exp([1.0, 0, 0, 0, 0, 0]))
-    save(tmp_path / "out.g2o", FactorGraph([*graph.factors, new], graph.fixed), values)
+    save(tmp_path / "out.g2o", FactorGraph([*graph.factors, new], graph.fixed), values, report)
     ids = [line.split()[1] for line in (tmp_path / "out.g2o").read_text().splitlines() if line.startswith("PARAMS")]
     assert ids == [str(most), "0"]
 
