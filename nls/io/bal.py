@@ -26,12 +26,11 @@ from models import R
 from models.algebra import Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.files import write_bytes
 from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["read_bal", "write_bal"]
+__all__ = ["read_bal"]
 
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
@@ -112,11 +111,6 @@ def _index(text: Text, lines: Index, column: int, count: int, noun: str) -> Numb
 def _line(text: Text, tokens: Index) -> Index:
     """The line (counted from 0) that holds each token."""
     return np.searchsorted(text.first, tokens, side="right") - 1
-
-
-def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
-    """Write a bundle-adjustment file, see `bal_text`; gzip-compressed where the name ends in ``.gz``."""
-    write_bytes(path, bal_text(path, graph, values))
 
 
 def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:

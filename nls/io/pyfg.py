@@ -40,7 +40,6 @@ from models.algebra import Array, Index, Numbers
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
-from nls.io.files import write_bytes
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
 from nls.io.report import LoadReport, Source
@@ -49,7 +48,7 @@ from nls.io.unused_lines import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["read_pyfg", "write_pyfg"]
+__all__ = ["read_pyfg"]
 LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
@@ -283,11 +282,6 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
 def _halved(space: LieGroup, convention: str) -> bool:
     """Whether the residual is that of half a rotation vector."""
     return space is SE3 and convention in ("g2o", "graphslam")
-
-
-def write_pyfg(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> None:
-    """Write a PyFactorGraph text file, see `pyfg_text`; gzip-compressed where the name ends in ``.gz``."""
-    write_bytes(path, pyfg_text(path, graph, values, report))
 
 
 def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> bytes:

@@ -97,5 +97,5 @@ def _near_miss(name: str, other_files: list[str]) -> str:
     return f"; is it {_listed([near[close[0]]])}? names are written as here" if close else ""
 
 
-def _listed(names: list[str], most: int = 12) -> str:
-    return some([repr(name)[1:-1] for name in names], most)
+def _listed(names: list[str]) -> str:
+    return some([repr(name)[1:-1] for name in names], 12)

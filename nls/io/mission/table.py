@@ -293,9 +293,9 @@ class Table(Text):
         return self.error(message, int(self.lines[row]))
 
 
-def _quoted(text: str, most: int = 40) -> str:
+def _quoted(text: str) -> str:
     """Text in quotation marks, cut where it is long."""
-    return repr(text if len(text) <= most else text[: most - 3] + "...")
+    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _separators(line: bytes) -> str:

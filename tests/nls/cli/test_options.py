@@ -29,7 +29,6 @@ def bundle(folder: Path) -> Path:
     """Three cameras see five points, with a pixel of error."""
     from factors import BundleProjection, Isotropic
     from models import R
-    from nls.io.bal import write_bal
 
     rng = np.random.default_rng(4)
     camera = np.column_stack([0.1 * rng.normal(size=(3, 3)), [[0, 0, -10], [1, 0, -10], [0, 1, -11]]])
@@ -42,7 +41,7 @@ def bundle(folder: Path) -> Path:
     z = blank.predict(model.manifolds, *X)[0] + rng.normal(size=(15, 2))
     start = values.replaced({"l": point + 0.1 * rng.normal(size=(5, 3))})
     path = folder / "bundle.txt"
-    write_bal(path, nls.FactorGraph([BundleProjection(c[i], k[i], l[j], z, Isotropic(1))]), start)
+    nls.save(path, nls.FactorGraph([BundleProjection(c[i], k[i], l[j], z, Isotropic(1))]), start, dialect="bal")
     return path
 
 

@@ -12,8 +12,8 @@ import pytest
 from factors import BundleProjection, Huber, Isotropic, Prior
 from factors.bundle import CAMERA, LENS
 from models import R
-from nls import FactorGraph, GraphError, GraphFileError, Values, kinds
-from nls.io.bal import read_bal, write_bal
+from nls import FactorGraph, GraphError, GraphFileError, Values, kinds, save
+from nls.io.bal import read_bal
 from nls.io.files import read_bytes
 
 c, k, l = kinds("c", "k", "l")
@@ -98,7 +98,7 @@ def test_round_trip(tmp_path: Path) -> None:
     wild = [repr(v) for v in (rng.normal(size=27) * 10.0 ** rng.integers(-20, 20, 27)).tolist()]
     before = read([*HEAD, *SEEN, *wild])
     for name in ("out.txt", "out.txt.gz"):
-        write_bal(tmp_path / name, before[0], before[1])
+        save(tmp_path / name, before[0], before[1], dialect="bal")
         same(before, read_bal(read_bytes(tmp_path / name), name))
     assert gzip.decompress((tmp_path / "out.txt.gz").read_bytes()) == (tmp_path / "out.txt").read_bytes()
     assert (tmp_path / "out.txt").read_text().splitlines()[1] == "0 0 -385.99 387.12"
@@ -109,7 +109,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
 
     def refused(graph: FactorGraph, values: Values, message: str) -> None:
         with pytest.raises(GraphError, match=message):
-            write_bal(out, graph, values)
+            save(out, graph, values, dialect="bal")
         assert not out.exists()
 
     graph, values, _ = read(GOOD)
@@ -142,5 +142,5 @@ def test_public_files_go_round(data: Path, tmp_path: Path) -> None:
     assert len(files) >= 4
     for file in files:
         before = read_bal(read_bytes(file), str(file))
-        write_bal(tmp_path / "out.txt", before[0], before[1])
+        save(tmp_path / "out.txt", before[0], before[1], dialect="bal")
         same(before, read_bal(read_bytes(tmp_path / "out.txt"), "out.txt"))

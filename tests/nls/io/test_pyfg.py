@@ -11,9 +11,9 @@ import pytest
 
 from factors import Between, Cauchy, Covariance, Diagonal, Information, Isotropic, Landmark, Prior, Range
 from models import SE2, SE3, SO2, R
-from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, LoadReport, Values, kinds, load
+from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, LoadReport, Values, kinds, load, save
 from nls.io.files import read_bytes
-from nls.io.pyfg import read_pyfg, write_pyfg
+from nls.io.pyfg import read_pyfg
 from tests.nls.graphs import pose_graph
 from tests.nls.io.g2o_files import write
 from tests.nls.io.io_files import BAL
@@ -54,7 +54,7 @@ def read(text: str, convention: str = "g2o") -> Loaded:
 
 def again(loaded: Loaded, folder: Path, convention: str = "g2o") -> Loaded:
     graph, values, report = loaded
-    write_pyfg(folder / "out.pyfg", graph, values, report)
+    save(folder / "out.pyfg", graph, values, report)
     return read_pyfg(read_bytes(folder / "out.pyfg"), "out.pyfg", convention)
 
 
@@ -211,7 +211,7 @@ def test_nothing_to_read() -> None:
 def test_graphs_made_in_python(tmp_path: Path) -> None:
     sample = pose_graph(SE3, anchored=False)
     graph = FactorGraph([*sample.graph.factors, Range(x[[0, 1]], x[2], [1.0, 2.0], Isotropic(0.1))])
-    write_pyfg(tmp_path / "out.pyfg.gz", graph, sample.values)
+    save(tmp_path / "out.pyfg.gz", graph, sample.values)
     text = gzip.decompress((tmp_path / "out.pyfg.gz").read_bytes()).decode()
     assert text.splitlines()[0].split()[:3] == ["VERTEX_SE3:QUAT", "0.0", "x0"]
     read_back, values, _ = read(text, "log")
@@ -225,7 +225,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
 
     def refused(factor: object, message: str, values: Values = values) -> None:
         with pytest.raises(GraphError, match=message):
-            write_pyfg(out, FactorGraph([factor]), values)  # type: ignore[list-item]
+            save(out, FactorGraph([factor]), values)  # type: ignore[list-item]
         assert not out.exists()
 
     zero = [0.0, 0.0, 0.0]
@@ -242,7 +242,7 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
     graph = FactorGraph([prior])
     graph.fix(A[0])
     with pytest.raises(GraphError, match="A0 is held fixed"):
-        write_pyfg(out, graph, values)
+        save(out, graph, values)
 
 
 def test_the_public_file_comes_back_byte_for_byte(data: Path, tmp_path: Path) -> None:
@@ -250,5 +250,5 @@ def test_the_public_file_comes_back_byte_for_byte(data: Path, tmp_path: Path) ->
     graph, values, report = read_pyfg(read_bytes(path), str(path))
     assert (len(values), len(graph)) == (4095, 5897)
     assert [len(f) for f in graph.factors] == [4090, 1807]
-    write_pyfg(tmp_path / "out.pyfg", graph, values, report)
+    save(tmp_path / "out.pyfg", graph, values, report)
     assert (tmp_path / "out.pyfg").read_bytes() == gzip.decompress(path.read_bytes())
