@@ -17,6 +17,7 @@ from factors.noise import Isotropic, Noise
 from models import Manifold, R
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, LeadlineError, OptionError
+from models.options import is_whole
 
 __all__ = ["FunctionFactor"]
 
@@ -43,7 +44,7 @@ class FunctionFactor(Factor):
         jacobians: Callable[..., Sequence[Array]] | None,
         relative: bool,
     ) -> None:
-        if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or not 0 < dim < 10**6:
+        if not is_whole(dim) or not 0 < dim < 10**6:
             raise OptionError("Factor.from_function(dim)", dim, "numbers per residual, a whole number of at least 1")
         if not isinstance(keys, Sequence) or not keys:
             raise GraphError(f"Factor.from_function: expected variables such as x[0] or [x[0], x[1]], got {keys!r:.80}")
