@@ -30,6 +30,7 @@ from models import Manifold
 from models.abstract import Abstract
 from models.algebra import Array, Index, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
+from models.finite import first_not_finite
 
 __all__ = ["Factor", "Model"]
 
@@ -384,9 +385,8 @@ class Model:
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""
-        if np.isfinite(np.add.reduce(array, axis=None)) or np.isfinite(array).all():
+        if np.isfinite(np.add.reduce(array, axis=None)) or (index := first_not_finite(array)) is None:
             return
-        index = int(np.argmax(~np.isfinite(array).reshape(len(array), -1).all(axis=1)))
         quantity = "residual" if slot is None else f"Jacobian with respect to {self.factor.keys[slot][[index]]}"
         raise EvaluationError(
             f"{self.factor.describe(index)}: its {quantity} is not finite: {array[index].tolist()}; "

@@ -21,6 +21,7 @@ from factors.slices import rows
 from models.abstract import Abstract
 from models.algebra import Array, Index, Mask, apply, product
 from models.errors import GraphError, NoiseModelError
+from models.finite import first_not_finite
 
 __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
 
@@ -245,8 +246,7 @@ def weights(noise: Noise, n: int, names: tuple[str, ...]) -> Array:
         No noise for these measurements; a weight that is infinite.
     """
     W = noise.sqrt_information(n, names)
-    if not np.isfinite(W).all():
-        k = int(np.argmax(~np.isfinite(W).reshape(len(W), -1).all(axis=1)))
+    if (k := first_not_finite(W)) is not None:
         raise NoiseModelError(f"the noise of measurement {k} is beyond the largest number", "noise", k)
     return W
 
@@ -270,9 +270,8 @@ def _numbers(value: npt.ArrayLike, name: str, ndim: int) -> Array:
         raise NoiseModelError(f"{name}: expected numbers, got {value!r:.60}", name) from error
     if array.ndim > ndim:
         raise NoiseModelError(f"{name} has shape {array.shape}, expected at most {ndim} axes", name)
-    if not np.isfinite(array).all():
-        stack = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
-        k = int(np.argmax(~np.isfinite(stack.reshape(len(stack), -1)).all(axis=1)))
+    stack = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
+    if (k := first_not_finite(stack)) is not None:
         raise NoiseModelError(f"{name} of measurement {k} has a number that is not finite", name, k)
     return array
 

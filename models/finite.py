@@ -11,7 +11,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import GraphError
 
-__all__ = ["finite_or_none", "numbers"]
+__all__ = ["finite_or_none", "first_not_finite", "numbers"]
 
 
 def numbers(who: str, name: str, X: npt.ArrayLike) -> Array:
@@ -45,6 +45,18 @@ def finite(who: str, name: str, X: npt.ArrayLike) -> Array:
     if not np.isfinite(array).all():
         raise GraphError(f"{who}: {name} has a number that is not finite, {array[~np.isfinite(array)][0]}")
     return array
+
+
+def first_not_finite(stack: Array) -> int | None:
+    """The first of a stack (n, ...) with a number that is not finite; None where all are.
+
+    Examples
+    --------
+    >>> first_not_finite(np.array([[1.0, 2.0], [3.0, np.nan]])), first_not_finite(np.zeros((2, 3)))
+    (1, None)
+    """
+    finite = np.isfinite(stack)
+    return None if finite.all() else int(np.argmin(finite.reshape(len(stack), -1).all(axis=1)))
 
 
 def finite_or_none(item: Any) -> Any:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
-from models.finite import numbers
+from models.finite import first_not_finite, numbers
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.se3 import SE3
 from models.manifolds.so3 import not_unit
@@ -155,7 +155,5 @@ def _shaped(name: str, x: Array, n: int, sizes: tuple[int, ...]) -> Array:
 
 
 def _finite(name: str, x: Array, cure: str = "") -> None:
-    bad = ~np.isfinite(x).all(axis=1)
-    if bad.any():
-        k = int(np.argmax(bad))
+    if (k := first_not_finite(x)) is not None:
         raise GraphError(f"integrate: {name}[{k}] is {np.squeeze(x[k]).tolist()}, expected finite numbers{cure}")
