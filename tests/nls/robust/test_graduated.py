@@ -29,7 +29,7 @@ S = np.array([1e-4, 0.3, 0.9, 1.1, 4.0, 17.0, 400.0])
 
 @pytest.fixture(scope="module")
 def city() -> sim.World:
-    return sim.manhattan(RNG(3), n_poses=400)
+    return sim.manhattan(RNG(3), n_poses=300)
 
 
 def wrong_closures(world: sim.World, count: int, rng: np.random.Generator, group: int = 1) -> Between:
@@ -178,10 +178,10 @@ def judged(world: sim.World, wrong: Between, found: Robustified) -> None:
     assert found.result.converged
 
 
-@pytest.mark.parametrize(("loss", "group"), [("tls", 10), ("gm", 1)])
-def test_exactly_the_wrong_closures_are_rejected(city: sim.World, loss: str, group: int) -> None:
+@pytest.mark.parametrize(("loss", "count", "group"), [("tls", 60, 10), ("gm", 100, 1)])
+def test_exactly_the_wrong_closures_are_rejected(city: sim.World, loss: str, count: int, group: int) -> None:
     """In another frame, from another start, the factors in another order, too."""
-    wrong = wrong_closures(city, 60, RNG(4), group)
+    wrong = wrong_closures(city, count, RNG(4), group)
     graph = FactorGraph([*city.graph.factors, wrong])
     found = nls.gnc(graph, city.truth, loss)
     judged(city, wrong, found)
@@ -199,8 +199,8 @@ def test_exactly_the_wrong_closures_are_rejected(city: sim.World, loss: str, gro
 
 
 def test_in_space() -> None:
-    world = sim.sphere(RNG(0), rings=8, per_ring=15)
-    wrong = wrong_closures(world, 30, RNG(5), 10)
+    world = sim.sphere(RNG(0), rings=6, per_ring=15)
+    wrong = wrong_closures(world, 20, RNG(5), 10)
     judged(world, wrong, nls.gnc(FactorGraph([*world.graph.factors, wrong]), world.truth))
 
 

@@ -53,11 +53,10 @@ def test_a_mission_from_its_first_pose(grown: tuple[sim.Mission, Values]) -> Non
 
 
 def test_auto_takes_it_where_dead_reckoning_is_poor(grown: tuple[sim.Mission, Values]) -> None:
-    mission = sim.hauv_floor(np.random.default_rng(1), legs=6, per_leg=40)
-    _, name, chi2 = initialize(mission.graph, mission.start)
+    mission, _ = grown
+    _, name, chi2 = initialize(mission.graph, blind(mission))
     assert (name, set(chi2)) == ("incremental", {"file", "incremental"})
     assert chi2["file"] > 100 * mission.rows > 100 * chi2["incremental"]
-    mission, _ = grown
     assert initialize(mission.graph, mission.truth)[1:] == ("file", {"file": mission.graph.chi2(mission.truth)})
 
 
@@ -98,7 +97,7 @@ def test_what_is_fixed_stays_and_order_is_nothing(grown: tuple[sim.Mission, Valu
     start = incremental(mixed, values)
     for key in (held, point):
         np.testing.assert_array_equal(start[key], values[key])
-    assert mixed.chi2(start) < mission.rows
+    assert mixed.chi2(start) < 2 * mission.rows
     every = x[np.arange(mission.poses)]
     off = [np.linalg.norm(SE3.position(v[every]) - SE3.position(mission.truth[every]), axis=1) for v in (start, values)]
     assert off[0].mean() < off[1].mean()
