@@ -147,6 +147,10 @@ def test_a_sensor_that_states_its_frame_is_read_as_ours_are(frame: str, expected
     assert [(f.place, f.value, f.reference) for f in found] == [((0, 2), 5e8, 5.0)] * (frame == "first")
 
 
+def test_a_prior_of_the_plane_without_its_heading_has_no_other_axes() -> None:
+    assert read(Prior(x[0], [1, 2, 0.5], ONE, components=("x", "y")), "x, y exchanged") is None
+
+
 def test_what_cannot_be_replaced() -> None:
     step = Between(x[0], x[1], [1, 2, 0.5], ONE)
     with pytest.raises(GraphError, match="2 measured values, expected 1"):
