@@ -67,6 +67,14 @@ class Factor(Abstract):
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
+    frame : whose axes the components x, y, z and yaw of z are along: ``world`` of one variable, ``first`` of the second
+        variable as seen from the first, ``sensor`` of a target; empty where no other reading of z makes sense.
+    opaque : True when a function of the user's alone knows its data: it cannot be sliced.
+
+    Notes
+    -----
+    Starts and analyses ask a factor for its use, never for its type. A sensor of poses implements `relative_poses`,
+    `level_steps` or `tilts`; `Sighting` has the traits of a sensor that sees targets.
     """
 
     slots: tuple[Manifold | None, ...] = ()
@@ -76,6 +84,8 @@ class Factor(Abstract):
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
     damped: ClassVar[bool] = False
+    frame: ClassVar[str] = ""
+    opaque: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         name = self.name
@@ -161,6 +171,19 @@ class Factor(Abstract):
     def relative_poses(self, model: Model) -> Array | None:
         """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
         return None
+
+    def level_steps(self, model: Model) -> Array | None:
+        """Steps (n, 3) to the second pose in the horizontal axes of the first: x, y, m, and yaw; None of others."""
+        return None
+
+    def tilts(self, model: Model) -> Array | None:
+        """z, m, pitch and roll (n, 3) of the first variable, a pose in SE3; None of other measurements."""
+        return None
+
+    def states(self, trait: str) -> bool:
+        """Whether its class implements a trait, such as ``relative_poses``, of which the default says nothing."""
+        default = next(vars(base)[trait] for base in reversed(type(self).__mro__) if trait in vars(base))
+        return getattr(type(self), trait) is not default
 
     @property
     def z(self) -> Array:

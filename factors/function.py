@@ -35,6 +35,8 @@ class _Alone(pickle.Pickler):
 class FunctionFactor(Factor):
     """A residual given as a function: h(X) = residual(X), z = 0."""
 
+    opaque = True
+
     def __init__(
         self,
         residual: Callable[..., Array],

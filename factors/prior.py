@@ -57,6 +57,7 @@ class Prior(Factor):
     """
 
     slots = (None,)
+    frame = "world"
     per_measurement = ("offset",)
 
     def __init__(

@@ -83,6 +83,7 @@ class RangeAzimuth(InSpace):
     """
 
     measures = ("range", "azimuth")
+    contact = True
 
     def sense(self, p: Array) -> tuple[Array, Array]:
         return range_azimuth(p)

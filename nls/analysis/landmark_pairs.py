@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from factors import Prior, Sighting
+from factors import Sighting
 from factors.base import Factor
 from factors.keys import Keys
 from factors.replaced import replaced
@@ -55,7 +55,7 @@ class Pair:
         ends = np.cumsum([len(rows) for rows in self.rows.values()])
         self.group = dict(zip(self.rows, np.split(group.reshape(-1), ends[:-1]), strict=True))
         self.parts = {k: graph.factors[k][rows] for k, rows in self.rows.items()}
-        priors = [f for f in graph.factors if isinstance(f, Prior) and f.keys[0].kind == pair.kind]
+        priors = [f for f in graph.factors if f.frame == "world" and f.keys[0].kind == pair.kind]
         self.priors = [f[mask] for f in priors if (mask := np.isin(f.keys[0].numbers, pair.numbers)).any()]
 
     def _relabelled(self, factor: Factor, mask: Mask) -> Factor:

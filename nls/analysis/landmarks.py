@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import RangeAzimuth
+from factors import Sighting
 from factors.keys import Keys, Kind
 from factors.sonar import first_contacts
 from models import SE3, R
@@ -171,7 +171,7 @@ def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -
     first = np.full(len(weak), np.iinfo(np.int64).max)  # number of the pose that saw it first
     for batch in pattern.batches:
         factor = batch.model.factor
-        if not isinstance(factor, RangeAzimuth) or batch.kinds[1] != kind:
+        if not isinstance(factor, Sighting) or not factor.contact or batch.kinds[1] != kind:
             continue
         pose, at = factor.keys[0].numbers, batch.index[1]
         k = first_contacts(*factor.keys[:2])  # of this batch
