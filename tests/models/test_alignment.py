@@ -161,5 +161,5 @@ def test_mistakes() -> None:
     for weights in ([1, -1, 1], [1, 1], [[[1.0, 1, 1]]], 2.0):
         with pytest.raises(GraphError, match=r"weights .*, expected \(3,\)"):
             align(v, v, weights)
-    with pytest.raises(GraphError, match="weights .* inf"):
+    with pytest.raises(GraphError, match=r"weights .* inf"):
         align(v, v, [1, np.inf, 1])

@@ -112,7 +112,8 @@ def test_errors_obey_their_covariances(sensor: str, gaps: bool) -> None:
         valid[20:47], valid[90:97] = False, False  # over a boundary, and inside of a leg
     q = integrate(tw, np.zeros_like(w), w, boundaries=tw, sigma_v=1.0, sigma_w=1.0).track([0, 0, 0, *TILTED])[:, 3:]
     t_all, t_w, boundaries = ((PERIOD * np.arange(RUNS)[:, None] + times).ravel() for times in (t, tw, b))
-    settings: dict[str, Any] = dict(mount=MOUNT, t_w=t_w, sigma_v=0.03, scale=0.01, sigma_bias=BIAS, longest=9.0)
+    settings: dict[str, Any] = {"mount": MOUNT, "t_w": t_w, "longest": 9.0}
+    settings |= {"sigma_v": 0.03, "scale": 0.01, "sigma_bias": BIAS}
 
     def run(v: Array, w: Array, q: Array, **more: Any) -> Legs:
         v, w, q = (np.broadcast_to(a, (RUNS, *a.shape[-2:])).reshape(-1, a.shape[-1]) for a in (v, w, q))

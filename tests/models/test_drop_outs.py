@@ -78,7 +78,7 @@ def test_errors_at_the_end_of_a_drop_out(rate: float) -> None:
     v[:, inside] += walk - share * walk[:, -1:]
     t = 20.2 * np.arange(runs)[:, None]  # one run after the other, in one call
     w = np.tile([0.0, 0.0, rate], (runs * len(T), 1))
-    ends = (t + [5.0, 15.0]).ravel()
+    ends = (t + np.array([5.0, 15.0])).ravel()
     true = integrate((t + T).ravel(), v.reshape(-1, 3), w, boundaries=ends, sigma_v=1e-6, sigma_w=1e-9).z[::2]
     errors = SE3.local(np.tile(end, (runs, 1)), true)[:, :3]
     nees = np.vecdot(errors @ np.linalg.inv(summed(stated)[:3, :3]), errors).mean()
