@@ -44,7 +44,7 @@ def test_names(world: sim.LandmarkWorld) -> None:
         tracked(world, "kalman")
 
 
-@for_all(landmarks=["correlated", "first-sight", "independent"])
+@for_all(landmarks=["first-sight", "independent"])
 def test_an_ekf_reads_landmarks_as_the_world_says(landmarks: str) -> None:
     given = sim.subsea(np.random.default_rng(3), laps=1, landmarks=landmarks)  # type: ignore[arg-type]
     track = tracked(given, "ekf")
@@ -52,7 +52,7 @@ def test_an_ekf_reads_landmarks_as_the_world_says(landmarks: str) -> None:
     np.testing.assert_array_equal(track.X, same.X)
     np.testing.assert_array_equal(track.P, same.P)
     sigma = errors(given, track)["sigma"]  # of the position: 2 m of the start, less what landmarks of 4 m each add
-    assert sigma == pytest.approx(2.0 if landmarks == "correlated" else (1 / 4 + 6 / 16) ** -0.5, abs=0.06)
+    assert sigma == pytest.approx((1 / 4 + 6 / 16) ** -0.5, abs=0.06)
 
 
 def test_particles_are_those_of_the_seed(world: sim.LandmarkWorld) -> None:
