@@ -25,6 +25,7 @@ from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters.base import Track, steps
 from nls.filters.ekf import EKF
 from nls.filters.map_state import MapState
+from tests.combinations import for_all
 from tests.nls.graphs import walk
 
 x, l = kinds("x", "l")
@@ -92,8 +93,7 @@ def test_it_is_the_batch_solution_of_a_linear_problem() -> None:
         assert sorted(track.landmarks.numbers.tolist()) == [2, 4]
 
 
-@pytest.mark.parametrize("group", [SE2, SE3], ids=repr)
-@pytest.mark.parametrize("first_estimates", [False, True])
+@for_all(group=[SE2, SE3], first_estimates=[False, True])
 def test_it_is_the_batch_solution_where_noise_is_small(group: LieGroup, first_estimates: bool) -> None:
     """Landmarks are added with their correlations: 1e-6 of noise leaves 1e-4 of nonlinearity at most."""
     for seed in (0, 1):
@@ -209,7 +209,7 @@ def test_the_frame_of_the_world_does_not_matter() -> None:
     """Headings and bearings that cross +-pi somewhere else."""
     world = sim.subsea(np.random.default_rng(4), laps=1, known_start=True)
     plain = EKF().run(world.graph, world.start)
-    for turn in (1.0, 2.5, -2.0):
+    for turn in (1.0, -2.0):
         T = np.array([[30.0, -20.0, turn]])
         first = Prior(x[0], SE2.compose(T, world.first.z), world.first.noise)
         graph = FactorGraph([first, *world.graph.factors[1:]])

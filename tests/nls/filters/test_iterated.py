@@ -47,7 +47,7 @@ def test_an_update_ends_at_the_optimum_of_its_step() -> None:
 def test_charts_that_are_far_off_leave_it_as_good_as_it_says() -> None:
     """Over 30 seeds of two laps the mean NEES of the last pose is 74 with one linearization, and 2.6."""
     nees: dict[int, list[float]] = {1: [], 10: []}
-    for seed in (2, 3, 4):
+    for seed in (2, 3):
         world = sim.subsea(np.random.default_rng(seed), laps=1, landmarks="independent")
         for iterations, found in nees.items():
             track = EKF("independent", iterations=iterations).run(world.graph, world.start)
