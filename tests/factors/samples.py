@@ -30,15 +30,9 @@ CASES = ["truth", "large innovation", "near identity", "residual near pi", "stat
 class Sample:
     """A factor that can be made for any number of measurements.
 
-    Parameters
-    ----------
-    name : of the test.
-    manifolds : the space of each variable.
-    space : the space of the measurement.
-    dim : numbers per residual.
+    space, dim : of the measurement, and numbers per residual.
     build : the factor of (keys, z, noise).
     truth : the measurement z (n, size) of the stacks of variables, not by way of the library's prediction.
-    convention : of the residual.
     around : where the variables are, one element (size,) each; about the identity when omitted. It keeps targets away
         from the sensor, and puts bearings where they wrap.
     visible : takes the stacks of variables to others, in which the sensor sees its targets.
