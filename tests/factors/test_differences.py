@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from factors import Factor, Isotropic, Range, check_jacobians
@@ -38,7 +38,6 @@ problems = given(
     u=st.floats(0.3, 3.0).flatmap(lambda u: st.sampled_from([u, -u])),
     offset=st.sampled_from([0.0, 1.0, 1e6]),
 )
-slow = settings(max_examples=12)  # each checks several factors
 
 
 @problems
@@ -62,7 +61,6 @@ def test_columns_are_as_exact_as_rounding_lets_them(name: str, decade: int, u: f
     assert len(calls) <= 36
 
 
-@slow
 @problems
 def test_check_refuses_the_wrong_and_never_the_exact(name: str, decade: int, u: float, offset: float) -> None:
     f, df, _ = FUNCTIONS[name]
@@ -81,7 +79,7 @@ def test_check_refuses_the_wrong_and_never_the_exact(name: str, decade: int, u: 
     with warnings.catch_warnings(record=True) as doubts:
         warnings.simplefilter("always")
         check_jacobians(Factor.from_function(residual, p[0], 2, jacobians=jacobians), values)
-        for wrong in (1.01, -1.0, 0.0):
+        for wrong in (1.01, 0.99, -1.0, 2.0, 0.0):
             mistaken = Factor.from_function(residual, p[0], 2, jacobians=lambda X, w=wrong: jacobians(X, w))
             if not doubts:
                 with pytest.raises(JacobianError, match=r"row 1, component x of p0: analytic .* difference .* \+- "):
@@ -125,7 +123,7 @@ def verdict(residual: Function, jacobian: Function, x: object) -> str:
     X = np.atleast_2d(np.asarray(x, dtype=float))
     n = X.shape[1]
     for k in range(n):
-        for wrong in (1.01, -1.0):
+        for wrong in (1.01, 0.0, -1.0):
             factors = [wrong if d == k else 1.0 for d in range(n)]
             assert outcome(residual, jacobian, X, factors) != "passed", (k, wrong)
     right = outcome(residual, jacobian, X, np.ones(n))
@@ -133,7 +131,6 @@ def verdict(residual: Function, jacobian: Function, x: object) -> str:
     return right
 
 
-@slow
 @given(
     name=st.sampled_from(sorted(SHAPES)),
     decade=st.floats(-12, 12),
@@ -169,10 +166,9 @@ def test_a_function_as_fine_as_rounding_resolves(
     assert np.abs(A[0, :, 0] - exact).max() < (1e-7 + 100 * 10.0**-digits) * np.abs(exact).max() or right == "doubted"
 
 
-@for_all(clock=[(1e3, 0.37), (1e6, 1.0), (1e9, 10.0), (1.7e9, 50.0), (1763800000.0, 1.0)])
-def test_a_clock_of_unix_seconds(clock: tuple[float, float]) -> None:
+@for_all(seconds=[1e3, 1e6, 1e9, 1.7e9, 1763800000.0], frequency=[0.37, 1.0, 10.0, 50.0])
+def test_a_clock_of_unix_seconds(seconds: float, frequency: float) -> None:
     """A phase repeats at every step that is a whole number of periods; a step between them tells."""
-    seconds, frequency = clock
     s, w = np.linspace(0, 3, 7), 2 * np.pi * frequency
 
     def residual(X: Array) -> Array:
@@ -202,7 +198,7 @@ def test_a_fine_structure_on_a_slope_is_resolved_where_larger_steps_see_the_slop
         verdict(residual, jacobian, x)
 
 
-@for_all(x=[0.0, 1e-12, 1.0])
+@for_all(x=[0.0, 1e-17, 1e-12, 1e-3, 1.0])
 def test_columns_of_extremely_different_size_have_their_own_tolerance(x: float) -> None:
     """1e16 beside 5e-9; a variable at 0 brings no rounding into the column of another."""
     t = np.linspace(0.1, 5, 6)
@@ -216,7 +212,7 @@ def test_columns_of_extremely_different_size_have_their_own_tolerance(x: float) 
     assert verdict(residual, jacobian, [x, 1e9]) == "passed"
 
 
-@for_all(large=[1e4, 1e10, 1e12, 1e14])
+@for_all(large=[1e4, 1e8, 1e10, 1e12, 1e14])
 def test_a_column_lost_in_the_rounding_of_another_is_doubted(large: float) -> None:
     def residual(X: Array) -> Array:
         return large * X[:, :1] + X[:, 1:] * [1.0, 2.0]
