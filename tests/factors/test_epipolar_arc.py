@@ -23,15 +23,15 @@ from factors import (
     Robust,
     SqrtInformation,
 )
+from factors.keys import Keys
 from models import SE2, SE3, R, euler
 from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError
 from models.sensors import cartesian, range_azimuth
 from nls import FactorGraph, LevenbergMarquardt, Marginals, Stop, Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import error, linearized, refused, same
-from tests.factors.samples import Sample, situation, whiteners
+from tests.factors.samples import Sample, around_each, derivative, situation, whiteners
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES
-from tests.factors.test_conformity import STEP
 
 Array = npt.NDArray[np.float64]
 x, l = kinds("x", "l")
@@ -105,27 +105,19 @@ def test_the_gradient_of_the_cost_is_exact_at_any_residual(
     z = z + 5 * SIGMAS * rng.normal(size=z.shape)
     z[:, 1::2] = (z[:, 1::2] + pi) % (2 * pi) - pi
     W = whiteners(m, 4, 5) / SIGMAS
-    A, b = linearized(arcs(m, z, Information(W.mT @ W), limit, offset), at(X))
+
+    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
+        O = offset if offset is None else np.tile(offset, (len(z) // m, 1))
+        return EpipolarArc(*keys, z, noise, limit, O)
+
+    sample = Sample("arcs", (SE3, SE3), SE3, 4, build, np.zeros)
+    pair = tuple(np.repeat(X[[k]], m, axis=0) for k in (0, 1))
+    A, b = linearized(sample.factor(z, Information(W.mT @ W)), sample.values(pair))
     assert 5 < np.square(b).sum(axis=1).max() < 1e4  # azimuths wrap: a turn is 1,440 sigmas
     for slot in range(2):
         gradient = 2 * np.einsum("nij,ni->nj", A[slot], b)
-        plus, minus = stepped(z, W, limit, offset, X, slot, 1e-6)
-        numeric = (np.square(minus).sum(axis=2) - np.square(plus).sum(axis=2)).T / 2e-6
-        same(gradient, numeric, rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
-
-
-def stepped(
-    z: Array, W: Array, limit: float, offset: Array | None, X: Array, slot: int, step: float
-) -> tuple[Array, Array]:
-    """b (6, n, 4) with one pose moved by a step along each axis, and by as much back: one batch of all."""
-    n, steps = len(z), step * np.concatenate([np.eye(6), -np.eye(6)])
-    moved = SE3.retract(np.tile(X[[slot]], (12, 1)), steps)
-    keys = [x[np.zeros(12 * n, dtype=int)], x[np.ones(12 * n, dtype=int)]]
-    keys[slot] = x[np.repeat(np.arange(2, 14), n)]
-    offset = offset if offset is None or offset.ndim == 1 else np.tile(offset, (12, 1))
-    factor = EpipolarArc(*keys, np.tile(z, (12, 1)), SqrtInformation(np.tile(W, (12, 1, 1))), limit, offset)
-    plus, minus = error(factor, at(np.concatenate([X, moved]))).reshape(2, 6, n, 4)
-    return plus, minus
+        plus, minus = np.square(around_each(sample, pair, z, W, slot, 1e-6)).sum(axis=3)
+        same(gradient, (minus - plus).T / 2e-6, rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("sample", ELIMINATING_SAMPLES, ids=str)
@@ -139,13 +131,8 @@ def test_conformity_where_there_is_no_residual(sample: Sample) -> None:
     A, b = linearized(factor, sample.values(X))
     same(b, 0.0, atol=1e-8)
     same(error(factor, sample.values(X)), b, atol=0)
-    steps = np.repeat(STEP * np.concatenate([np.eye(6), -np.eye(6)]), n, axis=0)
-    many = sample.factor(np.tile(z, (12, 1)), SqrtInformation(np.tile(W, (12, 1, 1))))
     for slot, A_k in enumerate(A):
-        moved = [np.tile(Y, (12, 1)) for Y in X]
-        moved[slot] = SE3.retract(moved[slot], steps)
-        plus, minus = error(many, sample.values(tuple(moved))).reshape(2, 6, n, 4)
-        same(A_k, np.moveaxis(minus - plus, 0, -1) / (2 * STEP), rtol=1e-6, atol=1e-6)
+        same(A_k, -derivative(sample, X, z, W, slot), rtol=1e-6, atol=1e-6)
     noisy = z + 3 * SIGMAS * np.random.default_rng(2).normal(size=z.shape)
     A, b = linearized(sample.factor(noisy, SqrtInformation(W)), sample.values(X))
     for k in (0, n - 1):

@@ -233,26 +233,18 @@ def test_wrong_indices_are_refused(case: tuple[Any, str]) -> None:
     refused(lambda: edges[case[0]], GraphError, case[1])
 
 
-FILES = {
-    "g2o": (
-        "PARAMS_SE3OFFSET 7 1 2 3 0 0 0 1\n"
-        + "".join(f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1\n" for k in range(4))
-        + "VERTEX_TRACKXYZ 9 4 5 6\n"
-        + "".join(f"EDGE_SE3_TRACKXYZ {k} 9 7 {k}.5 1 1 {k + 2} 0 0 3 0 4\n" for k in range(4)),
-        "EDGE_SE3_TRACKXYZ",
-    ),
-    "isam": (
-        "".join(f"EDGE3 {k} {k + 1} 1 0.{k + 1} 0 0.1 0.2 0.{k + 3} " + " ".join(["3"] * 21) + "\n" for k in range(4)),
-        "EDGE3",
-    ),
-}
-
-
 @pytest.mark.filterwarnings("ignore:.*files hold measurements only")
-@pytest.mark.parametrize("dialect", FILES)
-def test_lines_of_a_file_go_along(dialect: str, tmp_path: Path) -> None:
+def test_lines_of_a_file_go_along(tmp_path: Path) -> None:
     """The numbers of the lines a factor was read from, which writing gives back digit by digit."""
-    text, tag = FILES[dialect]
+    edges = [f"EDGE3 {k} {k + 1} 1 0.{k + 1} 0 0.1 0.2 0.{k + 3}" + 21 * " 3" for k in range(4)]
+    points = [f"EDGE_SE3_TRACKXYZ {k} 9 7 {k}.5 1 1 {k + 2} 0 0 3 0 4" for k in range(4)]
+    poses = [f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1" for k in range(4)]
+    offset = ["PARAMS_SE3OFFSET 7 1 2 3 0 0 0 1", "VERTEX_TRACKXYZ 9 4 5 6"]
+    for dialect, text in (("g2o", [*offset, *poses, *points]), ("isam", edges)):
+        lines_go_along(dialect, "\n".join(text) + "\n", text[-1].split()[0], tmp_path)
+
+
+def lines_go_along(dialect: str, text: str, tag: str, tmp_path: Path) -> None:
     (tmp_path / "whole.txt").write_text(text)
     graph, values, _ = nls.load(tmp_path / "whole.txt", dialect=dialect)
     (factor,) = graph.factors
