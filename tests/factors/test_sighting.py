@@ -42,33 +42,6 @@ def plane(**more: object) -> Values:
     return Values({x: (SE2, [[1.0, 2.0, pi / 2], [0, 0, 0], [0, 0, 0]]), l: (R(2), [[1.0, 5.0], [4.0, 2.0]]), **more})
 
 
-def test_predictions_by_hand() -> None:
-    """The sensor is at (1, 2.5) and looks along -x: l0 is 2.5 m to its -y, l1 is 3 m behind it and 0.5 m to its +y."""
-    behind = np.arctan2(0.5, -3.0)
-    for factor, h in (
-        (Landmark(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[0.0, -2.5], [-3.0, 0.5]]),
-        (Range(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[2.5], [np.hypot(3.0, 0.5)]]),
-        (Bearing(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2], [behind]]),
-        (BearingRange(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2, 2.5], [behind, np.hypot(3.0, 0.5)]]),
-    ):
-        same(error(factor, plane()), -np.array(h), atol=1e-14)
-
-
-def test_every_measurement_may_have_its_own_offset() -> None:
-    rng = np.random.default_rng(1)
-    for group in (SE2, SE3):
-        X, L = group.exp(rng.normal(size=(2, group.dim))), rng.normal(size=(2, group.point_dim)) + 6
-        O = group.exp(rng.normal(size=(2, group.dim)))
-        values = Values({x: (group, X), l: (R(group.point_dim), L)})
-        for kind in KINDS:
-            z = np.zeros(NUMBERS[kind][group.point_dim - 2])
-            A, b = linearized(kind(x[0:2], l[0:2], z, UNIT, offset=O), values)
-            for k in range(2):
-                A_one, b_one = linearized(kind(x[k], l[k], z, UNIT, offset=O[k]), values)
-                for several, one in zip((*A, b), (*A_one, b_one), strict=True):
-                    same(several[[k]], one, atol=1e-14)
-
-
 @for_all(group=[SE2, SE3], kind=KINDS)
 def test_residuals_do_not_change_when_everything_is_moved(kind: type[Sighting], group: LieGroup) -> None:
     rng = np.random.default_rng(2)

@@ -33,7 +33,7 @@ from models.errors import GraphError, NoiseModelError, OptionError, SingularGeom
 from models.sensors import DIDSON_HIGH, cartesian, range_azimuth, spherical
 from nls import FactorGraph, GaussNewton, Marginals, Values, kinds
 from tests.combinations import for_all
-from tests.factors.evaluated import error, linearized, refused, same
+from tests.factors.evaluated import linearized, refused, same
 
 Array = npt.NDArray[np.float64]
 x, l, o = kinds("x", "l", "o")
@@ -50,36 +50,6 @@ def poses(*e: list[float]) -> Array:
 def contacts_of(X: Array, L: Array) -> Array:
     """(r, az, el) (n, k, 3) of points L (k, 3) at poses X (n, 7)."""
     return np.array([spherical(SE3.act(SE3.inverse(X[[i]]), L))[0] for i in range(len(X))])
-
-
-def test_the_error_of_every_factor_by_hand() -> None:
-    """A vehicle at 5 m depth heading east, its target 3 m ahead and 4 m below; then one step north, turned to north."""
-    X = poses([0.1, 0.0, pi / 2, 1.0, 2.0, 5.0], [0.0, -0.2, 0.0, 2.0, 2.0, 6.0])
-    values = Values({x: (SE3, X), l: (R(3), [[1.0, 5.0, 9.0]]), o: (SE3, poses([-0.1, 0, 0, 0, 0, 0]))})
-    upright = poses([-0.1, 0.0, 0.0, 0.0, 0.0, 0.0])[0]  # a mounting that takes the roll of the vehicle back
-    down = np.arctan2(4.0, 3.0)
-    for factor, e in (
-        (XYH(x[0], x[1], [1.0, 2.0, 0.0], UNIT), [1.0, 3.0, pi / 2]),
-        (ZPR(x[[0, 1]], [[5.5, 0.0, 0.0], [6.0, 0.2, 0.1]], UNIT), [[0.5, 0.0, -0.1], [0.0, 0.4, 0.1]]),
-        (RangeAzimuth(x[0], l[0], [5.5, 0.25], UNIT, upright), [0.5, 0.25]),
-        (RangeAzimuth(x[0], l[0], [5.5, 0.25], UNIT, o[0]), [0.5, 0.25]),
-        (Elevation(x[0], l[0], 0.0, UNIT, upright), [-down]),
-        (ElevationHinge(x[0], l[0], 0.5, 0.1, upright), [-(down - 0.5) / 0.1]),
-        (ElevationHinge(x[0], l[0], 1.0, 0.1, o[0]), [0.0]),
-    ):
-        same(error(factor, values), np.atleast_2d(e), atol=1e-12)
-
-
-def test_differences_of_heading_and_tilt_wrap() -> None:
-    values = Values({x: (SE3, poses([0, 0, 3.1, 0, 0, 0], [3.1, 0, -3.1, 0, 0, 0]))})
-    for factor, component, e in (
-        (XYH(x[0], x[1], [0, 0, 0.1], UNIT), 2, 0.1 - (2 * pi - 6.2)),
-        (XYH(x[0], x[1], [0, 0, 0.1], UNIT, form="relative"), 2, None),
-        (ZPR(x[1], [0, 0, -3.1], UNIT), 2, 2 * pi - 6.2),
-    ):
-        b = error(factor, values)[0, component]
-        assert abs(b) <= pi
-        assert e is None or b == pytest.approx(e)
 
 
 @for_all(
