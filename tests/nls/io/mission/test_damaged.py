@@ -22,7 +22,7 @@ from tests.nls.io.mission.mission_files import TINY, folder, raw
 
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "--1", "north", "1 2", '"1"', "1;2", '"', "-"]
 WORDS = [*EXOTIC, "nan", "#", ",", ",,", ""]
-NUMBERS = "0 -1 9 1e308 1e-308 3.5 007 9223372036854775807 9223372036854775808 1e160".split()
+NUMBERS = ["0", "-1", "9", "1e308", "1e-308", "3.5", "007", "9223372036854775807", "9223372036854775808", "1e160"]
 
 FOLDERS: list[tuple[dict[str, str | None], str]] = [
     ({"zpr": None}, r"m: has no zpr\.csv"),
@@ -128,7 +128,7 @@ def test_a_damaged_file(case: list[str], tmp_path: Path) -> None:
     files = TINY if name in TINY else raw()
     assert old in files[name]
     place = folder(tmp_path / ("m" if name in TINY else "log"), {**files, name: files[name].replace(old, new, 1)})
-    assert_refused(lambda: nls.load(place), int(line), words, f"{name}.csv")
+    assert assert_refused(int(line), words, nls.load, place).path == str(place / f"{name}.csv")
 
 
 def test_a_log_that_is_not_there_or_too_short(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_a_log_that_is_not_there_or_too_short(tmp_path: Path) -> None:
         ("2,1\n", 2, "one pose"),
     ):
         place = folder(tmp_path / "poses", raw(), poses="i,time_s\n" + poses)
-        assert_refused(lambda place=place: nls.load(place), line, words, "poses.csv")  # type: ignore[misc]
+        assert assert_refused(line, words, nls.load, place).path.endswith("poses.csv")
     files = raw(lost=(5.0, 8.0))  # velocities without bottom lock may be anything
     assert nls.load(folder(tmp_path / "m", files, dvl=files["dvl"].replace("99.0", "1e308")))[1]
 
@@ -181,7 +181,7 @@ def test_no_exotic_number_gets_through(tmp_path: Path) -> None:
             for word in ("nan", EXOTIC[turn % len(EXOTIC)]):
                 damaged = "\n".join([*lines[:-1], ",".join([*cells[:k], word, *cells[k + 1 :]])])
                 place = folder(tmp_path / "m", **{file: damaged})
-                assert_refused(lambda place=place: nls.load(place), len(lines), "", f"{file}.csv")  # type: ignore[misc]
+                assert assert_refused(len(lines), "", nls.load, place).path.endswith(f"{file}.csv")
         folder(tmp_path / "m")
 
 
