@@ -16,7 +16,7 @@ from nls import FactorGraph, GraphError, GraphFileError, GraphWarning, Values, k
 from nls.io.files import write_bytes
 from tests.combinations import for_all
 from tests.nls.graphs import pose_graph
-from tests.nls.io.g2o_files import CONVENTIONS, PLANE, again, read, same, write
+from tests.nls.io.g2o_files import PLANE, again, read, same, write
 
 x, l = kinds("x", "l")
 
@@ -33,16 +33,6 @@ def test_graphs_made_in_python_are_written(group: LieGroup, isotropic: bool, tmp
     assert np.array_equal(values[x], sample.values[x])
     assert read_back.chi2(values) == pytest.approx(graph.chi2(sample.values), rel=1e-12)
     assert [repr(keys) for keys in read_back.fixed] == ["x2"]
-
-
-@for_all(convention=CONVENTIONS)
-def test_read_write_read_of_a_graph_made_in_python(convention: str, tmp_path: Path) -> None:
-    sample = pose_graph(SE3, anchored=False)
-    edge = sample.graph.factors[0]
-    graph = FactorGraph([Between(*edge.keys, edge.z, Isotropic(0.3), convention)])  # type: ignore[attr-defined, arg-type]
-    save(tmp_path / "out.g2o", graph, sample.values)
-    first = load(tmp_path / "out.g2o", convention)
-    same(first, again(first, tmp_path, convention))
 
 
 def test_what_the_format_cannot_hold(tmp_path: Path) -> None:

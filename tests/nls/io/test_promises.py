@@ -165,6 +165,8 @@ def test_lines_in_any_order_and_unknown_tags(name: str, tmp_path: Path) -> None:
     assert len(two[0]) == len(one[0])
     numbers = [{k: sorted(s.numbers.tolist()) for k, s in values.stacks.items()} for _, values, _ in (one, two)]
     assert numbers[0] == numbers[1]
+    fixed = [sorted(repr(k) for keys in graph.fixed for k in keys) for graph, _, _ in (one, two)]
+    assert fixed[0] == fixed[1]
     with pytest.warns(GraphWarning, match=r"EDGE_WHATEVER \(2, first"):
         loaded = load(write(tmp_path, text + "EDGE_WHATEVER 1 2 three\nEDGE_WHATEVER 4\n"), dialect=dialect)
     assert loaded[2].ignored == ["EDGE_WHATEVER 1 2 three", "EDGE_WHATEVER 4"]

@@ -107,7 +107,7 @@ def test_numbers_are_turned_again_where_something_changed(tmp_path: Path) -> Non
     assert np.array(first[4:], dtype=float) == pytest.approx(np.array(text.split("\n")[0].split()[4:], dtype=float))
 
 
-@for_all(dialect=["toro", "isam", "isam-covariance", "graph"], convention=CONVENTIONS, group=[SE2, SE3])
+@for_all(dialect=["g2o", "toro", "isam", "isam-covariance", "graph"], convention=CONVENTIONS, group=[SE2, SE3])
 def test_graphs_made_in_python_are_written_in_every_dialect(
     dialect: str, convention: str, group: LieGroup, tmp_path: Path
 ) -> None:

@@ -162,12 +162,6 @@ def test_any_bytes_can_be_split(data: bytes) -> None:
 CONTENT = b"VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 
 
-def test_plain_compressed_and_marked_files_are_the_same(tmp_path: Path) -> None:
-    for data in (CONTENT, gzip.compress(CONTENT), b"\xef\xbb\xbf" + CONTENT, gzip.compress(b"\xef\xbb\xbf" + CONTENT)):
-        assert read_bytes(write(tmp_path, data)) == CONTENT
-        assert read_bytes(str(write(tmp_path, data))) == CONTENT
-
-
 def test_bytes_that_are_no_text(tmp_path: Path) -> None:
     def refused(data: bytes, message: str) -> None:
         with pytest.raises(GraphFileError, match=rf"graph\.g2o.*{message}"):
