@@ -220,13 +220,13 @@ def test_many_unknown_tags_are_a_short_warning() -> None:
 
 @for_all(line=["{k}.5,{k},7", "{k} 1 2", "word-{k}-word-{k}-word-{k}-word-{k}-word-{k}-word-{k}-{k}"])
 def test_a_large_table_is_refused_at_once(line: str) -> None:
-    n = 30_000
+    n = 15_000
     data = "\n".join(line.format(k=n + k) for k in range(n)).encode()
     started = process_time()
     with pytest.raises(GraphFileError, match="is no graph"):
         read_graph(data, "f.csv")
     _, _, report = read_graph(TWO.encode() + data, "f.csv")
-    assert process_time() - started < 1.5
+    assert process_time() - started < 1.0
     assert "unknown tags" in report.warnings[0]
     assert len(report.ignored) == n
 

@@ -37,7 +37,7 @@ WORDS = [
 ]
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "1,5", "--1"]
 names = st.sampled_from(list(ALL))
-damage = settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+damage = settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
 
 
 def read_or_refused(data: bytes, dialect: str) -> bool:
