@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from factors import Factor
-from nls import FactorGraph, GraphWarning, LoadReport, Values, load, save
+from nls import FactorGraph, GraphFileError, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
 
 INFORMATION_2 = "500 1 2 400 3 300"
@@ -37,6 +39,24 @@ def quoted(line: str) -> str:
     """A line as errors quote it: whole words, 80 characters at most."""
     line = line.strip()
     return line if len(line) <= 80 else f"{line[:77].rpartition(' ')[0]} ..."
+
+
+def cases(text: str) -> list[list[str]]:
+    """The rows of a table as cells: bars separate them, and a backslash and n end a line within one."""
+    return [
+        [cell.strip(" ").replace("\\n", "\n") for cell in row.split(" | ")] for row in text.strip("\n").splitlines()
+    ]
+
+
+def assert_refused(
+    line: int | None, words: str, reader: Callable[..., object], *given: object, **named: object
+) -> GraphFileError:
+    """The reader raises an error of a file with this line, and with these words: a name, a key or a number."""
+    with pytest.raises(GraphFileError) as caught:
+        reader(*given, **named)
+    assert caught.value.line == line, str(caught.value)
+    assert words in str(caught.value)
+    return caught.value
 
 
 def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:
