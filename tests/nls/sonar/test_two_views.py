@@ -214,16 +214,22 @@ def test_a_roll_tells_the_sides_apart() -> None:
     np.testing.assert_allclose(found.h[0, :, 2], h[:, 2], atol=1e-4)
 
 
-@for_all(motion=[GENERAL, [0.5, 0, 0, 0, 0, 0], [0, 0, 0.4, 0, 0, 0]])
-def test_the_information_is_what_the_errors_say(motion: list[float]) -> None:
-    """z against the truth over 16 seeds: squared errors under the information, against their number of directions."""
-    total, directions = 0.0, 0
-    for seed in range(16):
-        found, T = solved(motion, seed, MOUNT)
-        assert found.converged
-        e = SE3.local(found.z, T)
-        total, directions = total + e @ found.information @ e, directions + int(found.kept_directions.sum())
-    assert abs(total - directions) < 3.3 * np.sqrt(2 * directions), (total, directions)
+def test_the_information_is_what_the_errors_say() -> None:
+    """z against the truth over 8 seeds: squared errors under the information, against their number of directions.
+
+    By motion, and for all motions together, where half or twice the information is too far off.
+    """
+    counts = np.zeros((3, 2))
+    for n, motion in enumerate((GENERAL, [0.5, 0, 0, 0, 0, 0], [0, 0, 0.4, 0, 0, 0])):
+        for seed in range(8):
+            found, T = solved(motion, seed, MOUNT)
+            assert found.converged
+            e = SE3.local(found.z, T)
+            counts[n] += e @ found.information @ e, found.kept_directions.sum()
+    for total, directions in (*counts, counts.sum(axis=0)):
+        assert abs(total - directions) < 3.3 * np.sqrt(2 * directions), counts
+    total, directions = counts.sum(axis=0)
+    assert 3.3 * np.sqrt(2 * directions) < directions / 2
 
 
 def test_weak_points_are_said_to_be_weak_by_the_aperture_not_by_their_number() -> None:
