@@ -203,16 +203,6 @@ def test_a_weak_prior_is_named_as_such(solver: str, case: tuple[int, float]) -> 
     assert actions(weaker)[0] == "smaller sigma"
 
 
-def test_without_rotation_information_yaw_is_free() -> None:
-    X = walk(SE2, 4, np.random.default_rng(6))
-    noise = Diagonal([0.1, 0.1, 0.1])
-    graph = FactorGraph([Prior(x[k], X[k], Isotropic(0.1), components=["x", "y"]) for k in range(4)])
-    graph.add(Between(x[[0, 1]], x[[1, 2]], SE2.between(X[:2], X[1:3]), noise))
-    error = refused(graph, Values({x: (SE2, X)}), gauge="first")
-    assert names(error) == ["x3"]
-    assert error.components == ("x3: yaw",)
-
-
 def test_a_long_chain_that_bends_easily_is_not_free() -> None:
     """3,000 poses held at one end alone: a soft bending mode, but only the floating pair behind it is free."""
     n = 3000

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-import nls
 import sim
 from factors import Between, Diagonal, Isotropic, Landmark, Prior, RangeAzimuth
 from models import SE2, SE3, R, euler
@@ -148,14 +147,6 @@ def test_the_step_is_the_one_of_the_formula(tau: float) -> None:
         left_out += int(weak.sum())
         assert np.abs(V[:, weak].T @ dx[b]).max(initial=0.0) < 1e-12
     assert left_out >= 2
-
-
-def test_where_nothing_is_weak_the_step_is_the_usual_one() -> None:
-    graph, _, start = mission(np.random.default_rng(5), np.linspace(-0.4, 0.4, 6), roll=0.3, heave=0.3)
-    assert not landmark_information(graph, start, l).degenerate().any()
-    system = graph.linearize(start)
-    dx = Schur(block_inverse=truncated_inverse).analyze(system.pattern).solve(system).dx
-    np.testing.assert_allclose(dx, nls.gauss_newton_step(system), rtol=1e-6)
 
 
 def test_information_of_a_landmark_is_its_block_of_AtA() -> None:

@@ -85,8 +85,8 @@ def test_contacts_of_a_sonar_in_space() -> None:
     target = mission.contacts.keys[1].numbers[spoiled.wrong]
     assert {int(key.numbers[0]) for swap in swaps for key in (swap.first, swap.second)} == set(target.tolist())
     assert all(len(swap.places) == 4 for swap in swaps)
-    mission = sim.hauv_floor(np.random.default_rng(1), legs=1, per_leg=8)
-    false = sim.false_contacts(mission, 0.005, np.random.default_rng(1))
+    mission = sim.hauv_floor(np.random.default_rng(1), legs=1, per_leg=5)
+    false = sim.false_contacts(mission, 0.01, np.random.default_rng(1))
     assert named(false.graph, false.start) == ()
 
 

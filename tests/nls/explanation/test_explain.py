@@ -9,7 +9,7 @@ import pytest
 
 import nls
 import sim
-from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Range, Robust, Tukey
+from factors import BearingRange, Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Range, Tukey
 from factors.robust import Kernel
 from models import SE2, SE3, R
 from models.algebra import Array
@@ -41,8 +41,7 @@ def test_a_good_graph_is_good() -> None:
     assert kinds(explanation) == ["unchecked"]
     assert explanation.findings[0].keys == (x[38], x[39])
     assert explanation.report().startswith("117 unknowns, all determined. chi2, 42.27, is as expected.\n")
-    json.dumps(explanation.record(), allow_nan=False)
-    assert json.loads(json.dumps(explanation.record()))["parts"][0]["name"] == "Between, steps"
+    assert json.loads(json.dumps(explanation.record(), allow_nan=False))["parts"][0]["name"] == "Between, steps"
 
 
 @for_all(seed=range(2))
@@ -106,15 +105,6 @@ def test_one_landmark_under_two_numbers() -> None:
             }
 
 
-def test_a_closure_read_the_wrong_way_round() -> None:
-    graph, start = ring()
-    X = graph.optimize(start).values
-    graph.add(Between(x[35], x[10], SE2.between(X[x[[10]]], X[x[[35]]])[0], NOISE))
-    (finding,) = (found for found in explained(graph, start).findings if found.kind == "wrong_closure")
-    assert finding.numbers["readings"] == ("exchanged",)
-    assert [advice.action for advice in finding.advice] == ["swap"]
-
-
 def test_in_a_single_loop_nothing_tells_the_wrong_one() -> None:
     k = np.arange(4)
     z = np.array([[2, 0, np.pi / 2], [2, 0, np.pi / 2], [2, 0, np.pi / 2], [5, 0, np.pi / 2]])
@@ -147,6 +137,7 @@ def test_a_kernel_that_rejects_most_is_not_recommended_itself(kernel: Kernel) ->
     robust = FactorGraph([factor.robust(kernel) for factor in graph.factors])
     (finding, *_) = (found for found in nls.explain(robust, start).findings if found.kind == "rejected")
     assert finding.numbers["kernel"] == repr(kernel)
+    assert finding.numbers["of"] >= finding.numbers["off"] > finding.numbers["of"] / 2
     assert ("gentle kernel" in {advice.action for advice in finding.advice}) == isinstance(kernel, Tukey)
 
 
@@ -230,6 +221,7 @@ def test_values_that_are_no_optimum() -> None:
     assert explanation.promised > 1
     assert explanation.suspects == ()
     assert explanation.report().startswith("117 unknowns, all determined. The values are no optimum.")
+    assert json.dumps(explanation.record(), allow_nan=False)
 
 
 def test_repetitions_across_batches() -> None:
@@ -240,16 +232,6 @@ def test_repetitions_across_batches() -> None:
     (finding,) = (found for found in explained(graph, start).findings if found.kind == "repeated")
     assert finding.numbers["count"] == 3
     assert set(finding.keys) == {keys[[k]] for keys in closures.keys for k in (2, 4)}
-
-
-def test_a_kernel_that_rejects_everything() -> None:
-    k = np.arange(4)
-    step = Between(x[k], x[(k + 1) % 4], [2, 0, np.pi / 2], Robust(Isotropic(0.01), Tukey(1)))
-    graph = FactorGraph([Prior(x[0], [0, 0, 0], Isotropic(0.1)), step])
-    explanation = nls.explain(graph, Values({x: (SE2, np.zeros((4, 3)))}))
-    assert explanation.nullity == 9
-    assert kinds(explanation)[0] == "rejected"
-    assert [explanation.findings[0].numbers[name] for name in ("kernel", "off", "of")] == ["Tukey(1)", 4, 4]
 
 
 def test_parts_and_variables_that_nothing_joins() -> None:

@@ -90,10 +90,3 @@ def test_every_field_is_described_and_none_is_left_over() -> None:
         assert set(described["required"]) <= set(described["properties"])
         for name, field in described["properties"].items():
             assert field.get("description"), name
-
-
-def test_numbers_that_are_not_finite_are_null() -> None:
-    world = sim.ring(np.random.default_rng(0), laps=2, per_lap=10)
-    record = nls.explain(world.graph, world.start).record()
-    assert "NaN" not in json.dumps(record)
-    assert "Infinity" not in json.dumps(record)
