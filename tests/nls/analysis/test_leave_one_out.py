@@ -117,11 +117,12 @@ def test_the_shares_are_the_degrees_of_freedom(group: object, held: bool) -> Non
 
 
 def test_zero_rows_measure_nothing() -> None:
-    """An information without one direction: a number less, for all that counts them."""
+    """An information without one direction: a number less, for all that counts them. One of zeros is not unchecked."""
     omega = np.diag([100.0, 100.0, 0.0])
     k = np.arange(4)
     graph = FactorGraph([Between(x[k], x[(k + 1) % 4], [2.0, 0, np.pi / 2], Isotropic(0.1))])
     graph.add(Between(x[0], x[2], [2.1, 2, np.pi], Information(omega)))
+    graph.add(Between(x[1], x[3], [9.0, 9, 1], Information(0 * omega)))
     values = Values({x: (SE2, [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, np.pi], [0, 2, -np.pi / 2]])})
     result = graph.optimize(values)
     explanation = nls.explain(graph, result.values)
@@ -130,8 +131,10 @@ def test_zero_rows_measure_nothing() -> None:
     assert sum(part.expected for part in explanation.parts) == pytest.approx(result.dof) == 5
     worst = next(w for w in explanation.worst if w.factor == "Between(x0, x2)")
     assert worst.normalized > worst.sigmas > 0
-    test = checks(checked(graph, result.values), 2)
+    test = checks(checked(graph, result.values), 3)
     assert (test[1].m.tolist(), test[1].rows.tolist()) == ([2], [2])
+    assert (test[2].m.tolist(), test[2].rows.tolist()) == ([0], [0])
+    assert "unchecked" not in {finding.kind for finding in explanation.findings}
     assert test[1].dof == pytest.approx(2 - np.trace(checked(graph, result.values).C[1][0]))
 
 

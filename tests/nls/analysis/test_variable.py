@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sim
-from factors import BundleProjection, Factor, Isotropic, Projection, RangeAzimuth, SqrtInformation
+from factors import BundleProjection, Covariance, Factor, Isotropic, Prior, Projection, RangeAzimuth, SqrtInformation
 from factors.predicted import predicted
 from models import SE3, R
 from models.algebra import Array
@@ -129,6 +129,13 @@ def test_bound_is_the_marginal_covariance() -> None:
     for key, frame in ((x[1], "body"), (l[3], None)):
         expected = Marginals(graph, values).covariance(key, frame=frame)
         np.testing.assert_allclose(observability(graph, values, key).covariance, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_correlations_are_named() -> None:
+    for r, notes in ((-0.95, ["x and y, -0.950"]), (0.8, [])):
+        prior = Prior(l[0], [1.0, 2.0], Covariance([[4.0, 2 * r], [2 * r, 1.0]]))
+        found = observability(FactorGraph([prior]), Values({l: (R(2), [1.0, 2.0])}), l[0])
+        assert re.findall("correlated: (.*)", str(found)) == notes
 
 
 def test_known_is_all_else_held() -> None:
