@@ -33,6 +33,7 @@ from models.manifolds.so3 import rotation3
 from nls import FactorGraph, Values, kinds
 from nls.analysis.readings import READINGS
 from nls.analysis.scales import outsized
+from tests.combinations import for_all
 
 x, l = kinds("x", "l")
 ONE = Isotropic(0.1)
@@ -60,9 +61,8 @@ def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
     return reading.read(values.gather(factor)[0])
 
 
-@pytest.mark.parametrize(
-    ("factor", "name", "z"),
-    [
+@for_all(
+    case=[
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "transposed", [1, 2, -0.5]),
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "y flipped", [1, -2, -0.5]),
         (Prior(x[0], [1, 2, 0.5], ONE), "x, y exchanged", [2, 1, np.pi / 2 - 0.5]),
@@ -75,7 +75,8 @@ def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
         (Wheels(x[0], x[1], [1.1, 0.9], ONE, base=0.5), "y flipped", [0.9, 1.1, 0]),
     ],
 )
-def test_in_the_plane(factor: Factor, name: str, z: list[float]) -> None:
+def test_in_the_plane(case: tuple[Factor, str, list[float]]) -> None:
+    factor, name, z = case
     meant = read(factor, name)
     assert meant is not None
     assert np.allclose(meant.z.reshape(-1), z)
@@ -84,17 +85,14 @@ def test_in_the_plane(factor: Factor, name: str, z: list[float]) -> None:
     assert np.allclose(again.z.reshape(-1), PLANE.gather(factor)[0].z.reshape(-1))
 
 
-@pytest.mark.parametrize("axis", [1, 2])
-def test_a_reflection_in_space(axis: int) -> None:
-    M = np.eye(3)
-    M[axis, axis] = -1
-    meant = read(Between(x[0], x[1], POSE, ONE), f"{'xyz'[axis]} flipped", SPACE)
-    assert meant is not None
-    assert np.allclose(meant.z[0, :3], M @ POSE[:3])
-    assert np.allclose(rotation3(meant.z[0, 3:]), M @ rotation3(POSE[3:]) @ M)
-
-
-def test_a_transposed_rotation_in_space() -> None:
+def test_reflections_and_a_transposed_rotation_in_space() -> None:
+    for axis in (1, 2):
+        M = np.eye(3)
+        M[axis, axis] = -1
+        meant = read(Between(x[0], x[1], POSE, ONE), f"{'xyz'[axis]} flipped", SPACE)
+        assert meant is not None
+        assert np.allclose(meant.z[0, :3], M @ POSE[:3])
+        assert np.allclose(rotation3(meant.z[0, 3:]), M @ rotation3(POSE[3:]) @ M)
     meant = read(Between(x[0], x[1], POSE, ONE), "transposed", SPACE)
     assert meant is not None
     assert np.allclose(meant.z[0, :3], POSE[:3])
@@ -110,9 +108,8 @@ def test_variables_exchanged() -> None:
     assert np.allclose(meant.offset[0], offsets[1])
 
 
-@pytest.mark.parametrize(
-    ("factor", "names"),
-    [
+@for_all(
+    case=[
         (Between(x[0], x[1], POSE, ONE), {"exchanged", "transposed", "y flipped", "z flipped"}),
         (XYH(x[0], x[1], [1, 0, 0.1], ONE), {"exchanged", "transposed", "y flipped"}),
         (ZPR(x[0], [1, 0, 0.1], ONE), {"z flipped"}),
@@ -121,7 +118,8 @@ def test_variables_exchanged() -> None:
         (Prior(l[0], [1, 2, 3], ONE), {"y flipped", "z flipped", "x, y exchanged"}),
     ],
 )
-def test_readings_that_make_sense(factor: Factor, names: set[str]) -> None:
+def test_readings_that_make_sense(case: tuple[Factor, set[str]]) -> None:
+    factor, names = case
     assert {reading.name for reading in READINGS if read(factor, reading.name, SPACE) is not None} == names
 
 
