@@ -8,7 +8,7 @@ problem 11 is misprinted there, this is the one that MINPACK's tests use and tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +72,7 @@ def brown_badly_scaled(x: Array) -> Array:
 
 
 def beale(x: Array) -> Array:
-    y, i = column([1.5, 2.25, 2.625]), count(3)
+    y, i = numbers("1.5 2.25 2.625"), count(3)
     return y - x[0] * (1 - x[1] ** i)
 
 
@@ -88,22 +88,20 @@ def helical_valley(x: Array) -> Array:
 
 
 def bard(x: Array) -> Array:
-    y = column([0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39, 0.37, 0.58, 0.73, 0.96, 1.34, 2.10, 4.39])
+    y = numbers("0.14 0.18 0.22 0.25 0.29 0.32 0.35 0.39 0.37 0.58 0.73 0.96 1.34 2.10 4.39")
     u = count(15)
     v = 16 - u
     return y - (x[0] + u / (v * x[1] + np.minimum(u, v) * x[2]))
 
 
 def gaussian(x: Array) -> Array:
-    half = [0.0009, 0.0044, 0.0175, 0.0540, 0.1295, 0.2420, 0.3521]
-    t, y = (8 - count(15)) / 2, column([*half, 0.3989, *half[::-1]])
+    half = numbers("0.0009 0.0044 0.0175 0.0540 0.1295 0.2420 0.3521 0.3989")
+    t, y = (8 - count(15)) / 2, np.concatenate([half, half[-2::-1]])
     return x[0] * np.exp(-x[1] * (t - x[2]) ** 2 / 2) - y
 
 
 def meyer(x: Array) -> Array:
-    y = [34780, 28610, 23650, 19630, 16370, 13720, 11540, 9744, 8261, 7030, 6005, 5147, 4427, 3820, 3307, 2872]
-    t = 45 + 5 * count(16)
-    return x[0] * np.exp(x[1] / (t + x[2])) - column(y)
+    return x[0] * np.exp(x[1] / (45 + 5 * count(16) + x[2])) - MEYER
 
 
 def gulf_research(x: Array) -> Array:
@@ -130,9 +128,8 @@ def wood(x: Array) -> Array:
 
 
 def kowalik_osborne(x: Array) -> Array:
-    y = column([0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246])
-    u = column([4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625])
-    return y - x[0] * (u * u + u * x[1]) / (u * u + u * x[2] + x[3])
+    u = numbers("4 2 1 0.5 0.25 0.167 0.125 0.1 0.0833 0.0714 0.0625")
+    return KOWALIK_OSBORNE - x[0] * (u * u + u * x[1]) / (u * u + u * x[2] + x[3])
 
 
 def brown_dennis(x: Array) -> Array:
@@ -253,46 +250,21 @@ def count(n: int) -> Array:
     return np.arange(1.0, n + 1)[:, None]
 
 
-def column(y: Sequence[float]) -> Array:
-    """Data as a column."""
-    return np.array(y)[:, None]
+def numbers(text: str) -> Array:
+    """Data, one number after the other, as a column."""
+    return np.array(text.split(), dtype=float)[:, None]
 
 
-OSBORNE_1 = column(
-    (
-        *[844, 908, 932, 936, 925, 908, 881, 850, 818, 784, 751, 718, 685, 658, 628, 603, 580],
-        *[558, 538, 522, 506, 490, 478, 467, 457, 448, 438, 431, 424, 420, 414, 411, 406],
-    )
+MEYER = numbers("34780 28610 23650 19630 16370 13720 11540 9744 8261 7030 6005 5147 4427 3820 3307 2872")
+KOWALIK_OSBORNE = numbers("0.1957 0.1947 0.1735 0.16 0.0844 0.0627 0.0456 0.0342 0.0323 0.0235 0.0246")
+OSBORNE_1 = numbers(
+    "844 908 932 936 925 908 881 850 818 784 751 718 685 658 628 603 580 558 538 522 506 490 478 467 457 448 438 "
+    "431 424 420 414 411 406"
 )
-OSBORNE_2 = column(
-    (
-        *[
-            1366,
-            1191,
-            1112,
-            1013,
-            991,
-            885,
-            831,
-            847,
-            786,
-            725,
-            746,
-            679,
-            608,
-            655,
-            616,
-            606,
-            602,
-            626,
-            651,
-            724,
-            649,
-            649,
-        ],
-        *[694, 644, 624, 661, 612, 558, 533, 495, 500, 423, 395, 375, 372, 391, 396, 405, 428, 429, 523, 562, 607, 653],
-        *[672, 708, 633, 668, 645, 632, 591, 559, 597, 625, 739, 710, 729, 720, 636, 581, 428, 292, 162, 98, 54],
-    )
+OSBORNE_2 = numbers(
+    "1366 1191 1112 1013 991 885 831 847 786 725 746 679 608 655 616 606 602 626 651 724 649 649 694 644 624 661 "
+    "612 558 533 495 500 423 395 375 372 391 396 405 428 429 523 562 607 653 672 708 633 668 645 632 591 559 597 "
+    "625 739 710 729 720 636 581 428 292 162 98 54"
 )
 
 

@@ -1,4 +1,4 @@
-"""The undamped step of the damped methods, the fall that a linear system promises, and the damping of a singular one."""
+"""The undamped step of the damped methods, the promise of a linear system, and the damping of a singular one."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from nls.linear import SOLVERS
 from nls.sparse import threads
 from nls.sparse.threads import single_thread
 from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
+from tests.nls.solving import make
 
 WORKERS = 4
 
@@ -45,24 +46,14 @@ def solved(sample: Sample, solver: str) -> bytes:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_different_graphs_at_once(solver: str) -> None:
-    if (why := SOLVERS[solver].missing()) is not None:
-        pytest.skip(why)
-    names = list(SAMPLES)
-    names = names[: len(names) // WORKERS * WORKERS]
+def test_different_graphs_and_one_graph_by_many_at_once(solver: str) -> None:
+    make(solver)
+    names = ("SO2", "SE2 odd ids", "SE3", "mixed")
     alone = [solved(SAMPLES[name](), solver) for name in names]
     samples = [SAMPLES[name]() for name in names]
     assert together([lambda s=s: solved(s, solver) for s in samples]) == alone  # type: ignore[misc]
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-def test_one_graph_by_many_at_once(group: LieGroup, solver: str) -> None:
-    if (why := SOLVERS[solver].missing()) is not None:
-        pytest.skip(why)
-    alone = solved(pose_graph(group, n=30), solver)
-    sample = pose_graph(group, n=30)  # nothing of it has been bound yet
-    assert together([lambda: solved(sample, solver)] * 3 * WORKERS) == [alone] * 3 * WORKERS
+    one, shared = (pose_graph(SE3, n=12) for _ in range(2))  # nothing of the shared one has been bound yet
+    assert together([lambda: solved(shared, solver)] * 2 * WORKERS) == [solved(one, solver)] * 2 * WORKERS
 
 
 def test_one_factor_bound_to_two_spaces_at_once() -> None:
@@ -71,7 +62,7 @@ def test_one_factor_bound_to_two_spaces_at_once() -> None:
     wrong: list[Any] = []
 
     def bind(space: LieGroup) -> bytes:
-        for _ in range(3000):
+        for _ in range(1500):
             model = factor.bind(space)
             if model.manifolds != (space,):
                 wrong.append(model.manifolds)
@@ -171,12 +162,11 @@ def test_settings_come_back_in_whatever_order_threads_leave(
     """Two threads inside at once: whoever is still inside keeps one thread, and in the end all is as it was."""
     runtime, blas = Runtime(of_process, 3), Blas(8)
     pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
-    said: list[tuple[str, int, int]] = []
-    both = threading.Barrier(2, timeout=60)
-    gone = threading.Event()
+    settings: list[tuple[str, int, int]] = []
+    both, gone = threading.Barrier(2, timeout=60), threading.Event()
 
     def look(where: str) -> None:
-        said.append((where, runtime.omp_get_max_active_levels(), blas.number))
+        settings.append((where, runtime.omp_get_max_active_levels(), blas.number))
 
     def work(number: int) -> None:
         with single_thread():
@@ -193,10 +183,10 @@ def test_settings_come_back_in_whatever_order_threads_leave(
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(2)))
-    after = [entry[1:] for entry in said if entry[0] == "after"]
-    assert ("still inside", 0, 1) in said
+    after = [entry[1:] for entry in settings if entry[0] == "after"]
+    assert ("still inside", 0, 1) in settings
     assert after == [(3, 8)] * 2
-    assert of_process or ("first out", 3, 1) in said  # its own OpenMP is its own again, BLAS is still shared
+    assert of_process or ("first out", 3, 1) in settings  # its own OpenMP is its own again, BLAS is still shared
 
 
 def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -300,7 +290,7 @@ def test_a_user_function_may_solve_a_graph_itself() -> None:
     """Inside a residual another graph is solved, in several threads at once."""
 
     def inner(X: np.ndarray) -> np.ndarray:
-        sample = pose_graph(R(1))
+        sample = pose_graph(R(1), n=4)
         return X - sample.graph.optimize(sample.values).chi2_final
 
     def job() -> bytes:
