@@ -25,13 +25,10 @@ from nls import FactorGraph, Values, kinds
 class Problem:
     """A residual of R^n, where to start, and the published values of |f|^2 at its minima, also those at infinity."""
 
+    name: str
     residual: Callable[[Array], Array]
     start: tuple[float, ...]
     minima: tuple[float, ...]
-
-    @property
-    def name(self) -> str:
-        return self.residual.__name__
 
     def f(self, X: Array) -> Array:
         """Residuals (k, m) at the points X (k, n), as a factor wants them."""
@@ -54,10 +51,6 @@ class Problem:
         return Values({p: (R(len(self.start)), [multiple * np.array(self.start)])})
 
 
-def rosenbrock(x: Array) -> Array:
-    return np.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-
-
 def freudenstein_roth(x: Array) -> Array:
     a, b = x
     return np.stack([-13 + a + ((5 - b) * b - 2) * b, -29 + a + ((b + 1) * b - 14) * b])
@@ -65,10 +58,6 @@ def freudenstein_roth(x: Array) -> Array:
 
 def powell_badly_scaled(x: Array) -> Array:
     return np.stack([1e4 * x[0] * x[1] - 1, np.exp(-x[0]) + np.exp(-x[1]) - 1.0001])
-
-
-def brown_badly_scaled(x: Array) -> Array:
-    return np.stack([x[0] - 1e6, x[1] - 2e-6, x[0] * x[1] - 2])
 
 
 def beale(x: Array) -> Array:
@@ -241,10 +230,6 @@ def chebyquad(x: Array) -> Array:
     return np.stack([t.mean(axis=0) for t in T[1:]]) - integral
 
 
-def chebyquad_8(x: Array) -> Array:
-    return chebyquad(x)
-
-
 def count(n: int) -> Array:
     """1 ... n as a column."""
     return np.arange(1.0, n + 1)[:, None]
@@ -277,40 +262,40 @@ def _rank_1(m: int) -> float:
 
 
 PROBLEMS = (
-    Problem(rosenbrock, (-1.2, 1), (0,)),
-    Problem(freudenstein_roth, (0.5, -2), (0, 48.9842)),
-    Problem(powell_badly_scaled, (0, 1), (0,)),
-    Problem(brown_badly_scaled, (1, 1), (0,)),
-    Problem(beale, (1, 1), (0,)),
-    Problem(jennrich_sampson, (0.3, 0.4), (124.362,)),
-    Problem(helical_valley, (-1, 0, 0), (0,)),
-    Problem(bard, (1, 1, 1), (8.21487e-3, 17.4286)),
-    Problem(gaussian, (0.4, 1, 0), (1.12793e-8,)),
-    Problem(meyer, (0.02, 4000, 250), (87.9458,)),
-    Problem(gulf_research, (5, 2.5, 0.15), (0,)),
-    Problem(box_three_dimensional, (0, 10, 20), (0,)),
-    Problem(powell_singular, (3, -1, 0, 1), (0,)),
-    Problem(wood, (-3, -1, -3, -1), (0,)),
-    Problem(kowalik_osborne, (0.25, 0.39, 0.415, 0.39), (3.07505e-4, 1.02734e-3)),
-    Problem(brown_dennis, (25, 5, -5, -1), (85822.2,)),
-    Problem(osborne_1, (0.5, 1.5, -1, 0.01, 0.02), (5.46489e-5,)),
-    Problem(biggs_exp6, (1, 2, 1, 1, 1, 1), (0, 5.65565e-3)),
-    Problem(osborne_2, (1.3, 0.65, 0.65, 0.7, 0.6, 3, 5, 7, 2, 4.5, 5.5), (4.01377e-2,)),
-    Problem(watson, (0,) * 6, (2.28767e-3,)),
-    Problem(extended_rosenbrock, (-1.2, 1) * 5, (0,)),
-    Problem(extended_powell_singular, (3, -1, 0, 1) * 3, (0,)),
-    Problem(penalty_1, (1, 2, 3, 4), (2.24997e-5,)),
-    Problem(penalty_2, (0.5,) * 4, (9.37629e-6,)),
-    Problem(variably_dimensioned, tuple(1 - k / 10 for k in range(1, 11)), (0,)),
-    Problem(trigonometric, (0.1,) * 10, (0,)),
-    Problem(brown_almost_linear, (0.5,) * 10, (0, 1)),
-    Problem(discrete_boundary_value, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
-    Problem(discrete_integral_equation, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
-    Problem(broyden_tridiagonal, (-1,) * 10, (0,)),
-    Problem(broyden_banded, (-1,) * 10, (0,)),
-    Problem(linear_full_rank, (1,) * 10, (5,)),
-    Problem(linear_rank_1, (1,) * 10, (_rank_1(15),)),
-    Problem(linear_rank_1_zeros, (1,) * 10, ((15**2 + 3 * 15 - 6) / (2 * (2 * 15 - 3)),)),
-    Problem(chebyquad, _fractions(7), (0,)),
-    Problem(chebyquad_8, _fractions(8), (3.51687e-3,)),
+    Problem("rosenbrock", lambda x: np.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]]), (-1.2, 1), (0,)),
+    Problem("freudenstein_roth", freudenstein_roth, (0.5, -2), (0, 48.9842)),
+    Problem("powell_badly_scaled", powell_badly_scaled, (0, 1), (0,)),
+    Problem("brown_badly_scaled", lambda x: np.stack([x[0] - 1e6, x[1] - 2e-6, x[0] * x[1] - 2]), (1, 1), (0,)),
+    Problem("beale", beale, (1, 1), (0,)),
+    Problem("jennrich_sampson", jennrich_sampson, (0.3, 0.4), (124.362,)),
+    Problem("helical_valley", helical_valley, (-1, 0, 0), (0,)),
+    Problem("bard", bard, (1, 1, 1), (8.21487e-3, 17.4286)),
+    Problem("gaussian", gaussian, (0.4, 1, 0), (1.12793e-8,)),
+    Problem("meyer", meyer, (0.02, 4000, 250), (87.9458,)),
+    Problem("gulf_research", gulf_research, (5, 2.5, 0.15), (0,)),
+    Problem("box_three_dimensional", box_three_dimensional, (0, 10, 20), (0,)),
+    Problem("powell_singular", powell_singular, (3, -1, 0, 1), (0,)),
+    Problem("wood", wood, (-3, -1, -3, -1), (0,)),
+    Problem("kowalik_osborne", kowalik_osborne, (0.25, 0.39, 0.415, 0.39), (3.07505e-4, 1.02734e-3)),
+    Problem("brown_dennis", brown_dennis, (25, 5, -5, -1), (85822.2,)),
+    Problem("osborne_1", osborne_1, (0.5, 1.5, -1, 0.01, 0.02), (5.46489e-5,)),
+    Problem("biggs_exp6", biggs_exp6, (1, 2, 1, 1, 1, 1), (0, 5.65565e-3)),
+    Problem("osborne_2", osborne_2, (1.3, 0.65, 0.65, 0.7, 0.6, 3, 5, 7, 2, 4.5, 5.5), (4.01377e-2,)),
+    Problem("watson", watson, (0,) * 6, (2.28767e-3,)),
+    Problem("extended_rosenbrock", extended_rosenbrock, (-1.2, 1) * 5, (0,)),
+    Problem("extended_powell_singular", extended_powell_singular, (3, -1, 0, 1) * 3, (0,)),
+    Problem("penalty_1", penalty_1, (1, 2, 3, 4), (2.24997e-5,)),
+    Problem("penalty_2", penalty_2, (0.5,) * 4, (9.37629e-6,)),
+    Problem("variably_dimensioned", variably_dimensioned, tuple(1 - k / 10 for k in range(1, 11)), (0,)),
+    Problem("trigonometric", trigonometric, (0.1,) * 10, (0,)),
+    Problem("brown_almost_linear", brown_almost_linear, (0.5,) * 10, (0, 1)),
+    Problem("discrete_boundary_value", discrete_boundary_value, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
+    Problem("discrete_integral_equation", discrete_integral_equation, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
+    Problem("broyden_tridiagonal", broyden_tridiagonal, (-1,) * 10, (0,)),
+    Problem("broyden_banded", broyden_banded, (-1,) * 10, (0,)),
+    Problem("linear_full_rank", linear_full_rank, (1,) * 10, (5,)),
+    Problem("linear_rank_1", linear_rank_1, (1,) * 10, (_rank_1(15),)),
+    Problem("linear_rank_1_zeros", linear_rank_1_zeros, (1,) * 10, ((15**2 + 3 * 15 - 6) / (2 * (2 * 15 - 3)),)),
+    Problem("chebyquad", chebyquad, _fractions(7), (0,)),
+    Problem("chebyquad_8", lambda x: chebyquad(x), _fractions(8), (3.51687e-3,)),
 )

@@ -209,14 +209,6 @@ def test_cycling(name: str) -> None:
         assert result.status in (Status.CONVERGED, Status.STALLED)
 
 
-@ALL
-def test_diverged_along_a_plateau(name: str) -> None:
-    graph, start = scalar(lambda X: np.concatenate([np.exp(-X), np.ones_like(X)], axis=1), 0.5, dim=2)
-    result = graph.optimize(start, OPTIMIZERS[name]())
-    assert (result.status, result.rule) == (Status.DIVERGED, "plateau")
-    never_worse(graph, start, result)
-
-
 def test_stalled_above_a_lower_point_met_before() -> None:
     """A Jacobian that is wrong where it matters: the steps settle at 0, past the lower point 1."""
     graph, start = scalar(
@@ -229,13 +221,12 @@ def test_stalled_above_a_lower_point_met_before() -> None:
     never_worse(graph, start, result)
 
 
-@ALL
-def test_a_real_interrupt_writes_the_best_point(name: str, tmp_path: Path) -> None:
+def test_a_real_interrupt_writes_the_best_point(tmp_path: Path) -> None:
     """The command is sent SIGINT while it iterates towards thresholds it can never reach."""
     sample = pose_graph(SE2, n=8, seed=4, anchored=False, start=0.3)
     source, target = tmp_path / "in.g2o", tmp_path / "out.g2o"
     nls.save(source, sample.graph, sample.values)
-    limits = ["--max-iterations", "1000000000", "--update-tol", "0"]
+    limits = ["--method", "dogleg", "--init", "file", "--max-iterations", "1000000000", "--update-tol", "0"]
     code = (
         "import sys, time, signal, os\n"
         "import nls.optimizers.watch as w\n"
@@ -245,9 +236,9 @@ def test_a_real_interrupt_writes_the_best_point(name: str, tmp_path: Path) -> No
         "def step(self, *a, **k):\n"
         "    old(self, *a, **k)\n"
         "    if len(self.history) == 3:\n"
-        "        os.kill(os.getpid(), signal.SIGINT); time.sleep(1)\n"
+        "        os.kill(os.getpid(), signal.SIGINT); time.sleep(0.3)\n"
         "w.Watch.step = step\n"
-        f"sys.exit(main({['solve', str(source), '-o', str(target), '--method', name, '--init', 'file', *limits]!r}))\n"
+        f"sys.exit(main({['solve', str(source), '-o', str(target), *limits]!r}))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1, done.stderr

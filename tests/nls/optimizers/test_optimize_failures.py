@@ -154,20 +154,16 @@ def test_a_row_of_the_jacobian_that_is_wrong(name: str) -> None:
 # ---- nothing there
 
 
-PLATEAUS = [
-    (lambda X: np.arctan(X) - 2.0, 1),
-    (lambda X: np.exp(-X) + 1.0, 1),
-    (lambda X: np.concatenate([np.exp(-X), np.ones_like(X)], axis=1), 2),
-    (lambda X: np.concatenate([1 / (1 + X**2), 3 * np.ones_like(X)], axis=1), 2),
-    (lambda X: np.concatenate([np.arctan(X) - 2.0, np.ones_like(X)], axis=1), 2),
-]
-
-
 @ALL
-@pytest.mark.parametrize(("residual", "dim"), PLATEAUS)
-def test_a_plateau_at_infinity(name: str, residual: object, dim: int) -> None:
-    for at in (0.5, 3.0):
-        graph, start = scalar(residual, at, dim=dim)  # type: ignore[arg-type]
+def test_a_plateau_at_infinity(name: str) -> None:
+    for at, dim, residual in (
+        (0.5, 1, lambda X: np.arctan(X) - 2.0),
+        (3.0, 1, lambda X: np.arctan(X) - 2.0),
+        (0.5, 1, lambda X: np.exp(-X) + 1.0),
+        (0.5, 2, lambda X: np.concatenate([np.exp(-X), np.ones_like(X)], axis=1)),
+        (3.0, 2, lambda X: np.concatenate([1 / (1 + X**2), 3 * np.ones_like(X)], axis=1)),
+    ):
+        graph, start = scalar(residual, at, dim=dim)
         try:
             result = optimize(graph, start, name)
         except UnderconstrainedError as error:  # the refusal of an undamped method
@@ -176,6 +172,8 @@ def test_a_plateau_at_infinity(name: str, residual: object, dim: int) -> None:
             continue
         assert np.isfinite(result.values[p]).all()
         assert result.values[p[0]][0] > at + 1  # on its way to infinity
+        if at == 0.5 and dim == 2:
+            assert (result.status, result.rule) == (Status.DIVERGED, "plateau")
         if result.status is Status.DIVERGED:
             assert any(word in result.reason for word in ("plateau", "by an update of", "not finite")), result.reason
         else:  # damped steps: chi2 is still falling, or the only residual promises a fall to 0 that never comes

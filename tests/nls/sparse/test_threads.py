@@ -52,7 +52,7 @@ def test_different_graphs_and_one_graph_by_many_at_once(solver: str) -> None:
     alone = [solved(SAMPLES[name](), solver) for name in names]
     samples = [SAMPLES[name]() for name in names]
     assert together([lambda s=s: solved(s, solver) for s in samples]) == alone  # type: ignore[misc]
-    one, shared = (pose_graph(SE3, n=12) for _ in range(2))  # nothing of the shared one has been bound yet
+    one, shared = (pose_graph(SE2, n=12) for _ in range(2))  # nothing of the shared one has been bound yet
     assert together([lambda: solved(shared, solver)] * 2 * WORKERS) == [solved(one, solver)] * 2 * WORKERS
 
 
