@@ -59,15 +59,15 @@ def test_the_complement_is_the_formula() -> None:
     sample = two_kinds()
     system = sample.graph.linearize(sample.values)
     state = Schur().analyze(system.pattern).factorization
-    decomposition = state.decomposition
-    assert isinstance(decomposition, SchurDecomposition)
-    complement = decomposition._complement
+    assert isinstance(state.decomposition, SchurDecomposition)
+    complement = state.decomposition._complement
     filled = complement.fill(system.H_blocks)
     p, n = state.hessian.permutation, complement.n
     H = system.H.toarray()[np.ix_(p, p)]
     S = H[n:, n:] - H[n:, :n] @ np.linalg.inv(H[:n, :n]) @ H[:n, n:]
-    found = complement.hessian.symmetric(filled.flat).toarray()
-    np.testing.assert_allclose(found, S, rtol=0, atol=1e-12 * np.abs(H).max())
+    np.testing.assert_allclose(
+        complement.hessian.symmetric(filled.flat).toarray(), S, rtol=0, atol=1e-12 * np.abs(H).max()
+    )
     np.testing.assert_allclose(filled.pivots, np.linalg.cholesky(H[:n, :n]).diagonal() ** 2, rtol=1e-10)
     assert np.abs(H[n:, n:] - S).max() > 0.1 * np.abs(H).max()
 
@@ -117,13 +117,11 @@ def test_every_gauge(solver: LinearSolver) -> None:
 def test_a_kept_step_is_that_of_the_kept_factorization() -> None:
     sample = landmarks(SE3, seed=8)
     old, new = sample.graph.linearize(sample.values), sample.graph.linearize(sample.truth)
-    solver = Schur()
-    analyzed = solver.analyze(old.pattern)
+    analyzed = Schur().analyze(old.pattern)
     assert analyzed.solve(old).seconds.keys() == {"assemble", "factorize", "solve"}
     kept = analyzed.again(new)
     assert kept is not None
-    expected = np.linalg.solve(old.H.toarray(), new.gradient)
-    near(kept.dx, expected, 1e-9)
+    near(kept.dx, np.linalg.solve(old.H.toarray(), new.gradient), 1e-9)
 
 
 @pytest.mark.parametrize("superlu", [False, True])
@@ -144,9 +142,10 @@ def test_bundle_adjustment(data: Path) -> None:
     graph, values, _ = nls.load(data / "bal" / "problem-49-7776-pre.txt.gz")
     system = graph.linearize(values)
     assert said(system) == "schur, l eliminated: 23,328 of 23,769 columns"
-    damping = 1e-4 * diagonal(system)
-    same(system, damping)
-    same(system, 1e3 * damping, PCG())
+    damping = 1e-3 * diagonal(system)
+    expected = step(reference(), system, damping)
+    near(step(Schur(), system, damping), expected, 1e-9)
+    near(step(PCG(), system, damping), expected, 1e-8)
     with pytest.raises(SingularSystemError):
         step(PCG(), system)  # its gauge and its scale
 
@@ -170,8 +169,7 @@ def test_the_exact_inverse_given_is_the_exact_inverse() -> None:
         assert np.array_equal(H, H.mT)
         return np.linalg.inv(H)
 
-    expected = step(Schur(), system)
-    near(step(Schur(inverse), system), expected, 1e-9)
+    near(step(Schur(inverse), system), step(Schur(), system), 1e-9)
     assert shapes == [(9, 1, 1), (30, 2, 2)]
 
 
@@ -237,11 +235,11 @@ def test_where_nothing_may_move_nothing_has_converged(optimizer: nls.Optimizer) 
 
 def test_what_is_left_alone_is_counted_in_the_latest_solve() -> None:
     sample = seen_by_range(4)
-    solver = Schur(truncated)
-    analyzed = solver.analyze(sample.graph.linearize(sample.values).pattern)
-    analyzed.solve(sample.graph.linearize(sample.values))
+    system = sample.graph.linearize(sample.values)
+    analyzed = Schur(truncated).analyze(system.pattern)
+    analyzed.solve(system)
     assert analyzed.description.endswith(", 1 directions left alone")
-    assert analyzed.again(sample.graph.linearize(sample.values)) is None
+    assert analyzed.again(system) is None
 
 
 def test_a_root_of_an_inverse() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,8 +26,8 @@ TIGHT = {
     "none": Stop(0.0, 0.0, 0.0, 1000),
 }
 TURN = ("update", "fall", "gradient", "none")
-# By default, and in turn with one threshold alone or none.
-CASES = [(q, start, stop) for k, q in enumerate(REGRESSIONS) for start in (0, 1) for stop in ("default", TURN[k % 4])]
+# From far away by default, from nearby with one threshold alone or none.
+CASES = [case for k, q in enumerate(REGRESSIONS) for case in ((q, 0, "default"), (q, 1, TURN[k % 4]))]
 
 
 @DAMPED
@@ -63,7 +64,7 @@ def test_gauss_newton_knows_where_it_has_arrived() -> None:
         other = problem.name == "MGH09" and result.chi2_final == pytest.approx(4.23675e-4, rel=1e-4)  # second minimum
         assert result.converged == (arrived or other), (problem.name, start, stop)
         arrivals += result.converged
-    assert arrivals >= 16
+    assert arrivals >= 6
 
 
 # ---- plateaus: chi2 falls for ever while an unknown goes to infinity
@@ -79,11 +80,13 @@ PLATEAUS: dict[str, Callable[[Array], Array]] = {
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-@for_all(plateau=PLATEAUS, threshold=[("default", 1.0), ("none", 1.0), ("fall", 1e-9), ("update", 1e9)])
+@for_all(
+    plateau=PLATEAUS, threshold=[("default", 1.0), ("none", 1.0), ("gradient", 1.0), ("fall", 1e-9), ("update", 1e9)]
+)
 def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, float]) -> None:
     """Beside residuals that stay: with any threshold, in any unit of x."""
     stop, scale = threshold
-    f = PLATEAUS[plateau]
+    f, short = PLATEAUS[plateau], replace(TIGHT[stop], max_iterations=200)
     residual = Factor.from_function(
         lambda X: np.concatenate([f(X / scale), X / X, 0.5 * X / X], axis=1),
         p[0],
@@ -93,7 +96,7 @@ def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, 
         ],
     )
     try:
-        result = FactorGraph([residual]).optimize(Values({p: (R(1), 2.0 * scale)}), OPTIMIZERS[name](TIGHT[stop]))
+        result = FactorGraph([residual]).optimize(Values({p: (R(1), 2.0 * scale)}), OPTIMIZERS[name](short))
     except UnderconstrainedError:
         return
     assert not result.converged, result.reason
