@@ -14,6 +14,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
 from nls.linear import default_solver
 from nls.linear.singular import SingularSystemError
+from nls.optimizers.problem import Problem
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, pose_graph, x
 
@@ -48,6 +49,20 @@ def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup
         reused += kept.reused
     assert factorizations < steps
     assert reused > 0
+
+
+def test_the_last_of_them_is_not_linearized(monkeypatch: pytest.MonkeyPatch) -> None:
+    linearize, points = Problem.linearize, []
+
+    def counted(problem: Problem, values: Values) -> LinearSystem:
+        points.append(values)
+        return linearize(problem, values)
+
+    monkeypatch.setattr(Problem, "linearize", counted)
+    sample = pose_graph(SE2, n=40, start=0.1)
+    result = sample.graph.optimize(sample.values, KEEPING)
+    assert (result.history[-1].reused, result.converged) == (True, True)
+    assert len(points) == result.iterations
 
 
 def test_a_step_above_the_best_point_is_not_converged() -> None:
