@@ -204,6 +204,8 @@ def test_numbers_that_are_not_finite_are_no_step() -> None:
         step(PCG(), LinearSystem(system.pattern, system.blocks, b), 0.1 * diagonal(system))
     solution = conjugate(lambda P: P, lambda R: R, np.array([[1.0, np.nan]]), lambda first: np.array([np.inf]), 9)
     assert not solution.converged
+    flat = conjugate(lambda P: P * [1.0, 0.0], lambda R: R, np.array([[0.0, 1.0]]), lambda first: 1e-9 * first, 9)
+    assert (flat.converged, flat.steps) == (False, 1)  # along a direction in which H is exactly 0
 
 
 @pytest.mark.parametrize(("option", "wrong"), [("tol", [0, 1, -1e-3, True, "x", None]), ("max_steps", [0, 2.5, True])])
