@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.nls.cli.shell import Shell
+from tests.nls.plot.html_page import undrawn
 
 ROOT = Path(__file__).parents[3]
 SIGNALLED = """
@@ -88,6 +89,8 @@ def test_the_line_is_true_in_every_phase_of_solve(
     function: str, doing: str, written: int, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it says was written is there; nothing else is, no temporary file either."""
+    undrawn(monkeypatch)
+    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
     monkeypatch.setattr(function, interrupted)
     names = ["o", "o.csv", "o.png", "o.html", "o.json"]
     options = "-o o --to g2o --covariance o.csv --plot o.png --report o.html --json o.json"

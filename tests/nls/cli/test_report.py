@@ -33,7 +33,8 @@ def test_the_command(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "<b>" not in text
 
 
-def test_a_mission(shell: Shell) -> None:
+def test_a_mission(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
     folder(shell / "m")
     assert shell("solve m --report out.html --quiet") == ""
     page = Page((shell / "out.html").read_text())
