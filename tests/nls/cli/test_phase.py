@@ -38,9 +38,10 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="other signals, files
 
 def run(program: str, stdout: int | None = subprocess.PIPE) -> tuple[int, str, str]:
     """Status, standard output and standard error of a process."""
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     done = subprocess.run(
         [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=buffered | {"PYTHONPATH": str(ROOT)},
         stdout=stdout,
         stderr=subprocess.PIPE,
         text=True,
