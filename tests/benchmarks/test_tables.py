@@ -1,4 +1,4 @@
-"""The benchmarks that guard and describe speed: what the guard answers, and that the table of sizes can be made."""
+"""The benchmarks that guard and describe speed: what the guard answers, and that every table can be made."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from nls import Cholesky
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "benchmarks"
 QUICK = ("build", "linearize SE2")
 
@@ -26,6 +26,14 @@ def run(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-W", "error", str(SCRIPTS / script), *map(str, arguments)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def table(folder: Path, script: str, world: str, *arguments: object) -> dict[str, list[str]]:
+    """Cells of the rows of a world, by the method in the fifth."""
+    done = run(f"{script}.py", "--quick", *arguments, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in (folder / f"{script}.md").read_text().splitlines() if line.startswith(f"| {world}")]
+    return {line.split("|")[5].strip(" `"): [cell.strip() for cell in line.split("|")] for line in lines}
 
 
 def guard(folder: Path, **baselines: float) -> subprocess.CompletedProcess[str]:
@@ -49,14 +57,11 @@ def test_the_guard_wants_a_baseline_for_every_ratio(tmp_path: Path) -> None:
     one = guard(tmp_path, build=1e3)
     assert one.returncode == 1
     assert one.stderr == "guard: no baseline for linearize SE2: make them with --update\n"
-
-
-def test_the_committed_baselines_are_those_of_the_guard() -> None:
-    found = json.loads((SCRIPTS / "baselines.json").read_text())
-    assert len(found["machine"]) == 3
+    committed = json.loads((SCRIPTS / "baselines.json").read_text())
+    assert len(committed["machine"]) == 3
     refused = run("guard.py", "--only", "nothing")
     assert refused.returncode == 2
-    assert refused.stderr.endswith(f"no ratio nothing; there are {', '.join(found['ratios'])}\n")
+    assert refused.stderr.endswith(f"no ratio nothing; there are {', '.join(committed['ratios'])}\n")
 
 
 def test_a_table_of_sizes(tmp_path: Path) -> None:
@@ -76,3 +81,23 @@ def test_a_table_of_sizes(tmp_path: Path) -> None:
         assert 3e7 < found["bytes"]["factorize"] <= found["bytes"]["total"] < 1e9
     assert (tmp_path / "scaling.png").stat().st_size > 1e4
     assert "| edges | variables | read |" in (tmp_path / "scaling.md").read_text()
+
+
+def test_the_solvers_of_many_points_arrive_at_the_same_estimate(tmp_path: Path) -> None:
+    rows = table(tmp_path, "bundle", "rig 50")
+    assert list(rows) == ["cholesky", "schur", "pcg", "pcg, tol 0.1"]
+    for name, cells in rows.items():
+        assert float(cells[7]) > 0
+        assert float(cells[13]) == pytest.approx(float(rows["cholesky"][13]), rel=1e-5)
+        assert float(cells[14]) < (1e-4 if name == "pcg, tol 0.1" else 1e-8)
+
+
+def test_all_elimination_orders_give_the_same_step(tmp_path: Path) -> None:
+    rows = table(tmp_path, "schur", "floor", "--flops", "1e10")
+    assert list(rows) == ["schur", "cholesky", "natural"]
+    assert rows["natural"][7] == "not run"
+    flops = {name: float(cells[10].replace(",", "")) for name, cells in rows.items()}
+    assert flops["natural"] > 20 * max(flops["schur"], flops["cholesky"])
+    for name in ("schur", "cholesky"):
+        assert float(rows[name][7]) > 0
+        assert float(rows[name][12]) < 1e-12
