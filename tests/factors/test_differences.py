@@ -223,6 +223,15 @@ def test_a_column_lost_in_the_rounding_of_another_is_doubted(large: float) -> No
     assert verdict(residual, jacobian, [1.0, 1.0]) == ("passed" if large < 1e12 else "doubted")
 
 
+@for_all(case=[(1e4, 0.4717948717948718), (1e9, 0.4717948717948718), (1e10, 1.0666666666666667)])
+def test_the_exact_is_not_refused_where_inner_numbers_are_rounded(case: tuple[float, float]) -> None:
+    """Places at which the rounding hides the error of the first difference: the second shows it."""
+    large, x = case
+    residual = lambda X: (large + np.sin(X)) - large  # noqa: E731
+    assert outcome(residual, lambda X: np.cos(X)[..., None], x, [1.0]) != "refused"
+    assert outcome(residual, lambda X: np.cos(X)[..., None], x, [-1.0]) == "refused"
+
+
 def test_check_warns_where_no_step_can_be_trusted() -> None:
     """Functions that change within the rounding of their variable."""
     fine: list[Function] = [
