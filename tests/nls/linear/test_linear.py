@@ -68,7 +68,7 @@ def singular_graphs() -> list[FactorGraph]:
     for k in (0, 1, 2, 4, 5, 6):
         apart.add(Between(x[k], x[k + 1], [1.0, 0.1, 0.2], Isotropic(0.1)))
     relative, heading = (pose_graph(SE2, seed=7, anchored=False).graph for _ in range(2))
-    heading.add(Prior(x[0], [0.0, 0.0, 0.5], Isotropic(1), components=["yaw"]))
+    heading.add(Prior(x[0], pose_graph(SE2, seed=7).values[x[0]], Isotropic(0.1), components=["yaw"]))
     return [relative, heading, untouched, few_rows, apart]
 
 
