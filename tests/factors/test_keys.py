@@ -35,6 +35,8 @@ def test_any_whole_number_of_64_bits_is_a_name() -> None:
     assert x[[low, -1, high]].numbers.tolist() == [low, -1, high]
     assert x[np.array([high], dtype=np.uint64)].numbers.tolist() == [high]
     assert repr(x[high]) == f"x{high}"
+    assert x[high - 1 : high].numbers.tolist() == [high - 1]
+    refused(lambda: x[high : high + 1], GraphError, r"x\[.*below 2\^63")
     refused(lambda: x[np.array([1, high + 1], dtype=np.uint64)], GraphError, rf"{high + 1} is above 2\^63 - 1")
 
 
