@@ -26,6 +26,7 @@ from factors.noise import SQUARABLE, Noise, weights, whiten
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
+from factors.traits import Traits
 from models import Manifold
 from models.abstract import Abstract
 from models.algebra import Array, Index, product
@@ -37,7 +38,7 @@ __all__ = ["Factor", "Model"]
 Jacobians = tuple[Array | None, ...] | None
 
 
-class Factor(Abstract):
+class Factor(Traits, Abstract):
     """A batch of n measurements of one kind: its variables, the measured values, their noise.
 
     A subclass states `slots` (the space of each variable it touches; None accepts any) and `relative`, and implements
@@ -67,14 +68,7 @@ class Factor(Abstract):
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
-    frame : whose axes the components x, y, z and yaw of z are along: ``world`` of one variable, ``first`` of the second
-        variable as seen from the first, ``sensor`` of a target; empty where no other reading of z makes sense.
-    opaque : True when a function of the user's alone knows its data: it cannot be sliced.
-
-    Notes
-    -----
-    Starts and analyses ask a factor for its use, never for its type. A sensor of poses implements `relative_poses`,
-    `level_steps` or `tilts`; `Sighting` has the traits of a sensor that sees targets.
+    frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
 
     slots: tuple[Manifold | None, ...] = ()
@@ -84,8 +78,6 @@ class Factor(Abstract):
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
     damped: ClassVar[bool] = False
-    frame: ClassVar[str] = ""
-    opaque: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         name = self.name
@@ -167,23 +159,6 @@ class Factor(Abstract):
     def sizes(self) -> tuple[int, ...]:
         """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
         return ()
-
-    def relative_poses(self, model: Model) -> Array | None:
-        """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
-        return None
-
-    def level_steps(self, model: Model) -> Array | None:
-        """Steps (n, 3) to the second pose in the horizontal axes of the first: x, y, m, and yaw; None of others."""
-        return None
-
-    def tilts(self, model: Model) -> Array | None:
-        """z, m, pitch and roll (n, 3) of the first variable, a pose in SE3; None of other measurements."""
-        return None
-
-    def states(self, trait: str) -> bool:
-        """Whether its class implements a trait, such as ``relative_poses``, of which the default says nothing."""
-        default = next(vars(base)[trait] for base in reversed(type(self).__mro__) if trait in vars(base))
-        return getattr(type(self), trait) is not default
 
     @property
     def z(self) -> Array:

@@ -62,7 +62,7 @@ def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
     Examples
     --------
     >>> import numpy as np
-    >>> from factors import Isotropic
+    >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import Values, kinds
     >>> (x,) = kinds("x")
