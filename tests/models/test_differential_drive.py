@@ -1,11 +1,10 @@
-"""Two wheels: the motion, its inverse and the derivatives of both, and what taking the arc for the chord costs."""
+"""Two wheels: the motion, its inverse and the derivatives of both."""
 
 from __future__ import annotations
 
-from math import pi, radians, sin
+from math import pi
 
 import numpy as np
-import pytest
 
 from models import SE2, R
 from models.algebra import Array
@@ -58,28 +57,3 @@ def test_derivatives_are_central_differences() -> None:
         assert np.abs(h[:, 2]).max() > 0.05
         same(H_X, on_group(SE2, lambda X, Y=Y: wheel_travel(X, Y, BASE)[0], X), atol=2e-8)
         same(H_Y, on_group(SE2, lambda Y, X=X: wheel_travel(X, Y, BASE)[0], Y), atol=2e-8)
-
-
-def test_derivatives_are_those_in_world_axes_of_the_textbook() -> None:
-    """With x, y, theta moved along the axes of the world, F_x = [[1, 0, -ds sin be], [0, 1, ds cos be], [0, 0, 1]]."""
-    X, u = drives(20, 4)
-    Y, (F_X, F_u) = differential_drive(X, u, BASE)
-    ds, be, k = u.mean(axis=1), X[:, 2] + (u[:, 0] - u[:, 1]) / (2 * BASE), u.mean(axis=1) / (2 * BASE)
-    c, s, o, e = np.cos(be), np.sin(be), np.zeros(20), np.ones(20)
-    F_world = np.moveaxis(np.array([[e, o, -ds * s], [o, e, ds * c], [o, o, e]]), -1, 0)
-    wheels = [[c / 2 - k * s, c / 2 + k * s], [s / 2 + k * c, s / 2 - k * c], [e / BASE, -e / BASE]]
-    same(SE2.world_axes(Y) @ F_X @ np.linalg.inv(SE2.world_axes(X)), F_world, atol=1e-13)
-    same(SE2.world_axes(Y) @ F_u, np.moveaxis(np.array(wheels), -1, 0), atol=1e-13)
-
-
-def test_the_arc_is_longer_than_the_chord() -> None:
-    """Driven as one step and as 1000 small ones, which follow the arc: by a share of turn^2 / 24."""
-    for turn, error in ((radians(5), 3.2e-4), (radians(30), 1.1e-2), (radians(90), 0.1)):
-        u = 1.0 + np.array([[1.0, -1.0]]) * BASE * turn / 2
-        once, many = differential_drive(SE2.identity(), u, BASE)[0], SE2.identity()
-        for _ in range(1000):
-            many = differential_drive(many, u / 1000, BASE)[0]
-        same(once[:, 2], many[:, 2], atol=1e-12)
-        lengths = [float(np.linalg.norm(X[0, :2])) for X in (once, many)]
-        assert lengths == pytest.approx([1.0, sin(turn / 2) / (turn / 2)], rel=1e-6)
-        assert lengths[0] / lengths[1] - 1 == pytest.approx(error, rel=0.12)

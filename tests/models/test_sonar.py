@@ -177,16 +177,6 @@ def test_no_such_sonar(name: str) -> None:
         assert caught.value.value is value
 
 
-def test_polar_noise_is_not_noise_in_x_and_y() -> None:
-    """The mean of contacts in x and y is nearer than the target by exp(-sigma^2 / 2); that of (r, az) is not."""
-    rng, sigma = np.random.default_rng(6), radians(10)
-    z = np.column_stack([np.full(100_000, 5.0), rng.normal(0.3, sigma, 100_000)])
-    image = plane_projection(cartesian(np.column_stack([z, np.zeros(len(z))]))[0])
-    assert np.linalg.norm(image.mean(axis=0)) == pytest.approx(5.0 * np.exp(-(sigma**2) / 2), abs=2e-3)
-    assert np.linalg.norm(image.mean(axis=0)) < 4.93
-    same(z.mean(axis=0), [5.0, 0.3], atol=3e-3)
-
-
 def test_the_side_of_a_positive_elevation_is_below() -> None:
     """A level vehicle, z down, sonar as it is: what is deeper than the sonar has a positive elevation."""
     X = euler.to_se3(np.array([[0.0, 0.0, 1.0, 7.0, 8.0, 10.0]]))

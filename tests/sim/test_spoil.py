@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import sim
-from factors import Cauchy
 from models.errors import OptionError
 from nls import FactorGraph, kinds
 from tests.combinations import for_all
@@ -105,17 +104,6 @@ def test_poor_odometry_says_so(mission: sim.Mission, times: float) -> None:
     dof = 20 * 3 * round(0.3 * n)
     assert abs(chi2 - dof) < 4 * np.sqrt(2 * dof)
     assert np.mean([poor.ate(poor.start) for poor in missions]) > (2 if times > 10 else 1) * mission.ate(mission.start)
-
-
-def test_least_squares_is_led_astray_and_a_kernel_is_not() -> None:
-    mission = sim.hauv_hull(np.random.default_rng(4), levels=2)
-    right = mission.graph.optimize(mission.start)
-    spoiled = sim.false_contacts(mission, 0.05, np.random.default_rng(1))
-    led = spoiled.graph.optimize(mission.truth)
-    held = FactorGraph([*spoiled.graph.factors[:4], spoiled.contacts.robust(Cauchy(1.0)), *spoiled.graph.factors[5:]])
-    kept = held.optimize(mission.truth)
-    assert mission.ate(led.values) > 3 * mission.ate(right.values)
-    assert mission.ate(kept.values) < 2 * mission.ate(right.values)
 
 
 @for_all(name=[*SPOIL, "drop"])

@@ -42,12 +42,3 @@ def test_subsea_with_a_known_start() -> None:
     assert 0.05 < filtered < 0.35
     assert filtered < reckoned / 4
     assert nees < 6
-
-
-def test_lines() -> None:
-    world = sim.lines(np.random.default_rng(0), laps=1)
-    track = EKF().run(world.graph, world.start)
-    best = world.graph.optimize(world.start).values
-    assert np.linalg.norm(track.X[-1, :2] - best[x][-1, :2]) < 0.003
-    assert track.ate(world.truth).rmse < min(0.2, world.ate(world.start) / 2)
-    assert len(track.landmarks) == world.landmarks
