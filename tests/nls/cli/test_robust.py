@@ -68,3 +68,18 @@ def test_what_is_left_keeps_its_times(shell: Shell) -> None:
     shell(f"solve {file} --robust gnc-tls -o b.pyfg --quiet --allow-doubtful")  # with sigmas larger than the map
     ((_, times),) = nls.load("b.pyfg")[2].factor_times
     assert times.tolist() == [float(line.split()[1]) for line in good]
+
+
+def test_lines_that_stay_keep_their_digits(shell: Shell) -> None:
+    """Weights of angles are turned while they are read; what is kept is written as the file had it."""
+    world = sim.sphere(np.random.default_rng(1), rings=8, per_ring=12)
+    wrong = wrong_closures(world, 5, np.random.default_rng(4))
+    nls.save("ball.graph", nls.FactorGraph([*world.graph.factors, wrong]), world.truth, dialect="toro")
+    rejected = len(shell.report("solve ball.graph --robust gnc-tls -o out.toro --allow-doubtful")["rejected"])
+    before, after = (
+        [line for line in (shell / name).read_text().splitlines() if line.startswith("EDGE3")]
+        for name in ("ball.graph", "out.toro")
+    )
+    assert rejected >= len(wrong) > 0
+    assert len(after) == len(before) - rejected
+    assert set(after) < set(before)
