@@ -97,5 +97,5 @@ def test_other_mistakes() -> None:
     z = np.array(seen.z)
     z[len(z) // 2] += [1.0, 5.0]
     assert named(FactorGraph([first, odometry, replaced(seen, z=z)]), start) == ()
-    graph, start, _ = clean("lines", 0)
+    graph, start, _ = clean("headings", 0)
     assert named(misread(graph, start, 2, "mirrored"), start) == ()
