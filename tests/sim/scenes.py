@@ -15,7 +15,7 @@ x, l = kinds("x", "l")
 
 
 def thinned(world: sim.LandmarkWorld) -> sim.LandmarkWorld:
-    """Every third pose of a subsea scene, and what is seen from there: the filters' cost falls by as much."""
+    """Every third pose of a subsea scene with what is seen from there; charts and headings are left out."""
     n = (world.poses - 1) // 3
     z = world.odometry.z.reshape(n, 3, 3)
     steps = SE2.compose(SE2.compose(z[:, 0], z[:, 1]), z[:, 2])
