@@ -26,17 +26,19 @@ from factors.noise import SQUARABLE, Noise, weights, whiten
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
+from factors.traits import Traits
 from models import Manifold
 from models.abstract import Abstract
-from models.algebra import Array, product
+from models.algebra import Array, Index, product
 from models.errors import EvaluationError, GraphError, NoiseModelError
+from models.finite import first_not_finite
 
 __all__ = ["Factor", "Model"]
 
 Jacobians = tuple[Array | None, ...] | None
 
 
-class Factor(Abstract):
+class Factor(Traits, Abstract):
     """A batch of n measurements of one kind: its variables, the measured values, their noise.
 
     A subclass states `slots` (the space of each variable it touches; None accepts any) and `relative`, and implements
@@ -66,6 +68,7 @@ class Factor(Abstract):
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
     damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
+    frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
 
     slots: tuple[Manifold | None, ...] = ()
@@ -157,10 +160,6 @@ class Factor(Abstract):
         """How many numbers a measurement may have, before the spaces of the variables are known; () for any."""
         return ()
 
-    def relative_poses(self, model: Model) -> Array | None:
-        """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
-        return None
-
     @property
     def z(self) -> Array:
         """The measured values, as given; read-only."""
@@ -215,7 +214,7 @@ class Factor(Abstract):
         An H_k of None is the identity; None for the whole tuple asks for central differences.
         """
 
-    def rows(self, space: Manifold) -> npt.NDArray[np.intp] | slice:
+    def rows(self, space: Manifold) -> Index | slice:
         """Which components of the innovation are measured; all, unless a subclass says otherwise."""
         return slice(None)
 
@@ -322,7 +321,7 @@ class Model:
     space: Manifold
     z: Array
     W: Array
-    rows: npt.NDArray[np.intp] | slice
+    rows: Index | slice
     names: tuple[str, ...]
 
     @property
@@ -379,14 +378,13 @@ class Model:
         if not jacobians:
             return h, ()
         if H is None:
-            H = central_differences(self, X, h)
+            H = central_differences(self.factor, self.manifolds, self.space, X, h)
         return h, checked_jacobians(self.factor, H, len(h), self.space.dim, self.manifolds)
 
     def _check(self, array: Array, slot: int | None) -> None:
         """Refuse numbers that are not finite, naming the measurement."""
-        if np.isfinite(np.add.reduce(array, axis=None)) or np.isfinite(array).all():
+        if np.isfinite(np.add.reduce(array, axis=None)) or (index := first_not_finite(array)) is None:
             return
-        index = int(np.argmax(~np.isfinite(array).reshape(len(array), -1).all(axis=1)))
         quantity = "residual" if slot is None else f"Jacobian with respect to {self.factor.keys[slot][[index]]}"
         raise EvaluationError(
             f"{self.factor.describe(index)}: its {quantity} is not finite: {array[index].tolist()}; "

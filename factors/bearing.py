@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from factors.sighting import Sighting
 from models import Manifold, Measured
 from models.algebra import Array
-from models.sensors import direction
+from models.sensors import direction, point_from_direction_range
 
 __all__ = ["Bearing"]
 
@@ -59,3 +61,6 @@ class Bearing(Sighting):
 
     def sense(self, p: Array) -> tuple[Array, Array]:
         return direction(p)
+
+    def directions(self, z: Array) -> Array:
+        return point_from_direction_range(np.column_stack([z, np.ones(len(z))]))

@@ -51,6 +51,7 @@ class Between(Factor):
 
     slots = (None, None)
     relative = True
+    frame = "first"
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         super().__init__([i, j], z, noise, convention)

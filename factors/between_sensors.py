@@ -56,6 +56,7 @@ class BetweenSensors(Factor):
     """
 
     relative = True
+    frame = "first"
     per_measurement = ("offset",)
 
     def __init__(

@@ -20,7 +20,7 @@ from models import LieGroup, Manifold
 from models.algebra import Array
 from models.errors import OptionError
 
-__all__ = ["CONVENTIONS", "check_convention", "innovation"]
+__all__ = ["CONVENTIONS", "check_convention"]
 
 CONVENTIONS = ("log", "g2o", "graphslam", "gtsam")
 

@@ -28,21 +28,17 @@ step that all smaller ones confirm).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from factors.return_values import Batch
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError
 from models.manifolds.measured import ANGLES
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from factors.base import Model
-
-__all__ = ["EPS", "central_differences", "derivative", "sizes"]
+__all__ = ["EPS", "derivative"]
 
 EPS = float(np.finfo(float).eps)
 FIRST = 5e-4  # first step of a variable of size 1: eps^(1/5), where rounding balances what extrapolation leaves
@@ -60,12 +56,14 @@ TRIALS = 9  # at most, from 5e-4 to 5e-28
 TINY = float(np.finfo(float).tiny)
 
 
-def central_differences(model: Model, X: tuple[Array, ...], h: Array) -> tuple[Array, ...]:
+def central_differences(
+    factor: Batch, manifolds: tuple[Manifold, ...], space: Manifold, X: tuple[Array, ...], h: Array
+) -> tuple[Array, ...]:
     """H_k (n, dim, dim_k) of h(X [+] d) = h [+] H d, one per variable.
 
     Parameters
     ----------
-    model : the factor bound to its spaces.
+    factor, manifolds, space : the factor, the spaces of its variables and of its measurement.
     X, h : the stacks (n, size_k), and the prediction there.
 
     Raises
@@ -73,13 +71,12 @@ def central_differences(model: Model, X: tuple[Array, ...], h: Array) -> tuple[A
     EvaluationError
         The prediction is finite at X, and at no step from there.
     """
-    space, factor = model.space, model.factor
     rounding = EPS * sizes(space, h)
     H = []
-    for slot, manifold in enumerate(model.manifolds):
+    for slot, manifold in enumerate(manifolds):
 
         def change(Y: Array, slot: int = slot) -> Array:
-            return space.local(h, factor.predict(model.manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
+            return space.local(h, factor.predict(manifolds, *X[:slot], Y, *X[slot + 1 :])[0])
 
         H_k, _ = derivative(change, manifold, X[slot], rounding)
         lost = ~np.isfinite(H_k)
@@ -146,8 +143,8 @@ class _Trial(NamedTuple):
     D: Array
     error: Array
     relative: Array
-    rounded: npt.NDArray[np.bool_]
-    silent: npt.NDArray[np.bool_]
+    rounded: Mask
+    silent: Mask
 
 
 def _column(along: Callable[[Array], Array], size: Array, rounding: Array, first: float) -> tuple[Array, Array]:

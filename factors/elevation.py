@@ -13,8 +13,7 @@ from factors.noise import Isotropic
 from factors.range_azimuth import InSpace
 from models import Manifold
 from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_number
+from models.options import check_between
 from models.sensors import elevation
 
 __all__ = ["Elevation", "ElevationHinge"]
@@ -122,10 +121,8 @@ class ElevationHinge(Elevation):
         softness: float = pi / 180,
         offset: npt.ArrayLike | Keys | None = None,
     ) -> None:
-        if not (is_number(limit) and 0 < limit < pi / 2):
-            raise OptionError("ElevationHinge: limit", limit, "half an aperture in (0, pi / 2), rad")
         super().__init__(pose, target, 0.0, Isotropic(softness), offset)
-        self.limit = float(limit)
+        self.limit = check_between("ElevationHinge: limit", limit, 0, pi / 2, "half an aperture in (0, pi / 2), rad")
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         q, H = super().predict(manifolds, *X)

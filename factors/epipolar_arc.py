@@ -30,8 +30,8 @@ from factors.mount import check_offset, fixed_offset, named_singularity
 from factors.noise import Noise, square
 from models import SE3, Manifold, Measured
 from models.algebra import Array, dot, gram, product
-from models.errors import GraphError, OptionError
-from models.options import is_number
+from models.errors import GraphError
+from models.options import check_between
 from models.sensors.arcs import Contacts, least_information
 
 __all__ = ["EpipolarArc"]
@@ -123,10 +123,8 @@ class EpipolarArc(Factor):
         limit: float,
         offset: npt.ArrayLike | None = None,
     ) -> None:
-        if not (is_number(limit) and 0 < limit < pi / 2):
-            raise OptionError("EpipolarArc: limit", limit, "half an aperture in (0, pi / 2), rad")
         super().__init__((i, j), z, noise)
-        self.limit = float(limit)
+        self.limit = check_between("EpipolarArc: limit", limit, 0, pi / 2, "half an aperture in (0, pi / 2), rad")
         self.offset = None if offset is None else fixed_offset(self, offset)
         if self._z.shape[-1:] == (4,) and (near := self._z.reshape(-1, 4)[:, ::2].min(axis=1) <= 0).any():
             k = int(np.argmax(near))

@@ -17,6 +17,7 @@ from factors.noise import Isotropic, Noise
 from models import Manifold, R
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, LeadlineError, OptionError
+from models.options import is_whole
 
 __all__ = ["FunctionFactor"]
 
@@ -34,6 +35,8 @@ class _Alone(pickle.Pickler):
 class FunctionFactor(Factor):
     """A residual given as a function: h(X) = residual(X), z = 0."""
 
+    opaque = True
+
     def __init__(
         self,
         residual: Callable[..., Array],
@@ -43,7 +46,7 @@ class FunctionFactor(Factor):
         jacobians: Callable[..., Sequence[Array]] | None,
         relative: bool,
     ) -> None:
-        if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or not 0 < dim < 10**6:
+        if not is_whole(dim) or not 0 < dim < 10**6:
             raise OptionError("Factor.from_function(dim)", dim, "numbers per residual, a whole number of at least 1")
         if not isinstance(keys, Sequence) or not keys:
             raise GraphError(f"Factor.from_function: expected variables such as x[0] or [x[0], x[1]], got {keys!r:.80}")
@@ -108,7 +111,7 @@ class FunctionFactor(Factor):
             return tuple(np.array(array, dtype=float) for array in arrays)
         except LeadlineError:
             raise  # it says its own name: a singular geometry, for example, is a place to avoid
-        except Exception as error:  # the user's code may raise anything; it comes through, named and chained
+        except Exception as error:  # broad: the function is the user's and may raise anything; it is named and chained
             raise EvaluationError(
                 f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys
             ) from error

@@ -51,6 +51,7 @@ class Heading(Factor):
     """
 
     slots = (None,)
+    frame = "world"
 
     def __init__(self, pose: Keys, z: npt.ArrayLike, noise: Noise) -> None:
         super().__init__([pose], z, noise)

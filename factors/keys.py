@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from models.algebra import Numbers
 from models.errors import GraphError
 
 __all__ = ["Keys", "Kind", "kinds"]
@@ -39,7 +40,7 @@ class Keys:
             raise GraphError(f"{kind}[...]: variable numbers have shape {array.shape}, expected (n,)")
         self.kind = kind
         self.single = array.ndim == 0
-        self.numbers: npt.NDArray[np.int64] = array.reshape(-1).astype(np.int64)
+        self.numbers: Numbers = array.reshape(-1).astype(np.int64)
         self.numbers.setflags(write=False)  # graphs remember where they found these variables
 
     def __len__(self) -> int:

@@ -49,6 +49,7 @@ class Landmark(Sighting):
     """
 
     locates = True
+    frame = "sensor"
 
     def __init__(
         self, pose: Keys, point: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None

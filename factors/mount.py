@@ -15,7 +15,7 @@ from models.algebra import Array
 from models.errors import GraphError, SingularGeometryError
 from models.sensors import SingularAt
 
-__all__ = ["check_offset", "fixed_offset", "named_singularity", "pose_group"]
+__all__ = ["named_singularity"]
 
 
 def fixed_offset(factor: Factor, offset: npt.ArrayLike) -> Array:

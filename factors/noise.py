@@ -19,21 +19,11 @@ import numpy.typing as npt
 
 from factors.slices import rows
 from models.abstract import Abstract
-from models.algebra import Array, apply, product
+from models.algebra import Array, Index, Mask, apply, product
 from models.errors import GraphError, NoiseModelError
+from models.finite import first_not_finite
 
-__all__ = [
-    "SQUARABLE",
-    "Covariance",
-    "Diagonal",
-    "Information",
-    "Isotropic",
-    "Noise",
-    "SqrtInformation",
-    "square",
-    "weights",
-    "whiten",
-]
+__all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtInformation", "square", "whiten"]
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
@@ -77,7 +67,7 @@ class Noise(Abstract):
             Not a valid noise for this many measurements or components; names the measurement.
         """
 
-    def take(self, index: npt.NDArray[np.intp], n: int) -> Self:
+    def take(self, index: Index, n: int) -> Self:
         """The noise of some of n measurements; shared stays shared.
 
         Examples
@@ -218,7 +208,7 @@ class Information(_Matrix):
             W[bad] = self._semi_definite(Omega[bad], np.flatnonzero(bad))
         return W
 
-    def _semi_definite(self, Omega: Array, index: npt.NDArray[np.intp]) -> Array:
+    def _semi_definite(self, Omega: Array, index: Index) -> Array:
         """W = diag(sqrt(lambda)) V' D, D^2 = diag(Omega), D^-1 Omega D^-1 = V diag(lambda) V'; zeros for lambda = 0."""
         d = np.sqrt(np.abs(np.diagonal(Omega, axis1=1, axis2=2)))
         D = 1 / np.where(d > 0, d, 1.0)
@@ -256,8 +246,7 @@ def weights(noise: Noise, n: int, names: tuple[str, ...]) -> Array:
         No noise for these measurements; a weight that is infinite.
     """
     W = noise.sqrt_information(n, names)
-    if not np.isfinite(W).all():
-        k = int(np.argmax(~np.isfinite(W).reshape(len(W), -1).all(axis=1)))
+    if (k := first_not_finite(W)) is not None:
         raise NoiseModelError(f"the noise of measurement {k} is beyond the largest number", "noise", k)
     return W
 
@@ -281,9 +270,8 @@ def _numbers(value: npt.ArrayLike, name: str, ndim: int) -> Array:
         raise NoiseModelError(f"{name}: expected numbers, got {value!r:.60}", name) from error
     if array.ndim > ndim:
         raise NoiseModelError(f"{name} has shape {array.shape}, expected at most {ndim} axes", name)
-    if not np.isfinite(array).all():
-        stack = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
-        k = int(np.argmax(~np.isfinite(stack.reshape(len(stack), -1)).all(axis=1)))
+    stack = array if array.ndim == ndim else array[None]  # one per measurement, or one for all
+    if (k := first_not_finite(stack)) is not None:
         raise NoiseModelError(f"{name} of measurement {k} has a number that is not finite", name, k)
     return array
 
@@ -318,7 +306,7 @@ def _diagonal(M: Array) -> Array | None:
     return None if np.any(M, axis=0)[off].any() else np.asarray(np.diagonal(M, axis1=1, axis2=2))
 
 
-def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _cholesky(M: Array) -> tuple[Array, Mask]:
     """Lower L with L L' = M for a stack (n, m, m), and which of them are not positive definite.
 
     Over many matrices at a time, components first: 1 ms for 5,000 6x6 matrices, `numpy.linalg.cholesky` pays per
@@ -331,7 +319,7 @@ def _cholesky(M: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     return L.transpose(2, 0, 1), bad
 
 
-def _factorize(C: Array, L: Array, bad: npt.NDArray[np.bool_]) -> None:
+def _factorize(C: Array, L: Array, bad: Mask) -> None:
     """Fill L with the factors of the matrices C, both (m, m, n), and bad (n,), column by column."""
     S = np.zeros(C.shape)  # sum of L_k L_k' over the columns k < j
     for j in range(len(C)):

@@ -56,6 +56,7 @@ class Position(Factor):
     """
 
     slots = (None,)
+    frame = "world"
     per_measurement = ("offset",)
 
     def __init__(

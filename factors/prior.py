@@ -12,7 +12,7 @@ from factors.keys import Keys
 from factors.mount import check_offset, fixed_offset
 from factors.noise import Noise, component_names
 from models import LieGroup, Manifold
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import GraphError
 
 __all__ = ["Prior"]
@@ -57,6 +57,7 @@ class Prior(Factor):
     """
 
     slots = (None,)
+    frame = "world"
     per_measurement = ("offset",)
 
     def __init__(
@@ -80,7 +81,7 @@ class Prior(Factor):
         check_offset(self, self.offset, manifolds[0])
         return manifolds[0]
 
-    def rows(self, space: Manifold) -> npt.NDArray[np.intp] | slice:
+    def rows(self, space: Manifold) -> Index | slice:
         if self.components is None:
             return slice(None)
         unknown = [c for c in self.components if c not in space.components]

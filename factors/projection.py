@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy.typing as npt
 
 from factors.keys import Keys
+from factors.mount import named_singularity
 from factors.noise import Noise
 from factors.range_azimuth import InSpace
 from models.algebra import Array
@@ -81,3 +82,7 @@ class Projection(InSpace):
 
     def sense(self, p: Array) -> tuple[Array, Array]:
         return self.camera.project(p)
+
+    def rays(self, z: Array) -> tuple[Array, Array]:
+        with named_singularity(self):
+            return self.camera.ray(z)

@@ -54,3 +54,6 @@ class Range(Sighting):
 
     def sense(self, p: Array) -> tuple[Array, Array]:
         return distance(p)
+
+    def ranges(self, z: Array) -> Array:
+        return z[:, 0]

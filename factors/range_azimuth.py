@@ -12,7 +12,7 @@ from models import SE3, Manifold, Measured
 from models.algebra import Array
 from models.sensors import cartesian, range_azimuth
 
-__all__ = ["InSpace", "RangeAzimuth"]
+__all__ = ["RangeAzimuth"]
 
 
 class InSpace(Sighting):
@@ -83,6 +83,7 @@ class RangeAzimuth(InSpace):
     """
 
     measures = ("range", "azimuth")
+    contact = True
 
     def sense(self, p: Array) -> tuple[Array, Array]:
         return range_azimuth(p)

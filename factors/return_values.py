@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
+from factors.keys import Keys
 from factors.noise import SQUARABLE
 from models import Manifold
 from models.algebra import Array
 from models.errors import EvaluationError, GraphError, NoiseModelError
 
-if TYPE_CHECKING:
-    from factors.base import Factor, Jacobians
 
-__all__ = ["checked_jacobians", "checked_prediction", "checked_space", "refuse_extreme"]
+class Batch(Protocol):
+    """A factor, as far as checks of it need one."""
+
+    keys: tuple[Keys, ...]
+
+    @property
+    def name(self) -> str: ...
+
+    def describe(self, index: int) -> str: ...
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Any]: ...
 
 
-def checked_space(factor: Factor, space: object) -> Manifold:
+def checked_space(factor: Batch, space: object) -> Manifold:
     """What `Factor.space` returned, if it is a space.
 
     Raises
@@ -34,7 +43,7 @@ def checked_space(factor: Factor, space: object) -> Manifold:
     return space
 
 
-def checked_prediction(factor: Factor, prediction: object, shape: tuple[int, ...]) -> tuple[Array, Jacobians]:
+def checked_prediction(factor: Batch, prediction: object, shape: tuple[int, ...]) -> tuple[Array, object]:
     """What `Factor.predict` returned, if it is an array of this shape and Jacobians or None.
 
     Raises
@@ -57,7 +66,7 @@ def checked_prediction(factor: Factor, prediction: object, shape: tuple[int, ...
 
 
 def checked_jacobians(
-    factor: Factor, H: object, n: int, m: int, manifolds: tuple[Manifold, ...]
+    factor: Batch, H: object, n: int, m: int, manifolds: tuple[Manifold, ...]
 ) -> tuple[Array | None, ...]:
     """The Jacobians `Factor.predict` returned, if there is one of (n, m, dim_k) for every slot.
 
@@ -82,7 +91,7 @@ def checked_jacobians(
     return tuple(H)
 
 
-def refuse_extreme(factor: Factor, z: Array, W: Array, names: tuple[str, ...]) -> None:
+def refuse_extreme(factor: Batch, z: Array, W: Array, names: tuple[str, ...]) -> None:
     """Refuse measurements z (n, size) that cannot be weighted by the whitener W, as no square of a number can hold it.
 
     Raises
@@ -118,5 +127,5 @@ def refuse_extreme(factor: Factor, z: Array, W: Array, names: tuple[str, ...]) -
         )
 
 
-def _wrong(factor: Factor, message: str) -> EvaluationError:
+def _wrong(factor: Batch, message: str) -> EvaluationError:
     return EvaluationError(f"{factor!r}: {message}", factor.name, factor.keys)

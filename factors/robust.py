@@ -34,7 +34,6 @@ from models.options import did_you_mean, is_number
 
 __all__ = [
     "DCS",
-    "EFFICIENT",
     "KERNELS",
     "Cauchy",
     "GemanMcClure",

@@ -36,7 +36,8 @@ class Sighting(Factor):
 
     .. math:: h(X, l) = g(p), \quad p = (X \circ O)^{-1} l
 
-    A subclass states `measured` and `sense`, and `point` where a single measurement says where the target is.
+    A subclass states `measured` and `sense`, and `point` where a single measurement says where the target is, or one of
+    `ranges`, `directions` and `rays` where it says as much.
 
     Parameters
     ----------
@@ -51,6 +52,7 @@ class Sighting(Factor):
     ----------
     offset : None, the fixed offsets (1 or n, size), or the `Keys` of the variable(s).
     locates : whether one measurement is enough to say where its target is.
+    contact : whether z is range, m, and azimuth, rad, alone, as of an imaging sonar: its target is on an arc.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class Sighting(Factor):
     relative = True
     per_measurement = ("offset",)
     locates: ClassVar[bool] = False
+    contact: ClassVar[bool] = False
 
     def __init__(
         self, pose: Keys, target: Keys, z: npt.ArrayLike, noise: Noise, offset: npt.ArrayLike | Keys | None = None
@@ -134,6 +137,18 @@ class Sighting(Factor):
     def point(self, z: Array) -> Array:
         """The target p (n, d) in the frame of the sensor, m, from z (n, size): the inverse of g, where it has one."""
         raise NotImplementedError(f"{self.name}: one measurement does not say where its target is")
+
+    def ranges(self, z: Array) -> Array | None:
+        """Distances (n,) of targets, m, from measurements z (n, size) of nothing else; None of other sensors."""
+        return None
+
+    def directions(self, z: Array) -> Array | None:
+        """Unit vectors (n, d) to targets in the frame of the sensor, from z of nothing else; None of other sensors."""
+        return None
+
+    def rays(self, z: Array) -> tuple[Array, Array] | None:
+        """Rays (n, 3) of the pixels z of a camera, in its frame, and their derivatives (n, 3, 2); None of others."""
+        return None
 
     def locate(self, group: LieGroup, S: Array, z: Array) -> Array:
         """Targets l = S p (n, d) in the world, m, from measurements z (n, size) and poses S (n, size) of the sensor."""

@@ -10,8 +10,6 @@ from factors.keys import Keys
 from models.algebra import Array, Index
 from models.errors import GraphError
 
-__all__ = ["one_each", "places", "rows"]
-
 
 def places(index: Any, n: int, name: str) -> Index:
     """Places (k,) in a batch of n that a whole number, a slice, an array of whole numbers or a mask (n,) means.

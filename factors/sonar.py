@@ -15,6 +15,7 @@ from factors.noise import Diagonal, Isotropic, Noise, SqrtInformation, square
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import Robust
 from models import SE3, R
+from models.algebra import Index
 from models.errors import GraphError, OptionError
 from models.sensors import ImagingSonar
 
@@ -129,7 +130,7 @@ def _pairs(contacts: RangeAzimuth, limit: float) -> EpipolarArc:
     return EpipolarArc(pose[start], pose[later], np.hstack([model.z[start], model.z[later]]), noise, limit, O)
 
 
-def first_contacts(pose: Keys, target: Keys) -> npt.NDArray[np.intp]:
+def first_contacts(pose: Keys, target: Keys) -> Index:
     """Places of the contact from the lowest-numbered pose of every target, in the order of the targets' numbers.
 
     Examples

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +12,8 @@ from factors.keys import Keys
 from factors.noise import Noise
 from models import SE2, Manifold, Measured
 from models.algebra import Array, components, pack
-from models.errors import GraphError, OptionError
-from models.options import is_number
+from models.errors import GraphError
+from models.options import check_between
 from models.vehicles import wheel_travel
 
 __all__ = ["Wheels"]
@@ -65,8 +65,7 @@ class Wheels(Factor):
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, base: float) -> None:
         super().__init__([i, j], z, noise)
-        if not is_number(base) or not (math.isfinite(base) and base > 0):
-            raise OptionError("Wheels: base", base, "the distance of the wheels, m, above 0")
+        self.base = check_between("Wheels: base", base, 0, inf, "the distance of the wheels, m, above 0")
         if self._z.ndim not in (1, 2) or self._z.shape[-1] not in (2, 3):
             raise GraphError(
                 f"{self!r}: z has shape {self._z.shape}, expected (n, 2): travel of the right and of the left wheel",
@@ -76,7 +75,6 @@ class Wheels(Factor):
         if self._z.shape[-1] == 2:
             self._z = np.concatenate([self._z, np.zeros((*self._z.shape[:-1], 1))], axis=-1)
             self._z.setflags(write=False)
-        self.base = float(base)
 
     def sizes(self) -> tuple[int, ...]:
         return (3,)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians
+from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.mount import named_singularity
 from factors.noise import Noise
@@ -70,6 +70,7 @@ class XYH(Factor):
     """
 
     slots = (SE3, SE3)
+    frame = "first"
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, form: str = "levelled") -> None:
         if not isinstance(form, str) or form not in FORMS:
@@ -83,6 +84,9 @@ class XYH(Factor):
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return Measured("x", "y", "yaw")
+
+    def level_steps(self, model: Model) -> Array:
+        return model.z
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         with named_singularity(self):

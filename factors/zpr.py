@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians
+from factors.base import Factor, Jacobians, Model
 from factors.keys import Keys
 from factors.mount import named_singularity
 from factors.noise import Noise
@@ -53,6 +53,7 @@ class ZPR(Factor):
     """
 
     slots = (SE3,)
+    frame = "world"
 
     def __init__(self, pose: Keys, z: npt.ArrayLike, noise: Noise) -> None:
         super().__init__([pose], z, noise)
@@ -62,6 +63,9 @@ class ZPR(Factor):
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
         return Measured("z", "pitch", "roll")
+
+    def tilts(self, model: Model) -> Array:
+        return model.z
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         with named_singularity(self):

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "TINY",
     "Array",
     "Index",
+    "Mask",
+    "Numbers",
     "apply",
     "arrangement",
     "components",
@@ -34,6 +35,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+Numbers = npt.NDArray[np.int64]
 
 
 def wrap(angle: npt.ArrayLike) -> Array:

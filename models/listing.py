@@ -1,12 +1,23 @@
-"""The first few of some things, and how many more."""
+"""Things in words: a count and its noun; the first few of them, and how many more."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["SOME", "some"]
+__all__ = ["SOME", "several", "some"]
 
 SOME = 5  # of a list that are named
+
+
+def several(count: int, noun: str) -> str:
+    """A count and its noun.
+
+    Examples
+    --------
+    >>> several(1, "pose"), several(1200, "line")
+    ('1 pose', '1200 lines')
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def some(items: Sequence[object], most: int = SOME, separator: str = ", ", noun: str = "") -> str:

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
-__all__ = ["did_you_mean", "is_number", "is_whole"]
+from models.errors import OptionError
+
+__all__ = ["check_between", "check_whole", "did_you_mean", "is_number", "is_whole"]
 
 
 def is_number(value: Any) -> bool:
@@ -31,6 +33,32 @@ def is_whole(value: Any) -> bool:
     [True, True, False, False, False, False]
     """
     return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def check_whole(option: str, value: Any, least: int, expected: str = "") -> int:
+    """A whole number of at least `least`.
+
+    Raises
+    ------
+    OptionError
+        Another value; ``expected`` describes the possible ones.
+    """
+    if not is_whole(value) or value < least:
+        raise OptionError(option, value, expected or f"a whole number of at least {least}")
+    return int(value)
+
+
+def check_between(option: str, value: Any, low: float, high: float, expected: str) -> float:
+    """A number above `low` and below `high`.
+
+    Raises
+    ------
+    OptionError
+        Another value; ``expected`` describes the possible ones.
+    """
+    if not is_number(value) or not low < value < high:
+        raise OptionError(option, value, expected)
+    return float(value)
 
 
 def did_you_mean(name: object, names: Iterable[str]) -> str:

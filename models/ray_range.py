@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, dot, product
+from models.algebra import Array, Mask, Numbers, dot, product
 from models.errors import GraphError
 from models.finite import finite
 from models.sensors.singular import CLOSE, refuse
@@ -53,7 +53,7 @@ class RayRange:
     r: Array
     discriminant: Array
     depth: Array
-    roots: npt.NDArray[np.int64]
+    roots: Numbers
 
     @property
     def points(self) -> Array:
@@ -61,12 +61,12 @@ class RayRange:
         return np.asarray(self.depth[..., None] * self.b)
 
     @property
-    def missed(self) -> npt.NDArray[np.bool_]:
+    def missed(self) -> Mask:
         """(n,) the ray passes the sphere, D < 0: range or bearing are off."""
         return np.asarray(self.discriminant < 0)
 
     @property
-    def behind(self) -> npt.NDArray[np.bool_]:
+    def behind(self) -> Mask:
         """(n,) the line of the ray meets the sphere, but not in front of the camera."""
         return np.asarray((self.roots == 0) & ~self.missed)
 
@@ -75,7 +75,7 @@ class RayRange:
         """(n,) depth b.s, m, at which the line of the ray is nearest to the sonar: the least bad answer if `missed`."""
         return dot(self.b, self.s)
 
-    def jacobians(self, near: bool | npt.NDArray[np.bool_] = False) -> tuple[Array, Array, Array]:
+    def jacobians(self, near: bool | Mask = False) -> tuple[Array, Array, Array]:
         """Derivatives of the points: dp/db (n, 3, 3), dp/dr (n, 3, 1) and dp/ds (n, 3, 3).
 
         Parameters
@@ -104,7 +104,7 @@ class RayRange:
         Sigma_z: npt.ArrayLike,
         sigma_r: npt.ArrayLike,
         Sigma_s: npt.ArrayLike | None = None,
-        near: bool | npt.NDArray[np.bool_] = False,
+        near: bool | Mask = False,
     ) -> Array:
         """Covariance of the points (n, 3, 3), m^2, in the frame of the camera, to first order.
 

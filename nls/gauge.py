@@ -18,12 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
-from models.algebra import Index
+from models.algebra import Index, Mask
 from models.errors import GraphWarning, OptionError
 from models.listing import some
 from nls.sparse.components import connected, firsts
@@ -52,8 +51,8 @@ class Gauge:
     """
 
     pattern: Pattern
-    held: npt.NDArray[np.bool_]
-    fixed: npt.NDArray[np.bool_]
+    held: Mask
+    fixed: Mask
     description: str = ""
     free: bool = False
 
@@ -74,7 +73,7 @@ def component_labels(pattern: Pattern) -> Index:
     return connected(i, j, len(pattern.dims))
 
 
-def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
+def touched_variables(pattern: Pattern) -> Mask:
     """(V,) which variables a factor touches."""
     touched = np.zeros(len(pattern.dims), dtype=bool)
     for batch in pattern.batches:
@@ -83,7 +82,7 @@ def touched_variables(pattern: Pattern) -> npt.NDArray[np.bool_]:
     return touched
 
 
-def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: npt.NDArray[np.bool_]) -> Gauge:
+def choose_gauge(name: str, pattern: Pattern, values: Values, fixed: Mask) -> Gauge:
     """Decide what holds each component that nothing else holds.
 
     Parameters
@@ -143,14 +142,12 @@ def _outside() -> int:
     return level
 
 
-def _named(pattern: Pattern, variables: npt.NDArray[np.intp]) -> str:
+def _named(pattern: Pattern, variables: Index) -> str:
     """The first few of some variables, and how many more."""
     return some([pattern.key(int(v)) for v in variables])
 
 
-def _first_of_components(
-    label: Index, pattern: Pattern, moving: npt.NDArray[np.bool_], anchored: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.intp]:
+def _first_of_components(label: Index, pattern: Pattern, moving: Mask, anchored: Mask) -> Index:
     """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
     kinds = sorted(pattern.numbers, key=lambda kind: -pattern.manifolds[kind].dim)
     by_number = [pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable") for kind in kinds]
@@ -158,7 +155,7 @@ def _first_of_components(
     return firsts(label, order[(moving & ~anchored[label])[order]])
 
 
-def fixed_variables(fixed: Sequence[Keys], values: Values) -> npt.NDArray[np.bool_]:
+def fixed_variables(fixed: Sequence[Keys], values: Values) -> Mask:
     """(V,) which variables are in a list of keys."""
     start, out = offsets(values), np.zeros(len(values), dtype=bool)
     for keys in fixed:

@@ -7,11 +7,11 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
 from factors.robust import Kernel
+from models.algebra import Mask
 from models.errors import GraphError, OptionError
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, default_solver
@@ -109,7 +109,7 @@ class FactorGraph:
         """A graph of the same measurements, each under a robust kernel; this one stays as it is."""
         return FactorGraph([factor.robust(kernel) for factor in self.factors], self.fixed)
 
-    def only(self, masks: Sequence[npt.NDArray[np.bool_] | Sequence[bool]]) -> FactorGraph:
+    def only(self, masks: Sequence[Mask | Sequence[bool]]) -> FactorGraph:
         """A graph of some of the measurements: of every factor those (n,) where its mask is True.
 
         Raises

@@ -22,6 +22,7 @@ from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from models.alignment import align
 from models.errors import GraphError, OptionError, SingularGeometryError
+from models.finite import numbers
 from models.sensors import SingularAt
 
 __all__ = ["ALIGNMENTS", "TrajectoryError", "ate", "displacements"]
@@ -89,7 +90,7 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     """
     if align not in ALIGNMENTS:
         raise OptionError("align", align, "one of " + ", ".join(ALIGNMENTS))
-    P, Q = _numbers("estimate", estimate), _numbers("truth", truth)
+    P, Q = (np.atleast_2d(numbers("ate", name, X)) for name, X in (("estimate", estimate), ("truth", truth)))
     group = {3: SE2, 7: SE3}.get(P.shape[-1])
     if group is None or P.shape != Q.shape or P.ndim != 2 or not len(P):
         raise GraphError(f"ate: shapes {P.shape} and {Q.shape}, expected the same: (n, 3) for SE2 or (n, 7) for SE3")
@@ -117,14 +118,6 @@ def displacements(p: Array, q: Array) -> Array:
     U, _, Vt = np.linalg.svd(q.T @ p)
     U[:, -1] *= np.linalg.det(U) * np.linalg.det(Vt)  # a rotation, no reflection
     return np.asarray(np.linalg.norm(q - p @ (U @ Vt).T, axis=1))
-
-
-def _numbers(name: str, poses: npt.ArrayLike) -> Array:
-    """Poses as an array of two dimensions."""
-    try:
-        return np.atleast_2d(np.asarray(poses, dtype=float))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"ate: {name} is not an array of numbers: {error}") from error
 
 
 def _too_far() -> GraphError:

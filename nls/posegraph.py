@@ -21,7 +21,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from factors.base import Factor, Model
-from models import LieGroup
+from models import LieGroup, Manifold
 from models.advice import Advice
 from models.algebra import Array, Index, congruence, gram
 from models.errors import GraphError
@@ -31,14 +31,14 @@ from nls.sparse.components import connected, firsts
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
-__all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses"]
+__all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses", "stated"]
 Mask = npt.NDArray[np.bool_]
 SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
 
 def is_relative(factor: Factor) -> bool:
     """Whether a factor is of a kind that measures relative poses, see `Factor.relative_poses`."""
-    return type(factor).relative_poses is not Factor.relative_poses
+    return factor.states("relative_poses")
 
 
 def says_poses(factor: Factor) -> bool:
@@ -337,17 +337,29 @@ def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
     """The relative poses of a graph by group, in the order of the groups' names."""
     batches: dict[LieGroup, list[tuple[Batch, Array]]] = {}
     for batch in graph.pattern(values).batches:
-        factor = batch.model.factor
-        if len(batch) and says_poses(factor) and (z := factor.relative_poses(batch.model)) is not None:
-            group = batch.model.manifolds[0]
+        group = batch.model.manifolds[0]
+        if says_poses(batch.model.factor) and (z := stated(batch, "relative_poses", group)) is not None:
             assert isinstance(group, LieGroup)
-            if np.shape(z) != (expected := (len(batch), group.size)):
-                text = f"relative_poses returned an array of shape {np.shape(z)}, expected {expected}, poses in {group}"
-                raise GraphError(f"{factor!r:.80}: {text}", factor.keys, factor.name)
             batches.setdefault(group, []).append((batch, z))
     for group in sorted(batches, key=repr):
         of_group, z_of_group = zip(*batches[group], strict=True)
         yield PoseGraph(graph, values, of_group, group, z_of_group)
+
+
+def stated(batch: Batch, trait: str, space: Manifold) -> Array | None:
+    """What a batch says by a trait of its factor, elements (k, size) of a space; None where it says nothing.
+
+    Raises
+    ------
+    GraphError
+        An array of another shape.
+    """
+    factor = batch.model.factor
+    z: Array | None = getattr(factor, trait)(batch.model) if len(batch) else None
+    if z is not None and np.shape(z) != (expected := (len(batch), space.size)):
+        text = f"{trait} returned an array of shape {np.shape(z)}, expected {expected}, poses in {space}"
+        raise GraphError(f"{factor!r:.80}: {text}", factor.keys, factor.name)
+    return z
 
 
 def _steps(batch: Batch, place: Index) -> Mask:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys, Kind
+from models.algebra import Index, Numbers
 from models.errors import GraphError
 from models.manifolds.base import Manifold
 
@@ -24,7 +25,7 @@ class Stack:
 
     __slots__ = ("X", "_order", "_sorted", "kind", "manifold", "numbers")
 
-    def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: npt.NDArray[np.int64]) -> None:
+    def __init__(self, kind: str, manifold: Manifold, X: Array, numbers: Numbers) -> None:
         self.kind, self.manifold, self.numbers = kind, manifold, numbers
         self.X = np.asfortranarray(X)
         rising = bool(len(numbers)) and bool((numbers[1:] > numbers[:-1]).all())
@@ -48,7 +49,7 @@ class Stack:
         stack._order, stack._sorted, stack.X = self._order, self._sorted, np.asfortranarray(X)
         return stack
 
-    def index(self, keys: Keys) -> npt.NDArray[np.intp]:
+    def index(self, keys: Keys) -> Index:
         """Rows of the stack that hold these variables, (n,).
 
         Raises
@@ -59,7 +60,7 @@ class Stack:
         if not len(self):
             raise GraphError(f"{keys[[0]]} has no value: Values hold no variable of kind {self.kind}", [keys])
         if self._order is None:  # consecutive numbers: the row is a subtraction
-            index: npt.NDArray[np.intp] = (keys.numbers - self.numbers[0]).astype(np.intp)
+            index: Index = (keys.numbers - self.numbers[0]).astype(np.intp)
             present = (keys.numbers >= self.numbers[0]) & (keys.numbers <= self.numbers[-1])
         else:
             place = np.minimum(np.searchsorted(self._sorted, keys.numbers), len(self) - 1)
@@ -269,6 +270,6 @@ def _keys(key: object) -> Keys:
     return key
 
 
-def take(X: Array, index: npt.NDArray[np.intp]) -> Array:
+def take(X: Array, index: Index) -> Array:
     """Rows of a stack kept components first (`numpy.take` is 4 times faster than indexing with an array)."""
     return np.take(X.T, index, axis=1).T

@@ -11,8 +11,6 @@ import typing
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-__all__ = ["Parser", "add_parameters", "command", "flag", "parameters", "seed_number", "values_of", "whole_number"]
-
 DIGITS = 18  # of a whole number: below 2^63
 FLAGS = {"n_poses": "--poses"}  # other parameters of a world are options of their own name
 

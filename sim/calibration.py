@@ -10,7 +10,7 @@ import numpy as np
 from nls import GaussNewton, Result, kinds
 from sim.camera_sonar import Rig
 
-__all__ = ["calibrated", "calibration_files", "calibration_rows"]
+__all__ = ["calibrated"]
 
 (s,) = kinds("s")
 ALIGNED = "rigid, of cameras and points together; the sonar is not aligned"

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import math
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from models.errors import OptionError
-from models.options import is_whole
-
-__all__ = [
-    "MAX_POSES",
-    "check_fraction",
-    "check_not_negative",
-    "check_poses",
-    "check_positive",
-    "check_rng",
-    "check_whole",
-]
+from models.options import check_between, is_number, is_whole
 
 MAX_POSES = 10_000_000  # 560 MB of truth in three dimensions; more is a slip of the keyboard
 MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two stay finite
@@ -36,7 +25,7 @@ def check_rng(rng: Any) -> None:
         raise OptionError("rng", rng, "a generator such as numpy.random.default_rng(0)")
 
 
-def check_whole(option: str, value: int, least: int) -> None:
+def check_size(option: str, value: int, least: int) -> None:
     """A whole number from `least` to `MAX_POSES`.
 
     Raises
@@ -66,8 +55,7 @@ def check_positive(**options: float) -> None:
     OptionError
     """
     for option, value in options.items():
-        if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
-            raise OptionError(option, value, "a number above 0")
+        check_between(option, value, 0, math.inf, "a number above 0")
         if not 1 / MAX_SIZE <= value <= MAX_SIZE:
             raise OptionError(option, value, f"a number from {1 / MAX_SIZE:g} to {MAX_SIZE:g}")
 
@@ -80,7 +68,7 @@ def check_not_negative(**options: float) -> None:
     OptionError
     """
     for option, value in options.items():
-        if not (isinstance(value, Real) and math.isfinite(value) and value >= 0):
+        if not (is_number(value) and 0 <= value < math.inf):
             raise OptionError(option, value, "a number of at least 0")
         if value > MAX_SIZE:
             raise OptionError(option, value, f"at most {MAX_SIZE:g}")
@@ -94,5 +82,5 @@ def check_fraction(**options: float) -> None:
     OptionError
     """
     for option, value in options.items():
-        if not (isinstance(value, Real) and 0 <= value <= 1):
+        if not (is_number(value) and 0 <= value <= 1):
             raise OptionError(option, value, "a number from 0 to 1")

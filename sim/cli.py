@@ -31,7 +31,7 @@ from sim.worlds.ring import ring
 from sim.worlds.sphere import sphere
 from sim.worlds.torus import torus
 
-__all__ = ["MISSIONS", "RIGS", "WORLDS", "main"]
+__all__ = ["MISSIONS", "WORLDS", "main"]
 
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}

@@ -20,8 +20,6 @@ from sim.landmark_world import LandmarkWorld
 from sim.monte_carlo import FailedRunsError, runs, sentence
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
-__all__ = ["SCENE_FILES", "Files", "add_compare", "add_estimators", "estimated"]
-
 SCENE_FILES = "estimate.png (four pictures), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
     "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),

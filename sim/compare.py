@@ -22,7 +22,7 @@ from sim.estimators import errors, tracked
 from sim.landmark_world import LandmarkWorld
 from sim.monte_carlo import Record
 
-__all__ = ["Compared", "compare", "compared_rows", "monte_carlo_rows", "quality"]
+__all__ = ["compare", "compared_rows", "monte_carlo_rows"]
 
 COLUMNS = ("ate", "aligned", "smoothed", "final")
 SINGULAR = "singular"

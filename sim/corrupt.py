@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import Between
 from models import LieGroup
+from models.algebra import Mask
 from models.errors import OptionError
 from nls import FactorGraph, kinds
 from sim.checks import check_not_negative, check_rng
@@ -20,9 +20,7 @@ GROUP = 5  # closures in a row that one mistaken place yields
 WRONG = 10.0  # whitened distance from the truth below which a drawn closure could pass for a right one
 
 
-def outliers(
-    world: World, fraction: float, rng: np.random.Generator, grouped: bool = False
-) -> tuple[World, npt.NDArray[np.bool_]]:
+def outliers(world: World, fraction: float, rng: np.random.Generator, grouped: bool = False) -> tuple[World, Mask]:
     r"""Add wrong loop closures: two random poses said to be related as two others truly are.
 
     A measured z of a right closure is claimed for a random pair (i, j). Grouped, the mistake lasts for five poses in a

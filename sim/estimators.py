@@ -28,18 +28,7 @@ from sim.landmark_world import LandmarkWorld
 from sim.worlds.lines import lines
 from sim.worlds.subsea import subsea
 
-__all__ = [
-    "ESTIMATORS",
-    "SCENES",
-    "Followed",
-    "History",
-    "batch",
-    "errors",
-    "estimator",
-    "followed",
-    "of_seed",
-    "tracked",
-]
+__all__ = ["ESTIMATORS", "SCENES", "batch", "errors", "estimator", "followed", "of_seed", "tracked"]
 
 History = list[tuple[Keys, Array]]  # at every step, the landmarks found so far and their covariances (m, d, d)
 ESTIMATORS = ("ekf", "ekf-first-estimates", "fastslam1", "fastslam2", "fixed-lag", "online", "batch")

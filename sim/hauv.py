@@ -17,12 +17,11 @@ import numpy.typing as npt
 
 from models import euler
 from models.algebra import Array, pack, wrap
-from models.errors import OptionError
-from models.options import is_number
+from models.options import check_between
 from models.sensors import DIDSON_HIGH, ImagingSonar
-from sim.checks import check_rng, check_whole
+from sim.checks import check_rng, check_size
 
-__all__ = ["SIGMA_SONAR", "SIGMA_XYH", "SIGMA_ZPR", "STEP", "didson", "lawn_mower", "mounted", "scattered", "swaying"]
+__all__ = ["lawn_mower", "swaying"]
 
 STEP = 0.25  # m, from pose to pose along a leg
 SIGMA_XYH = np.array([0.01, 0.01, radians(0.25)])  # a step: x and y, m, heading, rad
@@ -38,8 +37,7 @@ def didson(aperture: float) -> ImagingSonar:
     OptionError
         No such aperture.
     """
-    if not (is_number(aperture) and 0 < aperture < pi):
-        raise OptionError("aperture", aperture, "an angle in (0, pi), rad")
+    check_between("aperture", aperture, 0, pi, "an angle in (0, pi), rad")
     return replace(DIDSON_HIGH, window=(1.0, 6.0), aperture=aperture)
 
 
@@ -115,5 +113,5 @@ def scattered(
     """
     check_rng(rng)
     count = round(reference[0] * float(np.prod(high - low)) / reference[1]) if count is None else count
-    check_whole("points", count, 1)
+    check_size("points", count, 1)
     return rng.uniform(low, high, size=(count, 3))

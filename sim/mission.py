@@ -16,13 +16,12 @@ from dataclasses import dataclass, field, replace
 from math import radians
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimuth, sonar_factors
 from factors.sonar import refuse_search
 from models import SE3, R, euler
-from models.algebra import Array, wrap
+from models.algebra import Array, Index, Mask, wrap
 from models.errors import GraphError
 from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
@@ -30,9 +29,9 @@ from nls.metrics import ate
 from nls.starts import dead_reckoning, first_sighting
 from sim.checks import check_not_negative, check_rng
 from sim.hauv import SIGMA_SONAR, SIGMA_XYH, SIGMA_ZPR
-from sim.world import Index, reflected, seed_of
+from sim.world import reflected, seed_of
 
-__all__ = ["Mission", "rebuilt", "survey", "visible"]
+__all__ = ["Mission", "rebuilt", "visible"]
 
 FEWEST = 3  # contacts of a landmark; what was seen less often is left out
 ANCHOR_XY, ANCHOR_YAW = 1e-3, 1e-4  # m and rad: sigmas of the known first pose
@@ -65,7 +64,7 @@ class Mission:
     sonar: ImagingSonar
     offset: Array = field(repr=False)
     elevation: str
-    wrong: npt.NDArray[np.bool_] = field(repr=False)
+    wrong: Mask = field(repr=False)
     seed: int | None
     description: str
 
@@ -237,7 +236,7 @@ def rebuilt(
     mission: Mission,
     odometry: XYH | None = None,
     contacts: RangeAzimuth | None = None,
-    wrong: npt.NDArray[np.bool_] | None = None,
+    wrong: Mask | None = None,
     note: str = "",
 ) -> Mission:
     """The mission with other odometry or other contacts: landmarks without contacts leave it, the start is made anew.

@@ -33,11 +33,11 @@ import numpy as np
 
 from models.errors import GraphFileError, GraphWarning, LeadlineError, OptionError
 from models.listing import some
-from models.options import is_whole
+from models.options import check_whole
 from nls.io.files import read_bytes, write_bytes
 from nls.sparse.threads import single_thread
 
-__all__ = ["FailedRunsError", "Record", "runs", "sentence"]
+__all__ = ["FailedRunsError", "Record", "runs"]
 
 Record = dict[str, Any]  # what json can hold
 FAILURES = (LeadlineError, ArithmeticError, np.linalg.LinAlgError)  # of one seed; all else is a fault of the function
@@ -113,8 +113,7 @@ def runs(
     """
     seeds = list(seeds)
     for seed in seeds:
-        if not is_whole(seed) or seed < 0:
-            raise OptionError("seeds", seed, "whole numbers of at least 0")
+        check_whole("seeds", seed, 0, "whole numbers of at least 0")
     if len(set(seeds)) < len(seeds):
         raise OptionError("seeds", seeds, "every seed once")
     done = {} if resume is None else _records_of(Path(resume), _signature(function))

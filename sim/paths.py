@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from models import SO3
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.errors import ResourceLimitError
 from models.manifolds.so3 import quaternion_from_matrix
-from sim.checks import check_not_negative, check_positive, check_rng, check_whole
-from sim.world import Index, chain
+from sim.checks import check_not_negative, check_positive, check_rng, check_size
+from sim.world import chain
 
 __all__ = ["attitudes", "grid_walk", "meetings", "quarter_turns"]
 
@@ -45,13 +45,13 @@ def grid_walk(
     OptionError
     """
     check_rng(rng)
-    check_whole("n_poses", n_poses, 3)
-    check_whole("block", block, 1)
+    check_size("n_poses", n_poses, 3)
+    check_size("block", block, 1)
     check_positive(spacing=spacing)
     if streets is None:
         # between two streets alone a drive only circles the block
         streets = max(3, round((n_poses / (VISITS * dim * block)) ** (1 / dim)))
-    check_whole("streets", streets, 2)
+    check_size("streets", streets, 2)
     legs = -(-n_poses // block)  # enough: the shortest leg is one block
     axis = np.cumsum(rng.integers(1, dim, size=legs)) % dim  # never the axis of the leg before
     jump = rng.integers(1, streets, size=legs)  # never to the street where it stands

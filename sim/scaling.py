@@ -25,13 +25,13 @@ from nls.filters.base import steps
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
 from nls.starts import locate_points
-from sim.checks import check_rng, check_whole
+from sim.checks import check_rng, check_size
 from sim.estimators import batch, estimator
 from sim.landmark_world import KNOWN_START, LandmarkWorld
 from sim.world import chain, seed_of
 from sim.worlds.subsea import STEP, sightings
 
-__all__ = ["FITTED", "SCALED", "SIZES", "Cost", "circuit", "costs", "exponent", "panels", "scaling_rows"]
+__all__ = ["FITTED", "SCALED", "Cost", "circuit", "costs", "exponent", "panels", "scaling_rows"]
 
 SCALED = ("ekf", "online", "batch")
 SIZES = tuple(100 * 2**k for k in range(8))  # landmarks
@@ -91,7 +91,7 @@ def circuit(rng: np.random.Generator, landmarks: int) -> LandmarkWorld:
     (46, 100, 14)
     """
     check_rng(rng)
-    check_whole("landmarks", landmarks, 100)
+    check_size("landmarks", landmarks, 100)
     x, l = kinds("x", "l")
     lap = -(-landmarks // PER_POSE)
     n, turn = lap + AGAIN + 1, 2 * pi / lap

@@ -9,14 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from factors import XYH, Diagonal, RangeAzimuth
-from models.algebra import Array, wrap
+from models.algebra import Array, Index, wrap
 from models.errors import OptionError
 from sim.checks import check_fraction, check_rng
 from sim.hauv import SIGMA_SONAR
 from sim.mission import FEWEST, Mission, rebuilt
-from sim.world import Index
 
-__all__ = ["drop_contacts", "exchange_contacts", "false_contacts", "poor_odometry", "spoiled"]
+__all__ = ["drop_contacts", "exchange_contacts", "false_contacts", "poor_odometry"]
 
 WRONG = 10.0  # whitened distance below which a wrong contact could pass for a right one
 APART = 1e6  # whitened distance put between two images, so that neighbors are those of one image

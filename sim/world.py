@@ -21,17 +21,7 @@ from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
 from sim.checks import check_not_negative, check_positive, check_rng
 
-__all__ = [
-    "Index",
-    "World",
-    "build",
-    "chain",
-    "measure",
-    "position_error",
-    "reflected",
-    "seed_of",
-    "start_from_odometry",
-]
+__all__ = ["World", "chain", "measure", "position_error", "reflected"]
 
 
 @dataclass(frozen=True)

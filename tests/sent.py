@@ -18,7 +18,6 @@ from models.sensors import DIDSON_HIGH, HOLOOCEAN_DVL, Camera, SingularAt
 from nls import filters
 from nls.analysis import Unverified, helpful_motions, landmark_information, observability
 from nls.covariance import Marginals
-from nls.io.weights import AsRead
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.metrics import ate
 from nls.robust import kernels
@@ -67,16 +66,6 @@ def things(folder: Path) -> dict[str, Any]:
     mission = sim.hauv_floor(rng, legs=2, per_leg=6)
     result = ring.graph.optimize(ring.start)
     nls.save(folder / "ring.g2o", ring.graph, ring.start)
-    as_read = AsRead(
-        Isotropic(0.1),
-        "g2o",
-        b"EDGE_SE2",
-        "g2o",
-        np.ones((1, 3)),
-        np.ones((1, 9)),
-        np.ones((1, 0), int),
-        np.ones((1, 0, 3)),
-    )
     seen = nls.Values({x: (SE2, [[0, 0, 0], [1, 0, 0], [3, 0, 0]]), l: (R(2), [[5, 4]]), s: (SE2, [0.5, 0.2, 0])})
     ranges = factors.Range(x[0:3], l[[0, 0, 0]], [5.9, 5.2, 4.1], Isotropic(0.1), offset=s[0])
     fixed = nls.FactorGraph([ranges], [x[0:3], l[0]])
@@ -96,7 +85,6 @@ def things(folder: Path) -> dict[str, Any]:
             factors.Information(np.eye(2)),
             factors.SqrtInformation(np.eye(2)),
             factors.Robust(Isotropic(2.0), factors.DCS(3.0)),
-            as_read,
         ],
         "kernels": [kind(1.5) for kind in factors.robust.KERNELS.values()],
         "graduated kernels": [kind(1.5) for kind in kernels.LOSSES.values()],

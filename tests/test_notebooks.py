@@ -39,22 +39,21 @@ def test_there_is_a_course() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
-def test_it_opens_with_a_claim_and_is_stored_without_outputs(path: Path) -> None:
+def test_a_notebook(path: Path) -> None:
+    """A claim first; A and b; what it says is asserted; no outputs; links lead to notebooks called by their titles."""
     text = path.read_text(encoding="utf-8")
-    opening = cells(path, "markdown")[0]["source"]
-    assert CLAIM.match(opening), "a title, one sentence in italics, what you will be able to do, what you need"
     assert text == json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
+    code, prose = ([cell["source"] for cell in cells(path, kind)] for kind in ("code", "markdown"))
+    assert CLAIM.match(prose[0]), "a title, one sentence in italics, what you will be able to do, what you need"
     assert all(not cell["outputs"] and cell["execution_count"] is None for cell in cells(path, "code"))
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
-def test_it_shows_A_and_b_and_asserts_what_it_says(path: Path) -> None:
-    code = [cell["source"] for cell in cells(path, "code")]
-    assert any(re.search(r"\bA\b", source) for source in code)
-    assert any(re.search(r"\bb\b", source) for source in code)
-    checked = sum(source.count("assert ") for source in code if "check_" not in source)
-    assert checked >= 10
-    assert any("plt." in source for source in code)
+    for pattern in (r"\bA\b", r"\bb\b", r"plt\."):
+        assert any(re.search(pattern, source) for source in code), pattern
+    assert sum(source.count("assert ") for source in code if "check_" not in source) >= 10
+    for name, target in re.findall(r"\[([^\]]+)\]\(([^)#]+)\)", "".join(prose)):
+        if not target.startswith("http"):
+            assert (FOLDER / target).exists(), target
+            if target.endswith(".ipynb"):
+                assert title(FOLDER / target).startswith(name), f"{target} is called {title(FOLDER / target)!r}"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
@@ -75,19 +74,8 @@ def test_its_exercises_check_themselves(path: Path) -> None:
         assert f"assert check_{number}(" in tagged["hide-cell"], "one solution is folded away, and run"
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
-def test_its_links_lead_somewhere_and_call_notebooks_by_their_titles(path: Path) -> None:
-    text = "".join(cell["source"] for cell in cells(path, "markdown"))
-    for name, target in re.findall(r"\[([^\]]+)\]\(([^)#]+)\)", text):
-        if target.startswith("http"):
-            continue
-        assert (FOLDER / target).exists(), target
-        if target.endswith(".ipynb"):
-            assert title(FOLDER / target).startswith(name), f"{target} is called {title(FOLDER / target)!r}"
-
-
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant["name"])
-def test_the_mistake_can_still_be_made(mutant: dict[str, str]) -> None:
-    assert (ROOT / mutant["file"]).read_text(encoding="utf-8").count(mutant["right"]) == 1
-    assert mutant["wrong"] != mutant["right"]
-    assert mutant["notebook"] in {path.name[:2] for path in NOTEBOOKS}
+def test_the_mistakes_can_still_be_made() -> None:
+    gone = [m["name"] for m in MUTANTS if (ROOT / m["file"]).read_text(encoding="utf-8").count(m["right"]) != 1]
+    assert gone == []
+    assert all(mutant["wrong"] != mutant["right"] for mutant in MUTANTS)
+    assert {mutant["notebook"] for mutant in MUTANTS} <= {path.name[:2] for path in NOTEBOOKS}

@@ -16,6 +16,7 @@ import sim.cli
 
 README = Path(__file__).parents[1] / "README.md"
 COMMANDS = {"nls": nls.cli.main, "nls-sim": sim.cli.main}
+SMALLER = {"sphere": "--rings 12 --per-ring 12", "subsea": "--laps 1", "compare": "--particles 5"}  # the worlds here
 
 
 def blocks(*languages: str) -> list[str]:
@@ -26,16 +27,21 @@ def blocks(*languages: str) -> list[str]:
     return [body for language, body in re.findall(r"^```(\w+)\n(.*?)^```$", text, re.M | re.S) if language in languages]
 
 
-def test_the_python_blocks_run_in_order(
+def test_the_python_blocks_run_in_order_and_print_what_they_claim(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """``print(...)  # text`` promises that the text is printed, where the comment quotes it with a bar or dots."""
     monkeypatch.chdir(tmp_path)
     matplotlib.use("agg")
-    found, namespace = blocks("python"), {"__name__": "readme"}
-    assert found
-    for k, block in enumerate(found):
+    namespace: dict[str, object] = {"__name__": "readme"}
+    printed = ""
+    for k, block in enumerate(blocks("python")):
         exec(compile(block, f"README.md, Python block {k + 1}", "exec"), namespace)
-    assert capsys.readouterr().out.strip()
+        printed += (out := capsys.readouterr().out)
+        for claim in re.findall(r"print\(.*\)\s+# (.*(?:\.\.\.|\|).*)$", block, re.M):
+            for part in filter(None, (p.strip(" ;") for p in claim.split("..."))):
+                assert part in out
+    assert printed.strip()
 
 
 def test_the_figures_are_those_of_the_last_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,20 +56,6 @@ def test_the_figures_are_those_of_the_last_benchmark(monkeypatch: pytest.MonkeyP
     assert results["machine"][0].removeprefix("- ")[:10] in text  # the date
 
 
-def test_what_the_python_blocks_claim(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """``print(...)  # text`` promises that the text is printed, where the comment quotes it with a bar or dots."""
-    monkeypatch.chdir(tmp_path)
-    namespace: dict[str, object] = {"__name__": "readme"}
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), namespace)
-        out = capsys.readouterr().out
-        for claim in re.findall(r"print\(.*\)\s+# (.*(?:\.\.\.|\|).*)$", block, re.M):
-            for part in filter(None, (p.strip(" ;") for p in claim.split("..."))):
-                assert part in out
-
-
 def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     lines = [line[2:] for block in blocks("console", "sh") for line in block.splitlines() if line.startswith("$ ")]
@@ -71,7 +63,8 @@ def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     ran = 0
     for command, *arguments in words:
         if command in COMMANDS:
-            assert COMMANDS[command](arguments) == 0, " ".join([command, *arguments])
+            smaller = SMALLER.get(arguments[0], "").split() if command == "nls-sim" else []
+            assert COMMANDS[command]([*arguments, *smaller]) == 0, " ".join([command, *arguments])
             assert "Traceback" not in capsys.readouterr().err
             ran += 1
         for word in arguments:  # what a command says it writes is there

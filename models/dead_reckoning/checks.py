@@ -5,40 +5,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
+from models.finite import first_not_finite, numbers
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.se3 import SE3
 from models.manifolds.so3 import not_unit
 from models.options import is_number
 
-__all__ = [
-    "attitudes",
-    "bottom_lock",
-    "bridge",
-    "fraction",
-    "mounting",
-    "not_negative",
-    "positive",
-    "rising",
-    "turning",
-    "unused",
-    "vectors",
-    "within",
-]
-
-
-def numbers(name: str, value: npt.ArrayLike) -> Array:
-    """An array of numbers."""
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise GraphError(f"integrate: {name} is not an array of numbers: {error}") from error
-
 
 def rising(name: str, value: npt.ArrayLike) -> Array:
     """Two or more finite times that rise, s."""
-    t = numbers(name, value)
+    t = numbers("integrate", name, value)
     if t.ndim != 1 or len(t) < 2:
         raise GraphError(f"integrate: {name} has shape {t.shape}, expected (n,) with n of 2 or more, in seconds")
     _finite(name, t[:, None])
@@ -52,9 +30,9 @@ def rising(name: str, value: npt.ArrayLike) -> Array:
     return t
 
 
-def vectors(name: str, value: npt.ArrayLike, n: int, ok: npt.NDArray[np.bool_] | None = None) -> Array:
+def vectors(name: str, value: npt.ArrayLike, n: int, ok: Mask | None = None) -> Array:
     """Vectors (n, 3), finite where they are ok."""
-    x = _shaped(name, numbers(name, value), n, (3,))
+    x = _shaped(name, numbers("integrate", name, value), n, (3,))
     _finite(
         name,
         x if ok is None else np.where(ok[:, None], x, 0.0),
@@ -65,7 +43,7 @@ def vectors(name: str, value: npt.ArrayLike, n: int, ok: npt.NDArray[np.bool_] |
 
 def attitudes(value: npt.ArrayLike, n: int) -> Array:
     """Unit quaternions (n, 4) from themselves, or from roll, pitch, yaw (n, 3)."""
-    x = _shaped("attitude", numbers("attitude", value), n, (4, 3))
+    x = _shaped("attitude", numbers("integrate", "attitude", value), n, (4, 3))
     _finite("attitude", x)
     if x.shape[1] == 3:
         return quaternion_from_angles(x)
@@ -74,7 +52,7 @@ def attitudes(value: npt.ArrayLike, n: int) -> Array:
     return x
 
 
-def bottom_lock(valid: npt.ArrayLike | None, n: int) -> npt.NDArray[np.bool_]:
+def bottom_lock(valid: npt.ArrayLike | None, n: int) -> Mask:
     """Which of n velocities are valid."""
     ok = np.ones(n, dtype=bool) if valid is None else np.asarray(valid)
     if ok.shape != (n,) or not (ok.dtype == bool or np.isin(ok, (0, 1)).all()):
@@ -90,7 +68,7 @@ def positive(name: str, sigma: npt.ArrayLike | None, n: int) -> Array:
     """Standard deviations (n, 3) from one number, three, or all of them."""
     if sigma is None:
         raise OptionError(name, None, "a number above 0, or three")
-    x = numbers(name, sigma)
+    x = numbers("integrate", name, sigma)
     if x.shape not in ((), (3,), (n, 3)):
         raise GraphError(f"integrate: {name} has shape {x.shape}, expected a number, (3,) or ({n}, 3)")
     if not (np.isfinite(x) & (x > 0)).all():
@@ -107,7 +85,7 @@ def fraction(scale: float) -> float:
 
 def mounting(mount: npt.ArrayLike) -> Array:
     """The one pose (1, 7) of the DVL on the vehicle."""
-    O = numbers("mount", mount)
+    O = numbers("integrate", "mount", mount)
     if O.shape != (7,):
         raise GraphError(f"integrate: mount has shape {O.shape}, expected (7,): one pose x y z qx qy qz qw")
     return SE3.stack(O)
@@ -115,7 +93,7 @@ def mounting(mount: npt.ArrayLike) -> Array:
 
 def not_negative(name: str, sigma: npt.ArrayLike) -> Array:
     """Standard deviations (3,) from one number or three, of an error that may be none."""
-    x = numbers(name, sigma)
+    x = numbers("integrate", name, sigma)
     if x.shape not in ((), (3,)):
         raise GraphError(f"integrate: {name} has shape {x.shape}, expected a number or (3,)")
     if not (np.isfinite(x) & (x >= 0)).all():
@@ -150,7 +128,7 @@ def turning(sigma: npt.ArrayLike | None, m: int, begin: float, end: float) -> Ar
             "the density by which the attitude wanders in a drop-out, rad/sqrt(s), 0 or above: none is measured "
             f"between {begin:.6g} and {end:.6g} s",
         )
-    x = numbers("sigma_turn", sigma)
+    x = numbers("integrate", "sigma_turn", sigma)
     if x.shape not in ((), (3,), (m, 3)):
         raise GraphError(f"integrate: sigma_turn has shape {x.shape}, expected a number, (3,) or ({m}, 3)")
     if not (np.isfinite(x) & (x >= 0)).all():
@@ -177,7 +155,5 @@ def _shaped(name: str, x: Array, n: int, sizes: tuple[int, ...]) -> Array:
 
 
 def _finite(name: str, x: Array, cure: str = "") -> None:
-    bad = ~np.isfinite(x).all(axis=1)
-    if bad.any():
-        k = int(np.argmax(bad))
+    if (k := first_not_finite(x)) is not None:
         raise GraphError(f"integrate: {name}[{k}] is {np.squeeze(x[k]).tolist()}, expected finite numbers{cure}")

@@ -27,15 +27,13 @@ the far end: who measures the attitude there, as `Heading` does, ties it.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import OptionError
 from models.options import is_number
 
-__all__ = ["bridged_variance", "inside", "longest_step", "losses"]
+__all__ = ["longest_step", "losses"]
 
-Mask = npt.NDArray[np.bool_]
 NODES = 8  # in a drop-out of the attitude, so that a turn late in it swings less of the way than an early one
 
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, Index, apply, product
+from models.algebra import Array, Index, Mask, apply, product
 from models.dead_reckoning.chain import chained
 from models.dead_reckoning.checks import (
     attitudes,
@@ -47,7 +47,6 @@ from models.manifolds.se3 import SE3
 from models.manifolds.so3 import SO3
 
 __all__ = ["Legs", "integrate"]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,6 @@ import numpy as np
 from models.algebra import Array, Index
 from models.dead_reckoning.samples import Mixture
 
-__all__ = ["at_nodes", "from_samples", "sum_by_leg"]
-
 
 def at_nodes(LA: Array, LB: Array, leg: Index) -> Array:
     """Coefficients of the nodes of every leg, from those of the steps.

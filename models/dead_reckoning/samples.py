@@ -14,8 +14,6 @@ import numpy as np
 from models.algebra import Array, Index
 from models.manifolds.so3 import SO3
 
-__all__ = ["Mixture", "mixture"]
-
 
 @dataclass(frozen=True)
 class Mixture:

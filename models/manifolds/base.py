@@ -15,6 +15,7 @@ import numpy.typing as npt
 from models.abstract import Abstract
 from models.algebra import Array, apply
 from models.errors import GraphError, OptionError
+from models.finite import first_not_finite
 
 __all__ = ["LieGroup", "Manifold"]
 
@@ -81,8 +82,8 @@ class Manifold(Abstract):
 
     def invalid(self, X: Array) -> tuple[int, str] | None:
         """First element of the stack (n, size) that is no element of the space, and why; None when all are."""
-        bad = ~np.isfinite(X).all(axis=-1)
-        return (int(np.argmax(bad)), "a number is not finite") if bad.any() else None
+        k = first_not_finite(X)
+        return None if k is None else (k, "a number is not finite")
 
     def stack(self, X: npt.ArrayLike) -> Array:
         """A checked stack (n, size), from one element (size,), or n of them.

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import OptionError
 from models.manifolds.base import LieGroup
+from models.options import is_whole
 
 __all__ = ["R"]
 
@@ -63,7 +64,7 @@ def R(n: int) -> LieGroup:
     >>> R(2).retract(np.array([[1.0, 2.0]]), np.array([[0.5, 0.0]]))
     array([[1.5, 2. ]])
     """
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n < 10**6:
+    if not is_whole(n) or not 1 <= n < 10**6:
         raise OptionError("R(n)", n, "a whole number from 1 to 999,999")
     return _KNOWN.get(int(n)) or _KNOWN.setdefault(int(n), Vectors(int(n)))
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from models.algebra import Array, matrix, wrap
 from models.manifolds.base import LieGroup
 
-__all__ = ["SO2", "rotation2"]
+__all__ = ["SO2"]
 
 
 def rotation2(theta: Array) -> Array:

@@ -21,16 +21,7 @@ import numpy.typing as npt
 from models.algebra import TINY, Array, arrangement, components, dot, matrix, pack, product, skew, stumpff
 from models.manifolds.base import LieGroup
 
-__all__ = [
-    "IDENTITY",
-    "SO3",
-    "quaternion_from_matrix",
-    "quaternion_product",
-    "quaternion_vector",
-    "quaternion_vector_jl",
-    "quaternion_vector_jr",
-    "rotation3",
-]
+__all__ = ["SO3", "quaternion_from_matrix", "rotation3"]
 
 UNIT_TOLERANCE = 1e-3  # six-digit files are off by 1e-6, hand-written ones by 1e-4; beyond this it is another thing
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, dot, product, wrap
+from models.algebra import Array, Index, apply, dot, product, wrap
 from models.manifolds.se3 import SE3
 from models.sensors.frame import point_in_frame
 from models.sensors.singular import refuse
@@ -84,7 +84,7 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.z)
 
-    def rows(self, index: npt.NDArray[np.intp]) -> Contacts:
+    def rows(self, index: Index) -> Contacts:
         """Some of the points, or each several times."""
         return Contacts(self.z[index], self.W if len(self.W) == 1 else self.W[index], self.limit)
 

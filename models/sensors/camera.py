@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, components, dot, matrix, pack, product
+from models.algebra import Array, Mask, components, dot, matrix, pack, product
 from models.errors import GraphError, OptionError
 from models.options import is_number, is_whole
 from models.sensors.singular import refuse
@@ -175,7 +175,7 @@ class Camera:
         b_m = matrix([[1 - bx * bx, -bx * by], [-bx * by, 1 - by * by], [-bx * bz, -by * bz]]) / length[:, None, None]
         return b, product(b_m, _inverse(self._distorted(m)[1])) / f
 
-    def sees(self, p: Array) -> npt.NDArray[np.bool_]:
+    def sees(self, p: Array) -> Mask:
         """Which points p (n, 3), m, in the frame of the camera are in front, within `reach` and in the image, (n,).
 
         The edges of the image are inside; without `size` it has none. A point that is not finite is not seen.
@@ -189,7 +189,7 @@ class Camera:
         """
         p = np.asarray(p, dtype=float)
         X, Y, Z = components(np.where(np.isfinite(p).all(axis=-1, keepdims=True), p, [0.0, 0.0, -1.0]))
-        visible: npt.NDArray[np.bool_] = np.logical_and(~_behind(X, Y, Z), np.hypot(X, Y) / self.reach < Z)
+        visible: Mask = np.logical_and(~_behind(X, Y, Z), np.hypot(X, Y) / self.reach < Z)
         if self.size is not None:
             h, _ = self.project(np.where(visible[:, None], p, [0.0, 0.0, 1.0]))
             visible &= ((h >= 0) & (h <= self.size)).all(axis=-1)
@@ -207,7 +207,7 @@ class Camera:
         D = matrix([[g + slope * x * x + 4 * qx * x, across], [across, g + slope * y * y + 4 * qy * y]])
         return pack([g * x + s * qx, g * y + s * qy]), D
 
-    def _undistorted(self, d: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def _undistorted(self, d: Array) -> tuple[Array, Mask]:
         """m (n, 2) of which d is the image, and whether it was found.
 
         From the middle, where D is the identity; a step out of `reach`, or to a larger error, is halved.
@@ -228,7 +228,7 @@ class Camera:
         return m, np.asarray(dot(e, e) <= EXACT**2)
 
 
-def _behind(X: Array, Y: Array, Z: Array) -> npt.NDArray[np.bool_]:
+def _behind(X: Array, Y: Array, Z: Array) -> Mask:
     """Whether points are behind a camera, or as good as in its plane."""
     return np.asarray(Z <= GRAZING * np.maximum(np.abs(X), np.abs(Y)))
 

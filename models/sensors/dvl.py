@@ -20,7 +20,7 @@ from models.algebra import Array, apply, product, skew
 from models.errors import OptionError
 from models.manifolds.se3 import SE3, split
 from models.manifolds.so3 import rotation3
-from models.options import is_number
+from models.options import check_between, is_number
 
 __all__ = ["DVL", "HOLOOCEAN_DVL", "dvl_velocity"]
 
@@ -87,8 +87,7 @@ class DVL:
     mount: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        if not (is_number(self.sigma) and 0 < self.sigma < np.inf):
-            raise OptionError("sigma", self.sigma, "a standard deviation above 0, m/s")
+        check_between("sigma", self.sigma, 0, np.inf, "a standard deviation above 0, m/s")
         if not (is_number(self.scale) and 0 <= self.scale < np.inf):
             raise OptionError("scale", self.scale, "a fraction of the speed, 0 or above: 0.002 for 0.2 %")
         mount = np.asarray(self.mount, dtype=float)

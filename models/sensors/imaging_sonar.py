@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, components, pack
+from models.algebra import Array, Mask, components, pack
 from models.errors import OptionError
 from models.options import is_number, is_whole
 
@@ -96,7 +96,7 @@ class ImagingSonar:
         """(sigma_range, sigma_azimuth) (2,), m and rad: ``Diagonal(sonar.noise_sigmas)`` is its noise."""
         return np.array([self.sigma_range, self.sigma_azimuth])
 
-    def sees(self, p: Array) -> npt.NDArray[np.bool_]:
+    def sees(self, p: Array) -> Mask:
         """Which points p (n, 3), m, in the frame of the sonar are inside the window, the fan and the aperture, (n,).
 
         Their edges are inside; a point that is not finite is not. A point behind the sonar is in no fan of less than

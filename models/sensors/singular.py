@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from models.algebra import Mask
 from models.errors import SingularGeometryError
 
-__all__ = ["CLOSE", "SingularAt", "refuse"]
+__all__ = ["CLOSE", "SingularAt"]
 
 CLOSE = 1e-9  # m; coordinates of 1 km are rounded to 1e-13 m: nearer than this the digits of a direction are noise
 
@@ -26,7 +26,7 @@ class SingularAt(SingularGeometryError):
         super().__init__(message)
 
 
-def refuse(bad: npt.NDArray[np.bool_], message: str) -> None:
+def refuse(bad: Mask, message: str) -> None:
     """Raise `SingularAt` for the first True of bad (n,)."""
     if bad.any():
         raise SingularAt(message, int(np.argmax(bad)))

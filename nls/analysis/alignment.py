@@ -12,8 +12,6 @@ from nls.graph import FactorGraph
 from nls.starts import initialize
 from nls.values import Values
 
-__all__ = ["aligned"]
-
 
 def aligned(graph: FactorGraph, values: Values) -> Values:
     """Poses chained by odometry and points seen from them, all moved by one motion onto the measured positions.

@@ -32,8 +32,6 @@ from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import initialize
 from nls.values import Values
 
-__all__ = ["FIRST", "REFUSED", "UNLIKELY", "Fit", "expected", "solved", "supported"]
-
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
     "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],

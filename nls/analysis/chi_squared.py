@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_number, is_whole
+from models.algebra import Array, Index
+from models.options import check_between, check_whole
 
 __all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail"]
 
@@ -32,10 +30,8 @@ def chi2_gate(dim: int, probability: float) -> float:
     >>> round(chi2_gate(2, 0.95), 3), round(chi2_gate(1, 0.99), 3)
     (5.991, 6.635)
     """
-    if not is_whole(dim) or dim < 1:
-        raise OptionError("dim", dim, "a whole number of at least 1")
-    if not is_number(probability) or not 0 < probability < 1:
-        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
+    check_whole("dim", dim, 1)
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.99")
     from scipy.special import gammaincinv
 
     return float(2 * gammaincinv(dim / 2, probability))
@@ -62,7 +58,7 @@ def chi2_interval(dof: float, probability: float = 0.95) -> tuple[float, float]:
     return float(2 * gammaincinv(dof / 2, outside)), float(2 * gammaincinv(dof / 2, 1 - outside))
 
 
-def chi2_tail(t: Array, dof: npt.NDArray[np.intp] | Array) -> Array:
+def chi2_tail(t: Array, dof: Index | Array) -> Array:
     """Probability of chi-squared of dof degrees of freedom, whole or not, above t, elementwise; 1 where there are none.
 
     Examples

@@ -22,13 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from models import SE2, SE3, LieGroup
-from models.algebra import Array, apply
+from models.algebra import Array, Mask, apply
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import checks, kinds_of
 from nls.analysis.linearization import Checked
 from nls.values import Stack, Values
 
-__all__ = ["ClockOffset", "clock_offsets", "velocities"]
+__all__ = ["ClockOffset", "clock_offsets"]
 
 UNLIKELY = 1e-3  # chance of such a fall in any of the kinds that are tested
 LONGEST = 0.1  # of the duration: an offset beyond that is no offset of a clock
@@ -170,7 +170,7 @@ def _attached(checked: Checked, k: int, speeds: Mapping[str, object]) -> bool:
 
 def _test(
     checked: Checked, kinds: list[list[int]], speeds: Mapping[str, tuple[Array, float]]
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+) -> tuple[Array, Array, Mask]:
     """Scores a'e (q,), M (q, q), and which offsets the motion determines (q,)."""
     pattern = checked.linear.pattern
     score, size, columns = np.zeros(len(kinds)), np.zeros(len(kinds)), np.zeros((pattern.n, len(kinds)))

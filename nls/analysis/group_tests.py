@@ -29,7 +29,7 @@ from nls.analysis.linearization import Checked, Together, stacked
 if TYPE_CHECKING:
     from models.algebra import Index
 
-__all__ = ["GroupTest", "GroupTests"]
+__all__ = ["GroupTests"]
 
 JUDGED = 3  # groups, those of the largest mean squared residual: wrong groups were among the first 3 of 13 to 205
 

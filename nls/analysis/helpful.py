@@ -20,7 +20,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.predicted import predicted
 from models import LieGroup
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
 from nls.analysis.observable import Observability, shown
 from nls.analysis.variable import check_one, observability
@@ -212,7 +212,7 @@ def _last(graph: FactorGraph, values: Values, key: Keys) -> Keys:
     return Keys(kind, shared[kind])
 
 
-def _touching(factor: Factor, key: Keys) -> npt.NDArray[np.bool_]:
+def _touching(factor: Factor, key: Keys) -> Mask:
     """Which measurements (n,) have a variable."""
     slots = [keys.numbers == key.numbers[0] for keys in factor.keys if keys.kind == key.kind]
     return np.any(slots, axis=0) if slots else np.zeros(len(factor), dtype=bool)

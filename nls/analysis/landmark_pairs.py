@@ -5,13 +5,12 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import numpy.typing as npt
 
-from factors import Prior, Sighting
+from factors import Sighting
 from factors.base import Factor
 from factors.keys import Keys
 from factors.replaced import replaced
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphWarning
 from nls.analysis.alternatives import FIRST, REFUSED
 from nls.graph import FactorGraph
@@ -19,12 +18,8 @@ from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts import locate_points
 from nls.values import Values
 
-__all__ = ["Pair", "landmark_factors"]
-
 BEGINNINGS = (1.0, 0.5, 0.25, 0.75)  # part of the sightings after which they are exchanged
 TURNS = 4  # of locating the landmarks and choosing what is exchanged
-
-Mask = npt.NDArray[np.bool_]
 
 
 def landmark_factors(graph: FactorGraph, values: Values) -> list[int]:
@@ -60,7 +55,7 @@ class Pair:
         ends = np.cumsum([len(rows) for rows in self.rows.values()])
         self.group = dict(zip(self.rows, np.split(group.reshape(-1), ends[:-1]), strict=True))
         self.parts = {k: graph.factors[k][rows] for k, rows in self.rows.items()}
-        priors = [f for f in graph.factors if isinstance(f, Prior) and f.keys[0].kind == pair.kind]
+        priors = [f for f in graph.factors if f.frame == "world" and f.keys[0].kind == pair.kind]
         self.priors = [f[mask] for f in priors if (mask := np.isin(f.keys[0].numbers, pair.numbers)).any()]
 
     def _relabelled(self, factor: Factor, mask: Mask) -> Factor:

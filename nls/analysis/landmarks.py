@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import RangeAzimuth
+from factors import Sighting
 from factors.keys import Keys, Kind
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array, apply, congruence, dot, gram
+from models.algebra import Array, Mask, apply, congruence, dot, gram
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
 from nls.analysis.linearization import MEMORY_LIMIT
@@ -39,8 +39,6 @@ from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from nls.graph import FactorGraph
     from nls.sparse.pattern import Pattern
     from nls.values import Values
@@ -85,7 +83,7 @@ class LandmarkInformation:
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.sqrt(self.eigenvalues[:, 0].clip(min=0.0)))
 
-    def degenerate(self, tau: float = 1e-3) -> npt.NDArray[np.bool_]:
+    def degenerate(self, tau: float = 1e-3) -> Mask:
         """Which landmarks (n,) have a direction that `truncated_inverse` leaves out."""
         return np.asarray(self.condition <= tau)
 
@@ -173,7 +171,7 @@ def _elevation_angle(pattern: Pattern, values: Values, kind: str, weak: Array) -
     first = np.full(len(weak), np.iinfo(np.int64).max)  # number of the pose that saw it first
     for batch in pattern.batches:
         factor = batch.model.factor
-        if not isinstance(factor, RangeAzimuth) or batch.kinds[1] != kind:
+        if not isinstance(factor, Sighting) or not factor.contact or batch.kinds[1] != kind:
             continue
         pose, at = factor.keys[0].numbers, batch.index[1]
         k = first_contacts(*factor.keys[:2])  # of this batch

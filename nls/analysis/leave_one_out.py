@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.posegraph import closures
 
@@ -63,7 +62,7 @@ class Tested:
     m: Index
     rows: Index
     dof: Array
-    checked: npt.NDArray[np.bool_]
+    checked: Mask
 
 
 def tested(batch: Batch, e: Array, C: Array, w: Array) -> Tested:

@@ -20,7 +20,7 @@ from nls.graph import FactorGraph
 from nls.sparse.pattern import Pattern
 from nls.values import Values
 
-__all__ = ["MisreadKind", "misread_kinds"]
+__all__ = ["misread_kinds"]
 
 MANY = 6  # measurements of a source that may be off alike
 MIDDLE = 2.0  # variance of the middle measurement of a source that is read as it was meant, at most

@@ -32,7 +32,7 @@ from nls.analysis.readings import READINGS
 from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values
 
-__all__ = ["MisreadMeasurement", "misread_measurements"]
+__all__ = ["misread_measurements"]
 
 FAR = 100.0  # squared sigmas of a measurement that is wrong and not only poor
 

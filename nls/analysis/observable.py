@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
+from models.finite import finite_or_none
 from models.manifolds.measured import unit
 
 if TYPE_CHECKING:
     from factors.keys import Keys
 
-__all__ = ["FREE", "Observability", "shown"]
+__all__ = ["Observability", "shown"]
 
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
@@ -49,7 +50,7 @@ class Observability:
     key: Keys
     components: tuple[str, ...]
     covariance: Array
-    undetermined: npt.NDArray[np.bool_]
+    undetermined: Mask
     free: Array
     with_free: tuple[str, ...]
     weak: Array
@@ -148,21 +149,17 @@ class Observability:
             "rank": self.rank,
             "gauge": self.gauge,
             "length": self.length,
-            "sigma": _finite(self.sigma),
-            "sigma_known": _finite(self.sigma_known),
-            "compared": _finite(self.compared),
+            "sigma": finite_or_none(self.sigma.tolist()),
+            "sigma_known": finite_or_none(self.sigma_known.tolist()),
+            "compared": finite_or_none(self.compared.tolist()),
             "weakest": self.components[self.weakest],
             "free": [
                 {"step": n.tolist(), "with": companions}
                 for n, companions in zip(self.free, self.with_free, strict=True)
             ],
             "weak": self.weak.tolist(),
-            "correlation": [_finite(row) for row in self.correlation],
+            "correlation": finite_or_none(self.correlation.tolist()),
         }
-
-
-def _finite(numbers: Array) -> list[float | None]:
-    return [float(number) if np.isfinite(number) else None for number in numbers]
 
 
 def _unit(name: str) -> str:

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import XYH, ZPR, Between, BetweenSensors, Factor, Heading, Landmark, Position, Prior, Wheels
+from factors import Factor, Wheels
 from factors.base import Model
 from factors.replaced import replaced
-from models import SE2, SE3, SO2, SO3, LieGroup, R
+from models import SE2, SE3, SO2, SO3, LieGroup
 from models.algebra import Array, wrap
 
 __all__ = ["READINGS", "Reading"]
@@ -47,29 +47,28 @@ class Reading:
 def exchanged(model: Model) -> Factor | None:
     """The first two variables exchanged; a sensor stays on its vehicle."""
     factor = model.factor
-    if not isinstance(factor, Between | BetweenSensors | XYH):
+    if factor.frame != "first":
         return None
     i, j, *sensors = factor.keys
     swapped = replaced(factor, keys=[j, i, *sensors])
-    if isinstance(swapped, BetweenSensors) and isinstance(swapped.offset, tuple):
-        swapped.offset = swapped.offset[::-1]
+    if isinstance(offset := vars(swapped).get("offset"), tuple):  # of the sensors at both ends
+        vars(swapped)["offset"] = offset[::-1]
     return swapped
 
 
 def transposed(model: Model) -> Factor | None:
     """The rotation inverted, the translation as it is."""
-    factor, space, z = model.factor, model.space, model.z
-    if isinstance(factor, XYH):
-        return replaced(factor, z=np.column_stack([z[:, :2], wrap(-z[:, 2])]))
-    if isinstance(factor, Heading):
-        return replaced(factor, z=wrap(-z))
-    if not isinstance(factor, Between | BetweenSensors | Prior) or space not in (SO2, SO3, SE2, SE3):
+    factor, space, z = model.factor, model.space, np.array(model.z)
+    if not factor.frame or "yaw" not in space.components:
         return None
-    assert isinstance(space, LieGroup)
-    inverse = np.array(space.inverse(z))
-    if space in (SE2, SE3):
-        inverse[:, : space.point_dim] = z[:, : space.point_dim]
-    return replaced(factor, z=inverse)
+    if space in (SO2, SO3, SE2, SE3):
+        assert isinstance(space, LieGroup)
+        rotation = slice(space.point_dim if space in (SE2, SE3) else 0, None)
+        z[:, rotation] = space.inverse(z)[:, rotation]
+    else:
+        yaw = space.components.index("yaw")
+        z[:, yaw] = wrap(-z[:, yaw])
+    return replaced(factor, z=z)
 
 
 def mirrored(model: Model) -> Factor | None:
@@ -97,47 +96,31 @@ def _reflected(model: Model, axis: str) -> Array | None:
     factor, space, z = model.factor, model.space, np.array(model.z)
     if isinstance(factor, Wheels):
         return z[:, [1, 0, 2]] * [1.0, 1.0, -1.0] if axis == "y" else None
-    if isinstance(factor, Between | BetweenSensors | Prior) and space in (SE2, SE3):
+    if factor.frame and space in (SE2, SE3):
         if space is SE2:
             return np.column_stack([z[:, 0], -z[:, 1], wrap(-z[:, 2])]) if axis == "y" else None
         M = np.where(np.array(["x", "y", "z"]) == axis, -1.0, 1.0)
         return np.column_stack([z[:, :3] * M, -z[:, 3:6] * M, z[:, 6]])
-    if not isinstance(factor, XYH | ZPR | Position | Landmark) and not (
-        isinstance(factor, Between | Prior) and space in (R(2), R(3))
-    ):
-        return _elevation(model) if axis == "z" else None
-    signs = {"y": ("y", "yaw"), "z": ("z",)}[axis]
-    columns = [k for k, name in enumerate(space.components) if name in signs]
-    if not columns or (isinstance(factor, Prior) and not set(model.names) & set(signs)):
-        return None
+    signs = {"y": ("y", "yaw"), "z": ("z",)}[axis] if factor.frame and axis in model.names else ()
+    columns = [k for k, name in enumerate(space.components) if name in signs or (name, axis) == ("elevation", "z")]
     z[:, columns] *= -1.0
-    return z
-
-
-def _elevation(model: Model) -> Array | None:
-    """Elevations of which z points the other way."""
-    columns = [k for k, name in enumerate(model.space.components) if name == "elevation"]
-    if not columns:
-        return None
-    z = np.array(model.z)
-    z[:, columns] *= -1.0
-    return z
+    return z if columns else None
 
 
 def swapped_axes(model: Model) -> Factor | None:
     """East and north for north and east."""
-    factor, space, z = model.factor, model.space, model.z
-    if isinstance(factor, Heading):
-        return replaced(factor, z=wrap(np.pi / 2 - z))
-    if isinstance(factor, Prior) and space is SE2 and factor.components is None:
-        return replaced(factor, z=np.column_stack([z[:, 1], z[:, 0], wrap(np.pi / 2 - z[:, 2])]))
-    plain = isinstance(factor, Position) or (isinstance(factor, Prior) and space in (R(2), R(3)))
-    if not plain or not {"x", "y"} <= set(space.components):
+    factor, space, z = model.factor, model.space, np.array(model.z)
+    names = space.components
+    if factor.frame != "world" or space in (SO2, SO3, SE3) or (space is SE2 and len(model.names) < 3):
         return None
-    order = np.arange(space.size)
-    x, y = (space.components.index(name) for name in "xy")
-    order[[x, y]] = y, x
-    return replaced(factor, z=z[:, order])
+    if "yaw" in names:
+        z[:, names.index("yaw")] = wrap(np.pi / 2 - z[:, names.index("yaw")])
+    if {"x", "y"} <= set(names):
+        x, y = names.index("x"), names.index("y")
+        z[:, [x, y]] = z[:, [y, x]]
+    elif names != ("yaw",):
+        return None
+    return replaced(factor, z=z)
 
 
 READINGS = (

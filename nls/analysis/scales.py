@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors import XYH, Between, BetweenSensors
 from factors.base import Model
 from factors.keys import Keys
-from models import LieGroup
 from models.algebra import Array, Index
 from nls.sparse.pattern import Pattern
 
@@ -64,7 +62,7 @@ def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
     Examples
     --------
     >>> import numpy as np
-    >>> from factors import Isotropic
+    >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import Values, kinds
     >>> (x,) = kinds("x")
@@ -98,12 +96,10 @@ def outsized(pattern: Pattern) -> tuple[Outsized, ...]:
 
 def _lengths(model: Model) -> Array:
     """Lengths (n,) of the translations of relative poses; nan of other measurements."""
-    space = model.space
-    if isinstance(model.factor, XYH):
-        return np.asarray(np.linalg.norm(model.z[:, :2], axis=1))
-    if isinstance(model.factor, Between | BetweenSensors) and isinstance(space, LieGroup) and space.point_dim:
-        return np.asarray(np.linalg.norm(space.position(model.z), axis=1))
-    return np.full(len(model.z), np.nan)
+    names = model.space.components
+    if model.factor.frame != "first" or "yaw" not in names:
+        return np.full(len(model.z), np.nan)
+    return np.asarray(np.linalg.norm(model.z[:, [k for k, name in enumerate(names) if name in {*"xyz"}]], axis=1))
 
 
 def _informations(model: Model, names: tuple[str, ...]) -> Array:

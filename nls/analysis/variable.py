@@ -13,13 +13,12 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.manifolds.measured import ANGLES, LENGTHS
-from models.options import is_number
+from models.options import check_between
 from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
 from nls.linear.schur.unexplained import unexplained
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["check_one", "observability"]
+__all__ = ["observability"]
 
 MOVES = 0.02  # what else moves is named when it would be seen, alone, by this part of what the variable would
 
@@ -99,15 +98,15 @@ def observability(
     check_one("observability", key)
     if gauge not in ("first", "prior", "none"):
         raise OptionError("gauge", gauge, "one of first, prior, none")
-    if length is not None and not (is_number(length) and 0 < length < np.inf):
-        raise OptionError("length", length, "a distance above 0, m")
+    if length is not None:
+        length = check_between("length", length, 0, np.inf, "a distance above 0, m")
     stack = values.stack(key.kind)
     stack.index(key)  # refuses what has no value
     components = stack.manifold.components
     pattern, held, description = _held(graph, values, key, gauge)
     system = LinearSystem.at(pattern.holding(held), values)
     A_k, X, E, other_columns = unexplained(system, _place(pattern, key))
-    length = _distance(system.pattern, values, key) if length is None else float(length)
+    length = _distance(system.pattern, values, key) if length is None else length
     w = _weights(components, np.linalg.norm(A_k, axis=0), length)
     R = np.linalg.qr(E / w, mode="r")  # (E/w)'(E/w) = R'R
     _, t, Vt = np.linalg.svd(np.pad(R, ((0, max(0, len(w) - len(R))), (0, 0))))
@@ -134,7 +133,7 @@ def check_one(who: str, key: Keys) -> None:
         raise GraphError(f"{who}: expected one variable such as s[0], got {key!r:.60}")
 
 
-def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pattern, npt.NDArray[np.bool_], str]:
+def _held(graph: FactorGraph, values: Values, key: Keys, gauge: str) -> tuple[Pattern, Mask, str]:
     """The pattern, which of its variables (V,) are held, and the sentence of the gauge; refuses a held key."""
     fixed = fixed_variables(graph.fixed, values)
     pattern = graph.pattern(values)

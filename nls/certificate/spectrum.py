@@ -23,9 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError
 from nls.certificate.newton import Optimum
 from nls.certificate.problem import Problem
@@ -93,7 +92,7 @@ def spectrum(problem: Problem, optimum: Optimum) -> Spectrum:
     return Spectrum(1 / theta - mu, v.reshape(n, d + 1), lowest, certified)
 
 
-def _largest_of_inverse(state: Factorization, turns: npt.NDArray[np.bool_], count: int) -> tuple[Array, Array]:
+def _largest_of_inverse(state: Factorization, turns: Mask, count: int) -> tuple[Array, Array]:
     """Eigenvalues theta of the rotation part of the inverse, falling, and the first one's vector, with positions."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 

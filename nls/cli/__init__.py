@@ -76,7 +76,7 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
         status, message = 1, error
     except (LeadlineError, OSError, MemoryError) as error:
         status, message = 2, error  # type: ignore[assignment]
-    except Exception as error:  # a fault of ours: a user still gets one line, and the way to the traceback
+    except Exception as error:  # broad: whatever fails, a user gets one line, and the traceback with --debug
         status, message = 2, f"internal error, please report it (--debug shows where): {error!r}"  # type: ignore[assignment]
         if debug:
             raise

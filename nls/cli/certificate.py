@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nls.certificate import Certificate
 
-__all__ = ["record", "rows"]
-
 
 def record(certificate: Certificate) -> dict[str, Any]:
     """For programs; lengths in m, angles in rad."""

@@ -6,14 +6,12 @@ import argparse
 
 from nls.cli.outputs import refuse_loss, refuse_unwritable
 
-__all__ = ["convert"]
-
 
 def convert(options: argparse.Namespace) -> int:
     """Read, write, say what the file leaves out; returns the exit status."""
+    from models.listing import several
     from nls.cli.formats import output_format, read, rendered
     from nls.io.files import write_bytes
-    from nls.io.text import several
 
     refuse_unwritable(options.output)
     form = output_format(options.output, options.to)

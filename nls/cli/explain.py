@@ -51,9 +51,9 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
     import nls
     from models.advice import Advice
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
+    from models.listing import several
     from nls.explanation.applicability import graduates
     from nls.explanation.findings import FindingKind
-    from nls.io.text import several
     from nls.optimizers import default_optimizer
 
     values, how, why = start, "at the start", ""

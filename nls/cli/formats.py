@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["formats", "output_format", "read", "refuse_unwritable_graph", "rendered"]
+__all__ = ["refuse_unwritable_graph", "rendered"]
 
 TRAJECTORIES = ("tum", "kitti")
 
@@ -92,14 +92,13 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     GraphError
     """
     from nls.io.dialects import FORMATS
-    from nls.io.unused_lines import appended
     from nls.io.write import refuse_unwritable_graph
 
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
     with _renamed(graph, values, form) as (graph, values, _):
-        refuse_unwritable_graph(path, graph, values, appended(report, form), FORMATS[form])
+        refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
 
 
 @contextmanager
@@ -124,7 +123,7 @@ def _trajectory(
 
     from models import SE2, SE3
     from models.errors import GraphError
-    from nls.io.text import several
+    from models.listing import several
     from nls.io.trajectory import kitti_text, tum_text
 
     poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["asking", "doubts", "separate_parts"]
+__all__ = ["asking", "doubts"]
 
 
 def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:

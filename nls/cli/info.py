@@ -8,13 +8,11 @@ from typing import Any
 
 from nls.cli.outputs import refuse_unwritable, write_json
 
-__all__ = ["info"]
-
 
 def info(options: argparse.Namespace) -> int:
     """Read, inspect, print; returns the exit status."""
+    from nls.analysis.inspection import inspect
     from nls.cli.formats import read
-    from nls.inspect import inspect
 
     refuse_unwritable(json=options.json, read=options.file)
     graph, values, report = read(options)

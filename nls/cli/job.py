@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["Job"]
-
 
 @dataclass
 class Job:

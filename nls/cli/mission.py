@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["Solved", "lines", "refuse_unwritable_folder"]
 
 x, l = kinds("x", "l")
 FILES = ("trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png")

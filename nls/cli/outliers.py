@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["chosen", "doubtful", "is_gnc", "left_out", "record", "rows", "without_rejected"]
+__all__ = ["record", "without_rejected"]
 
 PREFIX = "gnc-"
 NAME = PREFIX[:-1]
@@ -105,16 +105,22 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
     """
     masks = [weight > 0 for weight in choice.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
+    known = {id(statement.noise): statement for statement in report.statements}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
     factor_times = [
         (new, times[id(old)][mask]) for (old, mask), new in zip(left, graph.factors, strict=True) if id(old) in times
+    ]
+    statements = [
+        known[id(old.noise)].only(mask, new.noise)
+        for (old, mask), new in zip(left, graph.factors, strict=True)
+        if id(old.noise) in known
     ]
     sources = [
         replace(source, lines=source.lines[mask])
         for source, mask in zip(report.sources, masks, strict=True)
         if mask.any()
     ]
-    return graph, replace(report, factor_times=factor_times, sources=sources)
+    return graph, replace(report, factor_times=factor_times, statements=statements, sources=sources)
 
 
 def left_out(choice: Robustified, output: str | None) -> list[str]:

@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = [
-    "PAGES",
-    "PICTURES",
-    "complain",
-    "input_name",
-    "json_text",
-    "refuse_loss",
-    "refuse_name",
-    "refuse_unwritable",
-    "write_json",
-]
+__all__ = ["json_text"]
 
 PICTURES = (".png", ".pdf", ".svg")
 PAGES = (".html", ".htm")
@@ -167,13 +156,6 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
 
 def json_text(report: dict[str, Any]) -> str:
     """The report for programs."""
-    return json.dumps(_finite(report), indent=1, allow_nan=False) + "\n"
+    from models.finite import finite_or_none
 
-
-def _finite(item: Any) -> Any:
-    """A report with null for every number that is not finite: JSON has no other word for it."""
-    if isinstance(item, dict):
-        return {name: _finite(value) for name, value in item.items()}
-    if isinstance(item, list):
-        return [_finite(value) for value in item]
-    return None if isinstance(item, float) and not math.isfinite(item) else item
+    return json.dumps(finite_or_none(report), indent=1, allow_nan=False) + "\n"

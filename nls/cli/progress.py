@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nls.optimizers import Iteration
 
-__all__ = ["Progress"]
-
 
 class Progress:
     """A line on standard error where that is a terminal, gone at the end; nothing elsewhere.

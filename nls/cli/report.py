@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from nls.cli.mission import Solved
     from nls.optimizers import Result
 
-__all__ = ["write_report"]
-
 
 def write_report(job: Job, result: Result | UnderconstrainedError, path: str) -> None:
     """Write the page of a run.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from nls.cli.progress import Progress
     from nls.optimizers import Optimizer
 
-__all__ = ["solve"]
-
 
 def solve(options: argparse.Namespace) -> int:
     """Solve and report; returns the exit status."""

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
 
-__all__ = ["attempt", "write_free", "write_outputs"]
 
 Output = tuple[Callable[[str], None], str | None]
 

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.optimizers import Iteration, Result
 
-__all__ = ["SCHEMA", "advice", "record_of", "table"]
+__all__ = ["table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
@@ -83,7 +83,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     warned : notes that were printed already.
     verbose : whether iterations and seconds follow.
     """
-    from nls.io.text import several
+    from models.listing import several
 
     lines = result.steps if verbose else []
     file = "dead reckoning" if "mission" in report else "file"  # a mission has no start in a file

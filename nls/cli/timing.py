@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from nls.optimizers import Iteration
 
-__all__ = ["Clock", "iterations", "peak_rss_mb", "rows", "table"]
 
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")  # of an iteration
 BEFORE = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS)

@@ -17,7 +17,7 @@ from models.algebra import Array, congruence
 from models.errors import OptionError, SingularGeometryError
 from models.manifolds.base import Manifold
 
-__all__ = ["EULER", "axes", "turned"]
+__all__ = ["axes", "turned"]
 
 EULER = ("roll", "pitch", "yaw", "x", "y", "z")
 

@@ -25,8 +25,6 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["FreePart", "free_part"]
-
 
 @dataclass(frozen=True)
 class FreePart:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["beyond_all_others", "exchanged_landmarks", "misread", "readings", "shifted_clocks"]
-
 
 def beyond_all_others(graph: FactorGraph, pattern: Pattern) -> list[Finding]:
     """Lengths and informations a million times those of all others of their kind."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from factors import Cauchy, Huber
 from factors.base import Factor
-from factors.function import FunctionFactor
 from models.advice import Advice
 from models.listing import SOME
 from nls.analysis.chi_squared import chi2_tail
@@ -26,19 +25,7 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = [
-    "local_minimum",
-    "measurement",
-    "no_optimum",
-    "of_parts",
-    "of_suspects",
-    "repeated",
-    "switched_off",
-    "taken_out",
-    "turns",
-    "unchecked",
-    "unverified",
-]
+__all__ = ["of_suspects"]
 
 UNLIKELY = 1e-3  # chance of a chi2 so far from its expectation, on either side
 SIZEABLE = 1.2  # ratio of sigmas that is worth a word
@@ -196,7 +183,7 @@ def turns(graph: FactorGraph, values: Values) -> list[Finding]:
     """Residuals of functions that are off by nearly a turn: an angle that nobody wrapped."""
     out = []
     for k, factor in enumerate(graph.factors):
-        if not isinstance(factor, FunctionFactor):
+        if not factor.opaque:
             continue
         model, X = values.gather(factor)
         e = -model.space.local(np.zeros(model.dim), model.factor.predict(model.manifolds, *X)[0])
@@ -250,7 +237,7 @@ def repeated(graph: FactorGraph, values: Values) -> list[Finding]:
     """Measurements that are in the graph more than once, with the same numbers."""
     like: dict[tuple[str, ...], list[int]] = {}
     for k, factor in enumerate(graph.factors):
-        if not factor.limit_only and not isinstance(factor, FunctionFactor) and len(factor):  # data are in the function
+        if not factor.limit_only and not factor.opaque and len(factor):  # data are in the function
             like.setdefault((factor.name, *(keys.kind for keys in factor.keys)), []).append(k)
     count, places = 0, []
     for alike in like.values():

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-__all__ = ["duplicate_points"]
 
 PAIRS = 20  # nearest pairs that are looked at
 SAME = 0.999  # of such pairs that are one point are found

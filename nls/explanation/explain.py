@@ -6,11 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from models.manifolds.measured import unit
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
     from nls.sparse.pattern import Pattern
 
-    Mask = npt.NDArray[np.bool_]
 
 __all__ = ["explain"]
 

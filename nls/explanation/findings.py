@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -10,6 +9,7 @@ from typing import Any
 
 from factors.keys import Keys
 from models.advice import Advice, listed
+from models.finite import finite_or_none
 
 __all__ = ["Explanation", "Finding", "FindingKind", "Measurement", "Part", "Weak", "number"]
 
@@ -76,7 +76,7 @@ class Finding:
         return {
             "kind": self.kind.value,
             "keys": [repr(key) for key in self.keys],
-            "numbers": {name: _plain_number(value) for name, value in self.numbers.items()},
+            "numbers": finite_or_none(self.numbers),
             "places": list(self.places),
             "advice": [{"action": advice.action, "about": list(advice.about)} for advice in self.advice],
             "sentence": self.says,
@@ -237,7 +237,7 @@ class Explanation:
             "chi2": self.chi2,
             "dof": self.dof,
             "quantiles": [self.low, self.high],
-            "promised": _finite(self.promised),
+            "promised": finite_or_none(self.promised),
             "robust": self.robust,
             "findings": [finding.record() for finding in self.findings],
             "free": list(self.free),
@@ -252,24 +252,14 @@ class Explanation:
         return self.report()
 
 
-def _plain_number(value: Any) -> Any:
-    """A number, a text or a list of them, as JSON has it."""
-    return [_plain_number(entry) for entry in value] if isinstance(value, tuple) else _finite(value)
-
-
 def _plain(item: Part | Measurement | Weak) -> dict[str, Any]:
     """Fields by name, variables by their names."""
     out = {}
     for name, value in vars(item).items():
         if isinstance(value, Keys):
             value = repr(value)
-        out[name] = [repr(key) for key in value] if isinstance(value, tuple) else _finite(value)
+        out[name] = [repr(key) for key in value] if isinstance(value, tuple) else finite_or_none(value)
     return out
-
-
-def _finite(value: Any) -> Any:
-    """None for what is not known."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def number(value: float) -> str:

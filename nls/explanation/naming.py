@@ -6,25 +6,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from nls.analysis.sightings import Sight, named, sights
 from nls.analysis.world_motions import AXES, NEAR, SAME, Motion, generators, motions, places
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels
 
 if TYPE_CHECKING:
-    from models.algebra import Index
     from nls.analysis.freedom import Freedom
     from nls.sparse.pattern import Pattern
     from nls.values import Values
 
-    Mask = npt.NDArray[np.bool_]
-
-__all__ = ["named_directions"]
 
 SHARE = 0.05  # a variable is named when it moves by at least this part of the farthest moving one, in sigmas
 CURES = {

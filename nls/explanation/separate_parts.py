@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from models.advice import Advice
+from models.algebra import Mask
 from nls.explanation.findings import Finding, FindingKind
 from nls.gauge import component_labels, touched_variables
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
-__all__ = ["moving", "separate_parts"]
+__all__ = ["separate_parts"]
 
 
-def moving(pattern: Pattern) -> npt.NDArray[np.bool_]:
+def moving(pattern: Pattern) -> Mask:
     """(V,) what moves when everything does: touched by a factor, and no calibration."""
     moved = touched_variables(pattern)
     for batch in pattern.batches:

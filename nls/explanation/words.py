@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["directions", "report", "sentence", "summary", "together", "unverified"]
+__all__ = ["sentence", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements

@@ -31,7 +31,7 @@ from factors.sighting import Sighting
 from models.abstract import Abstract
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError
-from models.options import is_number
+from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 
 if TYPE_CHECKING:
@@ -221,9 +221,8 @@ class Association(Abstract):
 
     def __post_init__(self) -> None:
         for name in ("probability", "new"):
-            value = getattr(self, name)
-            if not is_number(value) or not 0 < value < 1:
-                raise OptionError(f"{type(self).__name__}: {name}", value, "a number between 0 and 1, such as 0.99")
+            option = f"{type(self).__name__}: {name}"
+            check_between(option, getattr(self, name), 0, 1, "a number between 0 and 1, such as 0.99")
         if self.new < self.probability:
             raise OptionError(f"{type(self).__name__}: new", self.new, f"at least probability, {self.probability}")
 

@@ -12,11 +12,10 @@ Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import UnderconstrainedError
 from nls.analysis.chi_squared import chi2_gate
 
@@ -83,7 +82,7 @@ def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Ar
     return np.asarray((np.square(along) / values).sum(axis=1))
 
 
-def regular(P: Array) -> npt.NDArray[np.bool_]:
+def regular(P: Array) -> Mask:
     """Which covariances (n, d, d) give errors a size: those that are finite, positive and not singular, (n,).
 
     Examples

@@ -29,7 +29,7 @@ from factors.sighting import Sighting
 from models import LieGroup, R
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
-from models.options import is_number, is_whole
+from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
@@ -117,15 +117,16 @@ class EKF(Filter):
             raise OptionError("prior_sigma", prior_sigma, "a sigma above 0, or one for each component of a landmark")
         if not isinstance(associate, Association | None):
             raise OptionError("associate", associate, "an association such as JointCompatibility(0.95), or None")
-        if not is_whole(iterations) or iterations < 1 or (first_estimates and iterations > 1):
-            expected = "a whole number of at least 1; 1 with first_estimates, which keep their Jacobians"
+        expected = "a whole number of at least 1; 1 with first_estimates, which keep their Jacobians"
+        self.iterations = check_whole("iterations", iterations, 1, expected)
+        if first_estimates and self.iterations > 1:
             raise OptionError("iterations", iterations, expected)
         self.initial, self.first_estimates, self.prior_sigma = landmarks, first_estimates, sigmas
-        self.associate, self.iterations = associate, int(iterations)
+        self.associate = associate
         if gate is not None and associate is not None:
             raise OptionError("gate", gate, "None with an association, which has gates of its own")
-        if gate is not None and not (is_number(gate) and 0 < gate < 1):
-            raise OptionError("gate", gate, "a probability between 0 and 1, such as 0.999, or None")
+        if gate is not None:
+            check_between("gate", gate, 0, 1, "a probability between 0 and 1, such as 0.999, or None")
         self.gate, self.left_out = gate, 0
         self.associations: list[int] = []
         self._state: MapState | None = None

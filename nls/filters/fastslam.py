@@ -27,7 +27,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from models.options import is_whole
+from models.options import check_whole
 from nls.filters.base import Filter, Step
 from nls.filters.motion import Copies, copies, information, most_likely, slot_of
 from nls.filters.particle_map import ParticleMap, each_once
@@ -80,13 +80,12 @@ class FastSLAM(Filter):
     """
 
     def __init__(self, particles: int, version: Literal[1, 2] = 2, *, rng: np.random.Generator) -> None:
-        if not is_whole(particles) or particles < 2:
-            raise OptionError("FastSLAM: particles", particles, "a whole number of at least 2")
         if version not in (1, 2):
             raise OptionError("FastSLAM: version", version, "1 or 2")
         if not isinstance(rng, np.random.Generator):
             raise OptionError("FastSLAM: rng", rng, "a numpy.random.Generator such as numpy.random.default_rng(1)")
-        self.particles, self.version, self.rng = int(particles), version, rng
+        self.particles = check_whole("FastSLAM: particles", particles, 2)
+        self.version, self.rng = version, rng
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_copied": {}}  # its keys are addresses of factors, which a copy does not share

@@ -16,7 +16,7 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import GraphError, OptionError
-from models.options import is_whole
+from models.options import check_whole
 from nls.filters.base import POSE, Step
 from nls.filters.marginal import MarginalPrior, marginalized, numbers_of
 from nls.filters.smoother import Smoother
@@ -67,12 +67,11 @@ class FixedLag(Smoother):
     def __init__(
         self, lag: int, landmarks: Literal["leave", "stay"] = "leave", optimizer: Optimizer | None = None
     ) -> None:
-        if not is_whole(lag) or lag < 1:
-            raise OptionError("FixedLag: lag", lag, "a whole number of poses of at least 1")
         if landmarks not in ("leave", "stay"):
             raise OptionError("FixedLag: landmarks", landmarks, "leave or stay")
         super().__init__(optimizer)
-        self.lag, self.stay = int(lag), landmarks == "stay"
+        self.lag = check_whole("FixedLag: lag", lag, 1, "a whole number of poses of at least 1")
+        self.stay = landmarks == "stay"
 
     @property
     def method(self) -> str:

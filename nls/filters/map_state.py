@@ -24,7 +24,7 @@ from models import Manifold
 from models.algebra import Array, Index
 from models.errors import EvaluationError
 
-__all__ = ["MapState", "rows_of"]
+__all__ = ["MapState"]
 
 TOGETHER = 128  # rows of P updated together: 3,200 landmarks take 0.4 s, and 1.3 s with V'V in memory as a whole
 

@@ -19,13 +19,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
-from models.algebra import Array
+from models.algebra import Array, Mask, Numbers
 from models.errors import UnderconstrainedError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -175,11 +174,11 @@ def without(values: Values, leaving: Sequence[Keys]) -> Values:
     return Values.of(stacks.values())
 
 
-def _masked(stack: Stack, mask: npt.NDArray[np.bool_]) -> Stack:
+def _masked(stack: Stack, mask: Mask) -> Stack:
     return Stack(stack.kind, stack.manifold, stack.X[mask], stack.numbers[mask])
 
 
-def numbers_of(factors: Sequence[Factor], kind: str) -> npt.NDArray[np.int64]:
+def numbers_of(factors: Sequence[Factor], kind: str) -> Numbers:
     """Numbers of the variables of a kind that factors touch, rising."""
     numbers = [keys.numbers for factor in factors for keys in factor.keys if keys.kind == kind]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *numbers]))

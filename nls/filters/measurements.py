@@ -5,23 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor, Model
 from factors.sighting import Sighting
 from models import Manifold
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState
 
-__all__ = ["Measurements", "associated", "distances", "select", "stacked"]
-
 Measurements = tuple[Factor, Index | None]  # measurements, and the landmark (n,) of each; None where they touch none
 
 
-def select(piece: Measurements, mask: npt.NDArray[np.bool_] | None) -> Measurements:
+def select(piece: Measurements, mask: Mask | None) -> Measurements:
     """Some of the measurements by a mask (n,); None for all."""
     factor, numbers = piece
     if mask is None or mask.all():

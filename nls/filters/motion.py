@@ -18,7 +18,7 @@ from models import Manifold
 from models.algebra import Array, apply, gram
 from models.errors import GraphError, UnderconstrainedError
 
-__all__ = ["Copies", "copies", "information", "jacobians", "most_likely", "slot_of"]
+__all__ = ["copies"]
 
 SETTLED, STEPS = 1e-10, 50  # m, rad; a difference on a group takes one step and one that finds nothing to do
 FREE = 1e-14  # determinant of the information scaled to a diagonal of ones: rounding of 0

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_whole
+from models.options import check_whole
 from nls.filters.base import POSE, Step
 from nls.filters.motion import jacobians
 from nls.filters.smoother import Smoother
@@ -50,10 +49,8 @@ class Online(Smoother):
     """
 
     def __init__(self, every: int = 1, optimizer: Optimizer | None = None) -> None:
-        if not is_whole(every) or every < 1:
-            raise OptionError("Online: every", every, "a whole number of steps of at least 1")
         super().__init__(optimizer)
-        self.every = int(every)
+        self.every = check_whole("Online: every", every, 1, "a whole number of steps of at least 1")
         self._waiting, self._P = 0, np.zeros((0, 0))
 
     @property

@@ -12,10 +12,9 @@ Probabilistic Robotics, 2005, table 4.4.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Index
 
 __all__ = ["covariance", "effective", "mean", "normalized_weights", "systematic"]
 
@@ -47,7 +46,7 @@ def effective(w: Array) -> float:
     return float(1 / np.square(w).sum())
 
 
-def systematic(w: Array, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+def systematic(w: Array, rng: np.random.Generator) -> Index:
     """Which particle each new one descends from, (N,): weight k has N w_k descendants, rounded up or down.
 
     Examples

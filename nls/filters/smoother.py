@@ -20,8 +20,6 @@ from nls.optimizers import Optimizer, Result
 from nls.starts.landmarks import locate_points
 from nls.values import Stack, Values
 
-__all__ = ["Smoother"]
-
 
 class Smoother(Filter):
     """A graph of the steps so far, or of the latest of them. A subclass gives `_settle`, what is done after each step.

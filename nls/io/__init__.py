@@ -17,7 +17,7 @@ from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
-from nls.io.unused_lines import appended, left_out
+from nls.io.unused_lines import left_out
 from nls.stages import stage
 from nls.values import Values
 
@@ -198,8 +198,9 @@ def save(
     ----------
     path : the file; compressed where the name ends in ``.gz``.
     graph, values : what to write.
-    report : the report the graph was read with: its times are kept, and its unused lines appended as they were when the
-        file is of the same format (a warning counts them when it is not: another format may read them as its own).
+    report : the report the graph was read with: its times are kept. For a file of the same format the numbers of the
+        lines and the ids of parameters stay as they were, and unused lines are appended (otherwise a warning counts
+        them: another format may read them as its own).
     dialect : as for `load`; when omitted by the name: ``.g2o``, ``.toro``, ``.isam``, ``.pyfg`` or ``.bal``.
 
     Raises
@@ -237,5 +238,5 @@ def rendered(
         return pyfg_text(path, graph, values, report), notes
     from nls.io.write import graph_text
 
-    data, more = graph_text(path, graph, values, appended(report, dialect), FORMATS[dialect])
+    data, more = graph_text(path, graph, values, report, FORMATS[dialect])
     return data, notes + more

@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
-
-__all__ = ["turns"]
+from models.algebra import Array, Index
 
 TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
-def turns(angles_by_tag: Iterable[tuple[str, npt.NDArray[np.intp], Array]]) -> list[str]:
+def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
     """What is to be said of angles of more than a turn: nothing, or one sentence.
 
     Parameters

@@ -17,21 +17,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.bundle import CAMERA, LENS, BundleProjection
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import R
+from models.algebra import Index, Numbers
 from models.errors import GraphError
 from nls.graph import FactorGraph
-from nls.io.files import write_bytes
 from nls.io.report import LoadReport, Source
 from nls.io.text import Text
 from nls.values import Stack, Values
 
-__all__ = ["bal_text", "read_bal", "write_bal"]
+__all__ = ["read_bal"]
 
 CAMERAS, LENSES, POINTS = ("c", CAMERA), ("k", LENS), ("l", R(3))
 PIXEL = Isotropic(1.0)
@@ -100,7 +99,7 @@ def read_bal(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport]:
     return graph, values, report
 
 
-def _index(text: Text, lines: npt.NDArray[np.intp], column: int, count: int, noun: str) -> npt.NDArray[np.int64]:
+def _index(text: Text, lines: Index, column: int, count: int, noun: str) -> Numbers:
     """Cameras or points of the observations, each counted from 0."""
     index = text.whole(lines, column)
     if (outside := (index < 0) | (index >= count)).any():
@@ -109,14 +108,9 @@ def _index(text: Text, lines: npt.NDArray[np.intp], column: int, count: int, nou
     return index
 
 
-def _line(text: Text, tokens: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+def _line(text: Text, tokens: Index) -> Index:
     """The line (counted from 0) that holds each token."""
     return np.searchsorted(text.first, tokens, side="right") - 1
-
-
-def write_bal(path: str | Path, graph: FactorGraph, values: Values) -> None:
-    """Write a bundle-adjustment file, see `bal_text`; gzip-compressed where the name ends in ``.gz``."""
-    write_bytes(path, bal_text(path, graph, values))
 
 
 def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:

@@ -15,13 +15,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask, Numbers
 
-__all__ = ["BLANK", "LINE_END", "MARKS", "PAD", "UNREAD", "WHOLE", "decimals", "windows", "words"]
+__all__ = ["MARKS", "PAD", "UNREAD", "WHOLE", "decimals"]
 Words = npt.NDArray[np.uint64]
 Bytes = npt.NDArray[np.uint8]
 Places = npt.NDArray[np.int8]
-Mask = npt.NDArray[np.bool_]
 
 POINT, OTHER, MINUS, PLUS, EXPONENT, BLANK, LINE_END = 0x10, 0x80, 0x81, 0x82, 0x83, 0xC0, 0xC1  # blanks last
 KNOWN = {b".": POINT, b"-": MINUS, b"+": PLUS, b"eE": EXPONENT, b" \t\v\f\r": BLANK, b"\n": LINE_END}
@@ -93,7 +92,7 @@ def _with_exponent(window: Words, mark: Bytes, ends: Index, length: Index) -> tu
     return integer * POWERS[np.maximum(shift, 0)] / POWERS[np.maximum(-shift, 0)], plain * np.uint8(FRACTION)
 
 
-def _integers(window: Words, ends: Index, length: Index) -> tuple[npt.NDArray[np.int64], Places, Mask]:
+def _integers(window: Words, ends: Index, length: Index) -> tuple[Numbers, Places, Mask]:
     """Tokens of digits and at most one point: the integer without it, digits behind it or `NO_POINT`.
 
     And which tokens are such.

@@ -22,19 +22,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from factors.between import Between
 from factors.landmark import Landmark
 from models import SE2, SE3
 from models.advice import Advice
+from models.algebra import Index
 from models.errors import GraphFileError, OptionError
 from nls.io.g2o import G2O, POINT2, POINT3, POSE2, STEP2
 from nls.io.records import Element, Format, Record
 from nls.io.text import Text, printable
 
-__all__ = ["FORMATS", "SUFFIXES", "check_dialect", "choose", "format_of", "no_information"]
+__all__ = ["FORMATS", "SUFFIXES", "format_of", "no_information"]
 
 POSES = ("pose", "pose")
 POSE_AND_POINT = ("pose", "point")
@@ -90,7 +88,7 @@ READINGS = {  # dialects by tag
 }
 EXAMPLES = "EDGE_SE2 i j dx dy dtheta and 6 numbers (g2o), EDGE2 or EDGE3 (TORO, iSAM), ODOMETRY (iSAM)"
 
-Tags = dict[bytes, npt.NDArray[np.intp]]
+Tags = dict[bytes, Index]
 
 
 def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
@@ -128,7 +126,7 @@ def no_information(path: str, format: str) -> OptionError:
     return OptionError("repair_information", True, allowed)
 
 
-def choose(text: Text, tags: Tags, comments: npt.NDArray[np.intp], dialect: str = "auto") -> tuple[Format, str]:
+def choose(text: Text, tags: Tags, comments: Index, dialect: str = "auto") -> tuple[Format, str]:
     """The dialect of a file by its tags, and why.
 
     Raises
@@ -173,7 +171,7 @@ def _listed(names: set[str]) -> str:
     return " or ".join(name for name in FORMATS if name in names)
 
 
-def _no_graph(text: Text, tags: Tags, comments: npt.NDArray[np.intp], formats: list[Format]) -> GraphFileError:
+def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) -> GraphFileError:
     """The error for a file without any line of a graph."""
     unknown, advice = [tag for tag in tags if tag != b"FIX"], []
     if unknown:

@@ -21,7 +21,7 @@ import numpy as np
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["descriptor", "names_folder", "new_folder", "read_bytes", "read_stream", "write_bytes", "write_folder"]
+__all__ = ["descriptor", "names_folder", "new_folder", "read_bytes", "write_bytes", "write_folder"]
 
 CHUNK = 1 << 20
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader

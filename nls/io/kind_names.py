@@ -9,8 +9,8 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import SE2, SE3, R
+from models.algebra import Numbers
 from nls.graph import FactorGraph
-from nls.io.lines import Numbers
 from nls.io.records import KINDS
 from nls.values import Values
 

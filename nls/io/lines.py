@@ -6,16 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from models import SE2, SE3
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask, Numbers
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.records import Record
 from nls.io.text import Text
 
-__all__ = ["Lines", "Numbers", "among", "by_number", "different", "joined", "read_lines"]
-Numbers = npt.NDArray[np.int64]
+__all__ = ["among"]
 NONE = np.zeros(0, dtype=np.int64)
 UNIT_ROUNDED = 1e-5  # how far the length of a unit quaternion written with six digits is off, at most
 
@@ -44,7 +42,7 @@ class Lines:
         """Lines whose quaternion has a length that is not 1 up to the rounding of six digits."""
         if self.record.element.space is not SE3 or self.record.element.angles:
             return self.at[:0]
-        off: npt.NDArray[np.bool_] = np.abs(np.sqrt(np.square(self.X[:, 3:]).sum(axis=1)) - 1) > UNIT_ROUNDED
+        off: Mask = np.abs(np.sqrt(np.square(self.X[:, 3:]).sum(axis=1)) - 1) > UNIT_ROUNDED
         return self.at[off]
 
     @property
@@ -117,7 +115,7 @@ def by_number(text: Text, lines: list[Lines], noun: str) -> tuple[Numbers, Index
     return ids[order], order
 
 
-def among(numbers: Numbers, known: Numbers) -> npt.NDArray[np.bool_]:
+def among(numbers: Numbers, known: Numbers) -> Mask:
     """Which numbers are among the known ones, which rise: 20 us for 460 where `numpy.isin` takes 90.
 
     Examples

@@ -10,8 +10,6 @@ from models.algebra import Array, Index
 from nls.io.files import read_bytes
 from nls.io.text import Text
 
-__all__ = ["or_compressed", "plain_lines", "plain_table", "refuse_late"]
-
 
 def or_compressed(folder: str | Path, name: str) -> Path:
     """The file of a folder, or its compressed twin ``name.gz`` where only that is there."""

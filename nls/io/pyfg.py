@@ -36,11 +36,10 @@ from factors.noise import Covariance, square
 from factors.prior import Prior
 from factors.range import Range
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Numbers
 from models.errors import GraphError, NoiseModelError
 from nls.graph import FactorGraph
 from nls.io.angles import turns
-from nls.io.files import write_bytes
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
 from nls.io.report import LoadReport, Source
@@ -49,7 +48,7 @@ from nls.io.unused_lines import appended, keep_unknown, note_comments
 from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
-__all__ = ["pyfg_text", "read_pyfg", "write_pyfg"]
+__all__ = ["read_pyfg"]
 LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
@@ -86,7 +85,7 @@ class Batch:
     """Lines of one tag whose names are of the same kinds: numbers (n,) per name, times (n,), table (n, columns)."""
 
     kinds: tuple[str, ...]
-    numbers: list[npt.NDArray[np.int64]]
+    numbers: list[Numbers]
     lines: Index
     times: Array
     table: Array
@@ -212,7 +211,7 @@ def _batches(text: Text, name: str, tag: Tag, lines: Index) -> Iterator[Batch]:
         yield Batch(kinds, [number[mine] for _, number in names], lines[mine], times[mine], table[mine])
 
 
-def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], npt.NDArray[np.int64]]:
+def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_], Numbers]:
     """Names such as A17 as their letters (n,) and numbers (n,)."""
     tokens = text.first[lines] + column
     lengths = text.ends[tokens] - text.starts[tokens]
@@ -239,7 +238,7 @@ def _names(text: Text, lines: Index, column: int) -> tuple[npt.NDArray[np.bytes_
     return kind, number
 
 
-def _once(text: Text, kind: str, numbers: npt.NDArray[np.int64], lines: Index) -> None:
+def _once(text: Text, kind: str, numbers: Numbers, lines: Index) -> None:
     """Refuse a vertex that is given twice."""
     order = np.lexsort((lines, numbers))
     again = np.flatnonzero(numbers[order][1:] == numbers[order][:-1])
@@ -283,11 +282,6 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
 def _halved(space: LieGroup, convention: str) -> bool:
     """Whether the residual is that of half a rotation vector."""
     return space is SE3 and convention in ("g2o", "graphslam")
-
-
-def write_pyfg(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> None:
-    """Write a PyFactorGraph text file, see `pyfg_text`; gzip-compressed where the name ends in ``.gz``."""
-    write_bytes(path, pyfg_text(path, graph, values, report))
 
 
 def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None = None) -> bytes:

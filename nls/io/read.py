@@ -15,18 +15,19 @@ from models import LieGroup, R
 from models.advice import Advice
 from models.algebra import Array, Index
 from models.errors import GraphError, NoiseModelError
+from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.dialects import choose, no_information
 from nls.io.lines import UNIT_ROUNDED, Lines, among, by_number, joined, read_lines
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
-from nls.io.report import LoadReport, Source
+from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles
 from nls.io.start import started
-from nls.io.text import Text, printable, several
+from nls.io.text import Text, printable
 from nls.io.unused_lines import keep, keep_unknown, note_comments
-from nls.io.weights import AsRead, matrix, noise_of, repaired
+from nls.io.weights import matrix, noise_of, repaired
 from nls.stages import stage
 from nls.values import Stack, Values
 
@@ -88,7 +89,8 @@ def read_graph(
                 report.notes.append(f"{name} lines name a parameter that their error does not use")
             noises = _matrices(text, block, format, repair_information, report)
             for mine in roles.kinds_of(block):
-                bound.append((_factor(text, block, mine, noises, offsets, roles, format, convention, group), block))
+                factor = _factor(text, block, mine, noises, offsets, roles, format, convention, group, report)
+                bound.append((factor, block))
                 report.sources.append(Source(path, block.at[mine] + 1))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.vertex_ids):
@@ -176,6 +178,7 @@ def _factor(
     format: Format,
     convention: str,
     group: LieGroup,
+    report: LoadReport,
 ) -> Factor:
     """One batch of measurements of these lines."""
     record, at = block.record, block.at[mine]
@@ -186,7 +189,9 @@ def _factor(
         shared: list[Array] = []
         if record.parameters or record.element.angles:
             all_offsets = offsets.of(block)[mine] if record.parameters else np.zeros((len(at), 0, group.size))
-            noise = AsRead(noise, format.name, record.tag, convention, z, numbers, block.parameters[mine], all_offsets)
+            report.statements.append(
+                Statement(noise, record.tag, convention, z, numbers, block.parameters[mine], all_offsets)
+            )
             columns = [all_offsets[:, k] for k in range(record.parameters)]
             shared = [O[:1] if (O == O[0]).all() else O for O in columns]
         factor = record.build(keys, z, noise, shared, convention)

@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.between import Between
@@ -20,10 +19,8 @@ from factors.keys import Keys
 from factors.noise import Noise
 from factors.prior import Prior
 from models import SE2, SE3, LieGroup, Manifold, R
-from models.algebra import Array
+from models.algebra import Array, Index
 from models.manifolds.euler import from_se3, to_se3
-
-__all__ = ["KINDS", "Element", "Format", "Record", "a_file", "at_origin", "fixed_offsets"]
 
 KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by what measurements use them as
 ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
@@ -84,7 +81,7 @@ class Record:
     entries: str = ""
 
     @cached_property
-    def places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def places(self) -> tuple[Index, Index]:
         """Rows and columns of the matrix entries."""
         m, entries = 0 if self.factor is None else self.element.space.dim, self.entries.split()
         pairs = [(int(pair[0]) - 1, int(pair[1]) - 1) for pair in entries] or [

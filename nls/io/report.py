@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from factors.base import Factor
-from models.algebra import Array, Index
+from factors.noise import Noise
+from models.algebra import Array, Index, Mask, Numbers
 
-__all__ = ["LoadReport", "Source"]
+__all__ = ["LoadReport", "Source", "Statement"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +25,44 @@ class Source:
 
     path: str
     lines: Index
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """The numbers of the lines that one factor was read from, which writing gives back as they were.
+
+    Attributes
+    ----------
+    noise : of the factor.
+    tag, convention : how the lines were read.
+    z : (n, size) the measured elements they became.
+    numbers : (n, columns) the numbers after the ids.
+    parameters : (n, k) ids of parameters; offsets : (n, k, size) their values.
+    """
+
+    noise: Noise
+    tag: bytes
+    convention: str
+    z: Array
+    numbers: Array
+    parameters: Numbers
+    offsets: Array
+
+    def numbers_of(self, factor: Factor, tag: bytes) -> Array | None:
+        """The numbers of the lines of this factor, where they still say what it says."""
+        same = (self.tag, self.convention) == (tag, factor.convention)
+        return self.numbers if same and np.array_equal(self.z, factor.z) else None
+
+    def only(self, mask: Mask, noise: Noise) -> Statement:
+        """The numbers of some of the lines, and the noise of their factor."""
+        return replace(
+            self,
+            noise=noise,
+            z=self.z[mask],
+            numbers=self.numbers[mask],
+            parameters=self.parameters[mask],
+            offsets=self.offsets[mask],
+        )
 
 
 @dataclass
@@ -40,6 +81,8 @@ class LoadReport:
     warnings : those of the notes that deserve a `GraphWarning`, which `nls.load` gives.
     vertex_times : (n,) per kind of pose, s, in the order of `Values`; none where the file has no times.
     factor_times : pairs of a factor and its times (n,), s.
+    statements : the numbers of lines whose matrix is about angles or that name parameters; `nls.save` writes them to a
+        file of the same format where a factor still has the noise and the measurements that were read from them.
     sources : file and lines per factor, in the order of the factors of the graph as read; see `place`.
 
     Examples
@@ -63,6 +106,7 @@ class LoadReport:
     warnings: list[str] = field(default_factory=list)
     vertex_times: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
     factor_times: list[tuple[Factor, Array]] = field(default_factory=list, compare=False, repr=False)
+    statements: list[Statement] = field(default_factory=list, compare=False, repr=False)
     sources: list[Source] = field(default_factory=list, compare=False, repr=False)
 
     def place(self, factor: int, measurement: int) -> str:

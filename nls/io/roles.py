@@ -6,12 +6,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from models.algebra import Index
-from nls.io.lines import Lines, Numbers, among, by_number, different, joined
+from models.algebra import Index, Numbers
+from nls.io.lines import Lines, among, by_number, different, joined
 from nls.io.records import KINDS
 from nls.io.text import Text, printable
 
-__all__ = ["Roles"]
 ROLE_NAMES = {"pose": "pose", "point": "point", "mount": "place of a sensor"}
 
 

@@ -12,18 +12,17 @@ from factors.noise import Isotropic
 from factors.prior import Prior
 from factors.sighting import Sighting
 from models import LieGroup, R
+from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.lines import Lines
 from nls.io.records import KINDS
 from nls.io.report import LoadReport
 from nls.io.roles import Roles
-from nls.io.text import Text, several
+from nls.io.text import Text
 from nls.posegraph import says_poses
 from nls.starts.chain import chain
 from nls.starts.landmarks import locate_points
 from nls.values import Values
-
-__all__ = ["started"]
 
 POSE, POINT, MOUNT = KINDS["pose"], KINDS["point"], KINDS["mount"]
 

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from models.advice import Advice
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Numbers
 from models.errors import GraphFileError, ResourceLimitError
 from nls.io.decimals import BLANK, LINE_END, MARKS, PAD, UNREAD, WHOLE, decimals, windows
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["NUMBER", "Text", "printable", "rows", "several", "strange"]
+__all__ = ["Text"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 INTEGER = re.compile(rb"[+-]?[0-9]+")
@@ -41,17 +41,6 @@ PER_TAG = 700  # bytes of memory for every line of a first word of its own
 def printable(word: bytes, most: int | None = None) -> str:
     """Bytes of a file as text for a message, whatever their encoding; at most so many characters of them."""
     return (word if most is None else word[: 4 * most]).decode("utf-8", "backslashreplace")[:most]
-
-
-def several(count: int, noun: str) -> str:
-    """A count and its noun.
-
-    Examples
-    --------
-    >>> several(1, "pose"), several(1200, "line")
-    ('1 pose', '1200 lines')
-    """
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def strange(line: bytes) -> str:
@@ -201,7 +190,7 @@ class Text:
         self._read(first[line] + 1 + column, lines[line])
         return value[begin:end].reshape(-1, width)[:, 1:]
 
-    def whole(self, lines: Index, column: int | Index) -> npt.NDArray[np.int64]:
+    def whole(self, lines: Index, column: int | Index) -> Numbers:
         """Whole numbers of one column per line (1 is the first after the tag): ids, exact up to 2^63 - 1.
 
         A column may be one for all lines, one for each (n,), or several for all (k, 1): then (k, n) numbers.
@@ -214,7 +203,7 @@ class Text:
         tokens = self.first.take(lines) + column
         number, form = (array.take(tokens) for array in self._decimals)
         with np.errstate(invalid="ignore"):  # what is too large for it is read again below
-            value: npt.NDArray[np.int64] = number.astype(np.int64)
+            value: Numbers = number.astype(np.int64)
         for place in zip(*(form != WHOLE).nonzero(), strict=True):
             word = self.token(int(tokens[place]))
             exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63

@@ -8,11 +8,12 @@ from collections.abc import Collection
 import numpy as np
 
 from models.algebra import Index
+from models.listing import several, some
 from nls.io.records import a_file
 from nls.io.report import LoadReport
-from nls.io.text import Text, printable, several
+from nls.io.text import Text, printable
 
-__all__ = ["appended", "keep", "keep_unknown", "left_out", "note_comments"]
+__all__ = ["appended", "left_out"]
 NAMED = 9  # tags in a sentence
 
 
@@ -27,7 +28,7 @@ def keep_unknown(text: Text, unknown: dict[bytes, Index], report: LoadReport, kn
         return
     aside = "" if all(tag in known for tag in unknown) else "with unknown tags "
     named = [f"{printable(tag, 30)} ({len(n)}, first on line {n[0] + 1})" for tag, n in unknown.items()]
-    report.warn(f"lines {aside}were not used: {_listed(named)}")
+    report.warn(f"lines {aside}were not used: {some(named, NAMED, noun=' tags')}")
     keep(text, np.sort(np.concatenate(list(unknown.values()))), report)
 
 
@@ -47,14 +48,9 @@ def left_out(report: LoadReport | None, format: str) -> list[str]:
     if report is None or report.format == format or not report.ignored:
         return []
     tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)
-    named = _listed([f"{printable(tag, 30)} ({count})" for tag, count in tags.items()])
+    named = some([f"{printable(tag, 30)} ({count})" for tag, count in tags.items()], NAMED, noun=" tags")
     count = len(report.ignored)
     lines, pronoun = (
         (f"{count} lines that were not used are", "them") if count > 1 else ("1 line that was not used is", "it")
     )
     return [f"{lines} left out, only {a_file(report.format)} gets {pronoun} back: {named}"]
-
-
-def _listed(named: list[str]) -> str:
-    more = f" and {len(named) - NAMED} other tags" if len(named) > NAMED else ""
-    return ", ".join(named[:NAMED]) + more

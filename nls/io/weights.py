@@ -20,17 +20,16 @@ apply the difference between the axes of the two poses to it.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.noise import NEGATIVE, Covariance, Information, Noise, SqrtInformation, square
 from factors.robust import Robust
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError
 from models.manifolds.euler import rate_matrix, rate_matrix_inv
 from nls.io.records import Format, Record
 
-__all__ = ["HALF", "NOISES", "AsRead", "covariance", "entries", "matrix", "noise_of", "refuse_robust", "repaired"]
+__all__ = ["repaired"]
 
 NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] = {
     "information": Information,
@@ -38,44 +37,6 @@ NOISES: dict[str, type[Information] | type[SqrtInformation] | type[Covariance]] 
     "covariance": Covariance,
 }
 HALF = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # rotation vector per quaternion vector part
-
-
-class AsRead(Noise):
-    """A noise, and the numbers of the lines it was read from, which writing gives back as they were.
-
-    Attributes
-    ----------
-    noise : the noise itself.
-    format, tag, convention : how the lines were read.
-    z : (n, size) the measured elements they became.
-    numbers : (n, columns) the numbers after the ids.
-    parameters : (n, k) ids of parameters; offsets : (n, k, size) their values.
-    """
-
-    def __init__(
-        self,
-        noise: Noise,
-        format: str,
-        tag: bytes,
-        convention: str,
-        z: Array,
-        numbers: Array,
-        parameters: npt.NDArray[np.int64],
-        offsets: Array,
-    ) -> None:
-        self.noise, self.format, self.tag, self.convention = noise, format, tag, convention
-        self.z, self.numbers, self.parameters, self.offsets = z, numbers, parameters, offsets
-
-    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
-        return self.noise.sqrt_information(n, names)
-
-    def __repr__(self) -> str:
-        return repr(self.noise)
-
-    def numbers_of(self, factor: Factor, format: str, tag: bytes) -> Array | None:
-        """The numbers of the lines of this factor, where they still say what it says."""
-        same = (self.format, self.tag, self.convention) == (format, tag, factor.convention)
-        return self.numbers if same and np.array_equal(self.z, factor.z) else None
 
 
 def matrix(record: Record, numbers: Array, kind: str) -> Array:
@@ -113,7 +74,6 @@ def entries(record: Record, format: Format, factor: Factor, W: Array, measured: 
     """
     kind, m, noise = format.matrix, record.element.space.dim, factor.noise
     refuse_robust(factor)
-    noise = noise.noise if isinstance(noise, AsRead) else noise
     W = square(W)
     M: Array
     if type(noise) is NOISES[kind] and not (kind == "square root" and np.tril(noise.matrix, -1).any()):
@@ -164,7 +124,7 @@ def covariance(factor: Factor, W: Array) -> Array:
     return np.asarray(W_inv @ W_inv.mT)
 
 
-def repaired(Omega: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def repaired(Omega: Array) -> tuple[Array, Mask]:
     """Information matrices (n, m, m) with negative eigenvalues set to 0, and which had some.
 
     The matrices are scaled to a diagonal of ones for it, as they are when they are judged: units do not decide.

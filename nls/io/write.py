@@ -1,7 +1,7 @@
 """The writer of graph text files of every dialect: from a graph and values to the lines of its records.
 
-Read, write, read with one dialect and one convention gives the same graph bit for bit. Comments are never written:
-widely used readers lose a file's edges over one.
+Read, write, read with one dialect and one convention gives the same graph bit for bit, where noise is about angles only
+with the report of the file. Comments are never written: widely used readers lose a file's edges over one.
 """
 
 from __future__ import annotations
@@ -15,24 +15,26 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
-from models.algebra import Array
+from models.algebra import Array, Numbers
 from models.errors import GraphError, SingularGeometryError
+from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
-from nls.io.lines import Numbers
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
-from nls.io.text import rows, several
-from nls.io.weights import AsRead, entries
+from nls.io.report import LoadReport, Statement
+from nls.io.text import rows
+from nls.io.unused_lines import appended
+from nls.io.weights import entries
 from nls.values import Values
 
-__all__ = ["graph_text", "refuse_unwritable_graph"]
+__all__ = ["refuse_unwritable_graph"]
 
 ROLES = {kind: role for role, kind in KINDS.items()}
 PARAMETER = re.compile(r"\s*PARAMS_\S+\s+([+-]?[0-9]{1,18})\s")
 
 
 def graph_text(
-    path: str | Path, graph: FactorGraph, values: Values, ignored: list[str], format: Format
+    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
 ) -> tuple[bytes, list[str]]:
     """The bytes of a graph text file, and what they leave out, in words.
 
@@ -42,7 +44,8 @@ def graph_text(
     ----------
     path : the file, for messages.
     graph, values : what to write: poses of kind x, points l, places of sensors o.
-    ignored : lines to append verbatim.
+    report : of the file that the graph was read from; where that is of the same format, the numbers of its lines are
+        written again, and its unused lines appended, as they were.
     format : the dialect.
 
     Raises
@@ -50,7 +53,7 @@ def graph_text(
     GraphError
         Something this dialect has no line for, or that would be read back as something else.
     """
-    content = _Content(str(path), graph, values, ignored, format)
+    content = _Content(str(path), graph, values, report, format)
     out = content.offsets.lines(format)
     for tag, numbers, held, columns in content.vertices:
         lines = _lines(tag, [numbers], columns)
@@ -62,12 +65,12 @@ def graph_text(
         out += _lines(*table)
     left = content.unwritten
     only = f"{format.name} files hold measurements only: the values of {several(left, 'variable')} are not in it"
-    text = "\n".join([*out, *ignored]) + "\n"
+    text = "\n".join([*out, *appended(report, format.name)]) + "\n"
     return text.encode("utf-8", "surrogateescape"), [only] if left else []
 
 
 def refuse_unwritable_graph(
-    path: str | Path, graph: FactorGraph, values: Values, ignored: list[str], format: Format
+    path: str | Path, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
 ) -> None:
     """Refuse what `graph_text` refuses, without its text, which takes ten times as long; parameters as there.
 
@@ -75,7 +78,7 @@ def refuse_unwritable_graph(
     ------
     GraphError
     """
-    _Content(str(path), graph, values, ignored, format)
+    _Content(str(path), graph, values, report, format)
 
 
 class _Content:
@@ -89,11 +92,18 @@ class _Content:
     unwritten : variables that the format has no line for.
     """
 
-    def __init__(self, path: str, graph: FactorGraph, values: Values, ignored: list[str], format: Format) -> None:
+    def __init__(
+        self, path: str, graph: FactorGraph, values: Values, report: LoadReport | None, format: Format
+    ) -> None:
         group = _dimension(path, values, format)
         fixed = _fixed(path, graph, values, format)
-        self.offsets = _Offsets(ignored, group)
-        self.edges = [_edges(path, factor, values, group, format, self.offsets) for factor in graph.factors]
+        self.offsets = _Offsets(appended(report, format.name), group)
+        known = report.statements if report is not None and report.format == format.name else []
+        statements = {id(statement.noise): statement for statement in known}
+        self.edges = [
+            _edges(path, factor, values, group, format, self.offsets, statements.get(id(factor.noise)))
+            for factor in graph.factors
+        ]
         _refuse_conventions(path, graph, values)
         _refuse_mounts(path, graph, values)
         self.vertices: list[tuple[bytes, Numbers, np.ndarray, Array]] = []
@@ -215,7 +225,13 @@ class _Offsets:
 
 
 def _edges(
-    path: str, factor: Factor, values: Values, group: LieGroup, format: Format, offsets: _Offsets
+    path: str,
+    factor: Factor,
+    values: Values,
+    group: LieGroup,
+    format: Format,
+    offsets: _Offsets,
+    statement: Statement | None,
 ) -> tuple[bytes, list[Numbers], Array]:
     """The tag, ids and numbers of the lines of one factor."""
     model, _ = values.gather(factor)
@@ -228,11 +244,8 @@ def _edges(
             why = ": its sensor is not at the origin of the vehicle, and no line of this format has an offset"
         message = f"{path}: {factor!r} cannot be written to {a_file(format.name)}{why}"
         raise GraphError(message, factor.keys, factor.name)
-    noise = factor.noise
-    known = noise.numbers_of(factor, format.name, record.tag) if isinstance(noise, AsRead) else None
-    if known is not None:
-        numbers = known
-    else:
+    numbers = None if statement is None else statement.numbers_of(factor, record.tag)
+    if numbers is None:
         try:
             measured = record.element.encode(model.z)
             numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
@@ -243,9 +256,9 @@ def _edges(
     ids = [keys.numbers for keys in factor.keys]
     parameters = np.full((n, record.parameters), -1, dtype=np.int64)
     offset = [np.broadcast_to(O, (n, group.size)) for O in (fixed or any_ * record.parameters)]
-    if isinstance(noise, AsRead) and noise.parameters.shape == parameters.shape:
-        parameters = noise.parameters
-        offset = offset if record.used else [noise.offsets[:, k] for k in range(record.parameters)]
+    if statement is not None and statement.parameters.shape == parameters.shape:
+        parameters = statement.parameters
+        offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]
     for k in range(record.parameters):
         ids.append(offsets.ids(np.ascontiguousarray(offset[k]), parameters[:, k]))
     return record.tag, ids, numbers

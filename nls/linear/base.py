@@ -15,13 +15,7 @@ from nls.linear.factorization import Factorization
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 
-__all__ = [
-    "INSTALL_SUITESPARSE",
-    "Analysis",
-    "LinearSolution",
-    "LinearSolver",
-    "with_damping",
-]
+__all__ = ["Analysis", "LinearSolution", "LinearSolver"]
 
 INSTALL_SUITESPARSE = "missing; apt-get install libsuitesparse-dev libopenblas0, then pip install leadline[cholmod]"
 

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_number, is_whole
+from models.options import check_between, check_whole
 
 __all__ = ["SURE", "Iterated", "checked_settings", "conjugate"]
 
@@ -54,11 +53,8 @@ def checked_settings(tol: float, max_steps: int) -> tuple[float, int]:
     OptionError
         A tolerance that is not between 0 and 1, or steps that are no whole number above 0.
     """
-    if not is_number(tol) or not 0 < tol < 1:
-        raise OptionError("tol", tol, "a number above 0 and below 1")
-    if not is_whole(max_steps) or not max_steps > 0:
-        raise OptionError("max_steps", max_steps, "a whole number above 0")
-    return float(tol), int(max_steps)
+    tol = check_between("tol", tol, 0, 1, "a number above 0 and below 1")
+    return tol, check_whole("max_steps", max_steps, 1, "a whole number above 0")
 
 
 def conjugate(

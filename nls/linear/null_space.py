@@ -21,7 +21,7 @@ from nls.linear.factorization import Factorization
 from nls.linear.singular import NULL, SingularSystemError
 from nls.system import LinearSystem
 
-__all__ = ["MAX_DIRECTIONS", "carriers_of_singles", "null_space", "separated", "single_directions", "weakest"]
+__all__ = ["null_space", "separated", "single_directions", "weakest"]
 
 SHIFTS = (1e-12, 1e-11, 1e-10)  # of the diagonal of A'A
 ROUNDS = 8  # of inverse iteration

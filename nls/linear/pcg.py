@@ -34,6 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.algebra import Array, Index
+from models.listing import several
 from nls.linear.base import LinearSolution
 from nls.linear.cholesky import Cholesky
 from nls.linear.conjugate import SURE, checked_settings, conjugate
@@ -230,8 +231,8 @@ class KeptAnalysis(NormalAnalysis):
     def description(self) -> str:
         """Name, factorizations and steps of conjugate gradients since `analyze`, in words."""
         factorization = self._factorization
-        many, steps = "" if factorization.factorizations == 1 else "s", "" if factorization.steps == 1 else "s"
-        return f"{self.name}, {factorization.factorizations} factorization{many}, {factorization.steps} CG step{steps}"
+        factorizations = several(factorization.factorizations, "factorization")
+        return f"{self.name}, {factorizations}, {several(factorization.steps, 'CG step')}"
 
     def _iterated(self, system: LinearSystem, damping: Array | None, seconds: dict[str, float]) -> Array | None:
         """The step by conjugate gradients, or None; the time it took is added to `seconds`."""

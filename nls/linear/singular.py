@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["NULL", "SINGULAR", "WEAK", "SingularSystemError", "UnsolvedSystemError"]
+__all__ = ["NULL", "SINGULAR", "SingularSystemError", "UnsolvedSystemError"]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.keys import Keys
 from models.advice import Advice
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.gauge import component_labels, touched_variables
@@ -149,7 +148,7 @@ def directions(count: int, null_dim: int | None = None) -> str:
     return "1 direction" if count == 1 else f"{'at least ' if most else ''}{count} directions"
 
 
-def _unmeasured(pattern: Pattern, zero: npt.NDArray[np.bool_], values: Values | None) -> UnderconstrainedError:
+def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> UnderconstrainedError:
     """The error for columns of zeros (n,): nothing touches their variable, or what touches it does not react."""
     owner, component = pattern.column_owner()
     touched = touched_variables(pattern)[owner]
@@ -181,7 +180,7 @@ def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:
     return np.array([number[name] for name in names])[start[kind] + component]
 
 
-def _carriers(N: Array, scale: Array, ids: Index) -> npt.NDArray[np.bool_]:
+def _carriers(N: Array, scale: Array, ids: Index) -> Mask:
     """Which unknowns (n, k) carry each free direction: compared among their like, since meters and radians do not.
 
     A component name counts as involved when, in sigmas, it carries at least INVOLVED of the direction.

@@ -30,8 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.algebra import Array
-from models.errors import OptionError
-from models.options import is_number
+from models.options import check_between
 from nls.linear.singular import SingularSystemError
 from nls.optimizers.trust_region import TrustRegion
 from nls.optimizers.undamped import FAINT, HOPELESS, Undamped
@@ -80,8 +79,8 @@ class LevenbergMarquardt(TrustRegion):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.damping is not None and not (is_number(self.damping) and 0 < self.damping < HOPELESS):
-            raise OptionError("damping", self.damping, f"a number above 0 and below {HOPELESS:g}")
+        if self.damping is not None:
+            check_between("damping", self.damping, 0, HOPELESS, f"a number above 0 and below {HOPELESS:g}")
 
     def first_damping(self, kinked: bool) -> float:
         if self.damping is not None:

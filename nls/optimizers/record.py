@@ -14,8 +14,6 @@ from nls.optimizers.thresholds import Status, Stop
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["Record"]
-
 
 class Record:
     """What happened so far.

@@ -15,8 +15,6 @@ from nls.optimizers.watch import Watch
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["reused"]
-
 # Change of A'A along the step since it was factorized, beyond which a step, and the last one, is not taken. It is
 # 0.0001 to 0.1 where pose graphs arrive, 0.8 to 0.95 from step to step on a plateau that falls for ever.
 CHANGED, CHANGED_AT_THE_END = 0.1, 0.5

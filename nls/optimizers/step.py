@@ -14,8 +14,6 @@ from nls.optimizers.undamped import Undamped
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["ROUNDING", "SHORTER", "Step"]
-
 SHORTER = 0.99  # an estimate that arrives takes steps that get shorter; on a plateau they do not
 SHORT = 0.01  # of the estimate, |D x|: an undamped step longer than that has not arrived, however little chi2 falls
 FARTHER = 10  # times update_tol: how far the undamped step may still lead when a damped one is shorter than that

@@ -18,7 +18,7 @@ import numpy as np
 from nls.optimizers.step import ROUNDING, Step
 from nls.optimizers.thresholds import Status
 
-__all__ = ["AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "LIMITS", "OUTCOMES", "Rule", "Verdict", "ask"]
+__all__ = ["AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "Rule", "Verdict", "ask"]
 
 CHECK = "check the Jacobians with factors.check_jacobians"
 

@@ -10,7 +10,7 @@ from nls.linear.singular import NULL, SingularSystemError
 from nls.optimizers.problem import Problem
 from nls.system import LinearSystem
 
-__all__ = ["FAINT", "HOPELESS", "Undamped"]
+__all__ = ["FAINT", "Undamped"]
 
 FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as much, and again, where it does not suffice
 LARGEST = 1e-8  # that a system which follows keeps

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nls.plot.axes import axes_or_new, figure_of
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -29,11 +31,9 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    if axes is None:
-        axes = Figure(figsize=(5, 4), layout="constrained").add_subplot()
+    axes = axes_or_new(axes, (5, 4))
     number = [iteration.number for iteration in result.history]
     chi2 = np.array([iteration.chi2 for iteration in result.history])
     positive = bool((chi2 > 0).all())
@@ -51,6 +51,4 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
         lines.append(second)
     axes.legend(handles=lines, loc="upper right")
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
-    figure = axes.get_figure()
-    assert figure is not None
-    return figure  # type: ignore[return-value]
+    return figure_of(axes)

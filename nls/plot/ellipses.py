@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.keys import Keys, Kind
-from models.errors import OptionError
+from models.options import check_between, check_whole
+from nls.plot.axes import axes_or_new, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from models.algebra import Array
     from nls.covariance import Marginals
 
-__all__ = ["ellipses", "visible_scale"]
+__all__ = ["ellipses"]
 
 POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
 MOST = 120  # of one kind, where it is not said how many
@@ -74,17 +75,13 @@ def ellipses(
     >>> ellipses(Marginals(world.graph, world.truth), every=4).axes[0].get_legend().get_texts()[0].get_text()
     '95 % ellipse of every 4th x'
     """
-    from matplotlib.figure import Figure
-
-    if not 0 < probability < 1:
-        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.95")
-    if every is not None and every < 1:
-        raise OptionError("every", every, "a whole number of at least 1")
-    if not scale > 0:
-        raise OptionError("scale", scale, "a number above 0")
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.95")
+    check_between("scale", scale, 0, np.inf, "a number above 0")
+    if every is not None:
+        check_whole("every", every, 1)
     alone = axes is None
-    if axes is None:
-        axes = Figure(figsize=(6, 6), layout="constrained").add_subplot()
+    axes = axes_or_new(axes, (6, 6))
+    if alone:
         axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
     radius = scale * np.sqrt(-2 * np.log1p(-probability))
     for stack in marginals.values.stacks.values():
@@ -109,9 +106,7 @@ def ellipses(
         axes.set_aspect("equal", adjustable="datalim")
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", fontsize=8)
-    figure = axes.get_figure()
-    assert figure is not None
-    return figure  # type: ignore[return-value]
+    return figure_of(axes)
 
 
 def _around(Sigma: Array, radius: float) -> Array:

@@ -31,15 +31,7 @@ if TYPE_CHECKING:
     from nls.filters.base import Track
     from nls.values import Values
 
-__all__ = [
-    "estimator_errors",
-    "estimator_figure",
-    "estimator_map",
-    "landmark_sigmas",
-    "power_laws",
-    "several",
-    "vehicle_sigmas",
-]
+__all__ = ["estimator_figure", "power_laws", "several"]
 
 TRUE, PATH = "#202020", "#0b4f6c"
 BELOW = "0.82"  # of a true track, wide under the estimate

@@ -15,6 +15,7 @@ from factors.range_azimuth import RangeAzimuth
 from models import SE3
 from models.errors import GraphError
 from models.sensors import ImagingSonar, cartesian, plane_projection
+from nls.plot.axes import axes_or_new, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,13 +52,13 @@ def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> 
     'range [m]'
     """
     _check(image, sonar)
-    axes = _axes(axes, (4, 6))
+    axes = axes_or_new(axes, (4, 6))
     half = np.degrees(sonar.fan) / 2
     axes.imshow(
         np.asarray(image).T, cmap="gray", origin="lower", aspect="auto", extent=(-half, half, *sonar.window), vmin=0.0
     )
     axes.set(xlabel="azimuth [deg]", ylabel="range [m]")
-    return _figure(axes)
+    return figure_of(axes)
 
 
 def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
@@ -81,7 +82,7 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
     'ahead [m]'
     """
     _check(image, sonar)
-    axes = _axes(axes, (5, 6))
+    axes = axes_or_new(axes, (5, 6))
     azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
     r = np.linspace(*sonar.window, sonar.bins + 1)
     ahead, starboard = r * np.cos(azimuth)[:, None], r * np.sin(azimuth)[:, None]
@@ -146,7 +147,7 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
     from matplotlib.collections import LineCollection
 
     alone = axes is None
-    axes = _axes(axes, (5, 6))
+    axes = axes_or_new(axes, (5, 6))
     at = r * np.sin(azimuth), r * np.cos(azimuth)
     axes.plot(*at, "o", markerfacecolor="none", color=CONTACT, markersize=7, label="measured here: range and azimuth")
     axes.plot(*landmark[:, ::-1].T, "+", color=LANDMARK, markersize=7, label="estimate")
@@ -198,19 +199,7 @@ def _check(image: Array, sonar: ImagingSonar) -> None:
         )
 
 
-def _axes(axes: Axes | None, size: tuple[float, float]) -> Axes:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=size, layout="constrained").add_subplot() if axes is None else axes
-
-
 def _as_map(axes: Axes) -> Figure:
     axes.set(xlabel="starboard [m]", ylabel="ahead [m]")
     axes.set_aspect("equal")
-    return _figure(axes)
-
-
-def _figure(axes: Axes) -> Figure:
-    figure = axes.get_figure()
-    assert figure is not None
-    return figure  # type: ignore[return-value]
+    return figure_of(axes)

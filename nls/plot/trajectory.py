@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nls.plot.axes import axes_or_new, figure_of
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -76,13 +78,11 @@ def trajectory(
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.figure import Figure
 
     from nls.plot.ellipses import ellipses
 
     dim = _points(values).shape[1]
-    if axes is None:
-        axes = Figure(figsize=(6, 6), layout="constrained").add_subplot(**({"projection": "3d"} if dim == 3 else {}))
+    axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
     segments, total = _closures(graph, values)
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in values.stacks.values())
@@ -111,9 +111,7 @@ def trajectory(
     if len(segments) or (marginals is not None and axes.get_legend_handles_labels()[0]):
         shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
         axes.legend(loc="upper left", fontsize=8, title=shown.strip(", ") or None)
-    figure = axes.get_figure()
-    assert figure is not None
-    return figure  # type: ignore[return-value]
+    return figure_of(axes)
 
 
 def _points(values: Values) -> Array:

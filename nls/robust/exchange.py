@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nls.posegraph import Mask
+from models.algebra import Mask
 from nls.robust.loop_graph import LoopGraph
 from nls.robust.truncated_least_squares import Choice, Truncated
 

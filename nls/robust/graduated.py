@@ -38,14 +38,14 @@ import numpy as np
 
 from factors.base import Factor
 from models.advice import Advice
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
-from models.options import is_number
+from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.graph import FactorGraph
 from nls.optimizers import Result
-from nls.posegraph import Mask, closures, says_poses
+from nls.posegraph import closures, says_poses
 from nls.robust import verdict
 from nls.robust.kernels import LOSSES
 from nls.robust.loop_graph import loop_graph
@@ -183,8 +183,7 @@ def gnc(
         raise GraphError(f"gnc: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
     if not isinstance(loss, str) or loss not in LOSSES:
         raise OptionError("loss", loss, "one of " + ", ".join(LOSSES))
-    if not is_number(probability) or not 0 < probability < 1:
-        raise OptionError("probability", probability, "a number between 0 and 1, such as 0.99")
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.99")
     masks = _loop_closures(graph, values) if doubted is None else _named(graph, doubted)
     total = sum(int(mask.sum()) for mask in masks)
     if not total:

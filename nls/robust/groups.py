@@ -28,11 +28,10 @@ from math import gamma, pi
 import numpy as np
 
 from factors.keys import Keys
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.optimizers import Result
-from nls.posegraph import Mask
 from nls.robust.consistency import unit_variance
 from nls.robust.loop_graph import LoopGraph
 from nls.values import Values

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from models.advice import Advice
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
-from nls.posegraph import Edges, Mask, PoseGraph, pose_graphs
+from nls.posegraph import Edges, PoseGraph, pose_graphs
 from nls.robust.consistency import Neighbors, neighbors
 from nls.values import Values
 

@@ -6,9 +6,9 @@ from math import ceil
 
 import numpy as np
 
+from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.optimizers import Automatic, Iteration, Result
-from nls.posegraph import Mask
 from nls.robust import verdict
 from nls.robust.consistency import unit_variance
 from nls.robust.exchange import exchanged

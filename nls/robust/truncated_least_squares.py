@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.base import Factor
-from models.algebra import Array
+from models.algebra import Array, Mask
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status
-from nls.posegraph import Mask
 from nls.robust.kernels import LOSSES, Graduated
 from nls.sparse.fill import fill_in
 from nls.starts import chordal

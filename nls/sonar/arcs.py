@@ -14,16 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array, gram
+from models.algebra import Array, Mask, gram
 from models.errors import SingularGeometryError
 from models.sensors.arcs import Contacts, least_information
 from models.sensors.singular import SingularAt
 
-__all__ = ["Arcs", "search"]
+__all__ = ["search"]
 
-Mask = npt.NDArray[np.bool_]
 
 ALIKE = 4.0  # chi2: a mirror image within 2 sigmas of the better one is as good
 

@@ -18,8 +18,6 @@ from models.sensors.arcs import Contacts, least_information
 from nls.linear.schur.truncated import truncated_inverse
 from nls.sonar.arcs import Arcs, search
 
-__all__ = ["RelativePose", "Sonar", "descended"]
-
 SMALL = 1e-4  # an undamped step, in standard deviations, that ends the descent
 MEAN = 1e-2  # the same with both hypotheses, whose mean linearization is not exact: 2e-3 was as far as some got
 TINY = 1e-6  # of the metric: directions the sonar does not see, without odometry, have no step

@@ -37,9 +37,9 @@ import numpy.typing as npt
 from factors import Between, SqrtInformation
 from factors.keys import Keys
 from models import SE3
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, OptionError
-from models.options import is_number
+from models.options import check_between, is_number
 from models.sensors.arcs import Contacts
 from nls.sonar.relative_pose import RelativePose, descended
 
@@ -75,11 +75,11 @@ class TwoView:
     sqrt_information: Array
     gains: Array
     directions: Array
-    kept_directions: npt.NDArray[np.bool_]
+    kept_directions: Mask
     h: Array
     chi2: Array
-    ambiguous: npt.NDArray[np.bool_]
-    weak: npt.NDArray[np.bool_]
+    ambiguous: Mask
+    weak: Mask
     converged: bool
     iterations: int
 
@@ -201,7 +201,7 @@ class _Step:
 
     gains: Array
     directions: Array
-    kept_directions: npt.NDArray[np.bool_]
+    kept_directions: Mask
     W: Array
     step: Array
 
@@ -224,10 +224,9 @@ def _contacts(z_i: npt.ArrayLike, z_j: npt.ArrayLike, sigmas: npt.ArrayLike, lim
         raise GraphError(f"two_views: sigmas {sigma.shape}, expected (2,) or {a.shape}, above 0: range and azimuth")
     if not (np.isfinite(a).all() and np.isfinite(b).all() and (a[:, 0] > 0).all() and (b[:, 0] > 0).all()):
         raise GraphError("two_views: a range that is not above 0, or a number that is not finite")
-    if not is_number(limit) or not 0 < limit < np.pi / 2:
-        raise OptionError("limit", limit, "half the aperture in elevation, rad, between 0 and pi/2")
+    limit = check_between("limit", limit, 0, np.pi / 2, "half the aperture in elevation, rad, between 0 and pi/2")
     W = np.tile(1 / np.atleast_2d(sigma), 2)
-    return Contacts(np.concatenate([a, b], axis=1), W[:, :, None] * np.eye(4), float(limit))
+    return Contacts(np.concatenate([a, b], axis=1), W[:, :, None] * np.eye(4), limit)
 
 
 def _positive(information: npt.ArrayLike) -> Array:

@@ -11,9 +11,8 @@ from functools import cache
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array, Index, gram, product
+from models.algebra import Array, Index, Mask, gram, product
 from nls.sparse.hessian import triangle
 from nls.sparse.scatter import Scatter, Slots
 
@@ -44,7 +43,7 @@ class Blocks:
     size : of S.
     """
 
-    def __init__(self, dims: Index, held: npt.NDArray[np.bool_], slots: Slots) -> None:
+    def __init__(self, dims: Index, held: Mask, slots: Slots) -> None:
         free = np.flatnonzero(~held)
         number = np.full(len(held), -1, dtype=np.intp)
         number[free] = np.arange(len(free))

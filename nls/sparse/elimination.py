@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Index
+from models.algebra import Index, Mask
 
 __all__ = ["Elimination", "Eliminations", "Order"]
 Order = Callable[[Index, Index, int], Index]
@@ -62,7 +61,7 @@ class Elimination:
         return self.V == V and self.order is order and np.array_equal(self.u, u) and np.array_equal(self.v, v)
 
 
-def _first_of_equals(rising: Index) -> npt.NDArray[np.bool_]:
+def _first_of_equals(rising: Index) -> Mask:
     """Which numbers differ from the one before."""
     first = np.ones(len(rising), dtype=bool)
     np.not_equal(rising[1:], rising[:-1], out=first[1:])

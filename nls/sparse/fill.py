@@ -21,13 +21,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Index
+from models.algebra import Index, Mask
 from nls.sparse.elimination import Order
 from nls.sparse.pattern import Pattern
 
-__all__ = ["Fill", "counted", "fill_in", "rows_below"]
+__all__ = ["counted", "fill_in", "rows_below"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Fill:
     flops: float
 
 
-def fill_in(pattern: Pattern, held: npt.NDArray[np.bool_], order: Order) -> Fill:
+def fill_in(pattern: Pattern, held: Mask, order: Order) -> Fill:
     """Fill of R with A'A = R'R, the variables that are not held eliminated in an order."""
     blocks = pattern.holding(held).blocks
     u, v, V = blocks.u, blocks.v, len(blocks.dims)

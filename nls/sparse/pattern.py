@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor, Model
 from factors.keys import Keys
-from models.algebra import Array, Index, components
+from models.algebra import Array, Index, Mask, components
 from nls.sparse.blocks import Blocks
 from nls.sparse.elimination import Eliminations, Order
 from nls.sparse.hessian import Hessian
@@ -65,7 +64,7 @@ class Pattern:
     eliminations : structure kept between solves, also of the same graph with other variables held.
     """
 
-    def __init__(self, factors: Sequence[Factor], values: Values, held: npt.NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, factors: Sequence[Factor], values: Values, held: Mask | None = None) -> None:
         self.offsets, self.batches = offsets(values), []
         self.numbers = {name: stack.numbers for name, stack in values.stacks.items()}
         self.manifolds = {name: stack.manifold for name, stack in values.stacks.items()}
@@ -87,7 +86,7 @@ class Pattern:
         )
         self._hold(np.zeros(len(self.dims), dtype=bool) if held is None else held)
 
-    def _hold(self, held: npt.NDArray[np.bool_]) -> None:
+    def _hold(self, held: Mask) -> None:
         """Number the columns of the variables that are not held."""
         self.held = held
         free = np.where(held, 0, self.dims)
@@ -96,7 +95,7 @@ class Pattern:
         self.n = int(ends[-1]) if len(ends) else 0
         self._free_columns = np.flatnonzero(np.repeat(~held, self.dims)) if held.any() else None
 
-    def holding(self, held: npt.NDArray[np.bool_]) -> Pattern:
+    def holding(self, held: Mask) -> Pattern:
         """The same rows and variables, with others of them held."""
         pattern = copy(self)
         for structure in ("structure", "blocks"):

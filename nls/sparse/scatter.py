@@ -8,8 +8,6 @@ import numpy as np
 
 from models.algebra import Array, Index
 
-__all__ = ["Scatter", "Slots"]
-
 Slots = Sequence[Sequence[tuple[Index, int]]]
 """Per batch and slot the variables (k,) of its measurements, and their dimension."""
 

@@ -24,17 +24,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg.lapack import dtrtri
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError
 from nls.sparse.hessian import Hessian
 from nls.sparse.supernodes import Supernodes
 from nls.sparse.threads import single_thread
 
-__all__ = ["inverse_blocks", "takahashi"]
+__all__ = ["inverse_blocks"]
 
 
 def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float) -> Array:
@@ -133,7 +132,7 @@ def _submatrix(front: Array | None, place: Index) -> Array:
 
 
 def _places(
-    nodes: Supernodes, start: Index, dims: Index, i: Index, j: Index, offset: Index, pairs: npt.NDArray[np.bool_]
+    nodes: Supernodes, start: Index, dims: Index, i: Index, j: Index, offset: Index, pairs: Mask
 ) -> tuple[Index, Index, Index]:
     """Where the numbers of some blocks are in the Sigma_JJ of their supernode, or in its Sigma_SJ, and where they go.
 

@@ -15,10 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor
-from factors.mount import named_singularity
 from factors.noise import square
-from factors.projection import Projection
-from factors.range_azimuth import RangeAzimuth
 from factors.sighting import Sighting
 from models import SE3, R, wrap
 from models.algebra import Array, Index
@@ -40,6 +37,7 @@ class Pairs:
 
     Attributes
     ----------
+    factors : those of the graph that see the points, of camera and sonar.
     poses, points : the stacks.
     pose, point : rows (n,) of these.
     C : (n, 7) poses of the camera on the vehicle.
@@ -52,6 +50,7 @@ class Pairs:
     mounting : the kind of these variables; empty where there is none.
     """
 
+    factors: list[Sighting]
     poses: Stack
     points: Stack
     pose: Index
@@ -109,15 +108,16 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
     SingularGeometryError
         A pixel without a ray.
     """
-    pixels = [f for f in graph.factors if isinstance(f, Projection) and _of_points(f, values)]
-    contacts = [f for f in graph.factors if isinstance(f, RangeAzimuth) and _of_points(f, values)]
+    both = [f for f in graph.factors if isinstance(f, Sighting) and (f.contact or f.states("rays"))]
+    both = [f for f in both if len(f) and values.stack(f.keys[1].kind).manifold is R(3)]
+    pixels, contacts = ([f for f in both if f.contact == sonar] for sonar in (False, True))
     for name, factors in (("Projection", pixels), ("RangeAzimuth", contacts)):
         if not factors:
             raise GraphError(
                 f"rig: the graph has no {name} of points in R3; this start needs `Projection` and `RangeAzimuth` of "
                 "the same points from the same poses"
             )
-    poses, points = (values.stack(_only(w, [*pixels, *contacts], k)) for k, w in enumerate(("poses", "points")))
+    poses, points = (values.stack(_only(w, both, k)) for k, w in enumerate(("poses", "points")))
     mounted = [f for f in contacts if len(f.keys) == 3]
     camera, sonar = _joined([_pixels(f, values) for f in pixels]), _joined([_contacts(f, values) for f in contacts])
     codes = [rows[0] * len(points) + rows[1] for rows in (camera, sonar)]
@@ -130,11 +130,7 @@ def sightings(graph: FactorGraph, values: Values) -> Pairs:
     pose, point, C, b, J_b, Sigma_uv = (column[k] for column in camera)
     _, _, O, z, sigma_r, row = (column[m] for column in sonar)
     mounting = _only("sonars", mounted, 2) if mounted else ""
-    return Pairs(poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
-
-
-def _of_points(factor: Sighting, values: Values) -> bool:
-    return len(factor) > 0 and values.stack(factor.keys[1].kind).manifold is R(3)
+    return Pairs(both, poses, points, pose, point, C, b, J_b, Sigma_uv, O, z, sigma_r, row, mounting)
 
 
 def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
@@ -145,16 +141,16 @@ def _only(role: str, factors: Sequence[Factor], slot: int) -> str:
     return kinds[0]
 
 
-def _pixels(factor: Projection, values: Values) -> Columns:
+def _pixels(factor: Sighting, values: Values) -> Columns:
     """pose, point, C, b, J_b, Sigma_uv of those that say something."""
     model, X = values.gather(factor)
     Sigma, good = covariance(factor, values)
-    with named_singularity(factor):
-        b, J_b = factor.camera.ray(model.z)
-    return [column[good] for column in (*_rows(factor, values), on_vehicle(factor, X), b, J_b, Sigma)]
+    rays = factor.rays(model.z)
+    assert rays is not None
+    return [column[good] for column in (*_rows(factor, values), on_vehicle(factor, X), *rays, Sigma)]
 
 
-def _contacts(factor: RangeAzimuth, values: Values) -> Columns:
+def _contacts(factor: Sighting, values: Values) -> Columns:
     """pose, point, O, z, sigma_r, sonar of those that say something."""
     model, X = values.gather(factor)
     Sigma, good = covariance(factor, values)

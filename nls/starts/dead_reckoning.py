@@ -8,38 +8,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.xyh import XYH
-from factors.zpr import ZPR
-from models import SE2, SE3, euler
+from models import SE2, SE3, Measured, euler
 from models.algebra import Array
 from models.errors import SingularGeometryError
 from models.sensors.heading import refuse_gimbal_lock
 from models.sensors.singular import SingularAt
 from nls.graph import FactorGraph
-from nls.posegraph import Mask, PoseGraph
+from nls.posegraph import Mask, PoseGraph, stated
 from nls.values import Values
 
 __all__ = ["dead_reckoning", "walks"]
 
 X_Y_YAW, Z_PITCH_ROLL = [3, 4, 2], [5, 1, 0]  # places in the Euler vector (roll, pitch, yaw, x, y, z)
+TILT = Measured("z", "pitch", "roll")
 
 
 def walks(graph: FactorGraph) -> bool:
     """Whether the graph has steps to reckon with."""
-    return any(isinstance(factor, XYH) and len(factor) for factor in graph.factors)
+    return any(factor.states("level_steps") and len(factor) for factor in graph.factors)
 
 
 def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
-    """Poses chained from `XYH`, from one number to the next, with z, pitch and roll of `ZPR`.
+    """Poses chained from `XYH` and its like, from one number to the next, with z, pitch and roll of `ZPR`.
 
     Fixed poses keep their values; in a component without any, the first pose keeps its x, y and yaw. Poses without a
     `ZPR` keep their z, pitch and roll, poses without an `XYH` everything.
 
     Parameters
     ----------
-    graph : its `XYH` and `ZPR` factors are used, whatever their noise; where two neighbors in number have no common
-        step, the one that jumps over the fewest numbers, as in `chain`. The form ``relative`` is taken for levelled,
-        which it is to first order in the tilt.
+    graph : its `Factor.level_steps` and `Factor.tilts` are used, whatever their noise; where two neighbors in number
+        have no common step, the one that jumps over the fewest numbers, as in `chain`. The form ``relative`` of `XYH`
+        is taken for levelled, which it is to first order in the tilt.
     values : every variable.
 
     Returns
@@ -64,10 +63,10 @@ def dead_reckoning(graph: FactorGraph, values: Values) -> Values:
     >>> euler.from_se3(start[x[2]]).round(3)  # roll, pitch, yaw, x, y, z
     array([-0.2  ,  0.1  ,  1.5  ,  1.071,  0.997,  5.   ])
     """
-    batches = [batch for batch in graph.pattern(values).batches if isinstance(batch.model.factor, XYH) and len(batch)]
-    if not batches:
+    steps = [(b, z) for b in graph.pattern(values).batches if (z := stated(b, "level_steps", SE2)) is not None]
+    if not steps:
         return values
-    poses = PoseGraph(graph, values, batches, SE2, [batch.model.z for batch in batches])
+    poses = PoseGraph(graph, values, [batch for batch, _ in steps], SE2, [z for _, z in steps])
     X = np.array(poses.stack(values))
     tilt, measured = _tilts(poses)
 
@@ -87,9 +86,9 @@ def _tilts(poses: PoseGraph) -> tuple[Array, Mask]:
     """Measured z, pitch and roll (n, 3) of the nodes, and which nodes (n,) have them."""
     tilt, measured = np.zeros((poses.n, 3)), np.zeros(poses.n, dtype=bool)
     for batch in poses.pattern.batches:
-        if isinstance(batch.model.factor, ZPR) and batch.kinds[0] in poses.kinds:
+        if batch.kinds[0] in poses.kinds and (z := stated(batch, "tilts", TILT)) is not None:
             nodes = poses.nodes(batch.variables[0])
-            tilt[nodes], measured[nodes] = batch.model.z, True
+            tilt[nodes], measured[nodes] = z, True
     return tilt, measured
 
 

@@ -143,7 +143,7 @@ def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
     """The first contacts of all landmarks that are not fixed, kind by kind."""
     contacts: dict[str, list[tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64], Array]]] = {}
     for factor in graph.factors:
-        if isinstance(factor, RangeAzimuth) and len(factor):
+        if isinstance(factor, Sighting) and factor.contact and len(factor):
             model, X = values.gather(factor)
             if model.manifolds[1] is not SE3:
                 pose, target = factor.keys[:2]

@@ -22,10 +22,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from factors.function import FunctionFactor
 from factors.sighting import Sighting
-from factors.xyh import XYH
-from factors.zpr import ZPR
 from models import SE2, SE3
 from models.errors import OptionError, UnderconstrainedError
 from models.options import is_whole
@@ -139,7 +136,7 @@ class _Growth:
 
     def reckoned(self, values: Values, stage: int) -> Values:
         """The poses of a stage chained from those before."""
-        carry = [says_poses(factor) or isinstance(factor, XYH | ZPR) for factor in self.parts.factors]
+        carry = [says_poses(f) or f.states("level_steps") or f.states("tilts") for f in self.parts.factors]
         steps = [(ripe == stage) & carries for ripe, carries in zip(self.ripe, carry, strict=True)]
         subgraph, within = self.parts.take(steps, {kind: born < stage for kind, born in self.born.items()}, values)
         if not len(subgraph):
@@ -190,7 +187,7 @@ class _Growth:
         missing = {kind: ~placed for kind, placed in self.placed.items()}
         known = [(ripe <= stage) & ~self.parts.any(k, missing) for k, ripe in enumerate(self.ripe)]
         for rows, factor in zip(known, self.parts.factors, strict=True):
-            if isinstance(factor, FunctionFactor):  # that one waits for all its variables
+            if factor.opaque:  # that one waits for all its variables
                 rows[:] = rows.all()
         return known
 

@@ -24,12 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factors.bearing import Bearing
-from factors.range import Range
 from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, apply
-from models.sensors import point_from_direction_range
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
@@ -57,7 +54,7 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : its `Landmark`, `BearingRange`, `Range` and `Bearing` factors are used, equally weighted.
+    graph : every `Sighting` that locates its target or says its range or its direction is used, equally weighted.
     values : every variable.
 
     Returns
@@ -113,13 +110,11 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
         rows = first[place][todo[points]]
         X[point[rows]] = at[rows]
         todo[point] = False
-    for kind, system, misfit in ((Range, _ranges, _range_misfit), (Bearing, _rays, _ray_misfit)):
-        subset = [s for s in sightings if isinstance(s.factor, kind)]
-        if subset:
-            point = np.concatenate([s.point for s in subset])
-            s_i = np.concatenate([s.group.position(s.S) for s in subset])
-            z = np.concatenate([s.z[:, 0] if kind is Range else _directions(s) for s in subset])
-            todo &= ~_solve(X, todo, point, s_i, z, system, misfit)
+    for measured, system, misfit in ((_distances, _ranges, _range_misfit), (_directions, _rays, _ray_misfit)):
+        views = [(s.point, s.group.position(s.S), z) for s in sightings if (z := measured(s)) is not None]
+        if views:
+            point, s, z = (np.concatenate(column) for column in zip(*views, strict=True))
+            todo &= ~_solve(X, todo, point, s, z, system, misfit)
     return X
 
 
@@ -170,10 +165,15 @@ def _ray_misfit(p: Array, direction: Array) -> Array:
     return np.asarray(1 - np.sum(p * direction, axis=1) / np.where(length > 0, length, 1.0))
 
 
-def _directions(sighting: Sightings) -> Array:
-    """Unit vectors (m, d) of bearings, in world axes."""
-    unit = point_from_direction_range(np.column_stack([sighting.z, np.ones(len(sighting.z))]))
-    return apply(sighting.group.rotation(sighting.S), unit)
+def _distances(sighting: Sightings) -> Array | None:
+    """Distances (m,) to the points, m."""
+    return sighting.factor.ranges(sighting.z)
+
+
+def _directions(sighting: Sightings) -> Array | None:
+    """Unit vectors (m, d) to the points, in world axes."""
+    unit = sighting.factor.directions(sighting.z)
+    return None if unit is None else apply(sighting.group.rotation(sighting.S), unit)
 
 
 def _sums(point: Index, x: Array, n: int) -> Array:

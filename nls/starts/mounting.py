@@ -27,9 +27,8 @@ from factors.base import Factor
 from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
-from factors.projection import Projection
 from factors.range import Range
-from factors.range_azimuth import RangeAzimuth
+from factors.sighting import Sighting
 from models import SE3
 from models.advice import Advice
 from models.algebra import Array
@@ -89,16 +88,15 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     rows, _, _ = pairs.placed(pairs.O)
     code = pairs.pose[rows] * len(pairs.points) + pairs.point[rows]
     distances, masks, held = FactorGraph(fixed=graph.fixed), [], dict[str, npt.NDArray[np.bool_]]()
-    for factor in graph.factors:
-        if isinstance(factor, Projection | RangeAzimuth) and len(factor) and factor.keys[1].kind == pairs.points.kind:
-            Sigma, good = covariance(factor, values)
-            i, j = (stack.index(keys) for stack, keys in zip((pairs.poses, pairs.points), factor.keys, strict=False))
-            masks.append(good & np.isin(i * len(pairs.points) + j, code))
-            distances.add(factor if isinstance(factor, Projection) else _distance(factor, values, Sigma[:, 0, 0]))
-            for keys in factor.keys[2:]:  # where the cameras are, which may be of the kind of the sonars
-                stack = values.stack(keys.kind)
-                mask = held.setdefault(keys.kind, np.zeros(len(stack), dtype=bool))
-                mask[stack.index(keys)] |= isinstance(factor, Projection)
+    for factor in pairs.factors:
+        Sigma, good = covariance(factor, values)
+        i, j = (stack.index(keys) for stack, keys in zip((pairs.poses, pairs.points), factor.keys, strict=False))
+        masks.append(good & np.isin(i * len(pairs.points) + j, code))
+        distances.add(_distance(factor, values, Sigma[:, 0, 0]) if factor.contact else factor)
+        for keys in factor.keys[2:]:  # where the cameras are, which may be of the kind of the sonars
+            stack = values.stack(keys.kind)
+            mask = held.setdefault(keys.kind, np.zeros(len(stack), dtype=bool))
+            mask[stack.index(keys)] |= not factor.contact
     axes = Prior(unknown, values[unknown], Isotropic(1.0), components=("roll", "pitch", "yaw"))
     distances.add(axes)
     subgraph, within = Parts(distances, values).take([*masks, np.ones(len(axes), dtype=bool)], held, values)
@@ -121,7 +119,7 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     return put_back(values, subgraph, result.values)
 
 
-def _distance(factor: RangeAzimuth, values: Values, variance: Array) -> Factor:
+def _distance(factor: Sighting, values: Values, variance: Array) -> Factor:
     """The ranges of contacts, under the same robust kernel."""
     pose, target = factor.keys[:2]
     z = values.gather(factor)[0].z[:, 0]

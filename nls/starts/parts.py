@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor
-from factors.function import FunctionFactor
 from factors.keys import Keys
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
@@ -57,7 +56,7 @@ class Parts:
         for factor, index, rows in zip(self.factors, self.index, measurements, strict=True):
             if not rows.any():
                 continue
-            whole = rows.all() or isinstance(factor, FunctionFactor)
+            whole = rows.all() or factor.opaque
             subgraph.add(factor if whole else factor[rows])
             for keys, places in zip(factor.keys, index, strict=True):
                 touched[keys.kind][places if whole else places[rows]] = True

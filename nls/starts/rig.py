@@ -20,10 +20,7 @@ from scipy.sparse import csr_array
 
 from factors.bearing import Bearing
 from factors.keys import Keys
-from factors.mount import named_singularity
 from factors.noise import Isotropic
-from factors.projection import Projection
-from factors.range_azimuth import RangeAzimuth
 from models import SE3
 from models.algebra import Array
 from models.alignment import align
@@ -101,7 +98,7 @@ def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_point
         values, known = _placed(graph, values, pairs, three_points)
         values = where_ranges_say(graph, values, pairs, unknown)
         values = turned_to_azimuths(values, pairs, unknown)
-    return _from_rays(graph, values, pairs.points.kind, known)
+    return _from_rays(pairs, values, known)
 
 
 def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Rows]:
@@ -115,7 +112,9 @@ def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool
     shared = csr_array((np.ones(len(rows), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
     count = shared[known].sum(axis=0)  # (n,) points each pose shares with the known ones
 
-    todo = _observing(graph, values, pairs)
+    todo = np.zeros(len(poses), dtype=bool)  # poses that saw a point with camera or sonar
+    for factor in pairs.factors:
+        todo[poses.index(factor.keys[0])] = True
     held = np.flatnonzero(todo & _fixed(graph, values, poses.kind))
     if not len(held) and not known.any():
         held = np.flatnonzero(todo)[[np.argmin(poses.numbers[todo])]]
@@ -171,15 +170,6 @@ def _far_apart(v: Array) -> list[int]:
     return [a, b, c]
 
 
-def _observing(graph: FactorGraph, values: Values, pairs: Pairs) -> Rows:
-    """Poses (n,) that saw a point with camera or sonar."""
-    observers = np.zeros(len(pairs.poses), dtype=bool)
-    for factor in graph.factors:
-        if isinstance(factor, Projection | RangeAzimuth) and len(factor) and factor.keys[1].kind == pairs.points.kind:
-            observers[pairs.poses.index(factor.keys[0])] = True
-    return observers
-
-
 def _fixed(graph: FactorGraph, values: Values, kind: str) -> Rows:
     """Variables (n,) of a kind that are held fixed."""
     fixed = np.zeros(len(values.stack(kind)), dtype=bool)
@@ -189,16 +179,14 @@ def _fixed(graph: FactorGraph, values: Values, kind: str) -> Rows:
     return fixed
 
 
-def _from_rays(graph: FactorGraph, values: Values, kind: str, known: Rows) -> Values:
+def _from_rays(pairs: Pairs, values: Values, known: Rows) -> Values:
     """The points that are not known where the rays of their pixels meet, or where they were."""
-    rays = FactorGraph()
-    for factor in graph.factors:
-        if isinstance(factor, Projection) and len(factor) and factor.keys[1].kind == kind:
-            alone = ~known[values.stack(kind).index(factor.keys[1])]
-            if alone.any():
-                (pose, target, *_), O = factor.keys, on_vehicle(factor, values.gather(factor)[1])[alone]
-                with named_singularity(factor):
-                    b, _ = factor.camera.ray(values.gather(factor)[0].z)
-                z, _ = direction(b[alone][:, [2, 0, 1]])  # no ray is along the z axis of `AHEAD`, without an azimuth
-                rays.add(Bearing(pose[alone], target[alone], z, Isotropic(1.0), SE3.compose(O, AHEAD)))
-    return locate_points(rays, values) if len(rays) else values
+    bearings = FactorGraph()
+    for factor in pairs.factors:
+        alone = ~known[pairs.points.index(factor.keys[1])]
+        model, X = values.gather(factor)
+        if alone.any() and (rays := factor.rays(model.z)) is not None:  # of which no pixel is without one: see `Pairs`
+            (pose, target, *_), O = factor.keys, on_vehicle(factor, X)[alone]
+            z, _ = direction(rays[0][alone][:, [2, 0, 1]])  # no ray is along the z axis of `AHEAD`, without an azimuth
+            bearings.add(Bearing(pose[alone], target[alone], z, Isotropic(1.0), SE3.compose(O, AHEAD)))
+    return locate_points(bearings, values) if len(bearings) else values

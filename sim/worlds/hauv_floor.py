@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.checks import check_poses, check_whole
+from sim.checks import check_poses, check_size
 from sim.hauv import STEP, didson, lawn_mower, mounted, scattered, swaying
 from sim.mission import Mission, survey
 from sim.spoil import spoiled
@@ -78,9 +78,9 @@ def hauv_floor(
     >>> result.converged, mission.ate(result.values) < mission.ate(mission.start) / 2
     (True, True)
     """
-    check_whole("passes", passes, 1)
-    check_whole("legs", legs, 1)
-    check_whole("per_leg", per_leg, 2)
+    check_size("passes", passes, 1)
+    check_size("legs", legs, 1)
+    check_size("per_leg", per_leg, 2)
     check_poses("passes * legs * per_leg", passes * legs * (per_leg + TURNING))
     path = lawn_mower(legs, per_leg, [STEP, 0, 0, 0], [0, SPACING, 0, pi], TURNING)
     low = np.array([-6.0, -4.0, 2.2])

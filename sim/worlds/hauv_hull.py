@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.checks import check_poses, check_whole
+from sim.checks import check_poses, check_size
 from sim.hauv import STEP, didson, lawn_mower, mounted, scattered, swaying
 from sim.mission import Mission, survey
 from sim.spoil import spoiled
@@ -78,9 +78,9 @@ def hauv_hull(
     >>> result.converged, mission.ate(result.values) < mission.ate(mission.start)
     (True, True)
     """
-    check_whole("passes", passes, 1)
-    check_whole("levels", levels, 1)
-    check_whole("per_level", per_level, 2)
+    check_size("passes", passes, 1)
+    check_size("levels", levels, 1)
+    check_size("per_level", per_level, 2)
     check_poses("passes * levels * per_level", passes * levels * (per_level + BETWEEN))
     path = lawn_mower(levels, per_level, [0, STEP, 0, 0], [0, 0, SPACING, 0], BETWEEN)
     low = np.array([2.7, -1.5, -1.2])

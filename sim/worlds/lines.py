@@ -19,7 +19,7 @@ from models.vehicles import differential_drive, travel_sigmas
 from nls import FactorGraph, Values, kinds
 from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
-from sim.checks import check_not_negative, check_poses, check_rng, check_whole
+from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.landmark_world import KNOWN_START, LandmarkWorld
 from sim.world import chain, seed_of
 
@@ -76,7 +76,7 @@ def lines(rng: np.random.Generator, laps: int = 2, noise_scale: float = 1.0) -> 
     (True, True)
     """
     check_rng(rng)
-    check_whole("laps", laps, 1)
+    check_size("laps", laps, 1)
     check_poses("laps", 4 * (STRAIGHT + CORNER) * laps + 1)
     check_not_negative(noise_scale=noise_scale)
 

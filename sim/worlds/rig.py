@@ -13,15 +13,15 @@ import numpy as np
 
 from factors import Diagonal, Projection, RangeAzimuth
 from models import SE3, SO3, R
-from models.algebra import Array, wrap
+from models.algebra import Array, Index, wrap
 from models.errors import GraphError, OptionError
 from models.manifolds.so3 import quaternion_from_matrix
 from models.sensors import Camera, range_azimuth
 from nls import FactorGraph, Values, kinds
 from nls.starts.rig import rig as start_of
 from sim.camera_sonar import Rig
-from sim.checks import check_not_negative, check_rng, check_whole
-from sim.world import Index, reflected, seed_of
+from sim.checks import check_not_negative, check_rng, check_size
+from sim.world import reflected, seed_of
 
 __all__ = ["rig"]
 
@@ -85,13 +85,13 @@ def rig(
     cameras 0.00 cm, points 0.00 cm rmse (alignment: rigid, of both together); sonar on the camera 0.00 cm, 0.00 deg
     """
     check_rng(rng)
-    check_whole("poses", poses, 2)
-    check_whole("points", points, 4)
+    check_size("poses", poses, 2)
+    check_size("points", points, 4)
     views = poses if views is None else views
-    check_whole("views", views, 1)
+    check_size("views", views, 1)
     if views > poses:
         raise OptionError("views", views, f"at most the number of poses, {poses}")
-    check_whole("points", points * views, 4)
+    check_size("points", points * views, 4)
     check_not_negative(noise_scale=noise_scale)
 
     x, l, s = kinds("x", "l", "s")

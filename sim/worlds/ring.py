@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2
-from sim.checks import check_not_negative, check_poses, check_positive, check_rng, check_whole
+from sim.checks import check_not_negative, check_poses, check_positive, check_rng, check_size
 from sim.paths import meetings
 from sim.world import World, build
 
@@ -61,8 +61,8 @@ def ring(
     (True, True)
     """
     check_rng(rng)
-    check_whole("laps", laps, 1)
-    check_whole("per_lap", per_lap, 4)
+    check_size("laps", laps, 1)
+    check_size("per_lap", per_lap, 4)
     check_poses("laps * per_lap", laps * per_lap)
     check_positive(diameter=diameter)
     check_not_negative(wobble=wobble)

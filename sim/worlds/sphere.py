@@ -6,7 +6,7 @@ import numpy as np
 
 from models import SE3
 from models.manifolds.se3 import join
-from sim.checks import check_poses, check_positive, check_whole
+from sim.checks import check_poses, check_positive, check_size
 from sim.paths import attitudes
 from sim.world import World, build
 
@@ -63,8 +63,8 @@ def sphere(
     >>> result.converged, sim.position_error(result.values, world.truth) < sim.position_error(world.start, world.truth)
     (True, True)
     """
-    check_whole("rings", rings, 2)
-    check_whole("per_ring", per_ring, 4)
+    check_size("rings", rings, 2)
+    check_size("per_ring", per_ring, 4)
     check_poses("rings * per_ring", rings * per_ring)
     check_positive(radius=radius)
     n = rings * per_ring

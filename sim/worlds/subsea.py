@@ -21,7 +21,7 @@ from models.sensors import direction, distance, point_in_frame
 from nls import FactorGraph, Values, kinds
 from nls.sparse.pattern import measured_rows
 from nls.starts import locate_points
-from sim.checks import check_not_negative, check_poses, check_rng, check_whole
+from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.landmark_world import KNOWN_START, LandmarkWorld
 from sim.world import chain, reflected, seed_of
 
@@ -101,10 +101,10 @@ def subsea(
     (True, True)
     """
     check_rng(rng)
-    check_whole("laps", laps, 1)
+    check_size("laps", laps, 1)
     check_poses("laps", laps * PER_LAP + 1)
     check_not_negative(noise_scale=noise_scale)
-    check_whole("known_landmarks", known_landmarks, 0)
+    check_size("known_landmarks", known_landmarks, 0)
     if known_landmarks > len(LANDMARKS):
         raise OptionError("known_landmarks", known_landmarks, f"at most {len(LANDMARKS)}")
     if not isinstance(known_start, bool):

@@ -7,7 +7,7 @@ import numpy as np
 from models import SE3
 from models.errors import OptionError
 from models.manifolds.se3 import join
-from sim.checks import check_fraction, check_poses, check_positive, check_rng, check_whole
+from sim.checks import check_fraction, check_poses, check_positive, check_rng, check_size
 from sim.paths import attitudes
 from sim.world import World, build
 
@@ -66,8 +66,8 @@ def torus(
     (True, True)
     """
     check_rng(rng)
-    check_whole("coils", coils, 3)
-    check_whole("per_coil", per_coil, 4)
+    check_size("coils", coils, 3)
+    check_size("per_coil", per_coil, 4)
     check_poses("coils * per_coil", coils * per_coil)
     check_positive(radius=radius, tube=tube)
     if tube >= radius:

@@ -53,7 +53,7 @@ def test_what_is_solved(ring: Any) -> None:
     assert ring.off(ring.best) < 1e-9 < 0.002 < ring.off(ring.start) < 0.2
 
 
-@pytest.mark.parametrize("kind", ["random", "grouped", "local", "local in groups", "alias", "alias in groups"])
+@pytest.mark.parametrize("kind", ["random", "grouped", "local in groups", "alias", "alias in groups"])
 def test_planted_closures(planting: Any, ring: Any, kind: str) -> None:
     """As many as asked for, wrong, of the weights of right ones; those of one group agree where they are aliases."""
     wrong = planting.spoiled(ring, 40, kind, np.random.default_rng(1))

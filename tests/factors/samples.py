@@ -19,9 +19,11 @@ from factors.keys import Keys
 from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
 from models.manifolds.measured import ANGLES, MeasuredNumbers
 from nls import Values
+from tests.factors.evaluated import error
 
 Array = npt.NDArray[np.float64]
 GROUPS: list[LieGroup] = [SO2, SE2, SO3, SE3, R(2), R(3)]
+STEP = 1e-5
 NORMALS = ((0.0, 1.0), (np.pi, -1.0))
 CASES = ["truth", "large innovation", "near identity", "residual near pi", "state near pi"]
 
@@ -30,15 +32,9 @@ CASES = ["truth", "large innovation", "near identity", "residual near pi", "stat
 class Sample:
     """A factor that can be made for any number of measurements.
 
-    Parameters
-    ----------
-    name : of the test.
-    manifolds : the space of each variable.
-    space : the space of the measurement.
-    dim : numbers per residual.
+    space, dim : of the measurement, and numbers per residual.
     build : the factor of (keys, z, noise).
     truth : the measurement z (n, size) of the stacks of variables, not by way of the library's prediction.
-    convention : of the residual.
     around : where the variables are, one element (size,) each; about the identity when omitted. It keeps targets away
         from the sensor, and puts bearings where they wrap.
     visible : takes the stacks of variables to others, in which the sensor sees its targets.
@@ -110,6 +106,22 @@ def whiteners(n: int, m: int, seed: int) -> Array:
 
 def full_noise(n: int, m: int, seed: int) -> Noise:
     return SqrtInformation(whiteners(n, m, seed))
+
+
+def around_each(sample: Sample, X: tuple[Array, ...], z: Array, W: Array, slot: int, step: float) -> Array:
+    """b (2, dim, n, m) with one variable moved by a step along each of its axes, and back: one batch of all."""
+    n, d = len(z), sample.manifolds[slot].dim
+    moved = [np.tile(x, (2 * d, 1)) for x in X]
+    steps = np.repeat(step * np.concatenate([np.eye(d), -np.eye(d)]), n, axis=0)
+    moved[slot] = sample.manifolds[slot].retract(moved[slot], steps)
+    many = sample.factor(np.tile(z, (2 * d, 1)), SqrtInformation(np.tile(W, (2 * d, 1, 1))))
+    return error(many, sample.values(tuple(moved))).reshape(2, d, n, sample.dim)
+
+
+def derivative(sample: Sample, X: tuple[Array, ...], z: Array, W: Array, slot: int) -> Array:
+    """Of b (n, m, dim), by central differences."""
+    plus, minus = around_each(sample, X, z, W, slot, STEP)
+    return np.moveaxis((plus - minus) / (2 * STEP), 0, -1)
 
 
 # Groups once more, one element at a time, by homogeneous matrices and SciPy's rotations.

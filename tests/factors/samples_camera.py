@@ -9,11 +9,10 @@ from factors import Factor, Noise, Projection
 from factors.keys import Keys
 from models import SE3, Manifold, Measured, R
 from models.sensors import Camera
-from tests.factors.samples import Sample, homogeneous
-from tests.factors.samples_sensors import MOUNT, in_sensor
+from tests.factors.samples import Sample
+from tests.factors.samples_sensors import in_frame, mounted
 
 Array = npt.NDArray[np.float64]
-HERE = SE3.identity()[0]
 BROWN = (-0.01, 0.002, 0.003, -0.002, 1e-5)  # k1 k2 p1 p2 k3
 CAMERAS = {
     "normalized": Camera(),
@@ -33,39 +32,18 @@ def pixel(camera: Camera, p: Array) -> list[float]:
     return [camera.focal[0] * u + camera.center[0], camera.focal[1] * v + camera.center[1]]
 
 
-def image(name: str, mode: str, target: str = "point") -> Sample:
-    """mode: no offset, a fixed one, or a variable; target: point or pose."""
+def image(name: str, mode: str, target: Manifold) -> Sample:
     camera = CAMERAS[name]
-    manifolds: tuple[Manifold, ...] = (SE3, R(3) if target == "point" else SE3)
-    if mode == "variable":
-        manifolds = (*manifolds, SE3)
 
-    def mounts(X: Array, *O: Array) -> Array:
-        return O[0] if O else np.tile(MOUNT[SE3] if mode == "fixed" else HERE, (len(X), 1))
+    def kind(pose: Keys, point: Keys, z: Array, noise: Noise, offset: Array | Keys | None) -> Factor:
+        return Projection(pose, point, z, noise, camera, offset)
 
-    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
-        offset = {"none": None, "fixed": MOUNT[SE3], "variable": keys[-1]}[mode]
-        return Projection(keys[0], keys[1], z, noise, camera, offset)
-
-    def truth(X: Array, L: Array, *O: Array) -> Array:
-        seen = zip(X, L, mounts(X, *O), strict=True)
-        return np.array([pixel(camera, in_sensor(SE3, x, l, o)) for x, l, o in seen])
-
-    def visible(X: Array, L: Array, *O: Array) -> tuple[Array, ...]:
-        """Targets at least 3 m in front of their cameras: z becomes |z| + 3."""
-        L = L.copy()
-        for k, (x, o) in enumerate(zip(X, mounts(X, *O), strict=True)):
-            p = in_sensor(SE3, x, L[k], o)
-            S = homogeneous(SE3, x) @ homogeneous(SE3, o)
-            L[k, :3] = (S @ [p[0], p[1], abs(p[2]) + 3, 1.0])[:3]
-        return X, L, *O
-
-    return Sample(
-        f"Projection-{name}-{target}-offset {mode}", manifolds, Measured("u", "v"), 2, build, truth, visible=visible
-    )
+    name = f"Projection-{name}-{'pose' if target is SE3 else 'point'}"
+    predict = lambda S, l: pixel(camera, in_frame(S, l))  # noqa: E731
+    return mounted(name, kind, mode, Measured("u", "v"), target, predict, None, in_front=True)
 
 
 CAMERA_SAMPLES = [
-    *(image(name, mode) for name in CAMERAS for mode in ("none", "fixed", "variable")),
-    *(image("distorted", mode, "pose") for mode in ("none", "variable")),
+    *(image(name, mode, R(3)) for name in CAMERAS for mode in ("none", "fixed", "variable")),
+    *(image("distorted", mode, SE3) for mode in ("none", "variable")),
 ]

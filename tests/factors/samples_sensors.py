@@ -24,7 +24,7 @@ from factors import (
 from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
-from models import SE2, SE3, SO3, LieGroup, Manifold, Measured, R
+from models import LINE, SE2, SE3, SO3, LieGroup, Manifold, Measured, R
 from tests.factors.samples import Sample, homogeneous, stored
 
 Array = npt.NDArray[np.float64]
@@ -35,12 +35,6 @@ MOUNT = {  # a sensor ahead of and below the vehicle, tilted
 }
 AHEAD = {2: np.array([8.0, 4.0]), 3: np.array([8.0, 4.0, -5.0])}
 ASTERN = {2: np.array([-9.0, 0.0]), 3: np.array([-9.0, 0.0, 2.0])}  # bearings near +-pi
-
-
-def in_sensor(group: Manifold, X: Array, target: Array, O: Array) -> Array:
-    """S^-1 l of one measurement; the target is a point, or the translation of a pose."""
-    d = len(homogeneous(group, X)) - 1
-    return np.linalg.solve(homogeneous(group, X) @ homogeneous(group, O), np.append(target[:d], 1.0))[:d]
 
 
 def azimuth(p: Array) -> float:
@@ -55,44 +49,81 @@ def bearing_of(p: Array) -> list[float]:
     return [azimuth(p)] if len(p) == 2 else [azimuth(p), elevation(p)]
 
 
-BY_HAND: dict[type[Factor], Callable[[Array], Array]] = {
-    Landmark: lambda p: p,
-    Range: lambda p: np.array([np.sqrt(p @ p)]),
-    Bearing: lambda p: np.array(bearing_of(p)),
-    BearingRange: lambda p: np.array([*bearing_of(p), np.sqrt(p @ p)]),
-}
+def in_frame(S: Array, target: Array) -> Array:
+    """S^-1 l of one measurement; the target is a point, or the translation of a pose."""
+    d = len(S) - 1
+    return np.linalg.solve(S, np.append(target[:d], 1.0))[:d]
 
 
-def space_of(kind: type[Factor], d: int) -> Manifold:
-    angles = ("bearing",) if d == 2 else ("azimuth", "elevation")
-    return {
-        Landmark: R(d),
-        Range: Measured("range"),
-        Bearing: Measured(*angles),
-        BearingRange: Measured(*angles, "range"),
-    }[kind]
+def mounted(
+    name: str,
+    kind: Callable[..., Factor],
+    mode: str,
+    space: Manifold,
+    target: Manifold,
+    by_hand: Callable[[Array, Array], object],
+    around: tuple[Array, Array] | None,
+    in_front: bool = False,
+) -> Sample:
+    """A sensor without an offset, with a fixed one, or with a variable: mode none, fixed or variable.
 
-
-def seen(kind: type[Factor], group: LieGroup, mode: str, target: str = "point", where: str = "ahead") -> Sample:
-    """mode: no offset, a fixed one, or a variable; target: point or pose; where it is."""
-    d = group.point_dim
-    space, by_hand = space_of(kind, d), BY_HAND[kind]
-    place = (AHEAD if where == "ahead" else ASTERN)[d]
-    manifolds: tuple[Manifold, ...] = (group, R(d) if target == "point" else group)
-    around = [group.identity()[0], place if target == "point" else np.concatenate([place, group.identity()[0][d:]])]
-    if mode == "variable":
-        manifolds, around = (*manifolds, group), [*around, group.identity()[0]]
+    by_hand : what the sensor in the frame S, a matrix, measures of a target.
+    in_front : targets are moved to at least 3 m along the z axis of the sensor: z becomes |z| + 3.
+    """
+    group: LieGroup = SE2 if target in (R(2), SE2, LINE) else SE3
+    variable, here = mode == "variable", group.identity()[0]
 
     def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
-        offset = {"none": None, "fixed": MOUNT[group], "variable": keys[-1]}[mode]
-        return kind(keys[0], keys[1], z, noise, offset=offset)  # type: ignore[call-arg]
+        return kind(*keys[:2], z, noise, offset={"none": None, "fixed": MOUNT[group], "variable": keys[-1]}[mode])
+
+    def frames(X: Array, *O: Array) -> list[Array]:
+        mounts = O[0] if O else np.tile(MOUNT[group] if mode == "fixed" else here, (len(X), 1))
+        return [homogeneous(group, x) @ homogeneous(group, o) for x, o in zip(X, mounts, strict=True)]
 
     def truth(X: Array, L: Array, *O: Array) -> Array:
-        mounts = O[0] if O else np.tile(MOUNT[group] if mode == "fixed" else group.identity()[0], (len(X), 1))
-        return np.array([by_hand(in_sensor(group, x, l, o)) for x, l, o in zip(X, L, mounts, strict=True)])
+        return np.array([by_hand(S, l) for S, l in zip(frames(X, *O), L, strict=True)])
 
-    name = f"{kind.__name__}-{group}-{target}-{where}-offset {mode}"
-    return Sample(name, manifolds, space, space.dim, build, truth, around=tuple(around))
+    def visible(X: Array, L: Array, *O: Array) -> tuple[Array, ...]:
+        L = L.copy()
+        for k, S in enumerate(frames(X, *O)):
+            p = in_frame(S, L[k])
+            L[k, :3] = (S @ [p[0], p[1], abs(p[2]) + 3, 1.0])[:3]
+        return X, L, *O
+
+    manifolds = (group, target, *(group,) * variable)
+    centers = None if around is None else (*around, *(here,) * variable)
+    name = f"{name}-offset {mode}"
+    return Sample(name, manifolds, space, space.dim, build, truth, "log", centers, visible if in_front else None)
+
+
+def seen(
+    kind: Callable[..., Factor],
+    name: str,
+    space: Manifold,
+    by_hand: Callable[[Array], object],
+    mode: str,
+    target: Manifold,
+    where: str = "ahead",
+) -> Sample:
+    """A sensor measures by_hand(p) of a point p in its frame; the target is a point or a pose."""
+    group: LieGroup = SE2 if target in (R(2), SE2) else SE3
+    d, here = group.point_dim, group.identity()[0]
+    place = {"ahead": AHEAD, "astern": ASTERN}[where][d]
+    place = place if target is R(d) else np.concatenate([place, here[d:]])
+    name = f"{name}-{group}-{'point' if target is R(d) else 'pose'}-{where}"
+    return mounted(name, kind, mode, space, target, lambda S, l: by_hand(in_frame(S, l)), (here, place))
+
+
+def sighting(kind: type[Factor], group: LieGroup, mode: str, target: str = "point", where: str = "ahead") -> Sample:
+    d = group.point_dim
+    angles = ("bearing",) if d == 2 else ("azimuth", "elevation")
+    by_hand, space = {
+        Landmark: (lambda p: p, R(d)),
+        Range: (lambda p: [np.sqrt(p @ p)], Measured("range")),
+        Bearing: (bearing_of, Measured(*angles)),
+        BearingRange: (lambda p: [*bearing_of(p), np.sqrt(p @ p)], Measured(*angles, "range")),
+    }[kind]
+    return seen(kind, kind.__name__, space, by_hand, mode, R(d) if target == "point" else group, where)
 
 
 def position(group: LieGroup, components: tuple[str, ...] | None, arm: Array | None) -> Sample:
@@ -194,9 +225,19 @@ PLANE_AND_SPACE: list[LieGroup] = [SE2, SE3]
 TILTED = np.array([1.0, 2.0, 3.0, *Rotation.from_euler("ZYX", [-3.1, 0.2, -0.3]).as_quat()])
 
 SENSOR_SAMPLES = [
-    *(seen(kind, group, mode) for kind in KINDS for group in PLANE_AND_SPACE for mode in ("none", "fixed", "variable")),
-    *(seen(kind, group, mode, "pose") for kind in KINDS for group in PLANE_AND_SPACE for mode in ("none", "variable")),
-    *(seen(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
+    *(
+        sighting(kind, group, mode)
+        for kind in KINDS
+        for group in PLANE_AND_SPACE
+        for mode in ("none", "fixed", "variable")
+    ),
+    *(
+        sighting(kind, group, mode, "pose")
+        for kind in KINDS
+        for group in PLANE_AND_SPACE
+        for mode in ("none", "variable")
+    ),
+    *(sighting(kind, group, "none", where="astern") for kind in (Bearing, BearingRange) for group in PLANE_AND_SPACE),
     position(SE2, None, None),
     position(SE2, ("y",), np.array([1.5, -0.5])),
     position(SE3, None, None),

@@ -12,11 +12,10 @@ from factors import XYH, ZPR, Elevation, ElevationHinge, EpipolarArc, Factor, No
 from factors.keys import Keys
 from models import SE3, Manifold, Measured, R
 from tests.factors.samples import Sample, homogeneous
-from tests.factors.samples_sensors import AHEAD, ASTERN, MOUNT, azimuth, elevation, in_sensor
+from tests.factors.samples_sensors import MOUNT, TILTED, azimuth, elevation, seen
 
 Array = npt.NDArray[np.float64]
 HERE = SE3.identity()[0]
-TILTED = np.array([1.0, 2.0, 3.0, *Rotation.from_euler("ZYX", [-3.1, 0.4, -0.3]).as_quat()])
 
 
 def hinge(limit: float) -> Callable[[Array], float]:
@@ -36,7 +35,7 @@ def bounded(limit: float) -> Callable[..., Factor]:
     return build
 
 
-BY_HAND: dict[str, tuple[Callable[..., Factor], Manifold, Callable[[Array], object]]] = {
+CONTACTS: dict[str, tuple[Callable[..., Factor], Manifold, Callable[[Array], object]]] = {
     "RangeAzimuth": (RangeAzimuth, Measured("range", "azimuth"), lambda p: [np.sqrt(p @ p), azimuth(p)]),
     "Elevation": (Elevation, Measured("elevation"), lambda p: [elevation(p)]),
     "ElevationHinge-outside": (bounded(0.1), Measured("elevation"), lambda p: [hinge(0.1)(p)]),
@@ -44,24 +43,9 @@ BY_HAND: dict[str, tuple[Callable[..., Factor], Manifold, Callable[[Array], obje
 }
 
 
-def contact(name: str, mode: str, target: str = "point", where: str = "ahead") -> Sample:
-    """mode: no offset, a fixed one, or a variable; target: point or pose; where it is."""
-    kind, space, by_hand = BY_HAND[name]
-    place = (AHEAD if where == "ahead" else ASTERN)[3]
-    manifolds: tuple[Manifold, ...] = (SE3, R(3) if target == "point" else SE3)
-    around = [HERE, place if target == "point" else np.concatenate([place, HERE[3:]])]
-    if mode == "variable":
-        manifolds, around = (*manifolds, SE3), [*around, HERE]
-
-    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
-        return kind(keys[0], keys[1], z, noise, {"none": None, "fixed": MOUNT[SE3], "variable": keys[-1]}[mode])
-
-    def truth(X: Array, L: Array, *O: Array) -> Array:
-        mounts = O[0] if O else np.tile(MOUNT[SE3] if mode == "fixed" else HERE, (len(X), 1))
-        return np.array([by_hand(in_sensor(SE3, x, l, o)) for x, l, o in zip(X, L, mounts, strict=True)])
-
-    full_name = f"{name}-{target}-{where}-offset {mode}"
-    return Sample(full_name, manifolds, space, space.dim, build, truth, around=tuple(around))
+def contact(name: str, mode: str, target: Manifold, where: str = "ahead") -> Sample:
+    kind, space, by_hand = CONTACTS[name]
+    return seen(kind, name, space, by_hand, mode, target, where)
 
 
 def ypr(X: Array) -> Array:
@@ -144,9 +128,9 @@ ELIMINATING_SAMPLES = [
 ]
 
 SONAR_SAMPLES = [
-    *(contact(name, mode) for name in BY_HAND for mode in ("none", "fixed", "variable")),
-    *(contact(name, mode, "pose") for name in BY_HAND for mode in ("none", "variable")),
-    *(contact(name, "none", where="astern") for name in BY_HAND),
+    *(contact(name, mode, R(3)) for name in CONTACTS for mode in ("none", "fixed", "variable")),
+    *(contact(name, mode, SE3) for name in CONTACTS for mode in ("none", "variable")),
+    *(contact(name, "none", R(3), "astern") for name in CONTACTS),
     *(
         xyh(form, name, around)
         for form in ("levelled", "relative")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
-import pytest
 
 from factors import Diagonal, Factor, Isotropic, Noise, SqrtInformation, check_jacobians
 from models import SE2, SE3, R
 from models.algebra import Array, skew
 from models.errors import JacobianError
 from nls import Values, kinds
+from tests.combinations import for_all
+from tests.factors.evaluated import refused
 
 x, l = kinds("x", "l")
 PLANE = Values({x: (SE2, [[0, 0, 0.3], [1, 2, -0.5], [2, 1, 0.1]])})
@@ -26,24 +29,22 @@ def in_body_jacobians(X: Array, L: Array, transposed: bool = False) -> list[Arra
     return [H_x, R_T.mT if transposed else R_T]
 
 
-@pytest.mark.parametrize("noise", [Isotropic(0.1), Diagonal([0.1, 0.2, 0.5]), SqrtInformation(np.tri(3) + np.eye(3))])
+@for_all(noise=[Isotropic(0.1), Diagonal([0.1, 0.2, 0.5]), SqrtInformation(np.tri(3) + np.eye(3))])
 def test_check_jacobians_names_a_transposed_rotation(noise: Noise) -> None:
     """Whatever the noise: whitened, a transposed rotation is no transposed matrix."""
     X = SE3.exp([[0.3, -0.2, 0.5, 0.4, -0.6, 0.8], [1.0, 0.0, 0.2, -0.3, 0.2, 0.5]])
     values = Values({x: (SE3, X), l: (R(3), [[3.0, 1.0, 0.5], [2.0, -1.0, 0.7]])})
-    right = Factor.from_function(in_body, [x[0:2], l[0:2]], 3, noise, in_body_jacobians)
-    assert check_jacobians(right, values) < 1e-6
-    wrong = Factor.from_function(
-        in_body, [x[0:2], l[0:2]], 3, noise, lambda X, L: in_body_jacobians(X, L, transposed=True)
+    right, wrong = (
+        Factor.from_function(in_body, [x[0:2], l[0:2]], 3, noise, partial(in_body_jacobians, transposed=transposed))
+        for transposed in (False, True)
     )
+    assert check_jacobians(right, values) < 1e-6
     cause = "it is transposed" if isinstance(noise, Isotropic) else "a rotation in it is transposed"
-    with pytest.raises(JacobianError, match=f"of l[01]: analytic .*; likely: {cause}$"):
-        check_jacobians(wrong, values)
+    refused(lambda: check_jacobians(wrong, values), JacobianError, f"of l[01]: analytic .*; likely: {cause}$")
 
 
 def test_check_jacobians_names_a_rotation_among_other_blocks() -> None:
     """Of the columns of a translation in the plane."""
-    noise = Diagonal([0.1, 0.3, 0.02])
 
     def jacobians(X: Array, transposed: bool) -> list[Array]:
         H = np.zeros((len(X), 3, 3))
@@ -51,12 +52,9 @@ def test_check_jacobians_names_a_rotation_among_other_blocks() -> None:
         H[:, :2, :2], H[:, 2, 2] = G.mT if transposed else G, 1.0
         return [H]
 
-    for transposed in (False, True):
-        factor = Factor.from_function(
-            lambda X: np.array(X), x[0:3], 3, noise, lambda X, transposed=transposed: jacobians(X, transposed)
-        )
-        if not transposed:
-            assert check_jacobians(factor, PLANE) < 1e-6
-            continue
-        with pytest.raises(JacobianError, match=r"; likely.*: a rotation in it is transposed$"):
-            check_jacobians(factor, PLANE)
+    right, wrong = (
+        Factor.from_function(np.array, x[0:3], 3, Diagonal([0.1, 0.3, 0.02]), partial(jacobians, transposed=transposed))
+        for transposed in (False, True)
+    )
+    assert check_jacobians(right, PLANE) < 1e-6
+    refused(lambda: check_jacobians(wrong, PLANE), JacobianError, "; likely.*: a rotation in it is transposed$")

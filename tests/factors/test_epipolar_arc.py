@@ -23,17 +23,17 @@ from factors import (
     Robust,
     SqrtInformation,
 )
-from factors.base import Model
+from factors.keys import Keys
 from models import SE2, SE3, R, euler
 from models.errors import GraphError, NoiseModelError, OptionError, SingularGeometryError
 from models.sensors import cartesian, range_azimuth
 from nls import FactorGraph, LevenbergMarquardt, Marginals, Stop, Values, kinds
-from tests.factors.samples import Sample, situation, whiteners
+from tests.combinations import for_all
+from tests.factors.evaluated import error, linearized, refused, same
+from tests.factors.samples import Sample, around_each, derivative, situation, whiteners
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES
-from tests.factors.test_conformity import STEP
 
 Array = npt.NDArray[np.float64]
-same = np.testing.assert_allclose
 x, l = kinds("x", "l")
 LIMIT = radians(7)
 SIGMAS = np.array([0.01, radians(0.25), 0.01, radians(0.25)])
@@ -57,16 +57,12 @@ def points(m: int, seed: int = 0, el: float = LIMIT, around: float = 0.0) -> Arr
     return np.random.default_rng(seed).uniform([2, around - 0.25, -el], [6, around + 0.25, el], size=(m, 3))
 
 
-def bound(factor: Factor, X: Array) -> tuple[Model, tuple[Array, ...]]:
-    return Values({x: (SE3, X)}).gather(factor)
-
-
 def arcs(m: int, z: Array, noise: Noise = NOISE, limit: float = LIMIT, offset: Array | None = None) -> EpipolarArc:
     return EpipolarArc(x[[0] * m], x[[1] * m], z, noise, limit, offset)
 
 
-def stepped(stacks: tuple[Array, ...], slot: int, step: Array) -> list[Array]:
-    return [SE3.retract(Y, step) if t == slot else Y for t, Y in enumerate(stacks)]
+def at(X: Array) -> Values:
+    return Values({x: (SE3, X)})
 
 
 def lowest(X: Array, z: Array, W: Array, limit: float, offset: Array | None) -> float:
@@ -86,74 +82,65 @@ def lowest(X: Array, z: Array, W: Array, limit: float, offset: Array | None) -> 
     )
 
 
-@pytest.mark.parametrize("offset", [None, MOUNT], ids=["at the vehicle", "mounted"])
-@pytest.mark.parametrize("motion", [GENERAL, [0, 0, 0.5, 0, 0, 0], [0.5, 0.3, 0, 0, 0, 0.2]], ids=str)
-@pytest.mark.parametrize("wrong", [3.0, 30.0])
-def test_the_cost_is_that_of_the_best_point_in_the_aperture(
-    motion: list[float], offset: Array | None, wrong: float
-) -> None:
-    m, rng = 5, np.random.default_rng(2)
+@for_all(motion=[GENERAL, [0, 0, 0.5, 0, 0, 0], [0.5, 0.3, 0, 0, 0, 0.2]], wrong=[3.0, 30.0])
+def test_the_cost_is_that_of_the_best_point_in_the_aperture(motion: list[float], wrong: float) -> None:
+    m, rng = 3, np.random.default_rng(2)
+    offset = MOUNT if wrong > 3 else None
     X, z = views(motion, points(m), offset)
     z = z + wrong * SIGMAS * rng.normal(size=z.shape)
     W = whiteners(m, 4, 3) / SIGMAS
     factor = EpipolarArc(x[0], x[[1] * m], z, Information(W.mT @ W), LIMIT, offset)
     chi2 = [lowest(X, z[k], W[k], LIMIT, offset) for k in range(m)]
-    same(factor.chi2(Values({x: (SE3, X)})), chi2, rtol=1e-6, atol=1e-8)
+    same(factor.chi2(at(X)), chi2, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("m", [1, 9])
-@pytest.mark.parametrize("around", [0.0, pi])
-@pytest.mark.parametrize("offset", [None, MOUNT, np.tile(MOUNT, (9, 1))], ids=["at the vehicle", "mounted", "each"])
-@pytest.mark.parametrize("limit", [0.3, 0.03], ids=["inside", "many at the end"])
+@pytest.mark.parametrize("offset", [None, np.tile(MOUNT, (9, 1))], ids=["at the vehicle", "each"])
+@for_all(limit_and_azimuth=[(0.3, pi), (0.03, 0.0)])
 def test_the_gradient_of_the_cost_is_exact_at_any_residual(
-    m: int, around: float, offset: Array | None, limit: float
+    offset: Array | None, limit_and_azimuth: tuple[float, float]
 ) -> None:
-    """2 A'b = -d chi2, each measurement by itself, in both poses, with correlated noise."""
-    offset = offset[:m] if offset is not None and offset.ndim == 2 else offset
-    rng = np.random.default_rng(4)
+    """2 A'b = -d chi2, each measurement by itself, in both poses, with correlated noise; the lower limit is reached."""
+    m, (limit, around), rng = 9, limit_and_azimuth, np.random.default_rng(4)
     X, z = views(GENERAL, points(m, around=around), None if offset is None else MOUNT)
     z = z + 5 * SIGMAS * rng.normal(size=z.shape)
     z[:, 1::2] = (z[:, 1::2] + pi) % (2 * pi) - pi
     W = whiteners(m, 4, 5) / SIGMAS
-    model, stacks = bound(arcs(m, z, Information(W.mT @ W), limit, offset), X)
-    A, b = model.linearize(*stacks)
-    assert m == 1 or 5 < np.square(b).sum(axis=1).max() < 1e4  # azimuths wrap: a turn is 1,440 sigmas
+
+    def build(keys: tuple[Keys, ...], z: Array, noise: Noise) -> Factor:
+        O = offset if offset is None else np.tile(offset, (len(z) // m, 1))
+        return EpipolarArc(*keys, z, noise, limit, O)
+
+    sample = Sample("arcs", (SE3, SE3), SE3, 4, build, np.zeros)
+    pair = tuple(np.repeat(X[[k]], m, axis=0) for k in (0, 1))
+    A, b = linearized(sample.factor(z, Information(W.mT @ W)), sample.values(pair))
+    assert 5 < np.square(b).sum(axis=1).max() < 1e4  # azimuths wrap: a turn is 1,440 sigmas
     for slot in range(2):
         gradient = 2 * np.einsum("nij,ni->nj", A[slot], b)
-        found = np.empty_like(gradient)
-        for k in range(6):
-            ahead, behind = (
-                np.square(model.error(*stepped(stacks, slot, s * 1e-6 * np.eye(6)[[k]]))).sum(axis=1) for s in (1, -1)
-            )
-            found[:, k] = -(ahead - behind) / 2e-6
-        same(gradient, found, rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
+        plus, minus = np.square(around_each(sample, pair, z, W, slot, 1e-6)).sum(axis=3)
+        same(gradient, (minus - plus).T / 2e-6, rtol=1e-5, atol=1e-5 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("sample", ELIMINATING_SAMPLES, ids=str)
-@pytest.mark.parametrize("n", [1, 7])
-def test_conformity_where_there_is_no_residual(sample: Sample, n: int) -> None:
+def test_conformity_where_there_is_no_residual(sample: Sample) -> None:
     """No innovation, A minus the derivative of b, and a batch is its measurements one by one, with any residual."""
-    for case in ("truth", "state near pi"):
-        X = situation(sample, case, n, 1)[0]
-        z, W = sample.truth(*X), whiteners(n, 4, 1) / SIGMAS
-        model, stacks = sample.values(X).gather(sample.factor(z, SqrtInformation(W)))
-        A, b = model.linearize(*stacks)
-        same(b, 0.0, atol=1e-8)
-        same(model.error(*stacks), b, atol=0)
-        for slot, A_k in enumerate(A):
-            for k in range(6):
-                ahead, behind = (model.error(*stepped(stacks, slot, s * STEP * np.eye(6)[[k]])) for s in (1, -1))
-                same(A_k[:, :, k], (behind - ahead) / (2 * STEP), rtol=1e-6, atol=1e-6)
-        noisy = z + 3 * SIGMAS * np.random.default_rng(2).normal(size=z.shape)
-        model, stacks = sample.values(X).gather(sample.factor(noisy, SqrtInformation(W)))
-        A, b = model.linearize(*stacks)
-        for k in range(n):
-            alone = sample.factor(noisy[[k]], SqrtInformation(W[k]))
-            one, one_X = sample.values(tuple(Y[[k]] for Y in X)).gather(alone)
-            A_one, b_one = one.linearize(*one_X)
-            same(b[[k]], b_one, rtol=1e-10, atol=1e-12)
-            for slot in range(2):
-                same(A[slot][[k]], A_one[slot], rtol=1e-9, atol=1e-10)
+    n = 4
+    situations = [situation(sample, case, n // 2, 1)[0] for case in ("truth", "state near pi")]
+    X = tuple(np.concatenate(stacks) for stacks in zip(*situations, strict=True))
+    z, W = sample.truth(*X), whiteners(n, 4, 1) / SIGMAS
+    factor = sample.factor(z, SqrtInformation(W))
+    A, b = linearized(factor, sample.values(X))
+    same(b, 0.0, atol=1e-8)
+    same(error(factor, sample.values(X)), b, atol=0)
+    for slot, A_k in enumerate(A):
+        same(A_k, -derivative(sample, X, z, W, slot), rtol=1e-6, atol=1e-6)
+    noisy = z + 3 * SIGMAS * np.random.default_rng(2).normal(size=z.shape)
+    A, b = linearized(sample.factor(noisy, SqrtInformation(W)), sample.values(X))
+    for k in (0, n - 1):
+        alone = sample.factor(noisy[[k]], SqrtInformation(W[k]))
+        A_one, b_one = linearized(alone, sample.values(tuple(Y[[k]] for Y in X)))
+        same(b[[k]], b_one, rtol=1e-10, atol=1e-12)
+        for slot in range(2):
+            same(A[slot][[k]], A_one[slot], rtol=1e-9, atol=1e-10)
 
 
 def landmarks_and_arcs(noise: float, seed: int) -> tuple[FactorGraph, FactorGraph, Values]:
@@ -171,12 +158,11 @@ def landmarks_and_arcs(noise: float, seed: int) -> tuple[FactorGraph, FactorGrap
     return full, reduced, Values({x: (SE3, X), l: (R(3), L)})
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("noise", [0.0, 0.5])
-def test_it_is_the_graph_with_the_points_in_it(noise: float, seed: int) -> None:
+def test_it_is_the_graph_with_the_points_in_it(noise: float) -> None:
     """Points seen twice and well: the same pose, chi2, degrees of freedom and covariance, with noise too."""
-    full, reduced, truth = landmarks_and_arcs(noise, seed)
-    poses = Values({x: (SE3, truth[x])})
+    full, reduced, truth = landmarks_and_arcs(noise, 1)
+    poses = at(truth[x])
     poses[x[1]] = SE3.retract(truth[x[[1]]], np.full((1, 6), 0.02))[0]
     with_points, without = full.optimize(truth, TIGHT), reduced.optimize(poses, TIGHT)
     assert without.dof == with_points.dof == 12 + 3 - 6
@@ -189,42 +175,38 @@ def test_it_is_the_graph_with_the_points_in_it(noise: float, seed: int) -> None:
 
 def test_chi2_is_about_its_degrees_of_freedom() -> None:
     """Every pair with noise of its own: 4 numbers, 3 spent."""
-    ratio, m, seeds = [], 60, 6
-    for seed in range(seeds):
-        h = points(m, seed, el=0.06)
-        X, z = views([0.2, 0.1, 0.8, 0.3, 0.1, 0.2], h, MOUNT, seed)
-        z = z + SIGMAS * np.random.default_rng(seed).normal(size=z.shape)
-        graph = FactorGraph([arcs(m, z, limit=0.3, offset=MOUNT)])
-        graph.fix(x[0])
-        result = graph.optimize(Values({x: (SE3, X)}))
-        assert result.converged
-        assert result.dof == m - 6
-        ratio.append(result.chi2_final / result.dof)
-    assert np.mean(ratio) == pytest.approx(1.0, abs=2.5 * np.sqrt(2 / (seeds * (m - 6))))
+    m = 300
+    X, z = views([0.2, 0.1, 0.8, 0.3, 0.1, 0.2], points(m, 0, el=0.06), MOUNT, 0)
+    z = z + SIGMAS * np.random.default_rng(0).normal(size=z.shape)
+    graph = FactorGraph([arcs(m, z, limit=0.3, offset=MOUNT)])
+    graph.fix(x[0])
+    result = graph.optimize(at(X))
+    assert result.converged
+    assert result.dof == m - 6
+    assert result.chi2_final == pytest.approx(result.dof, abs=2.5 * np.sqrt(2 * result.dof))
 
 
 def test_moving_everything_changes_nothing() -> None:
     X, z = views(GENERAL, points(9), MOUNT)
     z = z + 3 * SIGMAS * np.random.default_rng(6).normal(size=z.shape)
     moved = SE3.compose(SE3.exp(np.array([[3.0, -2.0, 5.0, 0.4, -1.2, 2.0]])), X)
-    before, after = (bound(arcs(9, z, offset=MOUNT), Y) for Y in (X, moved))
-    (A, b), (A_moved, b_moved) = (model.linearize(*stacks) for model, stacks in (before, after))
+    factor = arcs(9, z, offset=MOUNT)
+    (A, b), (A_moved, b_moved) = (linearized(factor, at(Y)) for Y in (X, moved))
     same(b, b_moved, atol=1e-7)
     for turns in ([0, 2 * pi, 0, 0], [0, 0, 0, -2 * pi]):  # azimuths are angles
-        same(before[0].error(*before[1]), bound(arcs(9, z + turns, offset=MOUNT), X)[0].error(*before[1]), atol=1e-7)
+        same(b, error(arcs(9, z + turns, offset=MOUNT), at(X)), atol=1e-7)
     for slot in range(2):
         same(A[slot], A_moved[slot], atol=1e-5, rtol=1e-6)
     Ad = SE3.adjoint_inverse(X)  # of a common increment in the world, X <- Exp(d) X
     same(A[0] @ Ad[0] + A[1] @ Ad[1], 0.0, atol=1e-8 * np.abs(A[0]).max())
-    graph = FactorGraph([arcs(9, z)])
-    assert all(factor.relative and factor.damped for factor in graph.factors)
+    assert factor.relative
+    assert factor.damped
 
 
 def ranks(motion: list[float], h: Array, limit: float) -> tuple[Array, Array, Array]:
     """Rank of A_j of every pair, b, and A_j."""
     X, z = views(motion, h)
-    model, stacks = bound(arcs(len(h), z, limit=limit), X)
-    (_, A), b = model.linearize(*stacks)
+    (_, A), b = linearized(arcs(len(h), z, limit=limit), at(X))
     return np.linalg.matrix_rank(A, tol=1e-6 * np.abs(A).max()), b, A
 
 
@@ -234,24 +216,23 @@ def test_at_the_end_of_the_aperture_the_elevation_is_no_longer_free() -> None:
     assert rank.tolist() == [1, 2, 2]
     same(b[0], 0.0, atol=1e-9)
     assert np.linalg.norm(b[1:], axis=1).min() > 1.0
-    rank, b, _ = ranks(GENERAL, h, 0.3)
-    assert rank.tolist() == [1, 1, 1]
+    rank, b, _ = ranks(GENERAL, h[1:], 0.3)
+    assert rank.tolist() == [1, 1]
     same(b, 0.0, atol=1e-9)
 
 
 def test_the_cost_is_smooth_where_the_end_of_the_aperture_is_reached() -> None:
     """Diving on, a contact is lost at one end: chi2 and its slope go through, whatever becomes of A."""
     X, z = views([0, 0, 0.5, 0.0, 0, 0], np.array([[4.0, 0.1, 0.09]]))
-    steps = np.linspace(-0.2, 0.2, 4001)
+    steps = np.linspace(-0.2, 0.2, 1001)
     Y = SE3.retract(np.repeat(X[1:], len(steps), axis=0), np.outer(steps, np.eye(6)[2]))
     n = len(steps)
     factor = EpipolarArc(x[[0] * n], x[np.arange(1, n + 1)], z, NOISE, 0.1)
-    model, stacks = bound(factor, np.concatenate([X[:1], Y]))
-    (_, A), b = model.linearize(*stacks)
+    (_, A), b = linearized(factor, at(np.concatenate([X[:1], Y])))
     chi2, slope = np.square(b).sum(axis=1), -2 * np.einsum("ni,ni->n", A[:, :, 2], b)
     assert chi2.min() < 1e-12 < chi2.max()
-    same(np.diff(chi2), (slope[1:] + slope[:-1]) / 2 * np.diff(steps), atol=2e-6 * chi2.max())
-    assert np.abs(np.diff(slope)).max() < 0.01 * np.abs(slope).max()
+    same(np.diff(chi2), (slope[1:] + slope[:-1]) / 2 * np.diff(steps), atol=3e-5 * chi2.max())
+    assert np.abs(np.diff(slope)).max() < 0.04 * np.abs(slope).max()
 
 
 def test_yaw_tells_nothing_and_spends_nothing() -> None:
@@ -262,12 +243,12 @@ def test_yaw_tells_nothing_and_spends_nothing() -> None:
     same(A[:, 2, [2, 3, 4]], 0.0, atol=1e-9 * np.abs(A).max())  # no heave, roll or pitch in a range at elevation 0
     X, z = views([0, 0, 0, 0, 0, 0.2], points(5))
     z = z + 2 * SIGMAS * np.random.default_rng(8).normal(size=z.shape)
-    b = bound(arcs(5, z), X)[0].error(*bound(arcs(5, z), X)[1])
+    b = error(arcs(5, z), at(X))
     for off in (1e-9, 1e-7, 1e-5):
         Y = np.concatenate([X[:1], SE3.retract(X[1:], np.array([[0, 0, off, off, 0, 0]]))])
-        model, stacks = bound(arcs(5, z), Y)
-        same(model.error(*stacks), b, atol=1e3 * off)
-        assert (np.linalg.matrix_rank(model.linearize(*stacks)[0][1]) == 2).all()
+        A, b_off = linearized(arcs(5, z), at(Y))
+        same(b_off, b, atol=1e3 * off)
+        assert (np.linalg.matrix_rank(A[1]) == 2).all()
 
 
 def test_motion_in_the_plane_has_two_mirror_images_of_one_cost() -> None:
@@ -277,23 +258,17 @@ def test_motion_in_the_plane_has_two_mirror_images_of_one_cost() -> None:
     (X, z), (_, above) = (views(motion, h * [1, 1, side]) for side in (1, -1))
     same(z, above, atol=1e-12)
     z = z + SIGMAS * np.random.default_rng(9).normal(size=z.shape)
-    model, stacks = bound(arcs(6, z, limit=0.4), X)
-    (_, A), b = model.linearize(*stacks)
+    factor = arcs(6, z, limit=0.4)
+    (_, A), b = linearized(factor, at(X))
     slope = -2 * np.einsum("ni,ni->n", A[:, :, 2], b)
-    dived, climbed = (
-        np.square(model.error(*stepped(stacks, 1, np.array([[0, 0, s * 1e-5, 0, 0, 0]])))).sum(axis=1) for s in (1, -1)
-    )
+    heaves = [SE3.retract(X[1:], np.array([[0, 0, s * 1e-5, 0, 0, 0]])) for s in (1, -1)]
+    dived, climbed = (factor.chi2(at(np.concatenate([X[:1], Y]))) for Y in heaves)
     same(dived, climbed, rtol=1e-7)
     same((dived - np.square(b).sum(axis=1)) / 1e-5, -np.abs(slope), rtol=1e-2, atol=1e-3 * np.abs(slope).max())
     assert np.abs(slope).min() > 0
     for side in (1, -1):  # with a heave the side is known
         X, z = views([1.0, -0.6, 0.3, 0, 0, 0.3], h * [1, 1, side])
-        model, stacks = bound(arcs(6, z, limit=0.4), X)
-        same(model.error(*stacks), 0.0, atol=1e-9)
-
-
-def at(X: Array) -> Values:
-    return Values({x: (SE3, X)})
+        same(error(arcs(6, z, limit=0.4), at(X)), 0.0, atol=1e-9)
 
 
 def test_parts_of_a_batch_and_robust_kernels() -> None:
@@ -301,12 +276,11 @@ def test_parts_of_a_batch_and_robust_kernels() -> None:
     z[3, 2] += 0.5
     offset = np.tile(MOUNT, (5, 1))
     factor = arcs(5, z, Diagonal(np.tile(SIGMAS, (5, 1))), offset=offset)
-    part = factor[[1, 3]]
-    assert isinstance(part, EpipolarArc)
+    part, chi2 = factor[[1, 3]], factor.chi2(at(X))
     same(part.offset, offset[:2])
-    same(part.chi2(at(X)), factor.chi2(at(X))[[1, 3]], rtol=1e-9)
+    same(part.chi2(at(X)), chi2[[1, 3]], rtol=1e-9)
     robust = factor.robust(Huber(1.0))
-    same(robust.chi2(at(X)), factor.chi2(at(X)))
+    same(robust.chi2(at(X)), chi2)
     weights = robust.weights(at(X))
     assert weights[3] < 0.1 < 0.99 < weights[[0, 1, 2, 4]].min()
     assert len(EpipolarArc(x[[]], x[[]], np.zeros((0, 4)), NOISE, LIMIT).chi2(at(X))) == 0
@@ -315,47 +289,33 @@ def test_parts_of_a_batch_and_robust_kernels() -> None:
 GOOD = [[4.0, 0.1, 3.9, 0.0], [5.0, 0.1, 4.9, 0.0]]
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "message"),
-    [
-        (lambda: arcs(2, GOOD, limit=7.0), OptionError, r"EpipolarArc: limit: 7.0 is not possible; .*\(0, pi / 2\)"),
-        (lambda: arcs(2, GOOD, limit=0.0), OptionError, "limit: 0.0"),
-        (lambda: arcs(2, GOOD, limit="a"), OptionError, "limit: 'a'"),
-        (lambda: arcs(2, GOOD, limit=np.nan), OptionError, "limit: nan"),
-        (lambda: arcs(2, [[4, 0, 3]] * 2), GraphError, r"EpipolarArc\(x\[0, 0\], x\[1, 1\]\): .*shape \(2, 3\)"),
-        (lambda: arcs(2, [GOOD[0], [5, 0.1, np.nan, 0]]), GraphError, r"EpipolarArc.*not finite"),
-        (
-            lambda: arcs(2, [GOOD[0], [5, 0.1, -4.9, 0]]),
-            GraphError,
-            r"EpipolarArc\(x0, x1\): its ranges are \[5.0, -4.9\] m",
-        ),
-        (lambda: arcs(2, [[0, 0.1, 4.9, 0], GOOD[0]]), GraphError, r"ranges are \[0.0, 4.9\] m, expected above 0"),
+@for_all(
+    case=[
+        *((lambda limit=limit: arcs(2, GOOD, limit=limit), OptionError, "limit") for limit in (7.0, 0.0, "a", np.nan)),
+        (lambda: arcs(2, [[4, 0, 3]] * 2), GraphError, r"shape \(2, 3\)"),
+        (lambda: arcs(2, [GOOD[0], [5, 0.1, np.nan, 0]]), GraphError, "not finite"),
+        (lambda: arcs(2, [GOOD[0], [5, 0.1, -4.9, 0]]), GraphError, r"x0, x1.*\[5.0, -4.9\] m"),
+        (lambda: arcs(2, [[0, 0.1, 4.9, 0], GOOD[0]]), GraphError, r"\[0.0, 4.9\] m"),
         (lambda: arcs(2, GOOD, Diagonal(range=1, azimuth=1)), NoiseModelError, "'range_i', 'azimuth_i', 'range_j'"),
         (lambda: arcs(2, GOOD, offset=x[2]), GraphError, "offset is not an array of numbers: a variable"),
         (lambda: arcs(2, GOOD, offset=np.zeros(3)), GraphError, r"offset: .*shape \(1, 3\)"),
-        (lambda: arcs(2, GOOD, offset=np.tile(MOUNT, (3, 1))), GraphError, "3 offsets for 2 measurements"),
-        (lambda: EpipolarArc(x[1], x[1], GOOD[0], NOISE, LIMIT), GraphError, "joins x1 to itself"),
-    ],
+        (lambda: arcs(2, GOOD, offset=np.tile(MOUNT, (3, 1))), GraphError, "3 offsets for 2"),
+        (lambda: EpipolarArc(x[1], x[1], GOOD[0], NOISE, LIMIT), GraphError, "x1 to itself"),
+    ]
 )
-def test_what_does_not_fit(make: Callable[[], Factor], error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        bound(make(), SE3.identity(3))
-
-
-def test_poses_are_in_space() -> None:
-    with pytest.raises(GraphError, match="x0 is in SE2, this factor needs SE3"):
-        Values({x: (SE2, np.zeros((2, 3)))}).gather(arcs(1, GOOD[:1]))
+def test_what_does_not_fit(case: tuple[Callable[[], Factor], type[Exception], str]) -> None:
+    make, kind, named = case
+    refused(lambda: at(SE3.identity(3)).gather(make()), kind, named)
 
 
 def test_what_cannot_be_evaluated_is_named() -> None:
     """The second sonar has the point on its axis, where the search begins; noise that says nothing about the range."""
+    plane = Values({x: (SE2, np.zeros((2, 3)))})
+    refused(lambda: plane.gather(arcs(1, GOOD[:1])), GraphError, "x0 is in SE2")
     X = SE3.identity(2)
     X[1, :3] = cartesian(np.array([[4.0, 0.0, -0.1]]))[0][0] + [0, 0, 3.0]
-    model, stacks = bound(arcs(2, [[2.0, 0.1, 3.0, 0.0], [4.0, 0.0, 3.0, 0.0]], limit=0.1), X)
-    with pytest.raises(SingularGeometryError, match=r"EpipolarArc\(x0, x1\): the target is on the z axis"):
-        model.linearize(*stacks)
-    blind = Information(np.diag([0.0, 1.0, 0.0, 1.0]))
-    model, stacks = bound(arcs(1, GOOD[:1], blind), SE3.identity(2))
-    with pytest.raises(SingularGeometryError, match="its noise says too little to give the point a range"):
-        model.linearize(*stacks)
-    same(bound(arcs(1, GOOD[:1], Robust(Isotropic(), Huber(1))), SE3.identity(2))[0].error(*stacks).shape, (1, 4))
+    on_axis = arcs(2, [[2.0, 0.1, 3.0, 0.0], [4.0, 0.0, 3.0, 0.0]], limit=0.1)
+    refused(lambda: linearized(on_axis, at(X)), SingularGeometryError, r"EpipolarArc\(x0, x1\): .* z axis")
+    blind = arcs(1, GOOD[:1], Information(np.diag([0.0, 1.0, 0.0, 1.0])))
+    refused(lambda: linearized(blind, at(SE3.identity(2))), SingularGeometryError, "noise")
+    assert error(arcs(1, GOOD[:1], Robust(Isotropic(), Huber(1))), at(SE3.identity(2))).shape == (1, 4)

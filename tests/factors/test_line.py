@@ -16,9 +16,10 @@ from models.errors import GraphError, UnderconstrainedError
 from models.sensors import line_in_frame, normalized
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.starts import incremental, locate_points
+from tests.combinations import for_all
+from tests.factors.evaluated import refused, same
 
 Array = npt.NDArray[np.float64]
-same = np.testing.assert_allclose
 x, l, o = kinds("x", "l", "o")
 NOISE = Diagonal(alpha=0.01, r=0.03)
 WALLS = np.array([[0.0, 6.0], [pi / 2, 4.0], [-2.2, 3.0]])
@@ -112,7 +113,7 @@ def test_the_normal_of_the_start_does_not_matter() -> None:
     assert P[0, 1] * Q[0, 1] < 0
 
 
-@pytest.mark.parametrize("offset", ["none", "fixed", "variable"])
+@for_all(offset=["none", "fixed", "variable"])
 def test_lines_start_where_they_were_seen_first(offset: str) -> None:
     X = drive()
     O = None if offset == "none" else MOUNT
@@ -174,25 +175,13 @@ def test_parallel_walls_leave_the_way_along_them_free() -> None:
     same(graph.optimize(values).values[x[0]], 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("manifolds", "said"),
-    [
-        ((R(2), LINE), r"Line: x0 is in R\(2\), this factor needs SE2"),
-        ((SE2, R(2)), r"Line: l0 is in R\(2\), this factor needs LINE"),
-    ],
-)
-def test_other_spaces_are_refused(manifolds: tuple[object, object], said: str) -> None:
-    (pose, line) = manifolds
-    values = Values({x: (pose, pose.identity()), l: (line, line.identity())})  # type: ignore[attr-defined]
-    with pytest.raises(GraphError, match=said):
-        FactorGraph([Line(x[0], l[0], [0.0, 1.0], NOISE)]).chi2(values)
-
-
-def test_other_shapes_are_refused() -> None:
-    values = Values({x: (SE2, SE2.identity(2)), l: (LINE, LINE.identity())})
-    with pytest.raises(GraphError, match=r"LINE: elements have shape \(2, 3\), expected \(n, 2\)"):
-        FactorGraph([Line(x[[0, 1]], l[0], np.ones((2, 3)), NOISE)]).chi2(values)
-    with pytest.raises(GraphError, match="offset: SE2: elements have shape"):
-        FactorGraph([Line(x[[0, 1]], l[0], np.ones((2, 2)), NOISE, offset=[1.0, 2.0])]).chi2(values)
-    taken = Line(x[[0, 1]], l[0], [[1.0, 2.0], [3.0, -4.0]], NOISE)[1]
-    assert (repr(taken), taken.z.tolist()) == ("Line(x1, l0)", [[3.0, -4.0]])
+def test_what_does_not_fit() -> None:
+    for pose, wall, z, offset, named in (
+        (R(2), LINE, np.ones((2, 2)), None, r"Line: x0 is in R\(2\), .* SE2"),
+        (SE2, R(2), np.ones((2, 2)), None, r"Line: l0 is in R\(2\), .* LINE"),
+        (SE2, LINE, np.ones((2, 3)), None, r"LINE: .*\(2, 3\), expected \(n, 2\)"),
+        (SE2, LINE, np.ones((2, 2)), [1.0, 2.0], "offset: SE2"),
+    ):
+        values = Values({x: (pose, pose.identity(2)), l: (wall, wall.identity())})
+        factor = Line(x[[0, 1]], l[0], z, NOISE, offset)
+        refused(lambda values=values, factor=factor: values.gather(factor), GraphError, named)

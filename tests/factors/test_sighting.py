@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import pi
 
 import numpy as np
@@ -28,9 +27,10 @@ from factors.keys import Keys
 from models import SE2, SE3, SO2, LieGroup, R
 from models.errors import GraphError, NoiseModelError, SingularGeometryError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
+from tests.combinations import for_all
+from tests.factors.evaluated import error, linearized, refused, same
 
 Array = npt.NDArray[np.float64]
-same = np.testing.assert_allclose
 x, l, o = kinds("x", "l", "o")
 UNIT = Isotropic()
 QUARTER = [0.5, 0.0, pi / 2]  # half a meter ahead, looking to the vehicle's +y
@@ -38,47 +38,11 @@ KINDS = [Landmark, Range, Bearing, BearingRange]
 NUMBERS = {Landmark: (2, 3), Range: (1, 1), Bearing: (1, 2), BearingRange: (2, 3)}
 
 
-def error(factor: Factor, values: Values) -> Array:
-    model, X = values.gather(factor)
-    return model.error(*X)
-
-
 def plane(**more: object) -> Values:
     return Values({x: (SE2, [[1.0, 2.0, pi / 2], [0, 0, 0], [0, 0, 0]]), l: (R(2), [[1.0, 5.0], [4.0, 2.0]]), **more})
 
 
-def test_predictions_by_hand() -> None:
-    """The sensor is at (1, 2.5) and looks along -x: l0 is 2.5 m to its -y, l1 is 3 m behind it and 0.5 m to its +y."""
-    behind = np.arctan2(0.5, -3.0)
-    for factor, h in (
-        (Landmark(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[0.0, -2.5], [-3.0, 0.5]]),
-        (Range(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[2.5], [np.hypot(3.0, 0.5)]]),
-        (Bearing(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2], [behind]]),
-        (BearingRange(x[0], l[[0, 1]], [0, 0], UNIT, QUARTER), [[-pi / 2, 2.5], [behind, np.hypot(3.0, 0.5)]]),
-    ):
-        same(error(factor, plane()), -np.array(h), atol=1e-14)
-
-
-def test_every_measurement_may_have_its_own_offset() -> None:
-    rng = np.random.default_rng(1)
-    for group in (SE2, SE3):
-        X, L = group.exp(rng.normal(size=(5, group.dim))), rng.normal(size=(5, group.point_dim)) + 6
-        O = group.exp(rng.normal(size=(5, group.dim)))
-        values = Values({x: (group, X), l: (R(group.point_dim), L)})
-        for kind in KINDS:
-            z = np.zeros(NUMBERS[kind][group.point_dim - 2])
-            model, stacks = values.gather(kind(x[0:5], l[0:5], z, UNIT, offset=O))
-            A, b = model.linearize(*stacks)
-            for k in range(5):
-                one, one_X = values.gather(kind(x[k], l[k], z, UNIT, offset=O[k]))
-                A_one, b_one = one.linearize(*one_X)
-                same(b[[k]], b_one, atol=1e-14)
-                for A_k, A_k_one in zip(A, A_one, strict=True):
-                    same(A_k[[k]], A_k_one, atol=1e-14)
-
-
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-@pytest.mark.parametrize("kind", KINDS)
+@for_all(group=[SE2, SE3], kind=KINDS)
 def test_residuals_do_not_change_when_everything_is_moved(kind: type[Sighting], group: LieGroup) -> None:
     rng = np.random.default_rng(2)
     X, Y = group.exp(rng.normal(size=(2, 4, group.dim)))
@@ -92,8 +56,7 @@ def test_residuals_do_not_change_when_everything_is_moved(kind: type[Sighting], 
         same(error(factor, here), error(factor, moved), atol=1e-12)
 
 
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-@pytest.mark.parametrize("kind", [Landmark, BearingRange])
+@for_all(group=[SE2, SE3], kind=[Landmark, BearingRange])
 def test_locate_is_the_inverse_of_the_prediction(kind: type[Sighting], group: LieGroup) -> None:
     rng = np.random.default_rng(3)
     X, O = group.exp(rng.normal(size=(2, 6, group.dim)))
@@ -108,101 +71,74 @@ def test_locate_is_the_inverse_of_the_prediction(kind: type[Sighting], group: Li
         same(error(factor, Values({x: (group, X), l: (points, L), o: (group, O)})), 0.0, atol=1e-13)
 
 
-@pytest.mark.parametrize("kind", [Range, Bearing])
-def test_one_number_locates_nothing(kind: type[Sighting]) -> None:
-    factor = kind(x[0], l[0], 1.0, UNIT)
-    assert not factor.locates
-    with pytest.raises(NotImplementedError, match=f"{kind.__name__}: one measurement does not say where its target is"):
-        factor.locate(SE2, SE2.identity(), np.ones((1, 1)))
+def test_one_number_locates_nothing() -> None:
+    for kind in (Range, Bearing):
+        factor = kind(x[0], l[0], 1.0, UNIT)
+        assert not factor.locates
+        refused(lambda f=factor: f.locate(SE2, SE2.identity(), np.ones((1, 1))), NotImplementedError, kind.__name__)
 
 
 ZERO = np.zeros((2, 3))
 SPACE = Values({x: (SE3, SE3.identity(2)), l: (R(3), [[0, 0, 5.0], [1, 2, 3]]), o: (SE2, ZERO)})
 
 
-@pytest.mark.parametrize(
-    ("factor", "values", "message"),
-    [
-        (
-            Landmark(x[0], l[0], [1, 2], UNIT),
-            SPACE,
-            r"Landmark\(x0, l0\): R\(3\): elements have shape \(2,\), expected",
-        ),
-        (Landmark(x[0], l[0], [1, 2, 3], UNIT), plane(), r"Landmark\(x0, l0\): R\(2\): elements have shape \(3,\)"),
-        (Range(x[0], l[0:2], [1, 2, 3], UNIT), plane(), r"Range\(.*: 3 measurements for 2 sets of variables"),
-        (
-            Range(x[0], l[0:2], [[1, 2]], UNIT),
-            plane(),
-            r"Range\(.*: \(range\): elements have shape \(1, 2\), exp.*n, 1",
-        ),
-        (Bearing(x[0], l[0], [1, 2], UNIT), plane(), r"2 measurements for 1 sets of variables"),
-        (Bearing(x[0], l[0], 1, UNIT), SPACE, r"\(azimuth, elevation\): elements have shape \(\), expected \(n, 2\)"),
-        (
-            BearingRange(x[0], l[0], 1, UNIT),
-            plane(),
-            r"\(bearing, range\): elements have shape \(\), expected \(n, 2\)",
-        ),
-        (Range(l[0], x[0], 1, UNIT), plane(), r"Range\(l0, x0\): l0 is in R\(2\), expected a pose, SE2 or SE3"),
+@for_all(
+    case=[
+        (Landmark(x[0], l[0], [1, 2], UNIT), SPACE, r"Landmark\(x0, l0\): R\(3\): .*\(2,\)"),
+        (Landmark(x[0], l[0], [1, 2, 3], UNIT), plane(), r"Landmark\(x0, l0\): R\(2\): .*\(3,\)"),
+        (Range(x[0], l[0:2], [1, 2, 3], UNIT), plane(), "Range.* 3 measurements for 2"),
+        (Range(x[0], l[0:2], [[1, 2]], UNIT), plane(), r"Range.*\(range\): .*\(1, 2\), exp.*n, 1"),
+        (Bearing(x[0], l[0], [1, 2], UNIT), plane(), "2 measurements for 1"),
+        (Bearing(x[0], l[0], 1, UNIT), SPACE, r"\(azimuth, elevation\): .*\(\), expected \(n, 2\)"),
+        (BearingRange(x[0], l[0], 1, UNIT), plane(), r"\(bearing, range\): .*\(\), expected \(n, 2\)"),
+        (Range(l[0], x[0], 1, UNIT), plane(), r"Range\(l0, x0\): l0 is in R\(2\), expected .*SE2 or SE3"),
         (
             Range(x[0], l[0], 1, UNIT),
             Values({x: (SE2, ZERO), l: (R(3), ZERO)}),
-            r"Range\(x0, l0\): the target l0 is in R\(3\); from a pose of SE2 it must be in R\(2\) or SE2",
+            r"Range\(x0, l0\): .* l0 is in R\(3\); .*R\(2\) or SE2",
         ),
         (
             Bearing(x[0], l[0], [1, 2], UNIT),
             Values({x: (SE3, SE3.identity(1)), l: (SE2, ZERO)}),
-            r"the target l0 is in SE2; from a pose of SE3 it must be in R\(3\) or SE3",
+            r"l0 is in SE2; .*R\(3\) or SE3",
+        ),
+        (
+            Range(x[0], l[0], 1, UNIT),
+            Values({x: (SO2, [0.0]), l: (R(2), [[1, 1]])}),
+            r"Range\(x0, l0\): x0 is in SO2, expected .*SE2 or SE3",
         ),
         (Range(x[0], l[0], 1, UNIT, o[0]), SPACE, r"Range\(x0, l0, o0\): the offset o0 is in SE2, expected SE3"),
-        (
-            Range(x[0], l[0], 1, UNIT, [1, 2]),
-            plane(),
-            r"Range\(x0, l0\): offset: SE2: elements have shape \(1, 2\), exp",
-        ),
-        (Range(x[0], l[0], 1, UNIT, [1, np.nan, 2]), plane(), r"offset: SE2: element 0 is .* not finite"),
-        (Range(x[0], l[0], 1, UNIT, np.ones(7)), SPACE, r"offset: SE3: .*quaternion has length 2, expected 1"),
-        (Range(x[0], l[0], 1, UNIT, ZERO), plane(), r"Range\(x0, l0\): 2 offsets for 1 measurements; give one, or one"),
-        (Range(x[0:3], l[0], 1, UNIT, ZERO), plane(), r"2 offsets for 3 measurements; give one, or one for each"),
-    ],
+        (Range(x[0], l[0], 1, UNIT, [1, 2]), plane(), r"Range\(x0, l0\): offset: SE2: .*\(1, 2\), exp"),
+        (Range(x[0], l[0], 1, UNIT, [1, np.nan, 2]), plane(), "offset: SE2: element 0 .* not finite"),
+        (Range(x[0], l[0], 1, UNIT, np.ones(7)), SPACE, "offset: SE3: .*length 2, expected 1"),
+        (Range(x[0], l[0], 1, UNIT, ZERO), plane(), r"Range\(x0, l0\): 2 offsets for 1"),
+        (Range(x[0:3], l[0], 1, UNIT, ZERO), plane(), "2 offsets for 3"),
+    ]
 )
-def test_what_does_not_fit(factor: Factor, values: Values, message: str) -> None:
-    with pytest.raises(GraphError, match=message):
-        values.gather(factor)
+def test_what_does_not_fit(case: tuple[Factor, Values, str]) -> None:
+    factor, values, named = case
+    refused(lambda: values.gather(factor), GraphError, named)
 
 
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: Range(x[[0, 1]], l[0], [1.0, -2.0], UNIT), r"Range\(x1, l0\): its range is -2 m"),
-        (lambda: Range(x[0], l[0], -1e-9, UNIT), r"Range\(x0, l0\): its range is -1e-09 m"),
-        (lambda: Range(x[[0, 1]], l[0], [[1.0], [-2.0]], UNIT), r"Range\(x1, l0\)"),
-        (
-            lambda: BearingRange(x[[0, 1]], l[0], [[-1, 2], [-1, -3]], UNIT),
-            r"BearingRange\(x1, l0\): its range is -3 m",
-        ),
-        (lambda: BearingRange(x[[0, 1]], l[0], [[-1, -1, 2], [0, 0, -3]], UNIT), r"BearingRange\(x1, l0\)"),
-        (lambda: RangeAzimuth(x[[0, 1]], l[0], [[5, -1], [-5, 1]], UNIT), r"RangeAzimuth\(x1, l0\): its range is -5 m"),
-        (lambda: RangeAzimuth(x[3], l[0], [-5, 0.1], UNIT), r"RangeAzimuth\(x3, l0\)"),
-    ],
+@for_all(
+    case=[
+        (Range, x[[0, 1]], [1.0, -2.0], r"\(x1, l0\): its range is -2 m"),
+        (Range, x[0], -1e-9, r"\(x0, l0\): its range is -1e-09 m"),
+        (Range, x[[0, 1]], [[1.0], [-2.0]], r"\(x1, l0\)"),
+        (BearingRange, x[[0, 1]], [[-1, 2], [-1, -3]], r"\(x1, l0\): its range is -3 m"),
+        (BearingRange, x[[0, 1]], [[-1, -1, 2], [0, 0, -3]], r"\(x1, l0\)"),
+        (RangeAzimuth, x[[0, 1]], [[5, -1], [-5, 1]], r"\(x1, l0\): its range is -5 m"),
+        (RangeAzimuth, x[3], [-5, 0.1], r"\(x3, l0\)"),
+        (Bearing, x[0], 45.0, r"\(x0, l0\): its bearing is 45 rad.* degrees"),
+        (Bearing, x[[0, 1]], [0.5, -6.3], r"\(x1, l0\): its bearing is -6.3 rad"),
+        (Bearing, x[[0, 1]], [[0, 1], [0, 7]], r"\(x1, l0\): its elevation is 7 rad"),
+        (BearingRange, x[0], [90, 3], r"\(x0, l0\): its bearing is 90 rad"),
+        (RangeAzimuth, x[[0, 1]], [[9, 1], [9, 12]], r"\(x1, l0\): its azimuth is 12"),
+    ]
 )
-def test_no_range_is_below_zero(make: Callable[[], Factor], named: str) -> None:
-    with pytest.raises(GraphError, match=named):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: Bearing(x[0], l[0], 45.0, UNIT), r"Bearing\(x0, l0\): its bearing is 45 rad"),
-        (lambda: Bearing(x[[0, 1]], l[0], [0.5, -6.3], UNIT), r"Bearing\(x1, l0\): its bearing is -6.3 rad"),
-        (lambda: Bearing(x[[0, 1]], l[0], [[0, 1], [0, 7]], UNIT), r"Bearing\(x1, l0\): its elevation is 7 rad"),
-        (lambda: BearingRange(x[0], l[0], [90, 3], UNIT), r"BearingRange\(x0, l0\): its bearing is 90 rad"),
-        (lambda: RangeAzimuth(x[[0, 1]], l[0], [[9, 1], [9, 12]], UNIT), r"RangeAzimuth\(x1, l0\): its azimuth is 12"),
-    ],
-)
-def test_no_direction_is_beyond_a_turn(make: Callable[[], Factor], named: str) -> None:
-    with pytest.raises(GraphError, match=rf"^{named}.* expected radians. Are these degrees\?"):
-        make()
+def test_no_range_is_below_zero_and_no_direction_beyond_a_turn(case: tuple[type[Sighting], Keys, object, str]) -> None:
+    kind, pose, z, named = case
+    refused(lambda: kind(pose, l[0], z, UNIT), GraphError, f"^{kind.__name__}{named}")
 
 
 def test_a_turn_is_a_direction_and_meters_are_no_angle() -> None:
@@ -211,13 +147,9 @@ def test_a_turn_is_a_direction_and_meters_are_no_angle() -> None:
     for z in (-pi / 4, 7 * pi / 4):
         same(error(Bearing(x[0], l[0], z, UNIT), here), [[0.0]], atol=1e-12)
     assert len(Bearing(x[0], l[0], 2 * pi, UNIT)) == 1
-    for factor in (Range(x[0], l[0], 45.0, UNIT), Landmark(x[0], l[0], [45.0, -45.0], UNIT)):
-        assert len(factor) == 1
-
-
-def test_what_is_no_range_may_be_below_zero() -> None:
     for factor in (
-        Landmark(x[0], l[0], [-1, -1], UNIT),
+        Range(x[0], l[0], 45.0, UNIT),
+        Landmark(x[0], l[0], [45.0, -45.0], UNIT),
         Bearing(x[0], l[0], -1.0, UNIT),
         BearingRange(x[0], l[0], [-1, -1, 0.0], UNIT),
         RangeAzimuth(x[0], l[0], [0.0, -1], UNIT),
@@ -226,12 +158,9 @@ def test_what_is_no_range_may_be_below_zero() -> None:
         assert len(factor) <= 1
 
 
-def test_offsets_that_are_no_numbers() -> None:
-    with pytest.raises(GraphError, match=r"Range\(x0, l0\): its offset is not an array of numbers"):
-        Range(x[0], l[0], 1, UNIT, offset=["bow", 0, 0])
-
-
 def test_the_offset_given_stays_the_offset() -> None:
+    bow = r"Range\(x0, l0\): its offset is not an array of numbers"
+    refused(lambda: Range(x[0], l[0], 1, UNIT, offset=["bow", 0, 0]), GraphError, bow)
     given = np.array(QUARTER)
     factor = Range(x[0], l[0], 2.5, UNIT, given)
     given[:] = 9.0
@@ -244,45 +173,31 @@ def test_the_offset_given_stays_the_offset() -> None:
 
 
 def test_noise_by_name() -> None:
-    for noise, factor in (
-        (Diagonal(range=0.5, bearing=0.1), BearingRange(x[0], l[0], [0.25, 2.0], UNIT)),
-        (Diagonal([0.1, 0.5]), BearingRange(x[0], l[0], [0.25, 2.0], UNIT)),
-    ):
-        named = BearingRange(x[0], l[0], factor.z, noise)
-        same(error(named, plane()), error(factor, plane()) / [[0.1, 0.5]])
-    with pytest.raises(NoiseModelError, match=r"the measurement's components are \['azimuth', 'elevation', 'range'\]"):
-        SPACE.gather(BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, range=0.5)))
+    e = error(BearingRange(x[0], l[0], [0.25, 2.0], UNIT), plane())
+    for noise in (Diagonal(range=0.5, bearing=0.1), Diagonal([0.1, 0.5])):
+        same(error(BearingRange(x[0], l[0], [0.25, 2.0], noise), plane()), e / [[0.1, 0.5]])
+    other = BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, range=0.5))
+    refused(lambda: SPACE.gather(other), NoiseModelError, r"\['azimuth', 'elevation', 'range'\]")
 
 
-@pytest.mark.parametrize(
-    ("make", "values", "message"),
-    [
-        (lambda: Range(x[0:2], l[0:2], 1, UNIT), "plane", r"Range\(x1, l1\): the target is at the sensor itself"),
-        (lambda: Bearing(x[0:2], l[0:2], 1, UNIT), "plane", r"Bearing\(x1, l1\): the target is at the sensor itself"),
-        (lambda: BearingRange(x[0:2], l[0:2], [1, 1], UNIT), "plane", r"BearingRange\(x1, l1\): .*\(zero range\)"),
-        (lambda: Bearing(x[0:2], l[[1, 0]], [1, 1], UNIT), "space", r"Bearing\(x1, l0\): .* z axis of the sensor"),
-        (lambda: BearingRange(x[0:2], l[[1, 0]], [1, 1, 1], UNIT), "space", r"BearingRange\(x1, l0\): .* z axis of"),
-    ],
+@for_all(
+    case=[
+        (Range(x[0:2], l[0:2], 1, UNIT), r"Range\(x1, l1\): .* at the sensor"),
+        (Bearing(x[0:2], l[0:2], 1, UNIT), r"Bearing\(x1, l1\): .* at the sensor"),
+        (BearingRange(x[0:2], l[0:2], [1, 1], UNIT), r"BearingRange\(x1, l1\): .*zero range"),
+        (Bearing(x[0:2], l[[1, 0]], [1, 1], UNIT), r"Bearing\(x1, l0\): .* z axis"),
+        (BearingRange(x[0:2], l[[1, 0]], [1, 1, 1], UNIT), r"BearingRange\(x1, l0\): .* z axis"),
+    ]
 )
-def test_singular_geometry_names_the_measurement(make: Callable[[], Factor], values: str, message: str) -> None:
-    here = SPACE if values == "space" else Values({x: (SE2, ZERO), l: (R(2), [[1.0, 0.0], [0.0, 0.0]])})
-    factor = make()
-    model, X = here.gather(factor)
-    for evaluate in (model.error, model.linearize):
-        with pytest.raises(SingularGeometryError, match=message) as caught:
-            evaluate(*X)
-        assert caught.value.factor == type(factor).__name__
-        assert caught.value.keys == tuple(k[[1]] for k in factor.keys)
-
-
-def test_a_landmark_at_the_sensor_is_no_problem() -> None:
-    values = Values({x: (SE2, [[1.0, 2.0, 0.3]]), l: (R(2), [[1.0, 2.0]])})
-    same(error(Landmark(x[0], l[0], [0, 0], UNIT), values), 0.0, atol=1e-15)
-
-
-def test_no_pose_of_another_kind() -> None:
-    with pytest.raises(GraphError, match=r"Range\(x0, l0\): x0 is in SO2, expected a pose, SE2 or SE3"):
-        Values({x: (SO2, [0.0]), l: (R(2), [[1, 1]])}).gather(Range(x[0], l[0], 1, UNIT))
+def test_singular_geometry_names_the_measurement(case: tuple[Factor, str]) -> None:
+    factor, named = case
+    here = SPACE if "z axis" in named else Values({x: (SE2, ZERO), l: (R(2), [[1.0, 0.0], [0.0, 0.0]])})
+    for evaluate in (error, linearized):
+        caught = refused(lambda evaluate=evaluate: evaluate(factor, here), SingularGeometryError, named)
+        assert caught.factor == type(factor).__name__
+        assert caught.keys == tuple(k[[1]] for k in factor.keys)
+    at_sensor = Values({x: (SE2, [[1.0, 2.0, 0.3]]), l: (R(2), [[1.0, 2.0]])})
+    same(error(Landmark(x[0], l[0], [0, 0], UNIT), at_sensor), 0.0, atol=1e-15)
 
 
 def surveyed(turns: Array) -> tuple[FactorGraph, Values, Array, Array]:
@@ -330,7 +245,7 @@ def test_a_known_mounting_does_not_hold_the_map() -> None:
     same(result.values[o[0]], mount, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", [*KINDS, RangeAzimuth])
+@for_all(kind=[*KINDS, RangeAzimuth])
 def test_mounted_elsewhere(kind: type[Sighting]) -> None:
     """The same as a factor made there; a variable at the place of the fixed offset measures the same."""
     rng = np.random.default_rng(5)

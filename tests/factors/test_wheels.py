@@ -12,8 +12,8 @@ from models import SE2, SE3, Measured
 from models.errors import GraphError, NoiseModelError, OptionError, UnderconstrainedError
 from models.vehicles import differential_drive, travel_sigmas
 from nls import FactorGraph, Values, kinds
+from tests.factors.evaluated import refused, same
 
-same = np.testing.assert_allclose
 (x,) = kinds("x")
 NOISE = Diagonal(right=0.01, left=0.01, lateral=0.001)
 BASE = 0.5
@@ -47,7 +47,9 @@ def test_slip_across_is_measured_as_zero_unless_given() -> None:
         same(Wheels(x[0], x[1], factor.z, Isotropic(1.0), BASE).chi2(slid), e * e, atol=1e-14)
 
 
-def test_parts_of_a_batch_and_shared_travel() -> None:
+def test_turns_are_the_shorter_way_round_and_travel_may_be_shared() -> None:
+    turn, over_pi = 2 * pi - 6.2, Values({x: (SE2, [[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]])})
+    same(Wheels(x[0], x[1], [turn * BASE / 2, -turn * BASE / 2], NOISE, BASE).chi2(over_pi), 0.0, atol=1e-20)
     values = Values({x: (SE2, np.random.default_rng(1).normal(size=(4, 3)))})
     z = np.array([[1.0, 0.9], [0.5, 0.6], [0.2, 0.2]])
     factor = Wheels(x[0:3], x[1:4], z, Diagonal(travel_sigmas(z, 0.01, 0.02, 0.001)), BASE)
@@ -55,18 +57,11 @@ def test_parts_of_a_batch_and_shared_travel() -> None:
     assert not factor.z.flags.writeable
     for k in range(3):
         assert factor[k].chi2(values) == pytest.approx(factor.chi2(values)[[k]], rel=1e-12)
-        assert factor[k].base == BASE  # type: ignore[attr-defined]
+        assert factor[k].base == BASE
     same(
         Wheels(x[0:3], x[1:4], [1.0, 0.9], NOISE, BASE).chi2(values)[0],
         Wheels(x[0], x[1], z[0], NOISE, BASE).chi2(values)[0],
     )
-
-
-def test_turns_are_the_shorter_way_round() -> None:
-    values = Values({x: (SE2, [[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]])})
-    turn = 2 * pi - 6.2
-    factor = Wheels(x[0], x[1], [turn * BASE / 2, -turn * BASE / 2], NOISE, BASE)
-    same(factor.chi2(values), 0.0, atol=1e-20)
 
 
 def test_without_a_slip_that_is_measured_the_heading_does_not_hold_the_way() -> None:
@@ -76,22 +71,15 @@ def test_without_a_slip_that_is_measured_the_heading_does_not_hold_the_way() -> 
         graph.optimize(values)
 
 
-@pytest.mark.parametrize("base", [0.0, -0.5, float("nan"), float("inf"), "wide", None, True, [0.5]])
-def test_a_base_is_a_length(base: object) -> None:
-    with pytest.raises(OptionError, match="Wheels: base"):
-        Wheels(x[0], x[1], [1.0, 1.0], NOISE, base)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("z", [1.0, [1.0], [1.0, 1.0, 0.0, 0.0], np.ones((2, 2, 2)), []])
-def test_other_shapes_are_refused(z: object) -> None:
-    with pytest.raises(GraphError, match=r"Wheels\(x0, x1\): z has shape .*, expected \(n, 2\)"):
-        Wheels(x[0], x[1], z, NOISE, BASE)  # type: ignore[arg-type]
-
-
-def test_other_spaces_and_wheels_that_stand_still_are_refused() -> None:
-    with pytest.raises(GraphError, match="Wheels: x0 is in SE3, this factor needs SE2"):
-        FactorGraph([Wheels(x[0], x[1], [1.0, 1.0], NOISE, BASE)]).chi2(Values({x: (SE3, SE3.identity(2))}))
+def test_what_does_not_fit() -> None:
+    for base in (0.0, -0.5, float("nan"), float("inf"), "wide", None, True, [0.5]):
+        refused(lambda base=base: Wheels(x[0], x[1], [1.0, 1.0], NOISE, base), OptionError, "Wheels: base")
+    for z in (1.0, [1.0], [1.0, 1.0, 0.0, 0.0], np.ones((2, 2, 2)), []):
+        named = r"Wheels\(x0, x1\): z has shape .*, expected \(n, 2\)"
+        refused(lambda z=z: Wheels(x[0], x[1], z, NOISE, BASE), GraphError, named)
+    space, plane = Values({x: (SE3, SE3.identity(3))}), Values({x: (SE2, SE2.identity(3))})
+    refused(lambda: Wheels(x[0], x[1], [1.0, 1.0], NOISE, BASE).chi2(space), GraphError, "Wheels: x0 is in SE3, .*SE2")
     still = np.array([[1.0, 1.0], [0.0, 0.1]])
     factor = Wheels(x[[0, 1]], x[[1, 2]], still, Diagonal(travel_sigmas(still, 0.01, 0.01, 0.001)), BASE)
-    with pytest.raises(NoiseModelError, match=r"Wheels\(x1, x2\): sigma of right, measurement 1, is 0"):
-        factor.chi2(Values({x: (SE2, SE2.identity(3))}))
+    named = r"Wheels\(x1, x2\): sigma of right, measurement 1, is 0"
+    refused(lambda: factor.chi2(plane), NoiseModelError, named)

@@ -12,19 +12,11 @@ from hypothesis import strategies as st
 
 from models import SE3
 from models.algebra import apply, arrangement, components, dot, matrix, pack, product, sinc, skew, stumpff, wrap
+from tests.combinations import for_all
 
-BATCHES = [
-    ((), ()),
-    ((1,), ()),
-    ((), (5,)),
-    ((5,), (5,)),
-    ((1,), (5,)),
-    ((3, 1, 2), (2,)),
-    ((2,), (3, 1, 2)),
-    ((3, 1, 2), (4, 1)),
-    ((0,), (0,)),
-    ((0,), (1,)),
-]
+BATCHES = [((), ()), ((1,), ()), ((), (5,)), ((5,), (5,)), ((1,), (5,)), ((3, 1, 2), (2,)), ((2,), (3, 1, 2))]
+BATCHES += [((3, 1, 2), (4, 1)), ((0,), (0,)), ((0,), (1,))]
+SHAPES: list[tuple[int, ...]] = [(), (1,), (5,), (3, 1, 2), (0,)]
 
 
 @given(st.floats(-1e6, 1e6))
@@ -48,20 +40,15 @@ def test_wrap_at_the_ends_of_the_range() -> None:
     assert 3.1415 < float(wrap(-above)) < np.pi or float(wrap(-above)) == -np.pi
     assert wrap([3 * np.pi, -3 * np.pi, 2 * np.pi, 0.0]) == pytest.approx([-np.pi, -np.pi, 0.0, 0.0], abs=1e-15)
 
-
-@pytest.mark.parametrize("angle", [1e9, -1e9, 1e15, -1e15, 1e300, -1e300])
-def test_wrap_of_huge_angles_stays_in_range(angle: float) -> None:
-    assert -np.pi <= float(wrap(angle)) < np.pi
-
-
-def test_wrap_of_many_turns() -> None:
+    for huge in (1e9, -1e9, 1e15, -1e15, 1e300, -1e300):
+        assert -np.pi <= float(wrap(huge)) < np.pi
     turns = np.array([-100_000, -7, -1, 1, 12, 100_000])
     assert wrap(0.5 + 2 * np.pi * turns) == pytest.approx(0.5, abs=1e-9)
     assert wrap(np.zeros((3, 1, 2))).shape == (3, 1, 2)
 
 
-@pytest.mark.parametrize("batches", BATCHES, ids=str)
-def test_product_is_matmul(batches: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+@for_all(batches=BATCHES)
+def test_product_is_matmul_and_dot_the_sum_of_products(batches: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
     rng = np.random.default_rng(0)
     for r, k, c in itertools.product([1, 2, 3, 4, 6], [1, 2, 3, 6], [1, 2, 3, 7]):
         A, B = rng.normal(size=(*batches[0], r, k)), rng.normal(size=(*batches[1], k, c))
@@ -70,15 +57,14 @@ def test_product_is_matmul(batches: tuple[tuple[int, ...], tuple[int, ...]]) -> 
         assert np.abs(found - expected).max(initial=0.0) < 1e-14, (r, k, c)
         x = B[..., 0]
         assert np.abs(apply(A, x) - (A @ x[..., None])[..., 0]).max(initial=0.0) < 1e-14, (r, k, c)
+    a, b = rng.normal(size=(*batches[0], 4)), rng.normal(size=(*batches[1], 4))
+    assert dot(a, b) == pytest.approx((a * b).sum(axis=-1), abs=1e-15)
 
 
-def test_product_does_not_write_into_its_arguments() -> None:
-    rng = np.random.default_rng(1)
-    A, B = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3))
-    before = A.copy(), B.copy()
-    product(A, B)
-    np.testing.assert_array_equal(A, before[0])
-    np.testing.assert_array_equal(B, before[1])
+def test_product_refuses_inner_sizes_that_differ() -> None:
+    for A, B in (((2, 1), (3, 2)), ((2, 3), (1, 2)), ((5, 2, 2), (3, 3))):
+        with pytest.raises(ValueError, match="inner sizes"):
+            product(np.zeros(A), np.zeros(B))
 
 
 def test_pack_and_components_undo_each_other() -> None:
@@ -89,20 +75,21 @@ def test_pack_and_components_undo_each_other() -> None:
     assert components(pack([x, y]))[0].flags.c_contiguous, "a component of a packed stack is contiguous"
 
 
-def test_matrix_puts_entries_in_their_places() -> None:
-    a = np.array([10.0, 20.0])
-    np.testing.assert_array_equal(matrix([[a, 1.0, 2.0], [3.0, a + 1, 5.0]])[1], [[20, 1, 2], [3, 21, 5]])
-    assert matrix([[a, 1.0, 2.0], [3.0, a + 1, 5.0]]).shape == (2, 2, 3)
-
-
-@pytest.mark.parametrize("batch", [(), (1,), (3, 1, 2)], ids=str)
-def test_skew_is_the_cross_product(batch: tuple[int, ...]) -> None:
+@for_all(batch=SHAPES)
+def test_entries_are_put_in_their_places(batch: tuple[int, ...]) -> None:
     rng = np.random.default_rng(2)
     w, v = rng.normal(size=(*batch, 3)), rng.normal(size=(*batch, 3))
     K = skew(w)
     assert K.shape == (*batch, 3, 3)
     np.testing.assert_array_equal(K, -K.mT)
     assert apply(K, v) == pytest.approx(np.cross(w, v), abs=1e-15)
+    x, y, z = components(v)
+    M = matrix([[x, -y, 0 * z], [-z, y, x]])
+    np.testing.assert_array_equal(M[..., 1, 0], -z)
+    assert M.shape == (*batch, 2, 3)
+    for stored in (v, pack(components(v))):
+        np.testing.assert_array_equal(arrangement([[1, -2, 0], [-3, 2, 1]])(stored), M)
+    np.testing.assert_array_equal(matrix([[y, 1.0], [3.0, y + 1]])[..., 0, 1], np.ones(batch))
 
 
 def exact(k: int, x: float) -> float:
@@ -125,7 +112,7 @@ POINTS = np.array([0.0, 1e-300, 1e-18, 1e-14, 1e-8, 1e-4, 0.1, 0.5, 1.0, 1.5, *S
 POINTS = np.append(POINTS, [(np.pi - s) ** 2 for s in (1e-3, 1e-7, 1e-9, 0.0)])
 
 
-@pytest.mark.parametrize("k", range(7))
+@for_all(k=range(7))
 def test_stumpff_against_sixty_digits(k: int) -> None:
     expected = np.array([exact(k, float(x)) for x in POINTS])
     (found,) = stumpff(POINTS, k)
@@ -134,7 +121,7 @@ def test_stumpff_against_sixty_digits(k: int) -> None:
     np.testing.assert_array_equal(alone, found, "a value must not depend on its neighbors in the batch")
 
 
-@pytest.mark.parametrize("batch", [(), (1,), (3, 1, 2), (0,)], ids=str)
+@for_all(batch=SHAPES)
 def test_stumpff_keeps_order_and_shape(batch: tuple[int, ...]) -> None:
     x = np.random.default_rng(3).uniform(0.0, 9.0, size=batch)
     c4, c0, c2 = stumpff(x, 4, 0, 2)
@@ -142,22 +129,6 @@ def test_stumpff_keeps_order_and_shape(batch: tuple[int, ...]) -> None:
     assert c0 == pytest.approx(np.cos(np.sqrt(x)), abs=1e-15)
     assert c2 == pytest.approx((1 - c0) / np.where(x > 0, x, 1.0), abs=1e-15)
     assert c4 == pytest.approx((0.5 - c2) / x, abs=1e-14)
-
-
-@pytest.mark.parametrize("batch", [(), (1,), (5,), (3, 1, 2), (0,)], ids=str)
-def test_arrangement_puts_signed_components_in_their_places(batch: tuple[int, ...]) -> None:
-    X = np.random.default_rng(4).normal(size=(*batch, 3))
-    x, y, z = components(X)
-    expected = matrix([[x, -y, 0 * z], [-z, y, x]])
-    for stored in (X, pack(components(X))):
-        np.testing.assert_array_equal(arrangement([[1, -2, 0], [-3, 2, 1]])(stored), expected)
-
-
-@pytest.mark.parametrize("batches", BATCHES, ids=str)
-def test_dot_is_the_sum_of_products(batches: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-    rng = np.random.default_rng(5)
-    a, b = rng.normal(size=(*batches[0], 4)), rng.normal(size=(*batches[1], 4))
-    assert dot(a, b) == pytest.approx((a * b).sum(axis=-1), abs=1e-15)
 
 
 def test_sinc_is_one_at_zero_and_even() -> None:
@@ -177,9 +148,3 @@ def test_results_are_stored_components_first() -> None:
     X, delta = SE3.exp(rng.normal(size=(5, 6))), rng.normal(size=(5, 6))
     for found in (X, SE3.retract(X, delta), SE3.between(X, X[::-1])):
         assert found.T.flags.c_contiguous
-
-
-@pytest.mark.parametrize(("A", "B"), [((2, 1), (3, 2)), ((2, 3), (1, 2)), ((5, 2, 2), (3, 3))], ids=str)
-def test_product_refuses_inner_sizes_that_differ(A: tuple[int, ...], B: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="the inner sizes differ"):
-        product(np.zeros(A), np.zeros(B))

@@ -11,8 +11,9 @@ from models.algebra import Array
 from models.alignment import align, three_points
 from models.errors import GraphError, SingularGeometryError
 from models.sensors import SingularAt
+from tests.combinations import for_all
 
-GROUPS = [SE2, SE3]
+every_group = pytest.mark.parametrize("group", [SE2, SE3], ids=str)
 
 
 def motions(group: LieGroup, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -28,9 +29,8 @@ def apart(group: LieGroup, S: Array, T: Array) -> float:
     return float(np.abs(group.local(S, T)).max())
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
-@pytest.mark.parametrize("n", [3, 20])
+@every_group
+@for_all(shape=[(), (1,), (5,), (2, 3)], n=[3, 20])
 def test_exact_points_give_their_motion(group: LieGroup, shape: tuple[int, ...], n: int) -> None:
     rng = np.random.default_rng(1)
     T, v = motions(group, shape, rng), 5 * rng.normal(size=(*shape, n, group.point_dim)) + 100
@@ -39,24 +39,8 @@ def test_exact_points_give_their_motion(group: LieGroup, shape: tuple[int, ...],
         found = align(u, v, weights)
         assert found.shape == T.shape
         assert apart(group, T, found) < 1e-10
-
-
-def test_three_points_are_the_closed_form() -> None:
-    """D(u) = R D(v), a scalene triangle turned by 90 degrees about z, then about x."""
-    v = np.array([[1.0, 2, 3], [4, 2, 3], [1, 4, 4]])
-    u = np.column_stack([7 - v[:, 1], 8 - v[:, 2], 9 + v[:, 0]])
-    T = three_points(u, v)
-    assert SE3.rotation(T) == pytest.approx(np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), abs=1e-12)
-    assert T[:3] == pytest.approx([7, 8, 9])
-
-
-@pytest.mark.parametrize("shape", [(), (50,)])
-def test_three_exact_points_agree_with_least_squares(shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(2)
-    T, v = motions(SE3, shape, rng), rng.normal(size=(*shape, 3, 3))
-    u = SE3.act(T[..., None, :], v)
-    assert apart(SE3, three_points(u, v), align(u, v)) < 1e-9
-    assert apart(SE3, three_points(u, v), T) < 1e-9
+    if n == 3 and group is SE3:
+        assert apart(SE3, three_points(u - 100, v - 100), align(u - 100, v - 100)) < 1e-9
 
 
 def test_three_noisy_points_differ_by_their_noise() -> None:
@@ -89,8 +73,8 @@ def test_the_determinant_guards_against_reflections() -> None:
     assert np.median(np.abs(SE3.local(T, found)).max(axis=1)) < 3e-3
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-@pytest.mark.parametrize("mirrored", [False, True])
+@every_group
+@for_all(mirrored=[False, True])
 def test_no_other_motion_is_better(group: LieGroup, mirrored: bool) -> None:
     rng = np.random.default_rng(5)
     v, w = rng.normal(size=(12, group.point_dim)), rng.uniform(0.2, 3, 12)
@@ -131,19 +115,15 @@ def test_errors_fall_with_the_square_root_of_the_number_of_points() -> None:
 LINE = np.linspace(0, 3, 10)[:, None] * [1.0, 2, -1] + [40, 5, 6]
 
 
-@pytest.mark.parametrize(
-    ("v", "what"),
-    [(LINE, "10 points on one line"), (LINE[:2], "2 points on one line"), (np.ones((4, 3)), "4 points on one spot")],
-)
-def test_points_that_leave_a_rotation_free(v: Array, what: str) -> None:
-    with pytest.raises(SingularGeometryError, match=what + " leave a rotation free; align more"):
-        align(v, v)
-    other = np.random.default_rng(8).normal(size=v.shape)
-    with pytest.raises(SingularGeometryError, match="leave a rotation free"):
-        align(other, v)
-    with pytest.raises(SingularAt) as raised:
-        align(np.stack([other, other]), np.stack([other if len(v) > 2 else v, v]))
-    assert raised.value.index == (1 if len(v) > 2 else 0)
+def test_points_that_leave_a_rotation_free() -> None:
+    for v, what in ((LINE, "10 points on one line"), (LINE[:2], "2 points"), (np.ones((4, 3)), "4 points on one spot")):
+        other = np.random.default_rng(8).normal(size=v.shape)
+        for u, named in ((v, what), (other, "rotation free")):
+            with pytest.raises(SingularGeometryError, match=named):
+                align(u, v)
+        with pytest.raises(SingularAt) as raised:
+            align(np.stack([other, other]), np.stack([other if len(v) > 2 else v, v]))
+        assert raised.value.index == (1 if len(v) > 2 else 0)
 
 
 def test_what_is_nearly_a_line_is_not_refused() -> None:
@@ -167,22 +147,19 @@ def test_three_points_in_line_and_weights_of_nothing() -> None:
 
 
 def test_mistakes() -> None:
-    v = np.eye(3)
-    for u, wrong in ((v, v[:2]), (v[0], v[0]), (v[:, :1], v[:, :1]), (v[:0], v[:0])):
-        for function in (align, three_points):
+    v, tall = np.eye(3), np.eye(4)[:, :3]
+    hole = [[0, 0, 0], [0, np.nan, 0], [1, 0, 0]]
+    for f in (align, three_points):
+        for u, wrong in ((v, v[:2]), (v[0], v[0]), (v[:, :1], v[:, :1]), (v[:0], v[:0])):
             with pytest.raises(GraphError, match="expected the same"):
-                function(u, wrong)
-    with pytest.raises(GraphError, match=r"three_points: shape \(4, 3\), expected"):
-        three_points(np.eye(4)[:, :3], np.eye(4)[:, :3])
-    for function in (align, three_points):
-        with pytest.raises(GraphError, match="v has a number that is not finite, nan"):
-            function(v, [[0, 0, 0], [0, np.nan, 0], [1, 0, 0]])
-        with pytest.raises(GraphError, match="u is not an array of numbers"):
-            function([["a"]], v)
-        with pytest.raises(GraphError, match="beyond the largest number"):
-            function(1e200 * v, 1e200 * v)
+                f(u, wrong)
+        for u, wrong, named in ((v, hole, "v .* nan"), ([["a"]], v, "u is not"), (1e200 * v, 1e200 * v, "largest")):
+            with pytest.raises(GraphError, match=named):
+                f(u, wrong)
+    with pytest.raises(GraphError, match=r"three_points: shape \(4, 3\)"):
+        three_points(tall, tall)
     for weights in ([1, -1, 1], [1, 1], [[[1.0, 1, 1]]], 2.0):
-        with pytest.raises(GraphError, match=r"align: weights have shape .*, expected \(3,\), and none below 0"):
+        with pytest.raises(GraphError, match=r"weights .*, expected \(3,\)"):
             align(v, v, weights)
-    with pytest.raises(GraphError, match="weights has a number that is not finite"):
+    with pytest.raises(GraphError, match=r"weights .* inf"):
         align(v, v, [1, np.inf, 1])

@@ -11,6 +11,7 @@ import pytest
 from models import SE3, SO3
 from models.algebra import Array
 from models.dead_reckoning import Legs, integrate
+from tests.combinations import for_all
 
 BETA, GAP = 0.1, (5.0, 15.0)
 T = np.linspace(0.0, 20.0, 101)
@@ -33,25 +34,19 @@ def summed(legs: Legs) -> Array:
     return np.asarray((M @ legs.Sigma @ M.mT).sum(axis=0))
 
 
-@pytest.mark.parametrize(
-    "noise",
-    [
+def test_the_end_does_not_depend_on_the_number_of_legs() -> None:
+    """Bridge, velocities before and after it, and rates that legs share; boundaries on samples and between them."""
+    for noise in (
         {"sigma_bridge": 0.1, "sigma_v": 1e-6},
         {"sigma_bridge": 1e-6, "sigma_v": 0.05},
         {"sigma_bridge": 0.05, "sigma_v": [0.02, 0.05, 0.1]},
         {"sigma_bridge": 1e-6, "sigma_v": 1e-6, "sigma_w": 0.01},
-    ],
-)
-def test_the_end_does_not_depend_on_the_number_of_legs(noise: dict[str, Any]) -> None:
-    """Bridge, velocities before and after it, and rates that legs share; boundaries on samples and between them."""
-    v = np.zeros((len(T), 3)) if "sigma_w" in noise else None  # or the noise of the turn is part of the way
-    one = summed(legs_of(np.array([0.0, 20.0]), v=v, **noise))
-    for boundaries in ([0.0, 9.3, 20.0], [0.0, 5.0, 15.0, 20.0], np.linspace(0, 20, 21), np.linspace(0, 20, 78)):
-        many = summed(legs_of(np.array(boundaries), v=v, **noise))
-        np.testing.assert_allclose(many, one, rtol=0.01, atol=1e-6 * one.max())
-
-
-def test_it_is_the_variance_of_a_bridge() -> None:
+    ):
+        v = np.zeros((len(T), 3)) if "sigma_w" in noise else None  # or the noise of the turn is part of the way
+        one = summed(legs_of(np.array([0.0, 20.0]), v=v, **noise))
+        for boundaries in ([0.0, 9.3, 20.0], [0.0, 5.0, 15.0, 20.0], np.linspace(0, 20, 21), np.linspace(0, 20, 78)):
+            many = summed(legs_of(np.array(boundaries), v=v, **noise))
+            np.testing.assert_allclose(many, one, rtol=0.01, atol=1e-6 * one.max())
     for n in (2, 11, 51):
         assert np.sqrt(summed(legs_of(np.linspace(5.0, 15.0, n)))[0, 0]) == pytest.approx(BETA * 10**1.5 / 12**0.5)
 
@@ -68,29 +63,28 @@ def test_no_combination_of_legs_is_better_known_than_the_bridge_allows() -> None
     assert (np.diagonal(D) > np.diagonal(C)).all()
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.3])
+@for_all(rate=[0.0, 0.3])
 def test_errors_at_the_end_of_a_drop_out(rate: float) -> None:
     """Monte Carlo: 400 bridges, 10 legs; the spread of the end is the stated one, and not above it in a turn."""
-    runs, rng, b = 400, np.random.default_rng(5), np.linspace(5.0, 15.0, 11)
+    runs, rng = 400, np.random.default_rng(5)
     lost = np.flatnonzero(~VALID)
-    share = ((T[lost[0] - 1 : lost[-1] + 2] - 5.0) / 10.0)[:, None]
-    stated = legs_of(b, rate)
+    inside = slice(lost[0] - 1, lost[-1] + 2)
+    share = ((T[inside] - 5.0) / 10.0)[:, None]
+    stated = legs_of(np.linspace(5.0, 15.0, 11), rate)
     end = stated.track([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])[-1:]
-    errors = np.empty((runs, 3))
-    for e in errors:
-        walk = np.zeros((len(share), 3))
-        walk[1:] = np.cumsum(BETA * np.sqrt(np.diff(T[: len(share)]))[:, None] * rng.normal(size=(len(lost) + 1, 3)), 0)
-        v = np.tile(AHEAD, (len(T), 1))
-        v[lost[0] - 1 : lost[-1] + 2] += walk - share * walk[-1]
-        true = legs_of(b, rate, v=v, valid=None).track([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])[-1:]
-        e[:] = SE3.local(end, true)[0, :3]
-    nees = np.einsum("ri,ij,rj->r", errors, np.linalg.inv(summed(stated)[:3, :3]), errors).mean()
+    walk = np.zeros((runs, len(share), 3))
+    walk[:, 1:] = np.cumsum(BETA * np.sqrt(T[1]) * rng.normal(size=(runs, len(lost) + 1, 3)), axis=1)
+    v = np.tile(AHEAD, (runs, len(T), 1))
+    v[:, inside] += walk - share * walk[:, -1:]
+    t = 20.2 * np.arange(runs)[:, None]  # one run after the other, in one call
+    w = np.tile([0.0, 0.0, rate], (runs * len(T), 1))
+    ends = (t + np.array([5.0, 15.0])).ravel()
+    true = integrate((t + T).ravel(), v.reshape(-1, 3), w, boundaries=ends, sigma_v=1e-6, sigma_w=1e-9).z[::2]
+    errors = SE3.local(np.tile(end, (runs, 1)), true)[:, :3]
+    nees = np.vecdot(errors @ np.linalg.inv(summed(stated)[:3, :3]), errors).mean()
     bound = 3 * np.sqrt(2 * 3 / runs)
     assert nees < 3 + bound
     assert nees > (3 - bound if rate == 0 else 1.0)
-
-
-# --- the attitude ---------------------------------------------------------------------------------------------------
 
 
 def walked(sigma: float, boundaries: list[float], **more: Any) -> Legs:
@@ -103,7 +97,7 @@ def walked(sigma: float, boundaries: list[float], **more: Any) -> Legs:
     return integrate(T, v, attitude=attitude, boundaries=boundaries, **settings)
 
 
-@pytest.mark.parametrize("boundaries", [[0.0, 20.0], [5.0, 15.0], [0.0, 7.3, 7.4, 9.0, 15.0, 20.0]])
+@for_all(boundaries=[[0.0, 20.0], [5.0, 15.0], [0.0, 7.3, 7.4, 9.0, 15.0, 20.0]])
 def test_an_attitude_that_is_not_measured_wanders(boundaries: list[float]) -> None:
     """Yaw by sigma sqrt(T), the place of the end across the way by what that swings, in any number of legs."""
     sigma = 0.05
@@ -134,20 +128,9 @@ def test_each_drop_out_and_axis_of_the_attitude_has_its_own_density() -> None:
 
 def test_rates_that_are_far_apart_are_a_drop_out_too() -> None:
     t_w = np.delete(T, np.arange(30, 40))
-    found = [
-        integrate(
-            T,
-            np.tile(AHEAD, (len(T), 1)),
-            np.zeros((len(t_w), 3)),
-            t_w=t_w,
-            boundaries=[0.0, 20.0],
-            sigma_v=1e-6,
-            sigma_w=1e-9,
-            sigma_turn=sigma,
-            longest=longest,
-        )
-        for sigma, longest in ((0.1, None), (None, 3.0))
-    ]
-    assert found[0].Sigma[0, 5, 5] == pytest.approx(0.1**2 * 2.2, rel=1e-6)
-    assert found[0].unturned == pytest.approx([2.2])
-    assert found[1].Sigma[0, 5, 5] < 1e-12
+    v, w = np.tile(AHEAD, (len(T), 1)), np.zeros((len(t_w), 3))
+    given: dict[str, Any] = {"t_w": t_w, "boundaries": [0.0, 20.0], "sigma_v": 1e-6, "sigma_w": 1e-9}
+    gap, whole = integrate(T, v, w, sigma_turn=0.1, **given), integrate(T, v, w, longest=3.0, **given)
+    assert gap.Sigma[0, 5, 5] == pytest.approx(0.1**2 * 2.2, rel=1e-6)
+    assert gap.unturned == pytest.approx([2.2])
+    assert whole.Sigma[0, 5, 5] < 1e-12

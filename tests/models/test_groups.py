@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 import models.manifolds
 from models import SE2, SE3, SO2, SO3, LieGroup, Measured, R
+from models.algebra import Array
 from models.errors import GraphError, OptionError
 from tests.combinations import for_all
 
-Array = npt.NDArray[np.float64]
 MODULES = [
     importlib.import_module(m.name) for m in pkgutil.walk_packages(models.manifolds.__path__, "models.manifolds.")
 ]
@@ -95,13 +94,10 @@ def test_every_group_class_has_an_instance_that_is_tested() -> None:
     concrete = {c for c in classes if not inspect.isabstract(c)}
     assert concrete <= {type(group) for group in GROUPS}, "a group without an instance: name one in its module"
     assert {"SO2", "SE2", "SO3", "SE3"} <= {group.name for group in GROUPS}
-
-
-@every_group
-def test_every_group_can_be_sampled(group: LieGroup) -> None:
-    assert len(set(group.components)) == group.dim
-    assert group.identity(4).shape == (4, group.size)
-    assert not turning(group) or group.name in OTHER_FORMS, f"{group}: no sample: add its other stored forms here"
+    for group in GROUPS:
+        assert len(set(group.components)) == group.dim
+        assert group.identity(4).shape == (4, group.size)
+        assert not turning(group) or group.name in OTHER_FORMS, f"{group}: no sample: add its other stored forms here"
 
 
 @every_group
@@ -129,46 +125,30 @@ def test_axioms(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
 
 @every_group
 @given(seed=seeds, shape=st.sampled_from(SHAPES))
-def test_retract_and_local_undo_each_other_on_the_right(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
+def test_steps_on_the_right_and_their_adjoints(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(seed)
     X, Y = element(group, shape, rng), element(group, shape, rng)
     delta = tangent(group, shape, float(rng.uniform(0, 3.1)), rng)
-    assert_same(group, group.retract(X, group.local(X, Y)), Y)
-    np.testing.assert_allclose(group.local(X, group.retract(X, delta)), delta, atol=1e-11)
-    assert_same(group, group.retract(X, delta), group.compose(X, group.exp(delta)))
+    moved = group.retract(X, delta)
     assert group.local(X, Y).shape == (*shape, group.dim)
-
-
-@every_group
-@given(seed=seeds, shape=st.sampled_from(SHAPES))
-def test_adjoint_moves_a_step_to_the_other_side(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(seed)
-    X, Y = element(group, shape, rng), element(group, shape, rng)
-    delta = tangent(group, shape, 0.8, rng)
+    assert_same(group, group.retract(X, group.local(X, Y)), Y)
+    np.testing.assert_allclose(group.local(X, moved), delta, atol=1e-11)
+    assert_same(group, moved, group.compose(X, group.exp(delta)))
     Ad = group.adjoint(X)
     assert Ad.shape == (*shape, group.dim, group.dim)
-    left = group.compose(group.exp((Ad @ delta[..., None])[..., 0]), X)
-    assert_same(group, group.compose(X, group.exp(delta)), left, 1e-11)
+    assert_same(group, moved, group.compose(group.exp((Ad @ delta[..., None])[..., 0]), X), 1e-11)
     np.testing.assert_allclose(group.adjoint(group.compose(X, Y)), Ad @ group.adjoint(Y), atol=1e-10)
     np.testing.assert_allclose(group.adjoint_inverse(X) @ Ad, np.broadcast_to(np.eye(group.dim), Ad.shape), atol=1e-12)
+    if group.point_dim:
+        p = rng.normal(size=(*shape, group.point_dim))
+        np.testing.assert_allclose(group.act(group.compose(X, Y), p), group.act(X, group.act(Y, p)), atol=1e-12)
+        np.testing.assert_allclose(group.act(group.inverse(X), group.act(X, p)), p, atol=1e-12)
+        np.testing.assert_allclose(group.act(group.identity()[0], p), p)
+        turned, t = (group.rotation(X) @ p[..., None])[..., 0], group.position(X)
+        np.testing.assert_allclose(group.act(X, p), turned + t if t.shape[-1] else turned, atol=1e-14)
 
 
-@pytest.mark.parametrize("group", [g for g in GROUPS if g.point_dim], ids=str)
-@given(seed=seeds, shape=st.sampled_from(SHAPES))
-def test_act_is_a_homomorphism(group: LieGroup, seed: int, shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(seed)
-    X, Y = element(group, shape, rng), element(group, shape, rng)
-    p = rng.normal(size=(*shape, group.point_dim))
-    np.testing.assert_allclose(group.act(group.compose(X, Y), p), group.act(X, group.act(Y, p)), atol=1e-12)
-    np.testing.assert_allclose(group.act(group.inverse(X), group.act(X, p)), p, atol=1e-12)
-    np.testing.assert_allclose(group.act(group.identity()[0], p), p)
-    turned = (group.rotation(X) @ p[..., None])[..., 0]
-    t = group.position(X)
-    np.testing.assert_allclose(group.act(X, p), turned + t if t.shape[-1] else turned, atol=1e-14)
-
-
-@every_group
-@for_all(shape=SHAPES, angle=ANGLES)
+@for_all(group=GROUPS, shape=SHAPES, angle=ANGLES)
 def test_exp_and_log_undo_each_other(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
     rng = np.random.default_rng(11)
     delta = tangent(group, shape, angle, rng)
@@ -182,7 +162,7 @@ def test_exp_and_log_undo_each_other(group: LieGroup, shape: tuple[int, ...], an
     assert_same(group, group.exp(-delta), group.inverse(X), 1e-13)
 
 
-@every_group
+@for_all(group=GROUPS)
 def test_half_a_turn(group: LieGroup) -> None:
     X = group.exp(tangent(group, (20,), np.pi, np.random.default_rng(12)))
     found = group.log(X)
@@ -193,8 +173,7 @@ def test_half_a_turn(group: LieGroup) -> None:
     assert_same(group, group.exp(np.zeros((2, group.dim))), group.identity(2))
 
 
-@every_group
-@for_all(angle=ANGLES)
+@for_all(group=GROUPS, angle=ANGLES)
 def test_exp_is_the_matrix_exponential_in_the_named_order(group: LieGroup, angle: float) -> None:
     if not group.point_dim:
         assert group.exp([1.0, *[0.0] * (group.dim - 1)]) == pytest.approx(np.eye(group.dim)[0])
@@ -212,36 +191,27 @@ def test_exp_is_the_matrix_exponential_in_the_named_order(group: LieGroup, angle
     np.testing.assert_allclose(form(group, group.exp(delta)), expm(np.tensordot(delta, generators, 1)), atol=1e-13)
 
 
-@every_group
-@for_all(shape=SHAPES, angle=ANGLES)
-def test_jacobians_of_exp(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
+@for_all(group=GROUPS, shape=SHAPES, angle=ANGLES)
+def test_jacobians_of_exp_and_log(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
     delta = tangent(group, shape, angle, np.random.default_rng(14))
     X, dim = group.exp(delta), group.dim
     left = central(lambda d: group.log(group.compose(group.exp(delta + d), group.inverse(X))), dim, shape)
     right = central(lambda d: group.log(group.between(X, group.exp(delta + d))), dim, shape)
-    np.testing.assert_allclose(group.jl(delta), left, atol=2e-9)
-    np.testing.assert_allclose(group.jr(delta), right, atol=2e-9)
+    jl, jr, jl_inv, jr_inv = (J(delta) for J in (group.jl, group.jr, group.jl_inv, group.jr_inv))
+    np.testing.assert_allclose(jl, left, atol=2e-9)
+    np.testing.assert_allclose(jr, right, atol=2e-9)
     eye = np.broadcast_to(np.eye(dim), (*shape, dim, dim))
-    np.testing.assert_allclose(group.jl_inv(delta) @ group.jl(delta), eye, atol=1e-13)
-    np.testing.assert_allclose(group.jr_inv(delta) @ group.jr(delta), eye, atol=1e-13)
-    np.testing.assert_allclose(group.jl(delta), group.adjoint(X) @ group.jr(delta), atol=1e-12)
-    for J in (group.jl, group.jr, group.jl_inv, group.jr_inv):
-        assert J(delta).shape == (*shape, dim, dim)
+    np.testing.assert_allclose(jl_inv @ jl, eye, atol=1e-13)
+    np.testing.assert_allclose(jr_inv @ jr, eye, atol=1e-13)
+    np.testing.assert_allclose(jl, group.adjoint(X) @ jr, atol=1e-12)
+    if angle < 3.1:
+        left = central(lambda d: group.log(group.compose(group.exp(d), X)), dim, shape)
+        right = central(lambda d: group.log(group.compose(X, group.exp(d))), dim, shape)
+        np.testing.assert_allclose(jl_inv, left, atol=2e-9)
+        np.testing.assert_allclose(jr_inv, right, atol=2e-9)
 
 
-@every_group
-@for_all(shape=SHAPES, angle=ANGLES[:-2])
-def test_jacobians_of_log(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
-    delta = tangent(group, shape, angle, np.random.default_rng(15))
-    X = group.exp(delta)
-    left = central(lambda d: group.log(group.compose(group.exp(d), X)), group.dim, shape)
-    right = central(lambda d: group.log(group.compose(X, group.exp(d))), group.dim, shape)
-    np.testing.assert_allclose(group.jl_inv(delta), left, atol=2e-9)
-    np.testing.assert_allclose(group.jr_inv(delta), right, atol=2e-9)
-
-
-@every_group
-@for_all(shape=SHAPES, angle=ANGLES[:-2])
+@for_all(group=GROUPS, shape=SHAPES, angle=ANGLES[:-2])
 def test_vector_and_its_jacobians(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
     X = group.exp(tangent(group, shape, angle, np.random.default_rng(16)))
     for Y in (X, *(other(X) for other in OTHER_FORMS.get(group.name, []))):
@@ -266,23 +236,20 @@ def vector_by_hand(group: LieGroup, X: Array) -> Array:
     return np.concatenate([t, q[:, :3].reshape(*X.shape[:-1], 3)], axis=-1)
 
 
-@every_group
-@for_all(shape=SHAPES)
+def unary(group: LieGroup) -> list[Callable[[Array], Array]]:
+    """Functions of one element."""
+    vectors = [group.vector, group.vector_jl, group.vector_jr]
+    return [group.log, *vectors, group.adjoint, group.adjoint_inverse, group.position]
+
+
+@for_all(group=GROUPS, shape=SHAPES)
 def test_stored_forms_of_one_element_are_one_element(group: LieGroup, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(17)
     X, Y = element(group, shape, rng, 3.0), element(group, shape, rng, 3.0)
     for other in OTHER_FORMS.get(group.name, []):
         Z = other(X)
         assert np.abs(Z - X).max() > 1e-4
-        for f in (
-            group.log,
-            group.vector,
-            group.vector_jl,
-            group.vector_jr,
-            group.adjoint,
-            group.adjoint_inverse,
-            group.position,
-        ):
+        for f in unary(group):
             np.testing.assert_allclose(f(Z), f(X), atol=1e-12)
         assert_same(group, Z, X)
         assert_same(group, group.inverse(Z), group.inverse(X))
@@ -292,86 +259,61 @@ def test_stored_forms_of_one_element_are_one_element(group: LieGroup, shape: tup
         np.testing.assert_allclose(group.local(Z, Y), group.local(X, Y), atol=1e-12)
 
 
-@pytest.mark.parametrize("group", [g for g in GROUPS if g.point_dim], ids=str)
-@for_all(shape=SHAPES, angle=ANGLES)
-def test_rotation_matrices_are_rotations(group: LieGroup, shape: tuple[int, ...], angle: float) -> None:
-    X = group.exp(tangent(group, shape, angle, np.random.default_rng(18)))
+@for_all(group=[g for g in GROUPS if g.point_dim], angle=ANGLES)
+def test_rotation_matrices_are_rotations(group: LieGroup, angle: float) -> None:
+    X, k = group.exp(tangent(group, (3, 1, 2), angle, np.random.default_rng(18))), group.point_dim
     for Y in (X, *(other(X) for other in OTHER_FORMS[group.name])):
-        M, k = group.rotation(Y), group.point_dim
-        assert M.shape == (*shape, k, k)
-        np.testing.assert_allclose(M @ M.mT, np.broadcast_to(np.eye(k), M.shape), atol=1e-15)
+        M = group.rotation(Y)
+        np.testing.assert_allclose(M @ M.mT, np.broadcast_to(np.eye(k), (3, 1, 2, k, k)), atol=1e-15)
         np.testing.assert_allclose(np.linalg.det(M), 1.0, atol=1e-14)
 
 
-@every_group
+@for_all(group=GROUPS)
 def test_a_batch_is_its_elements_one_by_one(group: LieGroup) -> None:
-    rng = np.random.default_rng(19)
-    shape = (3, 1, 2)
+    rng, shape = np.random.default_rng(19), (3, 1, 2)
     X, Y, delta = element(group, shape, rng, 3.0), element(group, shape, rng, 3.0), tangent(group, shape, 1.2, rng)
-    unary = [
-        group.log,
-        group.inverse,
-        group.adjoint,
-        group.adjoint_inverse,
-        group.vector,
-        group.vector_jl,
-        group.vector_jr,
-        group.position,
-    ]
     tangents = [group.exp, group.jl, group.jr, group.jl_inv, group.jr_inv]
-    for f, argument in [*((f, X) for f in unary), *((f, delta) for f in tangents)]:
-        found = f(argument)
+    ones = [*((f, (X,)) for f in [*unary(group), group.inverse]), *((f, (delta,)) for f in tangents)]
+    twos = [(group.compose, (X, Y)), (group.between, (X, Y)), (group.local, (X, Y)), (group.retract, (X, delta))]
+    for f, arguments in (*ones, *twos):
+        found = f(*arguments)
         for index in np.ndindex(shape):
-            np.testing.assert_allclose(found[index], f(argument[index]), rtol=1e-14, atol=1e-15, err_msg=str(f))
-    for f, second in [(group.compose, Y), (group.between, Y), (group.local, Y), (group.retract, delta)]:
-        found = f(X, second)
-        for index in np.ndindex(shape):
-            np.testing.assert_allclose(found[index], f(X[index], second[index]), rtol=1e-13, atol=1e-14)
+            alone = f(*(a[index] for a in arguments))
+            np.testing.assert_allclose(found[index], alone, rtol=1e-13, atol=1e-14, err_msg=str(f))
 
 
-@every_group
-@for_all(shapes=itertools.permutations([(), (1,), (4, 1), (3, 1, 2)], 2))
+@for_all(group=GROUPS, shapes=itertools.permutations([(), (1,), (4, 1), (3, 1, 2)], 2))
 def test_batches_broadcast(group: LieGroup, shapes: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
     a, b = shapes
     rng = np.random.default_rng(20)
     X, Y, delta = element(group, a, rng, 3.0), element(group, b, rng, 3.0), tangent(group, b, 0.7, rng)
     shape = np.broadcast_shapes(a, b)
-    X_all, Y_all = np.broadcast_to(X, (*shape, group.size)), np.broadcast_to(Y, (*shape, group.size))
-    delta_all = np.broadcast_to(delta, (*shape, group.dim))
-    for f, second, second_all in [
-        (group.compose, Y, Y_all),
-        (group.between, Y, Y_all),
-        (group.local, Y, Y_all),
-        (group.retract, delta, delta_all),
-    ]:
-        np.testing.assert_allclose(f(X, second), f(X_all, second_all), rtol=1e-13, atol=1e-14)
+    cases = [(group.compose, Y), (group.between, Y), (group.local, Y), (group.retract, delta)]
     if group.point_dim:
-        p = rng.normal(size=(*b, group.point_dim))
-        p_all = np.broadcast_to(p, (*shape, group.point_dim))
-        np.testing.assert_allclose(group.act(X, p), group.act(X_all, p_all), rtol=1e-13, atol=1e-14)
+        cases.append((group.act, rng.normal(size=(*b, group.point_dim))))
+    for f, second in cases:
+        whole = (np.broadcast_to(each, (*shape, each.shape[-1])) for each in (X, second))
+        np.testing.assert_allclose(f(X, second), f(*whole), rtol=1e-13, atol=1e-14)
 
 
-@every_group
+@for_all(group=GROUPS)
 def test_stack_refuses_what_is_no_element(group: LieGroup) -> None:
     X = element(group, (3,), np.random.default_rng(21))
     np.testing.assert_array_equal(group.stack(X), X)
     np.testing.assert_array_equal(group.stack(X[0]), X[:1])
-    wrong = f"{group}: elements have shape (2, {group.size + 1}), expected (n, {group.size}): one element per row"
+    wrong = f"{group}: elements have shape (2, {group.size + 1}), expected (n, {group.size})"
     with pytest.raises(GraphError, match=re.escape(wrong)):
         group.stack(np.zeros((2, group.size + 1)))
     X[1, -1] = np.nan
-    with pytest.raises(GraphError, match=r"element 1 is .*a number is not finite"):
+    with pytest.raises(GraphError, match=r"element 1 .*not finite"):
         group.stack(X)
     with pytest.raises(GraphError, match="expected numbers"):
         group.stack([["a"] * group.size])
-
-
-@pytest.mark.parametrize("group", [SO3, SE3], ids=str)
-def test_stack_refuses_a_quaternion_that_has_no_direction(group: LieGroup) -> None:
-    X = group.identity(3)
-    X[2, -4:] = 0.0
-    with pytest.raises(GraphError, match=r"element 2 is .*quaternion has length 0, expected 1"):
-        group.stack(X)
+    if group in (SO3, SE3):
+        X = group.identity(3)
+        X[2, -4:] = 0.0
+        with pytest.raises(GraphError, match=r"element 2 .* length 0, expected 1"):
+            group.stack(X)
 
 
 def test_points_of_plane_and_space_are_where_they_are_said_to_be() -> None:

@@ -9,38 +9,35 @@ from models.algebra import Array
 from models.errors import GraphError, SingularGeometryError
 from models.ray_range import ray_range
 from models.sensors import Camera
+from tests.models.differences import difference
 
 AHEAD = np.array([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("s", "r", "roots", "depth", "missed", "behind"),
-    [
-        ([0, 0, 0], 4, 1, (4, None), False, False),  # sonar at the camera: d = r
-        ([0, 3, 0], 5, 1, (4, None), False, False),  # beside it
-        ([0, 0, -1], 4, 1, (3, None), False, False),  # behind it
-        ([0, 0, 1], 4, 1, (5, None), False, False),  # ahead, the camera inside of the sphere: -3 is behind
-        ([0, 3, 8], 5, 2, (12, 4), False, False),  # in and out
-        ([0, 3, -8], 5, 0, (None, None), False, True),  # in and out, both behind
-        ([0, 3, 8], 2, 0, (None, None), True, False),  # passes
-        ([0, 3, -8], 2, 0, (None, None), True, False),  # passes, behind
-        ([0, 3, 8], 3, 1, (8, None), False, False),  # touches
-        ([0, 0, 5], 5, 1, (10, None), False, False),  # the camera on the sphere, which is ahead
-        ([0, 0, -5], 5, 0, (None, None), False, True),  # on the sphere, which is behind
-        ([0, 0, 5], 0, 1, (5, None), False, False),  # range 0: the sonar itself
-    ],
-)
-def test_cases(
-    s: list[float], r: float, roots: int, depth: tuple[float | None, ...], missed: bool, behind: bool
-) -> None:
-    found = ray_range([AHEAD], s, [float(r)])
-    assert found.roots.tolist() == [roots]
-    expected = np.array([[np.nan if d is None else d] for d in depth])
-    assert found.depth == pytest.approx(expected, nan_ok=True)
-    assert found.points == pytest.approx(expected[..., None] * AHEAD, nan_ok=True)
-    assert (found.missed.item(), found.behind.item()) == (missed, behind)
-    assert found.closest == pytest.approx([s[2]])
-    assert found.discriminant == pytest.approx([s[2] ** 2 - np.dot(s, s) + r * r])
+def test_cases() -> None:
+    """Sonars, ranges, depths on a ray ahead, and whether the ray passes or meets behind the camera."""
+    for s, r, depth, missed, behind in (
+        ([0, 0, 0], 4, [4], False, False),  # sonar at the camera: d = r
+        ([0, 3, 0], 5, [4], False, False),  # beside it
+        ([0, 0, -1], 4, [3], False, False),  # behind it
+        ([0, 0, 1], 4, [5], False, False),  # ahead, the camera inside of the sphere: -3 is behind
+        ([0, 3, 8], 5, [12, 4], False, False),  # in and out
+        ([0, 3, -8], 5, [], False, True),  # in and out, both behind
+        ([0, 3, 8], 2, [], True, False),  # passes
+        ([0, 3, -8], 2, [], True, False),  # passes, behind
+        ([0, 3, 8], 3, [8], False, False),  # touches
+        ([0, 0, 5], 5, [10], False, False),  # the camera on the sphere, which is ahead
+        ([0, 0, -5], 5, [], False, True),  # on the sphere, which is behind
+        ([0, 0, 5], 0, [5], False, False),  # range 0: the sonar itself
+    ):
+        found = ray_range([AHEAD], s, [float(r)])
+        assert found.roots.tolist() == [len(depth)], (s, r)
+        expected = np.array([*depth, np.nan, np.nan])[:2, None]
+        assert found.depth == pytest.approx(expected, nan_ok=True)
+        assert found.points == pytest.approx(expected[..., None] * AHEAD, nan_ok=True)
+        assert (found.missed.item(), found.behind.item()) == (missed, behind), (s, r)
+        assert found.closest == pytest.approx([s[2]])
+        assert found.discriminant == pytest.approx([s[2] ** 2 - np.dot(s, s) + r * r])
 
 
 def drawn(n: int, seed: int) -> tuple[Array, Array, Array]:
@@ -51,7 +48,7 @@ def drawn(n: int, seed: int) -> tuple[Array, Array, Array]:
 
 
 def test_roots_are_those_of_the_polynomial() -> None:
-    b, s, r = drawn(2000, 1)
+    b, s, r = drawn(1000, 1)
     found = ray_range(b, s, r)
     for k in range(len(r)):
         d = np.roots([1, -2 * b[k] @ s[k], s[k] @ s[k] - r[k] ** 2])
@@ -60,56 +57,53 @@ def test_roots_are_those_of_the_polynomial() -> None:
         assert found.depth[: len(front), k] == pytest.approx(front, rel=1e-6)
         assert found.missed[k] == np.iscomplex(d).any()
     assert np.isfinite(found.depth).sum(axis=0).tolist() == found.roots.tolist()
-    assert np.bincount(found.roots).min() > 100
-    assert found.missed.sum() > 200
-    assert found.behind.sum() > 100
+    assert np.bincount(found.roots).min() > 50
+    assert found.missed.sum() > 100
+    assert found.behind.sum() > 50
     distance = np.linalg.norm(found.points - s, axis=-1)
     there = np.isfinite(found.depth)
     assert distance[there] == pytest.approx(np.broadcast_to(r, there.shape)[there])
 
 
-@pytest.mark.parametrize("near", [False, True])
-def test_derivatives_against_central_differences(near: bool) -> None:
-    b, s, r = drawn(2000, 2)
-    keep = ray_range(b, s, r).roots > near
-    keep &= ray_range(b, s, r).discriminant > 0.05
-    b, s, r = b[keep], s[keep], r[keep]
-    assert len(r) > 100
-    p_b, p_r, p_s = ray_range(b, s, r).jacobians(near)
-    h = 1e-6
-
+def test_derivatives_against_central_differences() -> None:
     def at(b: Array, s: Array, r: Array) -> Array:
         return ray_range(b / np.linalg.norm(b, axis=1, keepdims=True), s, r).points[int(near)]
 
-    assert p_r[..., 0] == pytest.approx((at(b, s, r + h) - at(b, s, r - h)) / (2 * h), abs=1e-6)
-    for k, e in enumerate(np.eye(3)):
-        assert p_s[..., k] == pytest.approx((at(b, s + h * e, r) - at(b, s - h * e, r)) / (2 * h), abs=1e-6)
-        across = e - b * b[:, [k]]  # a bearing moves across itself
-        moved = (at(b + h * across, s, r) - at(b - h * across, s, r)) / (2 * h)
-        assert np.matvec(p_b, across) == pytest.approx(moved, abs=1e-6)
+    for near in (False, True):
+        b, s, r = drawn(2000, 2)
+        found = ray_range(b, s, r)
+        keep = (found.roots > near) & (found.discriminant > 0.05)
+        b, s, r = b[keep], s[keep], r[keep]
+        assert len(r) > 100
+        p_b, p_r, p_s = ray_range(b, s, r).jacobians(near)
+        h = 1e-6
+        assert p_r[..., 0] == pytest.approx((at(b, s, r + h) - at(b, s, r - h)) / (2 * h), abs=1e-6)
+        assert p_s == pytest.approx(difference(lambda s, b=b, r=r: at(b, s, r), s), abs=1e-6)
+        for k, e in enumerate(np.eye(3)):
+            across = e - b * b[:, [k]]  # a bearing moves across itself
+            moved = (at(b + h * across, s, r) - at(b - h * across, s, r)) / (2 * h)
+            assert np.matvec(p_b, across) == pytest.approx(moved, abs=1e-6)
 
 
 def test_a_mask_takes_the_near_root_here_and_there() -> None:
     found = ray_range([AHEAD, AHEAD], [0, 3, 8], [5.0, 5.0])
-    for mixed, far, close in zip(
-        found.jacobians(np.array([False, True])), found.jacobians(), found.jacobians(near=True), strict=True
-    ):
+    roots = (found.jacobians(mask) for mask in (np.array([False, True]), False, True))
+    for mixed, far, close in zip(*roots, strict=True):
         assert np.array_equal(mixed, np.stack([far[0], close[1]]))
         assert not np.allclose(far[0], close[1])
 
 
 @pytest.mark.parametrize(
-    ("z", "s", "r", "near"),
+    ("z", "s", "r", "near", "moved"),
     [
-        ([100.0, -50.0], [0.1, 0.3, 0.15], 7.0, False),
-        ([-400.0, 300.0], [-0.5, 0.2, 0.0], 5.0, False),
-        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, False),
-        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, True),
+        ([100.0, -50.0], [0.1, 0.3, 0.15], 7.0, False, True),
+        ([-400.0, 300.0], [-0.5, 0.2, 0.0], 5.0, False, False),
+        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, False, True),
+        ([50.0, 20.0], [0.2, 0.1, 4.0], 1.5, True, True),
     ],
 )
-@pytest.mark.parametrize("moved", [False, True])
 def test_covariance_is_that_of_drawn_noise(z: list[float], s: list[float], r: float, near: bool, moved: bool) -> None:
-    camera, rng, n = Camera(focal=(600.0, 550.0), distortion=(-0.1,)), np.random.default_rng(3), 40_000
+    camera, rng, n = Camera(focal=(600.0, 550.0), distortion=(-0.1,)), np.random.default_rng(3), 20_000
     Sigma_z, sigma_r = np.array([[1.0, 0.3], [0.3, 0.5]]), 0.004
     Sigma_s = 1e-5 * np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.2], [0.0, 0.2, 0.5]])
     b, J_b = camera.ray([z])
@@ -120,16 +114,16 @@ def test_covariance_is_that_of_drawn_noise(z: list[float], s: list[float], r: fl
     many = ray_range(camera.ray(pixels)[0], origin, r + sigma_r * rng.normal(size=n))
     seen = np.cov(many.points[int(near)].T)
     L = np.linalg.inv(np.linalg.cholesky(Sigma))
-    assert L @ seen @ L.T == pytest.approx(np.eye(3), abs=0.04)  # 1 / sqrt(n) is 0.005
+    assert L @ seen @ L.T == pytest.approx(np.eye(3), abs=0.04)  # 1 / sqrt(n) is 0.007
     assert many.points[int(near)].mean(axis=0) == pytest.approx(one.points[int(near), 0], abs=2e-3)
 
 
 def test_no_derivative_where_there_is_no_point_or_the_ray_touches() -> None:
+    zero = np.zeros((2, 3, 2))
     for s, r, near in (([0.0, 3, 8], 2.0, False), ([0, 3, 8], 3.0, False), ([0, 3, 0], 5.0, True)):
-        with pytest.raises(SingularGeometryError, match=r"no such point in front of the camera.*see `roots`"):
-            ray_range([AHEAD, AHEAD], [[0, 3, 8], s], [5.0, r]).covariance(
-                np.zeros((2, 3, 2)), np.eye(2), 0.1, near=near
-            )
+        found = ray_range([AHEAD, AHEAD], [[0, 3, 8], s], [5.0, r])
+        with pytest.raises(SingularGeometryError, match="roots"):
+            found.covariance(zero, np.eye(2), 0.1, near=near)
 
 
 def test_mistakes() -> None:
@@ -137,17 +131,14 @@ def test_mistakes() -> None:
     for wrong in ((AHEAD, s, r), (b, [0, 0], r), (b, s, [1.0]), (b, s, 1.0), (b, [s, s, s], r), (np.eye(2), s, r)):
         with pytest.raises(GraphError, match=r"expected \(n, 3\), \(3,\) or \(n, 3\), \(n,\)"):
             ray_range(*wrong)
-    for name, wrong in (
-        ("b", ([AHEAD, np.nan * AHEAD], s, r)),
-        ("s", (b, [0, np.inf, 0], r)),
-        ("r", (b, s, [1, np.nan])),
+    for wrong, named in (
+        (([AHEAD, np.nan * AHEAD], s, r), "b .* nan"),
+        ((b, [0, np.inf, 0], r), "s .* inf"),
+        ((b, s, [1, np.nan]), "r .* nan"),
+        (([AHEAD, 2 * AHEAD], s, r), r"b\[1\] .* 2, expected 1"),
+        ((b, s, [1.0, -2.0]), r"r\[1\] is -2 m"),
+        ((b, s, ["far", "near"]), "r is not"),
     ):
-        with pytest.raises(GraphError, match=f"ray_range: {name} has a number that is not finite"):
+        with pytest.raises(GraphError, match=named):
             ray_range(*wrong)
-    with pytest.raises(GraphError, match=r"b\[1\] has length 2, expected 1"):
-        ray_range([AHEAD, 2 * AHEAD], s, r)
-    with pytest.raises(GraphError, match=r"r\[1\] is -2 m; no range is below 0"):
-        ray_range(b, s, [1.0, -2.0])
-    with pytest.raises(GraphError, match="r is not an array of numbers"):
-        ray_range(b, s, ["far", "near"])
     assert ray_range(np.zeros((0, 3)), s, []).points.shape == (2, 0, 3)

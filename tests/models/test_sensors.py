@@ -6,10 +6,10 @@ from collections.abc import Callable
 from math import atan2, pi, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from models import SE2, SE3, LieGroup, euler
+from models import SE2, SE3, euler
+from models.algebra import Array
 from models.errors import SingularGeometryError
 from models.sensors import (
     SingularAt,
@@ -22,20 +22,10 @@ from models.sensors import (
     project,
 )
 from models.sensors.singular import CLOSE
+from tests.models.differences import difference, on_group
 
-Array = npt.NDArray[np.float64]
 same = np.testing.assert_allclose
 HALF = sqrt(0.5)
-
-
-def difference(f: Callable[[Array], Array], x: Array, h: float = 1e-6) -> Array:
-    """Central differences (n, m, k) of f (n, k) to (n, m)."""
-    steps = h * np.eye(x.shape[1])
-    return np.stack([(f(x + s) - f(x - s)) / (2 * h) for s in steps], axis=-1)
-
-
-def on_group(group: LieGroup, f: Callable[[Array], Array], X: Array) -> Array:
-    return difference(lambda d: f(group.retract(X, d)), np.zeros((len(X), group.dim)))
 
 
 def test_distance_by_hand() -> None:
@@ -59,46 +49,34 @@ def test_azimuth_and_elevation_by_hand() -> None:
     same(J[1, 1], [-0.06, 0.08, 0.1])
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_direction_and_range_invert(d: int) -> None:
-    p = np.random.default_rng(1).normal(size=(20, d)) * 7
-    same(point_from_direction_range(np.concatenate([direction(p)[0], distance(p)[0]], axis=1)), p, atol=1e-13)
-
-
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("f", [distance, direction])
-def test_derivatives(f: Callable[[Array], tuple[Array, Array]], d: int) -> None:
-    p = np.random.default_rng(2).uniform(1, 6, size=(9, d)) * np.random.default_rng(3).choice([-1, 1], size=(9, d))
-    same(f(p)[1], difference(lambda q: f(q)[0], p), atol=1e-8)
-
-
-@pytest.mark.parametrize("scale", [2.0, 1e3, 1e6])
-def test_near_the_sensor_the_numbers_are_right(scale: float) -> None:
-    near = CLOSE * scale
-    for found, expected in (
-        (distance(np.array([[near, 0.0]])), (near, [1.0, 0.0])),
-        (direction(np.array([[near, 0.0]])), (0.0, [0.0, 1 / near])),
-    ):
-        same(found[0], [[expected[0]]])
-        same(found[1], [[expected[1]]])
+def test_derivatives_and_the_way_back_from_direction_and_range() -> None:
+    for d in (2, 3):
+        p = np.random.default_rng(2).uniform(1, 6, size=(20, d)) * np.random.default_rng(3).choice([-1, 1], (20, d))
+        same(point_from_direction_range(np.concatenate([direction(p)[0], distance(p)[0]], axis=1)), p, atol=1e-13)
+        for f in (distance, direction):
+            same(f(p)[1], difference(lambda q, f=f: f(q)[0], p), atol=1e-8)
+    for near in (CLOSE * 2, CLOSE * 1e3, CLOSE * 1e6):
+        r, direct = distance(np.array([[near, 0.0]])), direction(np.array([[near, 0.0]]))
+        same(r[0], [[near]])
+        same(r[1], [[[1.0, 0.0]]])
+        same(direct[0], [[0.0]])
+        same(direct[1], [[[0.0, 1 / near]]])
 
 
 @pytest.mark.parametrize(
-    ("f", "p", "message"),
+    ("f", "singular", "where"),
     [
-        (distance, [0.0, 0.0], "at the sensor itself .zero range."),
-        (distance, [0.0, 0.0, 1e-10], "at the sensor itself .zero range."),
-        (distance, [1e-200, 1e-200, 0.0], "at the sensor itself .zero range."),
-        (direction, [0.0, 0.0], "at the sensor itself, where its bearing is not defined"),
-        (direction, [0.0, 0.0, 7.0], "on the z axis of the sensor, where its azimuth is not defined"),
-        (direction, [1e-10, 0.0, -7.0], "on the z axis of the sensor"),
+        (distance, [[0.0, 0.0], [0.0, 0.0, 1e-10], [1e-200, 1e-200, 0.0]], "zero range"),
+        (direction, [[0.0, 0.0]], "its bearing"),
+        (direction, [[0.0, 0.0, 7.0], [1e-10, 0.0, -7.0]], "z axis"),
     ],
 )
-def test_singular_targets_are_named(f: Callable[[Array], object], p: list[float], message: str) -> None:
-    with pytest.raises(SingularAt, match=message) as caught:
-        f(np.array([np.ones(len(p)), p, p]))
-    assert caught.value.index == 1
-    assert isinstance(caught.value, SingularGeometryError)
+def test_singular_targets_are_named(f: Callable[[Array], object], singular: list[list[float]], where: str) -> None:
+    for p in singular:
+        with pytest.raises(SingularAt, match=where) as caught:
+            f(np.array([np.ones(len(p)), p, p]))
+        assert caught.value.index == 1
+        assert isinstance(caught.value, SingularGeometryError)
 
 
 def test_a_point_in_the_frame_of_a_pose_by_hand() -> None:
@@ -134,25 +112,23 @@ def test_heading_by_hand() -> None:
     same(H, [[[0, 0, 1]]])
 
 
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-def test_derivatives_for_poses(group: LieGroup) -> None:
+def test_derivatives_for_poses() -> None:
     rng = np.random.default_rng(5)
-    X = group.exp(rng.uniform(-1.1, 1.1, size=(8, group.dim)))
-    l, a = rng.normal(size=(2, 8, group.point_dim))
-    p, (H_S, H_l) = point_in_frame(group, X, l)
-    same(H_S, on_group(group, lambda Y: point_in_frame(group, Y, l)[0], X), atol=1e-8)
-    same(H_l, difference(lambda q: point_in_frame(group, X, q)[0], l), atol=1e-8)
-    same(point_on_body(group, X, p)[0], l, atol=1e-14)
-    same(point_on_body(group, X, a)[1], on_group(group, lambda Y: point_on_body(group, Y, a)[0], X), atol=1e-8)
-    H = np.broadcast_to(heading(group, X)[1], (8, 1, group.dim))
-    same(H, on_group(group, lambda Y: heading(group, Y)[0], X), atol=1e-8)
-
-
-@pytest.mark.parametrize("pitch", [pi / 2, -pi / 2])
-def test_no_heading_at_gimbal_lock(pitch: float) -> None:
-    with pytest.raises(SingularAt, match="gimbal lock") as caught:
-        heading(SE3, euler.to_se3(np.array([[0.0, 0.1, 0.4, 1, 2, 3], [0.0, pitch, 0.4, 1, 2, 3]])))
-    assert caught.value.index == 1
+    for group in (SE2, SE3):
+        X = group.exp(rng.uniform(-1.1, 1.1, size=(8, group.dim)))
+        l, a = rng.normal(size=(2, 8, group.point_dim))
+        p, (H_S, H_l) = point_in_frame(group, X, l)
+        same(H_S, on_group(group, lambda Y, g=group, l=l: point_in_frame(g, Y, l)[0], X), atol=1e-8)
+        same(H_l, difference(lambda q, g=group, X=X: point_in_frame(g, X, q)[0], l), atol=1e-8)
+        same(point_on_body(group, X, p)[0], l, atol=1e-14)
+        H_a = on_group(group, lambda Y, g=group, a=a: point_on_body(g, Y, a)[0], X)
+        same(point_on_body(group, X, a)[1], H_a, atol=1e-8)
+        H = np.broadcast_to(heading(group, X)[1], (8, 1, group.dim))
+        same(H, on_group(group, lambda Y, g=group: heading(g, Y)[0], X), atol=1e-8)
+    for pitch in (pi / 2, -pi / 2):
+        with pytest.raises(SingularAt, match="gimbal lock") as caught:
+            heading(SE3, euler.to_se3(np.array([[0.0, 0.1, 0.4, 1, 2, 3], [0.0, pitch, 0.4, 1, 2, 3]])))
+        assert caught.value.index == 1
 
 
 def test_an_image_by_hand() -> None:

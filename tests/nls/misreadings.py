@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
 import sim
 from factors import Between, Factor
 from nls import FactorGraph, LevenbergMarquardt, Values, initialize, load
+from nls.analysis.freedom import freedom
 from nls.analysis.linearization import Checked, Linearization
 from nls.analysis.readings import READINGS
 from nls.analysis.suspects import Suspects, suspects
-from nls.gauge import choose_gauge
+from nls.gauge import choose_gauge, fixed_variables
 from nls.sparse.pattern import Pattern
 
 WORLDS: dict[str, Callable[[np.random.Generator], sim.World | sim.LandmarkWorld | sim.Mission]] = {
     "ring": lambda rng: sim.ring(rng, laps=2, per_lap=20),
-    "sphere": lambda rng: sim.sphere(rng, 8, 12),
-    "manhattan": lambda rng: sim.manhattan(rng, 300),
+    "sphere": lambda rng: sim.sphere(rng, 6, 8),
+    "manhattan": lambda rng: sim.manhattan(rng, 150),
     "subsea": lambda rng: sim.subsea(rng, laps=1, known_start=True),
     "headings": lambda rng: sim.subsea(rng, laps=1, azimuth="absolute", known_landmarks=2),
     "lines": lambda rng: sim.lines(rng),
@@ -39,6 +41,13 @@ def world(name: str, seed: int) -> tuple[FactorGraph, Values]:
     """A world by name: graph and start."""
     made = WORLDS[name](np.random.default_rng(seed))
     return made.graph, made.start
+
+
+@cache
+def clean(name: str, seed: int) -> tuple[FactorGraph, Values, Values]:
+    """A world by name: graph, start and optimum."""
+    graph, start = world(name, seed)
+    return graph, start, optimum(graph, start)
 
 
 def public(path: object) -> tuple[FactorGraph, Values]:
@@ -82,9 +91,25 @@ def optimum(graph: FactorGraph, start: Values) -> Values:
     return graph.optimize(start, LevenbergMarquardt()).values
 
 
+def held(graph: FactorGraph, values: Values) -> Pattern:
+    """The pattern with the gauge held."""
+    whole = graph.pattern(values)
+    return whole.holding(choose_gauge("first", whole, values, fixed_variables(graph.fixed, values)).held)
+
+
+def judged(graph: FactorGraph, values: Values) -> Checked | None:
+    """Every measurement against all others; what is free is held by anchors, where that can be."""
+    return freedom(graph.factors, held(graph, values), values).checked
+
+
+def checked(graph: FactorGraph, values: Values) -> Checked:
+    """The same where it can be."""
+    checks = judged(graph, values)
+    assert checks is not None
+    return checks
+
+
 def doubted(graph: FactorGraph, values: Values) -> tuple[Pattern, Suspects]:
     """The pattern with the gauge held, and the measurements that do not fit."""
-    whole = graph.pattern(values)
-    held = choose_gauge("first", whole, values, np.zeros(len(whole.dims), dtype=bool)).held
-    pattern = whole.holding(held)
+    pattern = held(graph, values)
     return pattern, suspects(graph, pattern, values, Checked(Linearization(pattern, values)))

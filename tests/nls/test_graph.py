@@ -31,25 +31,14 @@ def test_length_counts_measurements() -> None:
 def test_add_returns_the_handle_that_remove_takes() -> None:
     graph, values = line()
     before = graph.chi2(values)
-    factor = graph.add(Prior(x[2], [5.0], Isotropic(1)))
-    assert graph.chi2(values) == before + 25.0
-    graph.remove(factor)
+    first, second = (graph.add(Prior(x[2], [5.0], Isotropic(1))) for _ in range(2))
+    assert graph.chi2(values) == before + 50.0
+    graph.remove(second)  # and not its twin
+    assert graph.factors[-1] is first
+    graph.remove(first)
     assert graph.chi2(values) == before
     with pytest.raises(GraphError, match=r"Prior\(x2\) is not in this graph"):
-        graph.remove(factor)
-
-
-def test_remove_takes_the_very_factor_and_not_its_twin() -> None:
-    graph, _ = line()
-    first, second = (graph.add(Prior(x[1], [v], Isotropic(1))) for v in (3.0, 3.0))
-    graph.remove(second)
-    assert graph.factors[-1] is first
-
-
-@pytest.mark.parametrize("wrong", [None, "Between", 3, Between])
-def test_add_refuses_what_is_no_factor(wrong: object) -> None:
-    with pytest.raises(GraphError, match=r"FactorGraph\.add: expected a factor"):
-        FactorGraph().add(wrong)  # type: ignore[arg-type]
+        graph.remove(first)
 
 
 def test_chi2_is_the_sum_of_squares_without_one_half() -> None:
@@ -81,44 +70,42 @@ def test_release_undoes_fix_for_these_alone() -> None:
     assert len(graph.linearize(values).cols) == 3
 
 
-def test_fix_refuses_what_is_no_variable_and_names_one_without_value() -> None:
-    graph, values = line()
+def test_what_cannot_be_in_a_graph_is_refused() -> None:
+    for wrong in (None, "Between", 3, Between):
+        with pytest.raises(GraphError, match=r"FactorGraph\.add: expected a factor"):
+            FactorGraph().add(wrong)  # type: ignore[arg-type]
+    for hold in (3, x[0], "x0"):
+        with pytest.raises(GraphError, match=r"a list of variables to hold such as \[x\[0\]\], got"):
+            FactorGraph(fixed=hold)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match="expected variables such as x"):
+        FactorGraph(fixed=["x0"])  # type: ignore[list-item]
     with pytest.raises(GraphError, match=r"FactorGraph\.fix: expected variables such as x\[0\], got 0"):
-        graph.fix(0)  # type: ignore[arg-type]
-    graph.fix(x[9])
-    with pytest.raises(GraphError, match="x9 has no value"):
-        graph.optimize(values)
+        FactorGraph().fix(0)  # type: ignore[arg-type]
+    with pytest.raises(GraphError, match=r"a list of factors such as \[factor\]"):
+        FactorGraph(Between(x[[0, 1]], x[[1, 2]], [[1.0], [1.0]], Isotropic(1)))  # type: ignore[arg-type]
 
 
-def test_a_factor_on_a_variable_without_value_is_refused() -> None:
-    graph, values = line()
-    graph.add(Prior(x[17], [0.0], Isotropic(1)))
-    with pytest.raises(GraphError, match="x17 has no value"):
-        graph.optimize(values)
-    graph.factors.pop()
-    graph.add(Prior(l[0], [0.0], Isotropic(1)))
-    with pytest.raises(GraphError, match="no variable of kind 'l'"):
-        graph.chi2(values)
-
-
-def test_wrong_spaces_are_refused() -> None:
-    graph = FactorGraph([Between(x[0], l[0], [1.0, 0.0, 0.0], Isotropic(1))])
-    with pytest.raises(GraphError, match=r"Between\(x0, l0\) joins SE2 and R\(2\)"):
-        graph.optimize(Values({x: (SE2, SE2.identity()), l: (R(2), [[0.0, 0.0]])}))
-
-
-def test_nothing_to_optimize() -> None:
-    with pytest.raises(GraphError, match="no factors: nothing to optimize"):
-        FactorGraph().optimize(Values({x: (R(1), [0.0])}))
-    empty = Between(x[[]], x[[]], np.zeros((0, 1)), Isotropic(1))
-    with pytest.raises(GraphError, match="no factors: nothing to optimize"):
-        FactorGraph([empty]).optimize(Values({x: (R(1), [0.0])}))
-
-
-def test_an_unknown_gauge_lists_the_known() -> None:
+def test_what_cannot_be_optimized_is_refused() -> None:
     graph, values = line()
     with pytest.raises(OptionError, match="gauge: 'middle' is not possible; expected one of first, prior, free, none"):
         graph.optimize(values, gauge="middle")
+    graph.fix(x[9])
+    with pytest.raises(GraphError, match="x9 has no value"):
+        graph.optimize(values)
+    graph.release(x[9])
+    factor = graph.add(Prior(x[17], [0.0], Isotropic(1)))
+    with pytest.raises(GraphError, match="x17 has no value"):
+        graph.optimize(values)
+    graph.remove(factor)
+    graph.add(Prior(l[0], [0.0], Isotropic(1)))
+    with pytest.raises(GraphError, match="no variable of kind 'l'"):
+        graph.chi2(values)
+    graph = FactorGraph([Between(x[0], l[0], [1.0, 0.0, 0.0], Isotropic(1))])
+    with pytest.raises(GraphError, match=r"Between\(x0, l0\) joins SE2 and R\(2\)"):
+        graph.optimize(Values({x: (SE2, SE2.identity()), l: (R(2), [[0.0, 0.0]])}))
+    for factors in ([], [Between(x[[]], x[[]], np.zeros((0, 1)), Isotropic(1))]):
+        with pytest.raises(GraphError, match="no factors: nothing to optimize"):
+            FactorGraph(factors).optimize(Values({x: (R(1), [0.0])}))
 
 
 def test_summary_counts_each_type_and_its_variables() -> None:
@@ -157,27 +144,11 @@ def test_a_part_of_a_graph_has_the_measurements_of_its_masks_and_holds_the_same(
     assert graph.fixed == [x[3]]
 
 
-@pytest.mark.parametrize(
-    "masks", [[], [np.ones(2, dtype=bool)], [np.ones(1, dtype=bool)] * 2, [np.array([0])], [np.array([1.0])], 5]
-)
-def test_masks_that_fit_no_factor_are_refused(masks: Any) -> None:
-    with pytest.raises(GraphError, match="a mask of True and False for each of 1 factors, as long as it has"):
-        FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))]).only(masks)
-
-
-def test_a_mask_may_be_a_list() -> None:
-    graph, _ = line()
-    assert len(graph.only([[False], [True, False]])) == 1
-
-
-def test_a_factor_that_is_no_list_of_factors_is_refused() -> None:
-    with pytest.raises(GraphError, match=r"a list of factors such as \[factor\]"):
-        FactorGraph(Between(x[[0, 1]], x[[1, 2]], [[1.0], [1.0]], Isotropic(1)))  # type: ignore[arg-type]
-
-
-def test_variables_to_hold_can_be_given_at_once() -> None:
-    for wrong in (3, x[0], "x0"):
-        with pytest.raises(GraphError, match=r"a list of variables to hold such as \[x\[0\]\], got"):
-            FactorGraph(fixed=wrong)  # type: ignore[arg-type]
-    with pytest.raises(GraphError, match="expected variables such as x"):
-        FactorGraph(fixed=["x0"])  # type: ignore[list-item]
+def test_masks_may_be_lists_and_must_fit() -> None:
+    assert len(line()[0].only([[False], [True, False]])) == 1
+    graph = FactorGraph([Prior(x[0], [0.0], Isotropic(1.0))])
+    one, two = np.ones(1, dtype=bool), np.ones(2, dtype=bool)
+    wrong: Any
+    for wrong in ([], [two], [one, one], [np.array([0])], [np.array([1.0])], 5):
+        with pytest.raises(GraphError, match="a mask of True and False for each of 1 factors, as long as it has"):
+            graph.only(wrong)

@@ -2,112 +2,70 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from factors import Between, Factor, Information, Prior
-from models import LieGroup
+from models import SE2, SE3, SO3, LieGroup, R
 from nls import FactorGraph, GaussNewton, Result, Stop, Values
-from tests.nls.graphs import GROUPS, Sample, distance, pose_graph, x
+from tests.nls.graphs import Sample, distance, pose_graph, x, y
 
 TIGHT = GaussNewton(Stop(update_tol=1e-11, chi2_rtol=0.0, gradient_tol=0.0))
+GROUPS = (R(2), SE2, SO3, SE3)
+SAMPLES = ((R(2), True), (SE2, True), (SE2, False), (SO3, False), (SE3, True))  # with a prior, or held by the gauge
+Poses = npt.NDArray[np.float64]
 
 
-@pytest.fixture(params=GROUPS, ids=str)
-def group(request: pytest.FixtureRequest) -> LieGroup:
-    return request.param  # type: ignore[no-any-return]
+@cache
+def solved(group: LieGroup, anchored: bool) -> tuple[Sample, Result]:
+    sample = pose_graph(group, n=10, seed=11, anchored=anchored)
+    return sample, optimum(sample.graph, sample.values)
 
 
-@pytest.fixture(params=[True, False], ids=["prior", "gauge"])
-def sample(request: pytest.FixtureRequest, group: LieGroup) -> Sample:
-    return pose_graph(group, n=10, seed=11, anchored=request.param)
-
-
-def solved(graph: FactorGraph, values: Values) -> Result:
+def optimum(graph: FactorGraph, values: Values) -> Result:
     result = graph.optimize(values, TIGHT)
     assert result.converged, result.reason
     assert result.chi2_final > 0.1
     return result
 
 
-def whiteners(factor: Factor, group: LieGroup) -> npt.NDArray[np.float64]:
+def whiteners(factor: Factor, group: LieGroup) -> Poses:
     """W'W of every measurement of a batch."""
     W = factor.bind(*(group for _ in factor.keys)).W
     W = W if W.ndim == 3 else W[..., None] * np.eye(group.dim)
     return np.array(np.broadcast_to(W.mT @ W, (len(factor), group.dim, group.dim)))
 
 
+def made(keys: list[object], z: Poses, Omega: Poses) -> Factor:
+    return (Between if len(keys) == 2 else Prior)(*keys, z, Information(Omega))  # type: ignore[arg-type]
+
+
+def reordered(f: Factor, order: npt.NDArray[np.int64], group: LieGroup) -> Factor:
+    z = f.bind(*(group for _ in f.keys)).z
+    return made([keys[order] for keys in f.keys], z[order], whiteners(f, group)[order])
+
+
 def one_by_one(sample: Sample, group: LieGroup) -> list[Factor]:
     """Every measurement as a factor of its own."""
-    out: list[Factor] = []
-    for f in sample.graph.factors:
-        Omega, model = whiteners(f, group), f.bind(*(group for _ in f.keys))
-        for k in range(len(f)):
-            keys = [keys[[k]] for keys in f.keys]
-            noise = Information(Omega[k])
-            out.append(Between(*keys, model.z[k], noise) if len(keys) == 2 else Prior(keys[0], model.z[k], noise))
-    return out
+    return [reordered(f, np.array([k]), group) for f in sample.graph.factors for k in range(len(f))]
 
 
-def same(group: LieGroup, one: Result, other: Result, poses: npt.NDArray[np.float64] | None = None) -> None:
-    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
-    assert distance(group, one.values[x], other.values[x] if poses is None else poses) < 1e-8
-
-
-def test_shuffled_and_split_factors(sample: Sample, group: LieGroup) -> None:
+def shuffled_and_split(sample: Sample, group: LieGroup) -> FactorGraph:
     factors = one_by_one(sample, group)
     np.random.default_rng(0).shuffle(factors)  # type: ignore[arg-type]
     assert len(factors) == len(sample.graph) > len(sample.graph.factors)
-    same(group, solved(sample.graph, sample.values), solved(FactorGraph(factors), sample.values))
+    return FactorGraph(factors)
 
 
-def test_shuffled_rows_of_a_batch(sample: Sample, group: LieGroup) -> None:
-    rng, graph = np.random.default_rng(1), FactorGraph()
-    for f in sample.graph.factors:
-        order = rng.permutation(len(f))
-        Omega, z = whiteners(f, group)[order], f.bind(*(group for _ in f.keys)).z[order]
-        keys = [k[order] for k in f.keys]
-        graph.add(Between(*keys, z, Information(Omega)) if len(keys) == 2 else Prior(keys[0], z, Information(Omega)))
-    same(group, solved(sample.graph, sample.values), solved(graph, sample.values))
+def rows_shuffled(sample: Sample, group: LieGroup) -> FactorGraph:
+    rng = np.random.default_rng(1)
+    return FactorGraph([reordered(f, rng.permutation(len(f)), group) for f in sample.graph.factors])
 
 
-def test_renumbered_variables(sample: Sample, group: LieGroup) -> None:
-    """Numbers and places in the stack change; what belongs together does not."""
-    rng = np.random.default_rng(2)
-    name, place = 100 + 7 * rng.permutation(10), rng.permutation(10)
-    name[0] = 3  # the lowest number stays with the pose that is held
-    X = sample.values[x]
-    graph = FactorGraph()
-    for f in one_by_one(sample, group):
-        keys = [x[name[k.numbers]] for k in f.keys]
-        graph.add(Between(*keys, f.z, f.noise) if len(keys) == 2 else Prior(keys[0], f.z, f.noise))
-    values = Values({x: (group, X[place], name[place])})
-    one, other = solved(sample.graph, sample.values), solved(graph, values)
-    same(group, one, other, other.values[x[name]])
-
-
-def test_two_kinds_instead_of_one(sample: Sample, group: LieGroup) -> None:
-    """The poses of odd number are given another kind."""
-    from tests.nls.graphs import y
-
-    def renamed(keys: object) -> object:
-        number = int(keys.numbers[0])  # type: ignore[attr-defined]
-        return y[number] if number % 2 else x[number]
-
-    graph = FactorGraph()
-    for f in one_by_one(sample, group):
-        keys = [renamed(k) for k in f.keys]
-        graph.add(Between(*keys, f.z, f.noise) if len(keys) == 2 else Prior(keys[0], f.z, f.noise))  # type: ignore[arg-type]
-    X, n = sample.values[x], np.arange(10)
-    values = Values({x: (group, X[::2], n[::2]), y: (group, X[1::2], n[1::2])})
-    one, other = solved(sample.graph, sample.values), solved(graph, values)
-    poses = np.array(X)
-    poses[::2], poses[1::2] = other.values[x], other.values[y]
-    same(group, one, other, poses)
-
-
-def test_reversed_edges(sample: Sample, group: LieGroup) -> None:
+def edges_reversed(sample: Sample, group: LieGroup) -> FactorGraph:
     """j seen from i becomes i seen from j: z^-1, the information carried over by the adjoint of z; chi2 is equal."""
     graph = FactorGraph()
     for f in sample.graph.factors:
@@ -118,48 +76,81 @@ def test_reversed_edges(sample: Sample, group: LieGroup) -> None:
             graph.add(Between(f.keys[1], f.keys[0], group.inverse(z), Information((Omega + Omega.mT) / 2)))
         else:
             graph.add(f)
-    assert graph.chi2(sample.values) == pytest.approx(sample.graph.chi2(sample.values), rel=1e-10)
-    same(group, solved(sample.graph, sample.values), solved(graph, sample.values))
+    return graph
 
 
-def test_the_world_frame_moved(sample: Sample, group: LieGroup) -> None:
-    """T X_i for all i: the same chi2, and the optimum moved with it."""
+@pytest.mark.parametrize(("group", "anchored"), SAMPLES, ids=str)
+def test_factors_told_in_another_way(group: LieGroup, anchored: bool) -> None:
+    sample, one = solved(group, anchored)
+    for retold in (shuffled_and_split, rows_shuffled, edges_reversed):
+        graph = retold(sample, group)
+        assert graph.chi2(sample.values) == pytest.approx(sample.graph.chi2(sample.values), rel=1e-10)
+        other = optimum(graph, sample.values)
+        assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
+        assert distance(group, one.values[x], other.values[x]) < 1e-8
+
+
+@pytest.mark.parametrize(("group", "anchored"), SAMPLES, ids=str)
+def test_variables_told_in_another_way(group: LieGroup, anchored: bool) -> None:
+    """Other numbers and places in the stack; a second kind for poses of odd number; the world frame moved."""
+    sample, one = solved(group, anchored)
+    rng, X, n = np.random.default_rng(2), sample.values[x], np.arange(10)
+    name, place = 100 + 7 * rng.permutation(10), rng.permutation(10)
+    name[0] = 3  # the lowest number stays with the pose that is held
+    renumbered, two_kinds, moved = FactorGraph(), FactorGraph(), FactorGraph()
     T = group.exp(np.linspace(2.0, -1.0, group.dim))
-    graph = FactorGraph()
-    for f in sample.graph.factors:
-        graph.add(Prior(f.keys[0], group.compose(T, f.z), f.noise) if isinstance(f, Prior) else f)
-    values = Values({x: (group, group.compose(T, sample.values[x]))})
-    assert graph.chi2(values) == pytest.approx(sample.graph.chi2(sample.values), rel=1e-10)
-    one, other = solved(sample.graph, sample.values), solved(graph, values)
-    same(group, one, other, group.compose(group.inverse(T), other.values[x]))
+    for f in one_by_one(sample, group):
+        numbers = [int(keys.numbers[0]) for keys in f.keys]
+        Omega = whiteners(f, group)
+        renumbered.add(made([x[name[k]] for k in numbers], f.z, Omega))
+        two_kinds.add(made([(y if k % 2 else x)[k] for k in numbers], f.z, Omega))
+        moved.add(made([x[k] for k in numbers], f.z if len(numbers) == 2 else group.compose(T, f.z), Omega))
+    start = Values({x: (group, group.compose(T, X))})
+    assert moved.chi2(start) == pytest.approx(sample.graph.chi2(sample.values), rel=1e-10)
+    results = (
+        optimum(renumbered, Values({x: (group, X[place], name[place])})),
+        optimum(two_kinds, Values({x: (group, X[::2], n[::2]), y: (group, X[1::2], n[1::2])})),
+        optimum(moved, start),
+    )
+    halves = np.stack([results[1].values[x], results[1].values[y]], axis=1).reshape(X.shape)
+    back = group.compose(group.inverse(T), results[2].values[x])
+    for other, poses in zip(results, (results[0].values[x[name]], halves, back), strict=True):
+        assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
+        assert distance(group, one.values[x], poses) < 1e-8
 
 
-@pytest.mark.parametrize("convention", ["log", "g2o", "graphslam"])
-def test_conventions_agree_to_first_order(group: LieGroup, convention: str) -> None:
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_conventions_agree_to_first_order(group: LieGroup) -> None:
     """Measured almost without error, every convention with its own information finds the same poses."""
     sample = pose_graph(group, n=8, seed=3)
     half = np.array([2.0 if c in ("roll", "pitch", "yaw") and group.point_dim == 3 else 1.0 for c in group.components])
-    if convention == "log":
-        half[:] = 1.0
-    graph = FactorGraph()
+    exact = []
     for f in sample.graph.factors:
         X = [sample.truth[keys] for keys in f.keys]
         h = group.between(*X) if len(X) == 2 else X[0]
-        z = group.retract(h, 1e-4 * np.random.default_rng(len(f)).normal(size=(len(f), group.dim)))
-        Omega = whiteners(f, group) * half[:, None] * half
-        make = Between if len(X) == 2 else Prior
-        graph.add(make(*f.keys, z, Information(Omega), convention=convention))
-        f._z, f._model = z, None
-    one, other = (g.optimize(sample.truth, TIGHT) for g in (sample.graph, graph))
+        noise = 1e-4 * np.random.default_rng(len(f)).normal(size=(len(f), group.dim))
+        exact.append((f.keys, group.retract(h, noise), whiteners(f, group)))
+    results = []
+    for convention, scale in (("log", np.ones(group.dim)), ("g2o", half), ("graphslam", half)):
+        graph = FactorGraph()
+        for keys, z, Omega in exact:
+            noise = Information(Omega * scale[:, None] * scale)
+            graph.add((Between if len(keys) == 2 else Prior)(*keys, z, noise, convention=convention))
+        results.append(graph.optimize(sample.truth, TIGHT))
+    one = results[0]
     assert one.chi2_final > 1e-6
-    assert other.chi2_final == pytest.approx(one.chi2_final, rel=2e-3)
-    assert distance(group, one.values[x], other.values[x]) < 1e-6
+    for other in results[1:]:
+        assert other.chi2_final == pytest.approx(one.chi2_final, rel=2e-3)
+        assert distance(group, one.values[x], other.values[x]) < 1e-6
 
 
+@pytest.mark.parametrize("group", GROUPS, ids=str)
 def test_a_measurement_twice_is_one_of_twice_the_information(group: LieGroup) -> None:
     sample = pose_graph(group, n=6, seed=4)
     twice, double = FactorGraph(sample.graph.factors), FactorGraph(sample.graph.factors[1:])
     first = sample.graph.factors[0]
     twice.add(Between(*first.keys, first.z, first.noise))
     double.add(Between(*first.keys, first.z, Information(2 * whiteners(first, group))))
-    same(group, solved(twice, sample.values), solved(double, sample.values))
+    one, other = (optimum(graph, sample.values) for graph in (twice, double))
+    assert other.chi2_final == pytest.approx(one.chi2_final, rel=1e-9)
+    assert distance(group, one.values[x], other.values[x]) < 1e-8

@@ -1,19 +1,14 @@
-"""What every optimization promises: named errors, the caller's values untouched, the same bits every time."""
+"""What every optimization promises: named errors, the caller's values and optimizer untouched, a history."""
 
 from __future__ import annotations
-
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from models import LieGroup, R
+from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
 from nls import EvaluationError, FactorGraph, GaussNewton, GraphError, Stop
-from tests.nls.graphs import GROUPS, circle, never_worse, p, pose_graph, scalar, x
+from tests.nls.graphs import circle, never_worse, p, pose_graph, scalar, x
 
 
 def test_the_start_must_be_finite() -> None:
@@ -32,7 +27,7 @@ def test_an_exception_in_user_code_is_chained_and_named() -> None:
     assert isinstance(e.value.__cause__, ZeroDivisionError)
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=str)
+@pytest.mark.parametrize("group", [R(2), SE2, SO3, SE3], ids=str)
 def test_the_callers_values_are_untouched(group: LieGroup) -> None:
     sample = pose_graph(group)
     X = sample.values[x]
@@ -61,43 +56,6 @@ def test_history_timings_and_table() -> None:
     assert f"CONVERGED: {result.reason}" in text
     assert f"{result.dof} degrees of freedom" in text
     assert len(text.splitlines()) == 1 + len(result.history) + 2
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_the_same_bits_twice(group: LieGroup) -> None:
-    one, two = (pose_graph(group, n=30).graph.optimize(pose_graph(group, n=30).values) for _ in range(2))
-    assert one.values[x].tobytes() == two.values[x].tobytes()
-    assert [it.chi2 for it in one.history] == [it.chi2 for it in two.history]
-
-
-SCRIPT = """
-import hashlib
-from models import SE2, SE3
-from tests.nls.graphs import mixed, pose_graph
-h = hashlib.sha256()
-for sample in (pose_graph(SE2, n=40), pose_graph(SE3, n=40), mixed(0)):
-    result = sample.graph.optimize(sample.values)
-    for stack in result.values.stacks.values():
-        h.update(stack.X.tobytes())
-print(h.hexdigest())
-"""
-
-
-def test_the_same_bits_whatever_the_hash_seed() -> None:
-    root = Path(__file__).parents[2]
-    digests = {
-        subprocess.run(
-            [sys.executable, "-c", SCRIPT],
-            cwd=root,
-            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(root)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in ("0", "4711")
-    }
-    assert len(digests) == 1
-    assert len(digests.pop().strip()) == 64
 
 
 def test_an_optimizer_is_not_changed_by_a_run() -> None:

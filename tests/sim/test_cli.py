@@ -1,10 +1,12 @@
-"""The command line: one table, files that read back, one line for every mistake."""
+"""The command line: one table, files that read back, one line for every mistake; worlds, missions and the rig."""
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -12,38 +14,53 @@ import pytest
 
 import sim
 from nls import kinds, load
-from sim.cli import WORLDS, main
+from nls.io.mission import read_mission
+from sim.calibration import calibrated
+from sim.cli import EXAMPLES, MISSIONS, WORLDS, main
 from tests.nls.io.disk import small_disk
+from tests.sim.commands import help_text, made_again, refused, rows, table
 
-(x,) = kinds("x")
+x, s = kinds("x", "s")
 SMALL = {
-    "manhattan": ["--poses", "60"],
-    "grid3d": ["--poses", "60"],
-    "ring": ["--laps", "2", "--per-lap", "30"],
-    "sphere": ["--rings", "5", "--per-ring", "12"],
-    "torus": ["--coils", "5", "--per-coil", "12"],
+    "manhattan": {"--poses": 60},
+    "grid3d": {"--poses": 60},
+    "ring": {"--laps": 2, "--per-lap": 30},
+    "sphere": {"--rings": 5, "--per-ring": 12},
+    "torus": {"--coils": 5, "--per-coil": 12},
+    "hauv-floor": {"--legs": 2, "--per-leg": 12},
+    "hauv-hull": {"--levels": 2, "--per-level": 13},
+    "rig": {"--poses": 6, "--points": 60},
+    "subsea": {"--laps": 1},
+    "compare": {"--laps": 1},
 }
+every_mission = pytest.mark.parametrize("name", sorted(MISSIONS))
 
 
-@pytest.mark.parametrize("name", sorted(WORLDS))
-def test_table(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([name, "--seed", "7", *SMALL[name]]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
+def small(name: str) -> list[str]:
+    return [name, *(str(word) for option in SMALL[name].items() for word in option)]
+
+
+def sizes(name: str) -> dict[str, int]:
+    """Of a small one, as its function takes them."""
+    names = {"--poses": "n_poses"} if name in WORLDS else {}
+    return {names.get(o, o.strip("-").replace("-", "_")): v for o, v in SMALL[name].items()}
+
+
+def test_tables(capsys: pytest.CaptureFixture[str]) -> None:
     labels = ["world", "poses", "edges", "chi2 at start", "chi2 at truth", "dof", "start error"]
-    assert [line[:14].strip() for line in out.splitlines()] == labels
-    assert f"{name}, seed 7" in out
-    assert re.search(r"^poses +60 in SE[23]$", out, re.MULTILINE)
+    for name in sorted(WORLDS):
+        said = table([*small(name), "--seed", "7"], capsys)
+        assert list(said) == labels
+        assert said["world"] == f"{name}, seed 7"
+        assert re.match("60 in SE[23]$", said["poses"])
 
 
 @pytest.mark.parametrize("name", ["manhattan", "sphere"])
 def test_files_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "new" / "folder"
-    assert main([name, *SMALL[name], "--seed", "3", "--out", str(folder)]) == 0
-    assert sorted(p.name for p in folder.iterdir()) == ["README.txt", "graph.g2o", "truth.g2o"]
-    sizes = {o.lstrip("-").replace("-", "_"): int(v) for o, v in zip(SMALL[name][::2], SMALL[name][1::2], strict=True)}
-    sizes = {"n_poses" if o == "poses" else o: v for o, v in sizes.items()}
-    world = WORLDS[name](np.random.default_rng(3), **sizes)
+    assert main([*small(name), "--seed", "3", "--sigma-r", "0.031", "--out", str(folder)]) == 0
+    assert str(folder / "graph.g2o") in capsys.readouterr().out
+    world = WORLDS[name](np.random.default_rng(3), sigma_r=0.031, **sizes(name))
     for file, expected in (("graph.g2o", world.start), ("truth.g2o", world.truth)):
         graph, values, _ = load(folder / file, convention="log")
         np.testing.assert_array_equal(values[x], expected[x])
@@ -53,128 +70,154 @@ def test_files_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixtur
     result = graph.optimize(start)
     assert result.converged
     assert sim.position_error(result.values, world.truth) < sim.position_error(world.start, world.truth)
-    readme = (folder / "README.txt").read_text(encoding="utf-8")
+    readme = made_again(folder, ["graph.g2o", "truth.g2o"], tmp_path / "again")
     assert "seed 3" in readme
     assert f"{world.poses} in" in readme
-    assert str(folder / "graph.g2o") in capsys.readouterr().out
 
 
-def test_the_command_in_the_readme_makes_the_same_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    assert main(["manhattan", "--poses", "50", "--sigma-r", "0.031", "--seed", "12", "--out", str(one)]) == 0
-    call = re.search(r"^Made by: nls-sim (.*)$", (one / "README.txt").read_text(encoding="utf-8"), re.MULTILINE)
-    assert call is not None
-    assert main([*call[1].split(), "--out", str(two)]) == 0
-    for file in ("graph.g2o", "truth.g2o", "README.txt"):
-        assert (one / file).read_bytes() == (two / file).read_bytes()
-    assert capsys.readouterr().err == ""
+@every_mission
+def test_missions(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    said = table([*small(name), "--seed", "3", "--aperture", "28deg", "--out", str(folder)], capsys)
+    mission = MISSIONS[name](np.random.default_rng(3), aperture=radians(28), **sizes(name))
+    labels = ["world", "poses", "landmarks", "contacts", "elevation", "chi2 at truth", "dead reckoning", "written"]
+    assert list(said) == labels
+    assert said["world"] == f"{name}, seed 3"
+    assert said["poses"].startswith(f"{mission.poses} in SE3, ")
+    assert (said["landmarks"], said["contacts"]) == (str(mission.landmarks), str(len(mission.contacts)))
+    chi2, expected = map(float, re.match(r"([\d.]+), expected (\d+) \(", said["chi2 at truth"]).groups())
+    assert chi2 == pytest.approx(mission.sensed.chi2(mission.truth), rel=1e-5)
+    assert abs(chi2 - expected) < 4 * np.sqrt(2 * expected)
+    assert float(said["dead reckoning"].split()[0]) == pytest.approx(mission.ate(mission.start), rel=1e-3)
+    assert sorted(said["written"].split(", ")) == sorted(map(str, folder.iterdir()))
+    graph, values, *_ = read_mission(folder)
+    assert len(graph) == len(mission.graph)
+    assert graph.chi2(mission.truth) == pytest.approx(mission.graph.chi2(mission.truth), rel=1e-9)
+    assert sorted(values.stacks) == ["l", "x"]
+    assert (len(values.stack("x")), len(values.stack("l"))) == (mission.poses, mission.landmarks)
+    assert "28 deg high" in made_again(folder, [], tmp_path / "again")
+    capsys.readouterr()
+    spoiled = ["--drop-outs", "0.1", "--outliers", "0.05", "--wrong-associations", "0.05"]
+    contacts, wrong = map(int, re.findall(r"\d+", table([*small(name), *spoiled], capsys)["contacts"]))
+    assert wrong == round(0.05 * contacts) + 2 * round(0.025 * contacts)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "NAME"),
-        (["sphre"], "invalid choice: 'sphre'"),
-        (["sphere", "--poses", "30"], "--poses is no option of sphere; see nls-sim sphere --help"),
-        (["ring", "extra"], "extra is no option of ring"),
-        (["sphere", "--ring", "30"], "--ring is no option of sphere"),
-        (["sphere", "--rings"], "expected one argument"),
-        (["sphere", "--rings", "many"], "'many' is not a whole number"),
-        (
-            ["ring", "--seed", "9223372036854775808"],
-            "'9223372036854775808' is too large; a whole number has at most 18",
-        ),
-        (["sphere", "--rings", "1_0"], "'1_0' is not a whole number"),
-        (["sphere", "--rings", "1"], "--rings: 1 is not possible; give a whole number from 2"),
-        (["manhattan", "--poses", "2"], "--poses: 2 is not possible; give a whole number from 3"),
-        (["sphere", "--rings", "9" * 7, "--per-ring", "9" * 7], "give at most 10000000 poses"),
-        (["sphere", "--sigma-t", "nan"], "'nan' is not a number"),
-        (["sphere", "--sigma-t", "0"], "--sigma-t: 0.0 is not possible; give a number above 0"),
-        (["torus", "--tube", "30"], "--tube: 30.0 is not possible; give less than the radius of the ring, 20"),
-        (["ring", "--seed", "-1"], "a seed is a whole number of at least 0"),
-        (["ring", "--out", ""], "--out: '' is not possible; give a folder"),
-        (["manhattan", "--poses", "12000", "--radius", "1e6"], "choose a smaller radius"),
-    ],
-)
-def test_one_line_for_a_mistake(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    try:
-        code = main(arguments)
-    except SystemExit as leave:
-        code = leave.code
+def test_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    assert main([*small("rig"), "--seed", "3", "--views", "5", "--out", str(folder)]) == 0
     out, err = capsys.readouterr()
-    assert code == 2
-    assert out == ""
-    assert said in err
-    assert re.fullmatch(r"nls-sim: .*\n", err)
+    rig = sim.rig(np.random.default_rng(3), poses=6, points=60, views=5)
+    result = calibrated(rig)
+    before, after = rig.errors(rig.start), rig.errors(result.values)
+    labels, said = zip(*rows(out), strict=True)
+    assert err == ""
+    assert labels[:7] == ("world", "poses", "points", "measured", "chi2 at truth", "chi2", "solved")
+    assert labels[7:] == ("cameras", "points", "sonar", "alignment", "written")
+    assert (said[0], said[3]) == ("rig, seed 3", "300 images, 300 sonar contacts")
+    assert said[5].endswith(f"-> {result.chi2_final:.6g}, dof {rig.dof}")
+    assert said[6].startswith(f"CONVERGED, {result.iterations} iterations of gauss-newton: ")
+    assert said[7] == f"{100 * before.poses:.3g} cm -> {100 * after.poses:.3g} cm"
+    assert said[8] == f"{100 * before.points:.3g} cm -> {100 * after.points:.3g} cm"
+    assert said[9].startswith("5 cm, 3 deg -> ")
+    assert said[9].endswith(f"{np.degrees(after.extrinsic_rad):.3g} deg")
+    assert sorted(said[11].split(", ")) == sorted(map(str, folder.iterdir()))
+    assert (folder / "rig.png").read_bytes()[:4] == b"\x89PNG"
+    report = json.loads((folder / "rig.json").read_text())
+    assert (report["images"], report["contacts"], report["dof"], report["converged"]) == (300, 300, rig.dof, True)
+    for name, errors, values in (("before", before, rig.start), ("after", after, result.values)):
+        assert report[name] == {key: getattr(errors, key) for key in report[name]}
+        assert sorted(report[name]) == ["extrinsic_m", "extrinsic_rad", "points", "poses"]
+        assert report["extrinsic"][name] == values[s[0]].tolist()
+    assert report["extrinsic"]["truth"] == rig.truth[s[0]].tolist()
+    assert "each seen from 5 poses" in made_again(folder, ["rig.json", "rig.png"], tmp_path / "again")
 
 
-def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_line_for_a_mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, named in (
+        ("", "NAME"),
+        ("sphre", "invalid choice: 'sphre'"),
+        ("hauv_floor", "invalid choice: 'hauv_floor'"),
+        ("sphere --poses 30", "--poses is no option of sphere"),
+        ("rig --aperture 28deg", "--aperture is no option of rig"),
+        ("ring extra", "extra is no option of ring"),
+        ("sphere --ring 30", "--ring is no option of sphere"),
+        ("sphere --rings", "expected one argument"),
+        ("sphere --rings many", "'many' is not a whole number"),
+        ("ring --seed 9223372036854775808", "'9223372036854775808' is too large"),
+        ("sphere --rings 1_0", "'1_0' is not a whole number"),
+        ("sphere --rings 1", "--rings: 1 is not possible; give a whole number from 2"),
+        ("manhattan --poses 2", "--poses: 2 is not possible"),
+        ("sphere --rings 9999999 --per-ring 9999999", "10000000 poses"),
+        ("sphere --sigma-t nan", "'nan' is not a number"),
+        ("torus --tube 30", "--tube: 30.0 is not possible"),
+        ("ring --seed -1", "seed"),
+        ("manhattan --poses 12000 --radius 1e6", "choose a smaller radius"),
+        ("hauv-floor --elevation guess", "--elevation: invalid choice: 'guess'"),
+        ("hauv-floor --aperture deg", "'deg' is not a number"),
+        ("hauv-floor --aperture 180deg", "nls-sim: --aperture: 3.14159"),
+        ("hauv-floor --per-leg 2 --legs 1 --passes 1", "none of 399 points is seen 3 times"),
+        ("hauv-hull --noise-scale 1e300", "--noise-scale: 1e+300 is not possible"),
+        ("rig --views 30", "--views: 30 is not possible"),
+        ("rig --poses 6 --points 60 --views 1", "x"),
+    ):
+        refused(arguments.split(), named, capsys)
+    refused(["hauv-floor", "--aperture", "28 deg"], "'28 deg' is not a number", capsys)
+    refused(["ring", "--out", ""], "--out: '' is not possible", capsys)
     (tmp_path / "file").write_text("taken")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert main(["ring", *SMALL["ring"], "--out", str(folder)]) == 2
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert re.fullmatch(r"nls-sim: .*file.*: cannot be made: .*; give another folder\n", err)
+        refused([*small("ring"), "--out", str(folder)], "cannot be made", capsys)
     assert (tmp_path / "file").read_text() == "taken"
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["hauv-floor", "--legs", "2", "--per-leg", "8"],
-        ["ring", "--per-lap", "40"],
-        ["rig", "--poses", "4", "--points", "20"],
-    ],
-    ids=lambda arguments: arguments[0],
-)
-def test_a_full_disk_leaves_the_folder_as_it_was(
-    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("name", ["hauv-floor", "ring"])
+def test_a_full_disk_leaves_the_folder_as_it_was(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Files may have 8 kB: the first ones fit, a later one does not."""
     old = tmp_path / "old"
     old.mkdir()
     (old / "README.txt").write_text("older")
     for folder in (tmp_path / "new" / "folder", old):
         with small_disk(8000):
-            status = main([*arguments, "--out", str(folder)])
-        out, err = capsys.readouterr()
-        assert (status, out) == (2, "")
-        assert re.fullmatch(rf"nls-sim: {re.escape(str(folder))}/\S+: cannot be written: .*\n", err)
+            refused([*small(name), "--out", str(folder)], f"nls-sim: {folder}/", capsys)
     assert not (tmp_path / "new").exists()
     assert [(file.name, file.read_text()) for file in old.iterdir()] == [("README.txt", "older")]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name in sorted(WORLDS))])
-def test_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as leave:
-        main(arguments)
-    out = capsys.readouterr().out
-    assert leave.value.code == 0
-    assert "example" in out
-    assert all(
-        name in out for name in (WORLDS if len(arguments) == 1 else [arguments[0], "--seed", "--out", "default"])
-    )
+def test_help(capsys: pytest.CaptureFixture[str]) -> None:
+    out = help_text([], capsys)
+    assert all(name in out for name in ("example", *WORLDS, *MISSIONS, "rig"))
+    for name in sorted(WORLDS):
+        out = help_text([name], capsys)
+        assert all(word in out for word in ("example", name, "--seed", "--out", "default"))
+    for name in sorted(MISSIONS):
+        out = help_text([name], capsys)
+        for word in (
+            "--aperture X",
+            "(default 0.2443)",
+            "{free,hinge,prior}",
+            "(default hinge)",
+            "a mission (CSV files",
+        ):
+            assert word in out
+    out = help_text(["rig"], capsys)
+    for word in ("--views N", "(default 20)", "(default 600)", "rig.png, rig.json", "pose of the sonar"):
+        assert word in out
 
 
 def test_examples_of_the_help_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With smaller sizes, which come last and count."""
     monkeypatch.chdir(tmp_path)
-    from sim.cli import EXAMPLES
-
     calls = [line.split("   ")[0].split()[1:] for line in EXAMPLES.splitlines() if line.startswith("  nls-sim")]
     assert len(calls) == 10
-    assert [main(call) for call in calls if "--help" not in call] == [0] * 9
-    assert (tmp_path / "demo" / "graph.g2o").exists()
-    assert (tmp_path / "survey" / "contacts.csv").exists()
-    assert (tmp_path / "calibrated" / "rig.png").exists()
-    assert (tmp_path / "over-confident" / "estimate.png").exists()
+    assert [main([*call, *small(call[0])[1:]]) for call in calls if not {"--help", "--runs"} & set(call)] == [0] * 8
+    made = ("demo/graph.g2o", "survey/contacts.csv", "calibrated/rig.png", "over-confident/estimate.png")
+    assert all((tmp_path / name).exists() for name in made)
 
 
-def test_python_m_sim() -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "sim", "ring", "--laps", "1", "--per-lap", "20"],
-        capture_output=True,
-        text=True,
-        check=False,
+def test_python_m_sim_does_not_import_matplotlib() -> None:
+    code = (
+        "import runpy, sys; import sim, sim.cli; assert 'matplotlib' not in sys.modules;"
+        "sys.argv = ['sim', 'ring', '--laps', '1', '--per-lap', '20']; runpy.run_module('sim', run_name='__main__')"
     )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("world           ring, seed 0\n")

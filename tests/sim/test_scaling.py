@@ -12,9 +12,9 @@ import sim.scaling
 from models.errors import OptionError
 from nls import kinds
 from nls.plot.filters import COLORS, power_laws
-from sim.cli import main
 from sim.estimators import errors, tracked
 from sim.scaling import AGAIN, Cost, circuit, costs, exponent, scaling_rows
+from tests.sim.commands import refused, table
 
 x, l = kinds("x", "l")
 
@@ -41,15 +41,12 @@ def test_a_ring_closes_and_its_poses_see_equally_many_landmarks_at_every_size() 
         circuit(np.random.default_rng(0), 99)
 
 
-def test_filters_know_all_landmarks_before_the_steps_that_are_timed() -> None:
-    world = circuit(np.random.default_rng(3), 100)
-    track = tracked(world, "ekf")
-    assert len(track.landmarks) == 100
-    assert errors(world, track)["ate"] < 0.1
-
-
 def test_a_graph_costs_less_than_a_filter_and_grows_slower() -> None:
     """The start of it. At 1,600 to 6,400 landmarks: EKF m^1.87 a step; at 3,200 to 12,800: batch m^1.06 in all."""
+    world = circuit(np.random.default_rng(3), 100)
+    track = tracked(world, "ekf")
+    assert len(track.landmarks) == 100  # known before the steps that are timed
+    assert errors(world, track)["ate"] < 0.1
     ekf, batch = costs(0, ["ekf", "batch"], {}, 60.0, sizes=(100, 400))
     assert (ekf.name, ekf.landmarks, ekf.poses, ekf.stopped) == ("ekf", [100, 400], [46, 121], "")
     assert batch.landmarks == [100, 400]
@@ -129,11 +126,9 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     ran = grown(monkeypatch, 1.0)
     monkeypatch.setattr("sim.cli_estimators.costs", lambda *given: costs(*given, sizes=(100, 200, 400)))
     call = ["compare", "--scaling", "50", "--estimators", "ekf", "fastslam1", "--particles", "5", "--out"]
-    assert main([*call, str(tmp_path)]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
+    said = table([*call, str(tmp_path)], capsys)
     assert ran == [100, 100, 200, 200]
-    assert "ekf stops before 400 landmarks, which would take about 80 s" in out
+    assert said["stopped"] == "fastslam1 stops before 400 landmarks, which would take about 80 s"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["README.txt", "scaling.json", "scaling.png"]
     report = json.loads((tmp_path / "scaling.json").read_text())
     assert [each["name"] for each in report["estimators"]] == ["ekf", "fastslam1"]
@@ -143,20 +138,12 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert "Made by: nls-sim compare --seed 0 --scaling 50.0 --estimators ekf fastslam1 --particles 5\n" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--runs", "2"], "--runs does not go with --scaling, which has rings"),
-        (["--world", "lines"], "--world does not go with --scaling, which has rings"),
-        (["--memory"], "--memory does not go with --scaling, which has rings"),
-        (["--laps", "3"], "--laps does not go with --scaling, which has rings"),
-        (["--laps", "0"], "--laps does not go with --scaling, which has rings"),
-        (["--particles", "0"], "--particles belongs to fastslam1 or fastslam2, not to "),
-        (["--particles", "9"], "--particles belongs to fastslam1 or fastslam2, not to "),
-        (["--estimators", "ekf", "ekf"], "--estimators: 'ekf ekf' is not possible; give every one once"),
-    ],
-)
-def test_one_line_for_a_mistake(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", "--scaling", *arguments]) == 2
-    assert said in capsys.readouterr().err
-    assert main(["compare", *arguments, "--scaling", "0"]) == 2
+def test_one_line_for_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, named in (
+        *((words, f"{words.split()[0]} does not go with --scaling") for words in ("--runs 2", "--memory", "--laps 0")),
+        ("--world lines", "--world does not go with --scaling"),
+        ("--particles 0", "--particles belongs to fastslam1 or fastslam2"),
+        ("--estimators ekf ekf", "--estimators: 'ekf ekf' is not possible"),
+    ):
+        refused(["compare", "--scaling", "50", *arguments.split()], named, capsys)
+        refused(["compare", *arguments.split(), "--scaling", "0"], "", capsys)

@@ -15,10 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
-from models.algebra import Array
+from models.algebra import Array, Mask
 from nls.io.logs.table import columns
 
 __all__ = ["Caves", "read_caves"]
@@ -44,7 +41,7 @@ class Caves:
 
     t: Array
     v_d: Array
-    valid: npt.NDArray[np.bool_]
+    valid: Mask
     t_depth: Array
     depth: Array
     t_track: Array

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from models import wrap
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Numbers
 from nls.io.plain import or_compressed, plain_table, refuse_late
 from nls.io.text import Text
 
@@ -43,11 +42,11 @@ class Mrclam:
     t: Array
     u: Array
     t_seen: Array
-    subject: npt.NDArray[np.int64]
+    subject: Numbers
     z: Array
     t_truth: Array
     truth: Array
-    landmarks: npt.NDArray[np.int64]
+    landmarks: Numbers
     places: Array
 
     def true_poses(self, t: Array) -> Array:
@@ -109,7 +108,7 @@ def _timed(folder: Path, name: str, columns: int, expected: str) -> tuple[Array,
     return numbers, text, lines
 
 
-def _once(noun: str, text: Text, lines: Index, numbers: npt.NDArray[np.int64]) -> Index:
+def _once(noun: str, text: Text, lines: Index, numbers: Numbers) -> Index:
     """The order of numbers (n,), each of which is given once."""
     order = np.argsort(numbers, kind="stable")
     if len(again := np.flatnonzero(np.diff(numbers[order]) == 0)):

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array
+from models.algebra import Array, Index
 from nls.io.plain import or_compressed, plain_lines, plain_table, refuse_late
 
 __all__ = ["VictoriaPark", "read_victoria_park"]
@@ -44,7 +43,7 @@ class VictoriaPark:
     t: Array
     u: Array
     t_scan: Array
-    scan: npt.NDArray[np.intp]
+    scan: Index
     z: Array
     t_gps: Array
     gps: Array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["ANGLES", "COLUMNS", "CONTACT", "LEVEL", "LOG", "PLACE", "TILT", "TRACK", "suffixed"]
+__all__ = ["COLUMNS"]
 
 PLACE = ("x_m", "y_m", "z_m")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")

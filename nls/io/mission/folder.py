@@ -15,8 +15,6 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
 
-__all__ = ["EXPECTED", "read_tables"]
-
 README = "README.txt"  # for people: nothing in it is missed
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
@@ -99,5 +97,5 @@ def _near_miss(name: str, other_files: list[str]) -> str:
     return f"; is it {_listed([near[close[0]]])}? names are written as here" if close else ""
 
 
-def _listed(names: list[str], most: int = 12) -> str:
-    return some([repr(name)[1:-1] for name in names], most)
+def _listed(names: list[str]) -> str:
+    return some([repr(name)[1:-1] for name in names], 12)

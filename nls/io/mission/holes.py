@@ -20,14 +20,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.dead_reckoning.drop_outs import longest_step, losses
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["Holes", "holes_of"]
+__all__ = ["holes_of"]
 ROUNDING = 1e-9  # of a step: times that are told apart
 
 
@@ -42,7 +41,7 @@ class Holes:
     sigma : (n, c) standard deviation of a value at each pose by the hole it is in, 0 outside.
     """
 
-    inside: npt.NDArray[np.bool_]
+    inside: Mask
     density: Array
     sigma: Array
 

@@ -31,13 +31,12 @@ down by the DVL, so the depth follows the DVL and meets the rows at both ends.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
 from models import SE3, SO3, euler, wrap
-from models.algebra import Array, Index, apply
+from models.algebra import Array, Index, Mask, Numbers, apply
 from models.dead_reckoning import integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
@@ -48,9 +47,6 @@ from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["integrated"]
-
-Numbers = npt.NDArray[np.int64]
 EVERY = 1.0  # s from pose to pose where poses.csv does not say when they are
 MOST = 10_000_000  # such poses: four months, or times that are no seconds
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")
@@ -150,9 +146,7 @@ def _way_down(t: Array, v_d: Array, t_a: Array, rpy: Array, mount: Array) -> Arr
     return np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
 
 
-def _given_the_yaw(
-    Sigma: Array, sigma_yaw: float, bridged: npt.NDArray[np.bool_], inside: npt.NDArray[np.bool_]
-) -> Array:
+def _given_the_yaw(Sigma: Array, sigma_yaw: float, bridged: Mask, inside: Mask) -> Array:
     """Square root information (k, 3, 3) of steps that know x and y given the yaw, and the yaw where nothing else does.
 
     Parameters
@@ -175,7 +169,7 @@ def _given_the_yaw(
     return np.asarray(W[:, x_y_yaw][:, :, x_y_yaw])
 
 
-def _bottom_lock(dvl: Table) -> npt.NDArray[np.bool_]:
+def _bottom_lock(dvl: Table) -> Mask:
     """Which rows (n,) of dvl.csv are valid."""
     valid = dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
     if (count := int(valid.sum())) < 2:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import XYH, ZPR, Diagonal, Elevation, Heading, Position, sonar_factors
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from factors.sonar import first_contacts, refuse_search
 from models import SE3, Manifold, R, euler
-from models.algebra import Array
+from models.algebra import Array, Numbers
 from models.errors import OptionError
 from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
@@ -26,9 +25,8 @@ from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
 
-__all__ = ["ANCHORED", "read_mission"]
+__all__ = ["read_mission"]
 
-Numbers = npt.NDArray[np.int64]
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")

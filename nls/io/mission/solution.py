@@ -23,14 +23,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from factors import Elevation, ElevationHinge, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
 from factors.keys import Keys, kinds
 from factors.noise import square
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array, dot
+from models.algebra import Array, Index, Mask, Numbers, dot
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
 from nls.analysis import landmark_information
@@ -43,7 +42,6 @@ from nls.values import Values
 
 __all__ = ["Elevations", "Track", "elevations", "held_free", "track_of"]
 
-Numbers = npt.NDArray[np.int64]
 FOLLOWS = 1e-3  # rad
 FREE = 1e-10  # of the information along the best known direction: 1 km where that is known to 1 cm
 x, l, e = kinds("x", "l", "e")
@@ -129,11 +127,11 @@ class Elevations:
 
     landmarks: Numbers
     poses: Numbers
-    views: npt.NDArray[np.intp]
+    views: Index
     range: Array
     azimuth: Array
     elevation: Array
-    pushed: npt.NDArray[np.bool_]
+    pushed: Mask
     sigma: Array
     before: Array
     along: Array
@@ -263,7 +261,7 @@ def _limits(graph: FactorGraph, values: Values, landmarks: Numbers) -> tuple[Arr
 def _sigmas(
     graph: FactorGraph,
     values: Values,
-    firsts: list[tuple[npt.NDArray[np.intp], Elevation]],
+    firsts: list[tuple[Index, Elevation]],
     elevation: Array,
     solver: LinearSolver | None,
     gauge: str,

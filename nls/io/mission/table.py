@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
 from nls.io.decimals import PAD
@@ -23,7 +23,6 @@ from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
-Numbers = npt.NDArray[np.int64]
 SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
 TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
@@ -149,7 +148,7 @@ class Table(Text):
         """
         return self.numbers(self._cells(names).reshape(-1), self.lines, len(names)).reshape(-1, len(names))
 
-    def measured(self, *names: str, rows: npt.NDArray[np.bool_] | None = None) -> Array:
+    def measured(self, *names: str, rows: Mask | None = None) -> Array:
         """Numbers (n, k) of columns, each within what its unit allows, see `LIMITS`.
 
         Parameters
@@ -195,9 +194,7 @@ class Table(Text):
         self._refuse((numbers < SMALLEST) | (numbers > LARGEST), numbers, names, ["1e-12 to 1e12"] * len(names))
         return numbers
 
-    def _refuse(
-        self, bad: npt.NDArray[np.bool_], numbers: Array, names: Sequence[str], expected: Sequence[str]
-    ) -> None:
+    def _refuse(self, bad: Mask, numbers: Array, names: Sequence[str], expected: Sequence[str]) -> None:
         """An error for the first of the numbers (n, k) that is bad."""
         if bad.any():
             k, column = divmod(int(np.argmax(bad)), len(names))
@@ -213,7 +210,7 @@ class Table(Text):
         """
         return self.whole(self.lines, self._place[name])
 
-    def flags(self, name: str, meaning: str) -> npt.NDArray[np.bool_]:
+    def flags(self, name: str, meaning: str) -> Mask:
         """Cells (n,) of one column that are 0 or 1.
 
         Raises
@@ -296,9 +293,9 @@ class Table(Text):
         return self.error(message, int(self.lines[row]))
 
 
-def _quoted(text: str, most: int = 40) -> str:
+def _quoted(text: str) -> str:
     """Text in quotation marks, cut where it is long."""
-    return repr(text if len(text) <= most else text[: most - 3] + "...")
+    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _separators(line: bytes) -> str:

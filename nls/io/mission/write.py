@@ -236,9 +236,8 @@ def _anchors(factors: list[Factor]) -> list[Rows]:
 
 def _z(factor: Factor) -> Array:
     """Measurements (n, m); of one number each they may be (n,)."""
-    n = len(factor)
-    z = factor.z.reshape(-1, 1) if isinstance(factor, Heading) else np.atleast_2d(factor.z)
-    return np.broadcast_to(z, (n, z.shape[1]))
+    z = factor.z.reshape(-1, *factor.sizes())
+    return np.broadcast_to(z, (len(factor), z.shape[1]))
 
 
 def _sigmas(factor: Factor, names: tuple[str, ...]) -> Array:

@@ -10,21 +10,19 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
-from models.algebra import Index
+from models.algebra import Index, Mask
 from nls.sparse.blocks import Blocks
 from nls.sparse.components import connected
 from nls.sparse.pattern import Pattern
 
 __all__ = ["independent", "separate", "together", "twins"]
 
-Flags = npt.NDArray[np.bool_]
 
 SEARCHED = 16  # kinds among which the best set is searched for
 
 
-def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
+def independent(pattern: Pattern, blocks: Blocks) -> tuple[Mask, str]:
     """The free variables that can be eliminated one by one.
 
     All variables of the kinds of which no two variables share a factor; where several sets of kinds will do, the one
@@ -56,7 +54,7 @@ def independent(pattern: Pattern, blocks: Blocks) -> tuple[Flags, str]:
     return gone, f"{names_of_gone} eliminated: {int(blocks.dims[gone].sum()):,} of {int(blocks.dims.sum()):,} columns"
 
 
-def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
+def _heaviest(kinds: Sequence[int], joined: Mask, columns: Index) -> list[int]:
     """The set of kinds, no two of them joined, with the most columns; the first of equals.
 
     A search takes time exponential in the number of kinds (24: 1 s; 40: half an hour). Of more than `SEARCHED` the one
@@ -70,7 +68,7 @@ def _heaviest(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
     return chosen + _searched(kinds, joined, columns)
 
 
-def _searched(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
+def _searched(kinds: Sequence[int], joined: Mask, columns: Index) -> list[int]:
     """The best set with the first of the kinds, or the best without it."""
     if not kinds:
         return []
@@ -83,7 +81,7 @@ def _searched(kinds: Sequence[int], joined: Flags, columns: Index) -> list[int]:
     return with_first if columns[with_first].sum() >= columns[left].sum() else left
 
 
-def twins(pattern: Pattern, blocks: Blocks, gone: Flags) -> Index:
+def twins(pattern: Pattern, blocks: Blocks, gone: Mask) -> Index:
     """A number (V,) for every free variable, the same for those that see the same eliminated ones in the same factors.
 
     Pose and lens of a camera are such twins where each has its own; a lens that all share is the twin of none.
@@ -129,7 +127,7 @@ def together(order: Index, group: Index) -> Index:
     return order[np.argsort(first[inverse], kind="stable")]
 
 
-def separate(u: Index, v: Index, V: int) -> Flags:
+def separate(u: Index, v: Index, V: int) -> Mask:
     """A maximal set of nodes (V,) of which no two are neighbors; those of few neighbors first.
 
     In every round the nodes that come before all their neighbors are taken, and the neighbors left out: about log V

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Index
+from models.algebra import Index, Mask
 
 __all__ = ["Pairs", "Products", "changes"]
 
@@ -86,7 +86,7 @@ class Pairs:
         return out
 
 
-def changes(a: Index) -> npt.NDArray[np.bool_]:
+def changes(a: Index) -> Mask:
     """Where a number differs from the one before it; the first does."""
     return np.append(True, a[1:] != a[:-1])[: len(a)]
 

@@ -19,10 +19,9 @@ A. Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.1.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError
 from nls.linear.base import LinearSolution
 from nls.linear.default import default_solver
@@ -191,7 +190,7 @@ class Schur(NormalEquations):
     def __repr__(self) -> str:
         return "Schur()" if self.exact else "Schur(block_inverse=...)"
 
-    def _order(self, blocks: Blocks, gone: npt.NDArray[np.bool_], group: Index, limit: float) -> Index:
+    def _order(self, blocks: Blocks, gone: Mask, group: Index, limit: float) -> Index:
         """The eliminated variables by dimension, then the others as S is factorized, twins together.
 
         Raises

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["Rejected", "ReportData"]
-
 
 class Rejected(Protocol):
     """A measurement that was left out: what it is, and by how many sigmas it did not fit."""

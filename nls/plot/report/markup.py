@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-__all__ = ["Html", "joined", "listed", "section", "table", "tag"]
+__all__ = ["Html"]
 
 EMPTY = {"img", "meta"}  # elements without content
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from models.advice import listed as listed_advice
 from models.errors import UnderconstrainedError
+from nls.analysis.inspection import inspect
+from nls.explanation.findings import number
 from nls.explanation.words import sentence, together
-from nls.inspect import inspect
 from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
 from nls.plot.report.pictures import picture
-from nls.plot.report.verdict import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from nls.plot.report.data import ReportData
     from nls.values import Values
 
-__all__ = ["SECTIONS"]
 
 WRONG = "#c1121f"
 MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone

@@ -6,21 +6,15 @@ from typing import TYPE_CHECKING
 
 from models.advice import listed as listed_advice
 from models.errors import UnderconstrainedError
-from nls.explanation.findings import FindingKind
+from nls.explanation.findings import FindingKind, number
 from nls.plot.report.markup import Html, joined, listed, tag
 
 if TYPE_CHECKING:
     from nls.plot.report.data import ReportData
 
-__all__ = ["key_figures", "number", "verdict"]
 
 # Findings that one should know; an optimum with them is sound.
 NOTED = {FindingKind.REPEATED, FindingKind.UNCHECKED, FindingKind.UNVERIFIED, FindingKind.SEPARATE_PARTS}
-
-
-def number(value: float) -> str:
-    """Four digits; all before the point of what is larger."""
-    return f"{value:,.0f}" if abs(value) >= 1e3 else f"{value:.4g}"
 
 
 def verdict(data: ReportData) -> Html:

@@ -21,6 +21,7 @@ from nls import (
     Values,
     kinds,
 )
+from tests.combinations import for_all
 
 x, l = kinds("x", "l")
 
@@ -42,20 +43,25 @@ def bearings_only(dim: int, seed: int) -> tuple[FactorGraph, Values]:
     return FactorGraph([Bearing(x[i], l[k], z, Isotropic(0.001))]), Values({x: (group, X), l: (R(dim), L)})
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_the_free_scale_of_a_map_of_bearings_is_always_seen(dim: int) -> None:
-    for seed in range(12):
-        graph, values = bearings_only(dim, seed)
-        with pytest.raises(UnderconstrainedError, match="1 direction free"):
-            Marginals(graph, values)
-        with pytest.raises(UnderconstrainedError, match="1 direction free"):
-            graph.optimize(values)
-        result = graph.optimize(values, LevenbergMarquardt())
-        assert not result.converged or result.underconstrained, seed
+@for_all(dim=[2, 3], seed=range(5))
+def test_the_free_scale_of_a_map_of_bearings_is_always_seen(dim: int, seed: int) -> None:
+    graph, values = bearings_only(dim, seed)
+    with pytest.raises(UnderconstrainedError, match="1 direction free"):
+        Marginals(graph, values)
+    with pytest.raises(UnderconstrainedError, match="1 direction free"):
+        graph.optimize(values)
+    result = graph.optimize(values, LevenbergMarquardt())
+    assert not result.converged or result.underconstrained
 
 
-def test_one_range_determines_the_scale() -> None:
+def test_directions_left_free_are_no_degrees_of_freedom() -> None:
+    """One range determines the scale."""
     graph, values = bearings_only(2, 3)
+    held = graph.optimize(values, LevenbergMarquardt())
+    free = graph.optimize(values, LevenbergMarquardt(), gauge="none")
+    assert len(held.underconstrained) == 1
+    assert len(free.underconstrained) == 4
+    assert held.dof == free.dof == 12 * 15 - (12 * 3 + 15 * 2 - 4)
     d = float(np.linalg.norm(values[l[0]] - values[x[0]][:2]))
     graph.add(Range(x[0], l[0], d, Isotropic(0.01)))
     assert np.isfinite(Marginals(graph, values).all(l)).all()
@@ -64,19 +70,10 @@ def test_one_range_determines_the_scale() -> None:
     assert plain.converged
     assert damped.underconstrained == ()
     assert damped.chi2_final == pytest.approx(plain.chi2_final, rel=1e-6)
-    assert damped.dof == plain.dof
+    assert damped.dof == plain.dof == held.dof
 
 
-def test_directions_left_free_are_no_degrees_of_freedom() -> None:
-    graph, values = bearings_only(2, 3)
-    held = graph.optimize(values, LevenbergMarquardt())
-    free = graph.optimize(values, LevenbergMarquardt(), gauge="none")
-    assert len(held.underconstrained) == 1
-    assert len(free.underconstrained) == 4
-    assert held.dof == free.dof == 12 * 15 - (12 * 3 + 15 * 2 - 4)
-
-
-@pytest.mark.parametrize("optimizer", [GaussNewton(), LevenbergMarquardt(), Dogleg()], ids=lambda o: o.name)
+@for_all(optimizer=[GaussNewton(), LevenbergMarquardt(), Dogleg()])
 def test_a_step_onto_a_singular_place_loses_nothing(optimizer: Optimizer) -> None:
     graph = FactorGraph([Range(x[0], l[0], [0.0], Isotropic(0.1)), Prior(l[0], [0.0, 0.0], Isotropic(1.0))])
     graph.fix(x[0])
@@ -95,7 +92,7 @@ def test_a_free_gauge_with_dogleg_ends_with_a_status() -> None:
 
     graph = FactorGraph([Factor.from_function(residual, [x[0], x[1]], dim=2, relative=True)])
     start = Values({x: (R(2), [[0.0, 0.0], [1.0, 1.0]])})
-    for update_tol in np.logspace(-8, -3, 21):  # at d = 0 the system is singular
+    for update_tol in np.logspace(-8, -3, 7):  # at d = 0 the system is singular
         stop = Stop(update_tol=float(update_tol), chi2_rtol=0, gradient_tol=0)
         result = graph.optimize(start, Dogleg(stop), gauge="free")
         assert result.converged

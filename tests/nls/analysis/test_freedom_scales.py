@@ -9,6 +9,7 @@ from factors import Between, Isotropic, Prior
 from models import SE2
 from nls import FactorGraph, Values
 from nls.linear.null_space import null_space
+from tests.combinations import for_all
 from tests.nls.analysis.test_freedom import names, refused
 from tests.nls.graphs import x
 
@@ -24,8 +25,7 @@ def one_unlike(n: int, sigma: float, measured: float = 1.0) -> tuple[FactorGraph
     return graph, Values({x: (SE2, X)})
 
 
-@pytest.mark.parametrize("n", [6, 120])
-@pytest.mark.parametrize("sigma", [1e-150, 1e-80, 1e-15, 1e-12, 1e10, 1e80, 1e149])
+@for_all(n=[6, 120], sigma=[1e-150, 1e-12, 1e10, 1e149])
 def test_the_measurement_whose_weight_is_unlike_all_others_is_named(n: int, sigma: float) -> None:
     """Nothing is free, whatever the weights; n = 120 is past 300 columns: the sparse path."""
     graph, values = one_unlike(n, sigma)
@@ -36,7 +36,7 @@ def test_the_measurement_whose_weight_is_unlike_all_others_is_named(n: int, sigm
     assert "free" not in str(error)
 
 
-@pytest.mark.parametrize("measured", [1e12, 1e100])
+@for_all(measured=[1e12, 1e100])
 def test_the_measurement_that_is_far_too_long_is_named(measured: float) -> None:
     graph, values = one_unlike(6, 0.1, measured)
     error = refused(graph, values)
@@ -46,7 +46,7 @@ def test_the_measurement_that_is_far_too_long_is_named(measured: float) -> None:
     assert names(error) == ["x2", "x3"]
 
 
-@pytest.mark.parametrize("sigma", [1e-12, 1e10])
+@for_all(sigma=[1e-12, 1e10])
 def test_what_is_free_is_named_beside_a_weight_that_is_unlike_all_others(sigma: float) -> None:
     graph, values = one_unlike(6, sigma)
     X = np.concatenate([values[x[0:6]], [[0.0, 0.0, 0.0]]])
@@ -55,7 +55,7 @@ def test_what_is_free_is_named_beside_a_weight_that_is_unlike_all_others(sigma: 
     assert (names(error), error.components) == (["x6"], ("x6: yaw",))
 
 
-@pytest.mark.parametrize("n", [6, 120])
+@for_all(n=[6, 120])
 def test_free_directions_do_not_depend_on_weights(n: int) -> None:
     """A floating component: the basis spans its three motions, with one edge 1e150 times as heavy."""
     graph, values = one_unlike(n, 1e-150)

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-import nls
 import sim
 from factors import Between, Diagonal, Isotropic, Landmark, Prior, RangeAzimuth
 from models import SE2, SE3, R, euler
@@ -27,10 +26,9 @@ from nls import (
     Values,
 )
 from nls.analysis import landmark_information
-from nls.linear import LU, LinearSolver, truncated_inverse
+from nls.linear import LU, truncated_inverse
+from tests.combinations import for_all
 from tests.nls.planar import l, mission, x
-
-SOLVERS = [solver for solver in (LU, Cholesky) if solver.missing() is None]
 
 
 def rotated(rng: np.random.Generator, eigenvalues: Array) -> tuple[Array, Array]:
@@ -49,21 +47,21 @@ def test_directions_above_the_threshold_are_inverted_and_the_others_left_out() -
 
 
 def test_the_threshold_is_a_value_and_relative() -> None:
-    """Not a place in a list, nor a number of measurements: as many views again, or other units, change nothing."""
+    """Not a place in a list, nor a number of measurements: as many views again, or other units, change nothing.
+
+    A floor leaves out what is known better without.
+    """
     H, _ = rotated(np.random.default_rng(2), np.array([[1e4, 5e3, 15.0], [1e4, 5e3, 5.0]]))
     for scale in (1e-6, 1.0, 50.0, 1e8):
         np.testing.assert_allclose(truncated_inverse(scale * H) * scale, truncated_inverse(H), rtol=1e-9, atol=1e-12)
         rank = np.linalg.matrix_rank(truncated_inverse(scale * H), tol=1e-8 / scale)
         assert rank.tolist() == [3, 2]
-
-
-def test_a_floor_leaves_out_what_is_known_better_without() -> None:
     H, _ = rotated(np.random.default_rng(3), np.array([[900.0, 800.0, 30.0], [900.0, 800.0, 30.0]]))
     rank = np.linalg.matrix_rank(truncated_inverse(H, floor=[20.0, 40.0]), tol=1e-9)
     assert rank.tolist() == [3, 2]
 
 
-@pytest.mark.parametrize("tau", [-0.1, 1.0, np.nan, True, "small"])
+@for_all(tau=[-0.1, 1.0, np.nan, True, "small"])
 def test_a_threshold_that_cannot_be(tau: object) -> None:
     with pytest.raises(OptionError, match="tau"):
         truncated_inverse(np.eye(3), tau)  # type: ignore[arg-type]
@@ -71,16 +69,16 @@ def test_a_threshold_that_cannot_be(tau: object) -> None:
         truncated_inverse(np.eye(3), floor=-1.0)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_level_motion_at_elevation_0_is_singular_and_every_landmark_is_named(solver: type[LinearSolver]) -> None:
+def test_level_motion_at_elevation_0_is_singular_and_every_landmark_is_named() -> None:
     graph, _, start = mission(np.random.default_rng(0), np.zeros(5))
-    with pytest.raises(UnderconstrainedError) as caught:
-        graph.optimize(start, GaussNewton(), solver())
-    error = caught.value
-    assert error.nullity == 5
-    assert [repr(key) for key in error.keys] == [f"l{k}" for k in range(5)]
-    assert sorted(error.components) == [f"l{k}: z" for k in range(5)]
-    assert all(f"l{k}: z" in str(error) for k in range(5))
+    for solver in (LU(), Cholesky()) if Cholesky.missing() is None else (LU(),):
+        with pytest.raises(UnderconstrainedError) as caught:
+            graph.optimize(start, GaussNewton(), solver)
+        error = caught.value
+        assert error.nullity == 5
+        assert [repr(key) for key in error.keys] == [f"l{k}" for k in range(5)]
+        assert sorted(error.components) == [f"l{k}: z" for k in range(5)]
+        assert all(f"l{k}: z" in str(error) for k in range(5))
     with pytest.raises(UnderconstrainedError):
         graph.optimize(start, GaussNewton(), Schur())
 
@@ -91,15 +89,10 @@ def test_truncated_blocks_solve_it_and_move_no_landmark_along_its_elevation() ->
     assert result.converged
     assert 60 < result.chi2_final < 180 < result.chi2_initial  # 180 rows, 60 unknowns that are not elevations
     assert np.abs(result.values[l][:, 2]).max() == 0.0
-    shortest = graph.optimize(
-        start, GaussNewton(), Pinv()
-    )  # of all minimizers the one with no part along the null space
+    shortest = graph.optimize(start, GaussNewton(), Pinv())  # the minimizer with no part along the null space
     np.testing.assert_allclose(result.values[l], shortest.values[l], atol=2e-6)
     np.testing.assert_allclose(SE3.local(result.values[x], shortest.values[x]), 0.0, atol=2e-6)
-
-
-def test_a_gradient_of_rounding_is_no_gradient() -> None:
-    graph, truth, start = mission(np.random.default_rng(0), np.zeros(12), noise=0.0)
+    graph, truth, start = mission(np.random.default_rng(0), np.zeros(12), noise=0.0)  # a gradient of rounding is none
     result = graph.optimize(start, GaussNewton(), Schur(block_inverse=truncated_inverse))
     assert result.converged
     assert result.chi2_final < 1e-12
@@ -107,7 +100,7 @@ def test_a_gradient_of_rounding_is_no_gradient() -> None:
     np.testing.assert_allclose(result.values[l], truth[l], atol=1e-6)
 
 
-@pytest.mark.parametrize("height", [0.1, 10.0])
+@for_all(height=[0.1, 10.0])
 def test_what_is_left_alone_may_be_pulled_by_noise_and_by_no_more(height: float) -> None:
     """The height of the points is known to 1 m, too weakly for tau: they stay at 0, wherever that is in sigmas."""
     graph, _, start = mission(np.random.default_rng(0), np.zeros(12))
@@ -131,7 +124,7 @@ def test_a_weak_direction_of_a_real_survey_is_left_alone_and_the_rest_converges(
     assert mission.ate(result.values) < mission.ate(mission.start)
 
 
-@pytest.mark.parametrize("tau", [1e-3, 0.2])
+@for_all(tau=[1e-3, 0.2])
 def test_the_step_is_the_one_of_the_formula(tau: float) -> None:
     """Weak and free directions together, against dense matrices: S, D_p and D_l of nls/degeneracy/truncated.py."""
     heights = np.array([0.0, 0.0, 0.02, 0.3, -0.4, 0.5])
@@ -154,16 +147,6 @@ def test_the_step_is_the_one_of_the_formula(tau: float) -> None:
         left_out += int(weak.sum())
         assert np.abs(V[:, weak].T @ dx[b]).max(initial=0.0) < 1e-12
     assert left_out >= 2
-
-
-def test_where_nothing_is_weak_the_step_is_the_usual_one() -> None:
-    graph, _, start = mission(np.random.default_rng(5), np.linspace(-0.4, 0.4, 6), roll=0.3, heave=0.3)
-    assert not landmark_information(graph, start, l).degenerate().any()
-    system = graph.linearize(start)
-    solver = Schur(block_inverse=truncated_inverse)
-    np.testing.assert_allclose(
-        solver.analyze(system.pattern).solve(system).dx, nls.gauss_newton_step(system), rtol=1e-6
-    )
 
 
 def test_information_of_a_landmark_is_its_block_of_AtA() -> None:
@@ -190,14 +173,12 @@ def test_the_weak_direction_of_level_motion_is_the_elevation() -> None:
     assert (found.condition < 1e-15).all()
     text = found.report(2)
     assert text.startswith("4 of 4 landmarks")
-    assert "free along (0.00, 0.00, 1.00), 0 deg from the elevation at its first sighting" in text
+    assert "free along (0.00, 0.00, 1.00), 0 deg from the elevation" in text
     assert len(text.splitlines()) == 3
 
 
 def test_the_elevation_is_that_of_the_first_pose_in_the_world() -> None:
     """A sonar rolled and pitched: one view alone, whose arc is the weak direction; then two, in either order."""
-    from factors import Diagonal, RangeAzimuth
-
     X = euler.to_se3(np.array([[0.4, 0.3, 0.5, 1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
     O = euler.to_se3([0.0, -0.6, 0.0, 0.3, 0.0, 0.1])
     S = SE3.compose(X, O)
@@ -232,14 +213,12 @@ def test_marginal_information_where_landmarks_are_free() -> None:
     graph, _, start = mission(np.random.default_rng(9), np.array([0.0, 0.0, 0.3, -0.2]), roll=0.0)
     found = landmark_information(graph, start, l, marginal=True)
     assert found.marginal is not None
-    H = (graph.linearize(start).A.T @ graph.linearize(start).A).toarray()
+    H = graph.linearize(start).H.toarray()
     for k in range(4):
         own = np.arange(36 + 3 * k, 39 + 3 * k)
         rest = np.setdiff1d(np.arange(len(H)), own)
-        M = (
-            H[np.ix_(own, own)]
-            - H[np.ix_(own, rest)] @ np.linalg.pinv(H[np.ix_(rest, rest)], rcond=1e-13) @ H[np.ix_(rest, own)]
-        )
+        B = H[np.ix_(own, rest)]
+        M = H[np.ix_(own, own)] - B @ np.linalg.pinv(H[np.ix_(rest, rest)], rcond=1e-13) @ B.T
         np.testing.assert_allclose(found.marginal[k], M, atol=1e-5 * np.abs(M).max())
     assert (found.condition[:2] < 1e-12).all()
 
@@ -272,7 +251,7 @@ def test_landmarks_of_the_plane_and_kinds_that_are_none() -> None:
     np.testing.assert_allclose(np.linalg.inv(joined), Sigma, rtol=1e-9)
 
 
-@pytest.mark.parametrize("sigma", [0.1, 10.0, 100.0])
+@for_all(sigma=[0.1, 100.0])
 def test_a_free_direction_stays_free_whatever_the_poses_are_known_to(sigma: float) -> None:
     """One sighting by a sonar to a millimeter, from a pose known to decimeters or to hundreds of meters."""
     values = Values({x: (SE3, SE3.identity(1)), l: (R(3), [[4.0, 1.0, 0.5]])})

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from nls.analysis.misread_measurements import misread_measurements
-from tests.nls.misreadings import PUBLIC, doubted, misread_one, optimum, public, world, wrong_closure
+from nls import FactorGraph, Values
+from nls.analysis.misread_measurements import MisreadMeasurement, misread_measurements
+from tests.combinations import for_all
+from tests.nls.misreadings import clean, doubted, misread_one, optimum, wrong_closure
+
+
+def misread(graph: FactorGraph, start: Values) -> tuple[list[tuple[int, int]], tuple[MisreadMeasurement, ...]]:
+    """Places of the suspects, and which of these fit under another reading."""
+    pattern, doubts = doubted(graph, optimum(graph, start))
+    return doubts.places, misread_measurements(pattern, doubts.values, doubts.places)
 
 
 @pytest.mark.parametrize(
@@ -16,46 +22,28 @@ from tests.nls.misreadings import PUBLIC, doubted, misread_one, optimum, public,
     [
         ("sphere", 0, "exchanged"),
         ("sphere", 1, "transposed"),
-        ("sphere", 1, "y flipped"),
         ("sphere", 1, "z flipped"),
         ("subsea", 1, "exchanged"),
         ("subsea", 2, "mirrored"),
         ("lines", 2, "mirrored"),
     ],
 )
-@pytest.mark.parametrize("seed", range(4))
-def test_a_measurement_is_named(name: str, k: int, reading: str, seed: int) -> None:
-    """Where it is a suspect: in every case but where the reading changes next to nothing."""
-    graph, start = world(name, seed)
-    i = int(np.random.default_rng(seed).integers(2, len(graph.factors[k]) - 2))
-    wrong = misread_one(graph, start, k, i, reading)
-    pattern, doubts = doubted(wrong, optimum(wrong, start))
-    place = (len(wrong.factors) - 1, 0)
-    meant = misread_measurements(pattern, doubts.values, doubts.places)
-    assert all(misread.place == place for misread in meant)
-    if place in doubts.places:
-        assert reading in {misread.reading for misread in meant}
-        assert all(misread.t < 30 < 100 <= misread.standing for misread in meant)
+def test_a_measurement_is_named(name: str, k: int, reading: str) -> None:
+    """Wherever it is a suspect: where the reading changes next to nothing it is none."""
+    suspected = 0
+    for seed in range(2):
+        graph, start, _ = clean(name, seed)
+        i = int(np.random.default_rng(seed).integers(2, len(graph.factors[k]) - 2))
+        wrong = misread_one(graph, start, k, i, reading)
+        place = (len(wrong.factors) - 1, 0)
+        places, meant = misread(wrong, start)
+        assert all(one.place == place and one.t < 30 < 100 <= one.standing for one in meant)
+        assert (reading in {one.reading for one in meant}) == (place in places)
+        suspected += place in places
+    assert suspected
 
 
-@pytest.mark.parametrize("name", ["ring", "manhattan", "sphere"])
-@pytest.mark.parametrize("seed", range(8))
+@for_all(name=["ring", "manhattan", "sphere"], seed=range(3))
 def test_a_wrong_closure_fits_under_no_reading(name: str, seed: int) -> None:
-    graph, start = world(name, seed)
-    wrong = wrong_closure(graph, np.random.default_rng(seed))
-    pattern, doubts = doubted(wrong, optimum(wrong, start))
-    assert misread_measurements(pattern, doubts.values, doubts.places) == ()
-
-
-@pytest.mark.parametrize("name", ["sphere", "subsea"])
-def test_nothing_is_doubted(name: str) -> None:
-    graph, start = world(name, 0)
-    pattern, doubts = doubted(graph, optimum(graph, start))
-    assert misread_measurements(pattern, doubts.values, doubts.places) == ()
-
-
-@pytest.mark.parametrize("name", PUBLIC)
-def test_doubtful_measurements_of_public_graphs(name: str, data: Path) -> None:
-    graph, values = public(data / name)
-    pattern, doubts = doubted(graph, values)
-    assert misread_measurements(pattern, doubts.values, doubts.places) == ()
+    graph, start, _ = clean(name, seed)
+    assert misread(wrong_closure(graph, np.random.default_rng(seed)), start)[1] == ()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from factors import (
@@ -21,12 +24,16 @@ from factors import (
     RangeAzimuth,
     Wheels,
 )
+from factors.keys import Keys
 from factors.replaced import replaced
-from models import SE2, SE3, R
+from models import SE2, SE3, Manifold, Measured, R
+from models.algebra import Array
 from models.errors import GraphError
 from models.manifolds.so3 import rotation3
-from nls import Values, kinds
+from nls import FactorGraph, Values, kinds
 from nls.analysis.readings import READINGS
+from nls.analysis.scales import outsized
+from tests.combinations import for_all
 
 x, l = kinds("x", "l")
 ONE = Isotropic(0.1)
@@ -35,14 +42,27 @@ POSE = SE3.exp([0.3, -0.2, 0.5, 0.4, -0.6, 0.8])
 SPACE = Values({x: (SE3, np.stack([SE3.identity()[0], POSE])), l: (R(3), [[1.0, 0.5, 0.2]])})
 
 
+class SatelliteCompass(Factor):
+    """A sensor from outside: position and heading in the world; as a log the same of a step."""
+
+    def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, frame: str) -> None:
+        super().__init__(keys, z, ONE)
+        self.slots, self.frame = (SE2,) * len(keys), frame  # type: ignore[misc]
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return Measured("yaw", "x", "y")
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, None]:
+        return (X[0] if len(X) == 1 else SE2.between(*X))[:, [2, 0, 1]], None
+
+
 def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
     (reading,) = (reading for reading in READINGS if reading.name == name)
     return reading.read(values.gather(factor)[0])
 
 
-@pytest.mark.parametrize(
-    ("factor", "name", "z"),
-    [
+@for_all(
+    case=[
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "transposed", [1, 2, -0.5]),
         (Between(x[0], x[1], [1, 2, 0.5], ONE), "y flipped", [1, -2, -0.5]),
         (Prior(x[0], [1, 2, 0.5], ONE), "x, y exchanged", [2, 1, np.pi / 2 - 0.5]),
@@ -55,7 +75,8 @@ def read(factor: Factor, name: str, values: Values = PLANE) -> Factor | None:
         (Wheels(x[0], x[1], [1.1, 0.9], ONE, base=0.5), "y flipped", [0.9, 1.1, 0]),
     ],
 )
-def test_in_the_plane(factor: Factor, name: str, z: list[float]) -> None:
+def test_in_the_plane(case: tuple[Factor, str, list[float]]) -> None:
+    factor, name, z = case
     meant = read(factor, name)
     assert meant is not None
     assert np.allclose(meant.z.reshape(-1), z)
@@ -64,17 +85,14 @@ def test_in_the_plane(factor: Factor, name: str, z: list[float]) -> None:
     assert np.allclose(again.z.reshape(-1), PLANE.gather(factor)[0].z.reshape(-1))
 
 
-@pytest.mark.parametrize("axis", [1, 2])
-def test_a_reflection_in_space(axis: int) -> None:
-    M = np.eye(3)
-    M[axis, axis] = -1
-    meant = read(Between(x[0], x[1], POSE, ONE), f"{'xyz'[axis]} flipped", SPACE)
-    assert meant is not None
-    assert np.allclose(meant.z[0, :3], M @ POSE[:3])
-    assert np.allclose(rotation3(meant.z[0, 3:]), M @ rotation3(POSE[3:]) @ M)
-
-
-def test_a_transposed_rotation_in_space() -> None:
+def test_reflections_and_a_transposed_rotation_in_space() -> None:
+    for axis in (1, 2):
+        M = np.eye(3)
+        M[axis, axis] = -1
+        meant = read(Between(x[0], x[1], POSE, ONE), f"{'xyz'[axis]} flipped", SPACE)
+        assert meant is not None
+        assert np.allclose(meant.z[0, :3], M @ POSE[:3])
+        assert np.allclose(rotation3(meant.z[0, 3:]), M @ rotation3(POSE[3:]) @ M)
     meant = read(Between(x[0], x[1], POSE, ONE), "transposed", SPACE)
     assert meant is not None
     assert np.allclose(meant.z[0, :3], POSE[:3])
@@ -90,9 +108,8 @@ def test_variables_exchanged() -> None:
     assert np.allclose(meant.offset[0], offsets[1])
 
 
-@pytest.mark.parametrize(
-    ("factor", "names"),
-    [
+@for_all(
+    case=[
         (Between(x[0], x[1], POSE, ONE), {"exchanged", "transposed", "y flipped", "z flipped"}),
         (XYH(x[0], x[1], [1, 0, 0.1], ONE), {"exchanged", "transposed", "y flipped"}),
         (ZPR(x[0], [1, 0, 0.1], ONE), {"z flipped"}),
@@ -101,8 +118,35 @@ def test_variables_exchanged() -> None:
         (Prior(l[0], [1, 2, 3], ONE), {"y flipped", "z flipped", "x, y exchanged"}),
     ],
 )
-def test_readings_that_make_sense(factor: Factor, names: set[str]) -> None:
+def test_readings_that_make_sense(case: tuple[Factor, set[str]]) -> None:
+    factor, names = case
     assert {reading.name for reading in READINGS if read(factor, reading.name, SPACE) is not None} == names
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [
+        ("world", {"transposed": [-0.5, 1, 2], "y flipped": [-0.5, 1, -2], "x, y exchanged": [np.pi / 2 - 0.5, 2, 1]}),
+        ("first", {"exchanged": [0.5, 1, 2], "transposed": [-0.5, 1, 2], "y flipped": [-0.5, 1, -2]}),
+        ("", {}),
+    ],
+)
+def test_a_sensor_that_states_its_frame_is_read_as_ours_are(frame: str, expected: dict[str, list[float]]) -> None:
+    factor = SatelliteCompass([x[0], x[1]] if frame == "first" else [x[0]], [0.5, 1, 2], frame)
+    meant = {reading.name: read(factor, reading.name) for reading in READINGS}
+    assert {name for name, other in meant.items() if other is not None} == expected.keys()
+    for name, z in expected.items():
+        assert np.allclose(meant[name].z, z)  # type: ignore[union-attr]
+        assert (meant[name].keys == factor.keys[::-1]) == (frame == "world" or name == "exchanged")  # type: ignore[union-attr]
+    k = np.arange(5)
+    z = np.tile([0.1, 3.0, 4.0], (5, 1)) * np.array([1, 1, 1e8, 1, 1])[:, None] ** [0, 1, 1]
+    far = SatelliteCompass([x[k], x[k + 1]] if frame == "first" else [x[k]], z, frame)
+    found = outsized(FactorGraph([far]).pattern(Values({x: (SE2, np.zeros((6, 3)))})))
+    assert [(f.place, f.value, f.reference) for f in found] == [((0, 2), 5e8, 5.0)] * (frame == "first")
+
+
+def test_a_prior_of_the_plane_without_its_heading_has_no_other_axes() -> None:
+    assert read(Prior(x[0], [1, 2, 0.5], ONE, components=("x", "y")), "x, y exchanged") is None
 
 
 def test_what_cannot_be_replaced() -> None:

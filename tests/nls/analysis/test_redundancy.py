@@ -15,6 +15,7 @@ from nls import FactorGraph, Values, kinds
 from nls.analysis import unverified_groups
 from nls.analysis.closure_groups import closure_groups
 from nls.analysis.redundancy import Common, _common
+from tests.combinations import for_all
 
 x, y, p = kinds("x", "y", "p")
 SIGMAS = Diagonal(x=0.05, y=0.05, yaw=0.01)
@@ -39,10 +40,7 @@ def common(graph: FactorGraph, values: Values) -> list[Common]:
     return list(_common(values, system, list(closure_groups(system.pattern))))
 
 
-# --- against the definition ---
-
-
-@pytest.mark.parametrize("space", [SE2, SE3])
+@for_all(space=[SE2, SE3])
 def test_the_numbers_are_those_of_the_dense_problem_with_a_common_error(space: LieGroup) -> None:
     """Closures in both directions with correlated noise; the common error goes into what they measure."""
     rng = np.random.default_rng(4)
@@ -94,9 +92,6 @@ def test_a_loop_of_vectors_has_the_redundancy_and_the_motion_of_the_closed_form(
     assert group.rms == pytest.approx(moved * np.std(np.arange(n + 1) / n))
     assert group.closures == ((1, 0), (1, 1), (1, 2), (1, 3))
     assert group.names == ("Between(x0, x100)",) * 4
-
-
-# --- which groups are listed ---
 
 
 def test_a_wrong_group_that_carries_the_map_is_listed_and_a_right_one_is_not(laps: sim.World) -> None:

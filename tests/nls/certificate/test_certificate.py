@@ -50,9 +50,6 @@ def noise_graph(group: LieGroup, seed: int) -> tuple[FactorGraph, Values]:
     return FactorGraph([Between(x[i], x[j], z, Isotropic(0.5))]), Values({x: (group, group.identity(5))})
 
 
-# --- the cost and its derivatives -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("group", GROUPS, ids=repr)
 def test_the_cost_is_the_sum_over_the_edges(group: LieGroup) -> None:
     graph, M, factors, values = problem_of(group)
@@ -84,8 +81,7 @@ def test_the_cost_is_the_sum_over_the_edges(group: LieGroup) -> None:
     assert np.allclose(group.local(graph.graph.stack(values), back), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2])
-@pytest.mark.parametrize("group", GROUPS, ids=repr)
+@pytest.mark.parametrize(("group", "rows"), [(SE2, 0), (SE3, 0), (SE2, 2), (SE3, 1)], ids=repr)
 def test_newtons_model_is_right_to_second_order(group: LieGroup, rows: int) -> None:
     graph, M, *_ = problem_of(group)
     rng = np.random.default_rng(SEED)
@@ -122,9 +118,6 @@ def test_newton_converges_in_a_few_steps(group: LieGroup) -> None:
     assert again.steps == 0
     assert again.cost == pytest.approx(found.cost, rel=1e-12)
     assert np.allclose(rotations(found.M), found.M, atol=1e-12)
-
-
-# --- eigenvalues ------------------------------------------------------------------------------------------------------
 
 
 def dense(graph: Problem, M: Array) -> Array:
@@ -186,9 +179,6 @@ def test_without_cholmod_it_is_the_same(group: LieGroup, monkeypatch: pytest.Mon
         other.factorized(other.on_diagonal - 2 * np.eye(group.point_dim + 1) * other.on_diagonal.max(), other.off)
 
 
-# --- verdicts ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("group", GROUPS, ids=repr)
 def test_moving_and_renumbering_everything_changes_nothing(group: LieGroup) -> None:
     _, _, graph, values = problem_of(group, start=0.05)
@@ -241,8 +231,7 @@ def test_exact_measurements_are_certified(group: LieGroup) -> None:
     assert found.report().count("\n") == 3
 
 
-@pytest.mark.parametrize("sigma", [0.1, 1e5])
-@pytest.mark.parametrize("turns", [-1, 2, 3])
+@pytest.mark.parametrize(("turns", "sigma"), [(-1, 0.1), (2, 1e5), (3, 0.1)])
 def test_a_ring_wound_wrongly_is_refuted(turns: int, sigma: float) -> None:
     graph, values = ring(turns, sigma=sigma)
     values = graph.optimize(values, nls.LevenbergMarquardt()).values
@@ -277,7 +266,7 @@ def test_what_rounding_hides_is_not_certified() -> None:
     assert (found.better_cost or 0.0) < 1e-20 * found.cost
 
 
-@pytest.mark.parametrize("turns", [-1, 2, 3])
+@pytest.mark.parametrize("turns", [-1, 3])
 def test_rows_are_added_until_the_ring_unwinds(turns: int) -> None:
     graph, values = ring(turns)
     problem = certifiable(graph, values)
@@ -329,35 +318,34 @@ def test_a_pose_that_is_fixed_or_has_a_prior_keeps_its_place() -> None:
     assert fixed.cost == pytest.approx(certificate.cost, rel=1e-9)
 
 
-def test_placed_moves_the_whole() -> None:
-    graph, M, *_ = problem_of(SE3)
-    rng = np.random.default_rng(SEED)
-    T = SE3.exp(rng.normal(size=(1, 6)))
-    moved = graph.matrices(SE3.compose(T, graph.poses(M)))
-    assert np.allclose(placed(moved, M, 3), M, atol=1e-12)
-
-
-@pytest.mark.parametrize("convention", ["g2o", "graphslam", "gtsam", "log"])
-def test_the_weights_are_those_of_the_chart(convention: str) -> None:
+def test_the_weights_are_those_of_the_chart() -> None:
     Sigma = np.linalg.inv(informations(1, 6, np.random.default_rng(SEED))[0])
-    z = SE3.exp(np.arange(6) / 10)
-    factor = Between(x[0], x[1], z, Covariance(Sigma), convention)
-    graph = certifiable(FactorGraph([factor]), Values({x: (SE3, SE3.identity(2))}))
     I = np.linalg.inv(Sigma)
     expected = [3 / (2 * np.trace(np.linalg.inv(I[3:, 3:]))), 3 / np.trace(np.linalg.inv(I[:3, :3]))]
-    assert graph.W[0, [0, 3]] == pytest.approx(expected, rel=1e-9)
+    for convention in ("g2o", "graphslam", "gtsam", "log"):
+        factor = Between(x[0], x[1], SE3.exp(np.arange(6) / 10), Covariance(Sigma), convention)
+        graph = certifiable(FactorGraph([factor]), Values({x: (SE3, SE3.identity(2))}))
+        assert graph.W[0, [0, 3]] == pytest.approx(expected, rel=1e-9)
+    sigmas = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    edges = Between(x[[0, 1]], x[[1, 2]], np.zeros((2, 3)), Diagonal(sigmas))  # of each measurement
+    graph = certifiable(FactorGraph([edges]), Values({x: (SE2, SE2.identity(3))}))
+    assert graph.W[:, 0] == pytest.approx(sigmas[:, 2] ** -2.0)
+    assert graph.W[:, 2] == pytest.approx(2 / (sigmas[:, :2] ** 2).sum(axis=1))
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("group", GROUPS, ids=repr)
-def test_rounding_finds_the_rows_that_hold_the_poses(group: LieGroup, mirrored: bool) -> None:
+def test_rounding_finds_the_rows_that_hold_the_poses(group: LieGroup) -> None:
+    """Wherever the rows are, mirrored too, and however the whole is moved."""
     graph, M, *_ = problem_of(group)
     d, rng = group.point_dim, np.random.default_rng(SEED)
+    T = group.exp(rng.normal(size=(1, group.dim)))
+    assert np.allclose(placed(graph.matrices(group.compose(T, graph.poses(M))), M, graph.held), M, atol=1e-12)
     basis = np.linalg.qr(rng.normal(size=(d + 2, d + 2)))[0][:d]
-    basis[0] *= -1 if mirrored else 1
-    hidden = M @ basis
-    assert graph.cost(hidden) == pytest.approx(graph.cost(M), rel=1e-12)
-    assert np.allclose(placed(_rounded(hidden), M, graph.held), M, atol=1e-9)
+    for mirror in (1, -1):
+        basis[0] *= mirror
+        hidden = M @ basis
+        assert graph.cost(hidden) == pytest.approx(graph.cost(M), rel=1e-12)
+        assert np.allclose(placed(_rounded(hidden), M, graph.held), M, atol=1e-9)
 
 
 def test_newton_never_goes_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,11 +378,3 @@ def test_published_optima_are_certified(data: Path, name: str, cost: float) -> N
     assert found.cost - found.lowest < 1e-6 * cost
     assert found.eigenvalues[-1] > 1e-4
     assert found.lower_chi2 is None
-
-
-def test_diagonal_noise_of_each_measurement() -> None:
-    sigmas = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], np.zeros((2, 3)), Diagonal(sigmas))])
-    problem = certifiable(graph, Values({x: (SE2, SE2.identity(3))}))
-    assert problem.W[:, 0] == pytest.approx(sigmas[:, 2] ** -2.0)
-    assert problem.W[:, 2] == pytest.approx(2 / (sigmas[:, :2] ** 2).sum(axis=1))

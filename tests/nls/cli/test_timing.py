@@ -12,17 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nls.cli import main
-from tests.nls.io.g2o_files import PLANE, write
+from tests.nls.cli.shell import Shell
 
 ROOT = Path(__file__).parents[3]
 PARTS = ("linearize", "assemble", "factorize", "solve", "retract")
 STAGES = ("startup", "imports", "read", "init", "check", "build", "analyze", *PARTS, "other", "write")
 
 
-def test_the_table_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["solve", str(write(tmp_path, PLANE)), "--verbose", "--init", "file"]) == 0
-    out = capsys.readouterr().out
+def test_the_table_adds_up(shell: Shell) -> None:
+    out = shell(f"solve {shell.file()} --verbose --init file")
     rows = re.findall(r"^([a-z]+) +([0-9.]+) +([0-9.]+)(?: .*)?$", out, re.MULTILINE)
     milliseconds = {name: float(ms) for name, ms, _ in rows}
     whole = milliseconds.pop("process")
@@ -36,16 +34,19 @@ def test_the_table_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert spent[:, 3].sum() == pytest.approx(milliseconds["factorize"], abs=0.1)
 
 
-def test_the_timings_of_the_report_add_up(tmp_path: Path) -> None:
-    where = tmp_path / "report.json"
-    subprocess.run(
-        [sys.executable, "-m", "nls", "solve", write(tmp_path, PLANE), "--json", where, "-o", tmp_path / "out.g2o"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+def test_the_report_of_a_process(shell: Shell) -> None:
+    """Its timings add up, and count its start; its peak of memory is not that of the process that began it."""
+    code = "import subprocess, sys; big = bytearray(b'1') * 400_000_000; subprocess.run(sys.argv[1:], check=True)"
+    command = [sys.executable, "-m", "nls", "solve", shell.file(), "--json", "-", "-o", "out.g2o"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         timeout=60,
         check=True,
     )
-    seconds = json.loads(where.read_text())["timings"]
+    report = json.loads(done.stdout)
+    seconds = report["timings"]
     solved = sum(seconds[part] for part in ("read", "init", "build", "analyze", *PARTS, "other"))
     assert seconds["solved"] == pytest.approx(solved)
     assert seconds["total"] == pytest.approx(solved + seconds["check"] + seconds["write"])
@@ -54,3 +55,5 @@ def test_the_timings_of_the_report_add_up(tmp_path: Path) -> None:
     assert seconds["imports"] > seconds["check"] > 0
     assert 0 < seconds["startup"] < 5
     assert 0 < seconds["read file"] < seconds["read"]
+    if Path("/proc/self/status").exists():  # elsewhere the peak of the parent is handed down
+        assert 10 < report["peak_rss_mb"] < 350

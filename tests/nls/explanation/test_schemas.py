@@ -15,6 +15,7 @@ import nls
 import sim
 from nls.cli import main
 from nls.io.mission.write import write_mission
+from tests.combinations import for_all
 from tests.nls.explanation.sentences import FINDINGS
 from tests.nls.io.g2o_files import PLANE, write
 
@@ -22,6 +23,7 @@ SCHEMA = json.loads(Path(nls.explanation.__file__).with_name("schema.json").read
 SOLVE = json.loads(Path(nls.cli.__file__).with_name("schema.json").read_text(encoding="utf-8"))
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "json.md"
 FREE = "VERTEX_XY 9 1 1\nEDGE_BEARING_SE2_XY 1 9 0.3 100\n"
+APART = "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n"
 WRONG = "EDGE_SE2 0 2 2 1 1.55 500 0 0 400 0 300\nEDGE_SE2 1 3 4 -3 1 500 0 0 400 0 300\n"
 
 
@@ -34,15 +36,7 @@ def objects(schema: Any) -> Iterator[dict[str, Any]]:
             yield from objects(value)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        PLANE,
-        PLANE + FREE,
-        PLANE + WRONG,
-        PLANE + "VERTEX_SE2 10 5 5 0\nVERTEX_SE2 11 6 5 0\nEDGE_SE2 10 11 1 0 0 500 0 0 400 0 300\n",
-    ],
-)
+@for_all(text=[PLANE, PLANE + FREE, PLANE + WRONG, PLANE + APART])
 def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
     where = tmp_path / "r.json"
     assert main(["explain", str(write(tmp_path, text)), "--json", str(where)]) == 0
@@ -51,10 +45,8 @@ def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
     assert report["schema"] == SCHEMA["properties"]["schema"]["const"]
 
 
-@pytest.mark.parametrize(
-    ("text", "options"),
-    [
-        (PLANE, []),
+@for_all(
+    case=[
         (PLANE, ["--certify", "--covariance", "c.csv"]),
         (PLANE + WRONG, ["--robust", "gnc-tls"]),
         (PLANE + FREE, []),
@@ -63,11 +55,12 @@ def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
     ],
 )
 def test_reports_of_solve_are_as_their_schema(
-    text: str, options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    case: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    main(["solve", str(write(tmp_path, text)), "--json", "r.json", *options])
+    main(["solve", str(write(tmp_path, case[0])), "--json", "r.json", *case[1]])
     Draft202012Validator(SOLVE).validate(json.loads(Path("r.json").read_text()))
+    Path("r.json").unlink()
 
 
 def test_the_report_of_a_mission_is_as_its_schema(tmp_path: Path) -> None:
@@ -79,10 +72,13 @@ def test_the_report_of_a_mission_is_as_its_schema(tmp_path: Path) -> None:
     assert report["mission"]["poses"] > 10
 
 
-def test_every_kind_of_finding_is_as_the_schema_says() -> None:
+def test_every_kind_of_finding_is_as_the_schema_and_its_page_say() -> None:
     finding = SCHEMA["properties"]["findings"]["items"]
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     for example in FINDINGS:
         Draft202012Validator(finding).validate(json.loads(json.dumps(example.record())))
+        (line,) = [line for line in lines if f"`{example.kind}`" in line.split("|")[1]]
+        assert not {name for name in example.numbers if f"`{name}`" not in line}, example.kind
     assert finding["properties"]["kind"]["enum"] == [kind.value for kind in nls.FindingKind]
     with pytest.raises(Exception, match="is not one of"):
         Draft202012Validator(finding).validate(FINDINGS[0].record() | {"kind": "magic"})
@@ -94,18 +90,3 @@ def test_every_field_is_described_and_none_is_left_over() -> None:
         assert set(described["required"]) <= set(described["properties"])
         for name, field in described["properties"].items():
             assert field.get("description"), name
-
-
-def test_the_page_lists_the_numbers_of_every_kind() -> None:
-    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
-    for example in FINDINGS:
-        (line,) = [line for line in lines if f"`{example.kind}`" in line.split("|")[1]]
-        missing = {name for name in example.numbers if f"`{name}`" not in line}
-        assert not missing, f"{example.kind}: {missing}"
-
-
-def test_numbers_that_are_not_finite_are_null() -> None:
-    world = sim.ring(np.random.default_rng(0), laps=2, per_lap=10)
-    record = nls.explain(world.graph, world.start).record()
-    assert "NaN" not in json.dumps(record)
-    assert "Infinity" not in json.dumps(record)

@@ -23,6 +23,7 @@ from nls.explanation.doubts import CURES, of_suspects
 from nls.explanation.naming import _loose
 from nls.explanation.words import together
 from nls.plot import report as page
+from tests.combinations import for_all
 from tests.nls.explanation.sentences import SNAPSHOT, sentences
 
 ROOT = Path(__file__).parents[3]
@@ -33,9 +34,8 @@ SEEN = Landmark(x[0:6], l[0], np.ones((6, 2)), Isotropic(0.1))
 VALUES = nls.Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
 
 
-@pytest.mark.parametrize(
-    ("factors", "certified", "graduated"),
-    [
+@for_all(
+    case=[
         ([STEPS, CLOSURES], True, True),
         ([STEPS], True, False),
         ([STEPS, SEEN], False, False),
@@ -45,7 +45,8 @@ VALUES = nls.Values({x: (SE2, np.zeros((6, 3))), l: (R(2), np.zeros((1, 2)))})
         ([SEEN], False, False),
     ],
 )
-def test_what_is_offered_works(factors: list[Factor], certified: bool, graduated: bool) -> None:
+def test_what_is_offered_works(case: tuple[list[Factor], bool, bool]) -> None:
+    factors, certified, graduated = case
     graph = nls.FactorGraph(factors)
     values = VALUES if SEEN in factors else nls.Values.of([VALUES.stacks["x"]])
     assert certifies(graph, values) == certified
@@ -74,32 +75,24 @@ def test_many_outliers_are_offered_what_works() -> None:
         assert [advice.action for advice in many.advice] == actions
 
 
-def test_advice_stands_once_below_the_findings_that_share_it() -> None:
+def test_advice_stands_once_and_the_farthest_come_first() -> None:
+    """Advice below the findings that share it; in the report for a terminal and in the page."""
     graph = nls.FactorGraph([STEPS, CLOSURES, Prior(x[0], [0.0, 0, 0], Isotropic(0.1))])
     result = graph.optimize(nls.Values.of([VALUES.stacks["x"]]))
     look, measure = (Advice("inspect", ("it",)), Advice.robust("Cauchy", 1)), (Advice("measure", ("it",)),)
     findings = tuple(Finding(FindingKind.UNMEASURED, (x[k],), {}, a) for k, a in enumerate((look, look, measure, look)))
     assert [(first, len(alike)) for first, alike in together(findings)] == [(1, 2), (3, 1), (4, 1)]
-    explanation = replace(nls.explain(graph, result.values), findings=findings)
+    worst = tuple(Measurement(f"Between({k})", (), 1.0, 1.0, sigmas, 0.5) for k, sigmas in enumerate((3.1, 9.0, 4.2)))
+    explanation = replace(nls.explain(graph, result.values), findings=findings, worst=worst)
     lines = [line for line in explanation.report(shell=True).splitlines() if line[:5] == "   ->"]
     cures = ["look at it", "use a robust kernel: --robust cauchy:1"]
     assert lines == [*(f"   -> 1 to 2: {cure}" for cure in cures), "   -> measure it", *(f"   -> {c}" for c in cures)]
     assert "graph.robust(Cauchy(1))" in explanation.report()
+    assert re.findall(r"^Between\((\d)\)", explanation.report(), flags=re.MULTILINE) == ["1", "2", "0"]
     shown = page(graph, result.values, result, explanation, shell=True)
-    assert [
-        shown.count(f"What helps{where}: look at it; use a robust kernel: --robust") for where in (" with 1 to 2", "")
-    ] == [1, 1]
-
-
-def test_the_farthest_come_first() -> None:
-    graph = nls.FactorGraph([STEPS, CLOSURES])
-    result = graph.optimize(nls.Values.of([VALUES.stacks["x"]]))
-    worst = tuple(Measurement(f"Between({k})", (), 1.0, 1.0, sigmas, 0.5) for k, sigmas in enumerate((3.1, 9.0, 4.2)))
-    explanation = replace(nls.explain(graph, result.values), worst=worst)
-    names = re.findall(r"^Between\((\d)\)", explanation.report(), flags=re.MULTILINE)
-    assert names == ["1", "2", "0"]
-    shown = page(graph, result.values, result, explanation)
-    assert re.findall(r">Between\((\d)\)<", shown)[:3] == names
+    for where in (" with 1 to 2", ""):
+        assert shown.count(f"What helps{where}: look at it; use a robust kernel: --robust") == 1
+    assert re.findall(r">Between\((\d)\)<", shown)[:3] == ["1", "2", "0"]
 
 
 def test_what_moves_is_named_by_its_unknowns() -> None:

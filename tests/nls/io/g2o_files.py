@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from factors import Factor
-from nls import FactorGraph, GraphWarning, LoadReport, Values, load, save
+from nls import FactorGraph, GraphFileError, GraphWarning, LoadReport, Values, load, save
 from nls.io.read import read_graph
-from nls.io.weights import AsRead
 
 INFORMATION_2 = "500 1 2 400 3 300"
 UPPER_3 = "100 1 2 3 4 5 200 6 7 8 9 300 10 11 12 400 13 14 500 15 600"
@@ -40,6 +41,24 @@ def quoted(line: str) -> str:
     return line if len(line) <= 80 else f"{line[:77].rpartition(' ')[0]} ..."
 
 
+def cases(text: str) -> list[list[str]]:
+    """The rows of a table as cells: bars separate them, and a backslash and n end a line within one."""
+    return [
+        [cell.strip(" ").replace("\\n", "\n") for cell in row.split(" | ")] for row in text.strip("\n").splitlines()
+    ]
+
+
+def assert_refused(
+    line: int | None, words: str, reader: Callable[..., object], *given: object, **named: object
+) -> GraphFileError:
+    """The reader raises an error of a file with this line, and with these words: a name, a key or a number."""
+    with pytest.raises(GraphFileError) as caught:
+        reader(*given, **named)
+    assert caught.value.line == line, str(caught.value)
+    assert words in str(caught.value)
+    return caught.value
+
+
 def write(folder: Path, text: str | bytes, name: str = "graph.g2o") -> Path:
     """A file with this content."""
     path = folder / name
@@ -58,10 +77,9 @@ def read(text: str | bytes, convention: str = "g2o", dialect: str = "auto", repa
 
 def arrays(factor: Factor) -> list[np.ndarray]:
     """Everything a factor of a file holds: variables, measurements, noise, offsets."""
-    noise = factor.noise.noise if isinstance(factor.noise, AsRead) else factor.noise
     offset = getattr(factor, "offset", None)
     offsets = list(offset) if isinstance(offset, tuple) else [offset] if isinstance(offset, np.ndarray) else []
-    return [*(k.numbers for k in factor.keys), factor.z, noise.matrix, *offsets]  # type: ignore[attr-defined]
+    return [*(k.numbers for k in factor.keys), factor.z, factor.noise.matrix, *offsets]  # type: ignore[attr-defined]
 
 
 def same(one: Loaded, other: Loaded) -> None:

@@ -12,6 +12,7 @@ from models import SE2, SE3
 from models.errors import GraphFileError, OptionError
 from nls import GraphWarning, Marginals, Values
 from nls.io.covariance_csv import write_covariances
+from tests.combinations import for_all
 from tests.nls.graphs import l, mixed, pose_graph, x, y
 
 
@@ -20,8 +21,8 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("frame", ["world", "body"])
-def test_every_number_reads_back(tmp_path: Path, frame: str) -> None:
+@for_all(frame=["world", "body"])
+def test_every_number_reads_back(frame: str, tmp_path: Path) -> None:
     sample = mixed(5, held=True)
     marginals = Marginals(sample.graph, sample.values)
     path = tmp_path / "covariances.csv"

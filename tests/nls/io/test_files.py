@@ -11,6 +11,7 @@ import pytest
 from models.errors import GraphFileError
 from nls.cli import main
 from nls.io.files import read_bytes, write_bytes, write_folder
+from tests.combinations import for_all
 from tests.nls.io.disk import small_disk
 from tests.nls.io.g2o_files import PLANE, write
 from tests.nls.io.mission.mission_files import TINY, folder
@@ -92,7 +93,7 @@ def test_a_write_protected_file_stays(tmp_path: Path, capsys: Captured, monkeypa
     assert out.read_bytes() == b"older"
 
 
-@pytest.mark.parametrize("name", ["new.g2o/", "new.g2o/."])
+@for_all(name=["new.g2o/", "new.g2o/."])
 def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Captured) -> None:
     file, out = write(tmp_path, PLANE), f"{tmp_path}/{name}"
     assert main(["solve", str(file), "-o", out]) == 2
@@ -102,50 +103,37 @@ def test_the_name_of_a_folder_is_no_file(name: str, tmp_path: Path, capsys: Capt
     assert os.listdir(tmp_path) == [file.name]
 
 
-@pytest.mark.parametrize("older", [True, False])
-def test_no_output_of_solve_is_half_written(older: bool, tmp_path: Path, capsys: Captured) -> None:
-    """All of them are more than 100 bytes; each has an error of its own that names it."""
+SUFFIXES = {"-o": "g2o.gz", "--covariance": "csv", "--plot": "png", "--report": "html", "--json": "json"}
+
+
+def test_no_output_is_left_half_done(tmp_path: Path, capsys: Captured) -> None:
+    """All of them are more than 100 bytes; each has an error of its own that names it, and older ones stay."""
     file = write(tmp_path, PLANE)
-    names = {
-        option: tmp_path / f"out{option}.{suffix}"
-        for option, suffix in {
-            "-o": "g2o.gz",
-            "--covariance": "csv",
-            "--plot": "png",
-            "--report": "html",
-            "--json": "json",
-        }.items()
-    }
-    if older:
-        for name in names.values():
-            name.write_bytes(b"older")
-    with small_disk(100):
-        assert main(["solve", str(file), *(str(word) for item in names.items() for word in item)]) == 2
-    out, err = capsys.readouterr()
+    names = {option: tmp_path / f"out{option}.{suffix}" for option, suffix in SUFFIXES.items()}
+    older = dict.fromkeys([name.name for k, name in enumerate(names.values()) if k % 2], b"older")
+    for name in older:
+        (tmp_path / name).write_bytes(b"older")
+
+    def failing(*arguments: object) -> tuple[str, list[str]]:
+        with small_disk(100):
+            assert main([str(argument) for argument in arguments]) == 2
+        out, err = capsys.readouterr()
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {file.name: PLANE.encode(), **older}
+        return out, err.splitlines()
+
+    out, lines = failing("solve", file, *(word for item in names.items() for word in item))
     assert "converged" in out
     assert "written" not in out
-    lines = err.splitlines()
     assert len(lines) == len(names)
     for name in names.values():
         assert sum(line.startswith(f"nls: {name}: cannot be written: ") for line in lines) == 1
-    expected = {file.name: PLANE.encode(), **({name.name: b"older" for name in names.values()} if older else {})}
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == expected
-
-
-@pytest.mark.parametrize("command", [["convert", "out.tum"], ["plot", "out.png"], ["info", "--json", "out.json"]])
-def test_no_output_of_other_commands_is_half_written(command: list[str], tmp_path: Path, capsys: Captured) -> None:
-    file, name = write(tmp_path, PLANE), tmp_path / command[-1]
-    name.write_bytes(b"older")
-    with small_disk(100):
-        assert main([command[0], str(file), *command[1:-1], str(name)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"nls: {name}: cannot be written: ")
-    assert err.count("\n") == 1
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
-        file.name: PLANE.encode(),
-        name.name: b"older",
-    }
+    for command, *options in (("convert", "o.tum"), ("plot", "o.png"), ("info", "--json", "o.json")):
+        name = tmp_path / options[-1]
+        name.write_bytes(b"older")
+        older[name.name] = b"older"
+        out, lines = failing(command, file, *options[:-1], name)
+        assert (out, len(lines)) == ("", 1)
+        assert lines[0].startswith(f"nls: {name}: cannot be written: ")
 
 
 def test_the_solution_of_a_mission_has_no_half_file(tmp_path: Path, capsys: Captured) -> None:

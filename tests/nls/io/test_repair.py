@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from factors.noise import NEGATIVE
-from nls import GraphFileError, GraphWarning, OptionError, load
+from nls import GraphWarning, OptionError, load
 from nls.io import DIALECTS
 from nls.io.weights import repaired
-from tests.nls.io.g2o_files import UPPER_3, again, read, same, same_factors, write
+from tests.combinations import for_all
+from tests.nls.io.g2o_files import UPPER_3, again, assert_refused, read, same, same_factors, write
 from tests.nls.io.io_files import BAL, FILES, ISAM_3, PYFG
 
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
@@ -30,21 +31,15 @@ def smallest(Omega: np.ndarray) -> np.ndarray:
 
 def test_refused_unless_asked_for(tmp_path: Path) -> None:
     path = write(tmp_path, TWO + GOOD + BAD)
-    with pytest.raises(
-        GraphFileError, match=r"graph\.g2o:5: information of measurement 1 has the negative eigenvalue -1"
-    ):
-        load(path)
-    said = "2 information matrices of EDGE_SE2 had negative eigenvalues, first on line 5, and were replaced by the near"
-    with pytest.warns(GraphWarning, match=said):
+    assert_refused(5, "measurement 1 has the negative eigenvalue -1", load, path)
+    with pytest.warns(GraphWarning, match="2 information matrices of EDGE_SE2 .* first on line 5"):
         graph, values, report = load(path, repair_information=True)
     assert len(report.notes) == 1
     M = graph.factors[0].noise.matrix  # type: ignore[attr-defined]
     assert np.array_equal(M[0], [[4, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 2]])  # what is right stays to the bit
     assert M[1] == pytest.approx(np.array([[1.5, 1.5, 0], [1.5, 1.5, 0], [0, 0, 1]]))  # eigenvalues 3, -1 become 3, 0
-    scaled = np.array([[1, 2], [2, 1]])  # of 9, 12, 4 with a diagonal of ones
-    nearest = 1.5 * np.ones((2, 2))
+    nearest = 1.5 * np.ones((2, 2))  # to 1, 2, 1: 9, 12, 4 with a diagonal of ones
     assert M[2, 1:, 1:] == pytest.approx(nearest * np.outer([3, 2], [3, 2]))
-    assert scaled.shape == nearest.shape
     assert graph.optimize(values).converged
     same((graph, values, report), again((graph, values, report), tmp_path))
 
@@ -58,11 +53,10 @@ def test_what_is_right_is_left_alone_without_a_word() -> None:
 def test_before_units_and_angles_are_turned(tmp_path: Path) -> None:
     line = ISAM_3.splitlines()[0]
     bad = line.replace(UPPER_3, UPPER_3.replace("600", "-600"))
-    with pytest.raises(GraphFileError, match="negative eigenvalue"):
-        read(bad, dialect="toro")
+    assert_refused(1, "negative eigenvalue", read, bad, dialect="toro")
     loaded = read(bad, dialect="toro", repair=True)
     assert "EDGE3 had negative eigenvalues, first on line 1" in loaded[2].warnings[0]
-    assert smallest(loaded[0].factors[0].noise.noise.matrix)[0] > -NEGATIVE  # type: ignore[attr-defined]
+    assert smallest(loaded[0].factors[0].noise.matrix)[0] > -NEGATIVE  # type: ignore[attr-defined]
     same_factors(loaded, again(loaded, tmp_path, dialect="toro"))
 
 
@@ -75,12 +69,11 @@ def test_a_covariance_is_not_repaired(tmp_path: Path) -> None:
         if dialect in ("g2o", "toro"):
             assert load(path, dialect=dialect, repair_information=True)[2].warnings == []
             continue
-        with pytest.raises(OptionError, match=f"graph.g2o is in the format {dialect}, which has no information matri"):
+        with pytest.raises(OptionError, match=f"format {dialect}"):
             load(path, dialect=dialect, repair_information=True)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 3, 6]), st.integers(-8, 8))
-@settings(max_examples=60, deadline=None)
 def test_repaired_is_semi_definite_and_near(seed: int, m: int, spread: int) -> None:
     """Accepted by the noise, and no nearer matrix: the removed part is at right angles to what is left."""
     rng = np.random.default_rng(seed)
@@ -111,9 +104,7 @@ def test_rounding_in_the_scale_of_the_result_is_repaired_too() -> None:
     assert np.abs(found[:, 0, 0] - 1).max() < 0.3
 
 
-@pytest.mark.parametrize(
-    "entries", ["1e308 -1.1e308 0 1e308 0 1e-308", "-1e308 0 0 0 1e308 0", "0 1 0 0 0 0", "0 0 0 0 0 -1"]
-)
+@for_all(entries=["1e308 -1.1e308 0 1e308 0 1e-308", "-1e308 0 0 0 1e308 0", "0 1 0 0 0 0", "0 0 0 0 0 -1"])
 def test_extreme_matrices(entries: str) -> None:
     text = TWO + GOOD + f"EDGE_SE2 1 2 1 0 0 {entries}\n"
     graph, values, report = read(text, repair=True)

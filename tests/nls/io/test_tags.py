@@ -7,9 +7,10 @@ import numpy.typing as npt
 import pytest
 
 from models import SE2, SE3, LieGroup, R
-from nls import GraphFileError, Values, kinds
+from nls import kinds
 from nls.io.g2o import G2O
-from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, quoted, read
+from tests.combinations import for_all
+from tests.nls.io.g2o_files import CONVENTIONS, INFORMATION_2, UPPER_3, assert_refused, cases, quoted, read
 from tests.nls.io.io_files import SENSORS_2, SENSORS_3, SIX, THREE, A
 
 x, l, o = kinds("x", "l", "o")
@@ -86,8 +87,9 @@ def expected(text: str, group: LieGroup) -> list[tuple[str, float]]:
     return out
 
 
-@pytest.mark.parametrize(("text", "group"), [(SENSORS_2, SE2), (SENSORS_3, SE3)], ids=["plane", "space"])
-def test_every_tag_says_what_its_error_is(text: str, group: LieGroup) -> None:
+@for_all(group=[SE2, SE3])
+def test_every_tag_has_its_error(group: LieGroup) -> None:
+    text = SENSORS_2 if group is SE2 else SENSORS_3
     graph, values, _ = read(text)
     wanted = expected(text, group)
     table = {r.tag.decode() for r in G2O.records if r.factor is not None and r.group is group}
@@ -97,7 +99,7 @@ def test_every_tag_says_what_its_error_is(text: str, group: LieGroup) -> None:
     assert graph.chi2(values) == pytest.approx(sum(c for _, c in wanted), rel=1e-12)
 
 
-@pytest.mark.parametrize("text", [SENSORS_2, SENSORS_3], ids=["plane", "space"])
+@for_all(text=[SENSORS_2, SENSORS_3])
 def test_conventions_agree_to_first_order(text: str) -> None:
     """Near what is measured chi2 is the same in all conventions; for priors and sensors too."""
     lines = [line for line in text.splitlines() if line[0] in "PV" or line.split()[0] in TURNED]
@@ -114,13 +116,23 @@ def test_conventions_agree_to_first_order(text: str) -> None:
         found[convention] = graph.chi2(values)
     assert found["graphslam"] == pytest.approx(found["g2o"], rel=1e-4)
     assert found["log"] == pytest.approx(found["g2o"], rel=1e-4)
-    assert (found["gtsam"] == pytest.approx(found["log"])) == (text is SENSORS_2)
+    ratio = found["gtsam"] / found["log"]
+    assert ratio == pytest.approx(1) if text is SENSORS_2 else 1.2 < ratio < 4.1
 
 
-TURNED = ["EDGE_SE2_OFFSET", "EDGE_SE2_CALIB", "EDGE_PRIOR_SE2", "EDGE_SE3_OFFSET", "EDGE_SE3_CALIB", "EDGE_SE3_PRIOR"]
+TURNED = [
+    "EDGE_SE2",
+    "EDGE_SE3:QUAT",
+    "EDGE_SE2_OFFSET",
+    "EDGE_SE2_CALIB",
+    "EDGE_PRIOR_SE2",
+    "EDGE_SE3_OFFSET",
+    "EDGE_SE3_CALIB",
+    "EDGE_SE3_PRIOR",
+]
 
 
-@pytest.mark.parametrize("text", [SENSORS_2, SENSORS_3], ids=["plane", "space"])
+@for_all(text=[SENSORS_2, SENSORS_3])
 def test_kinds_and_what_is_held(text: str) -> None:
     graph, values, report = read(text)
     assert {k: s.numbers.tolist() for k, s in values.stacks.items()} == {"x": [0, 1, 2], "l": [10, 11], "o": [20]}
@@ -143,101 +155,56 @@ def test_a_place_of_a_sensor_can_be_held() -> None:
 
 # ---- what vertices are, and what is missing
 
-TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
-WRONG = {
-    "point as pose": (
-        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2 0 5 1 0 0 {INFORMATION_2}\n",
-        4,
-        "the edge needs a pose, vertex 5 is a point (line 3)",
-    ),
-    "pose as point": (
-        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 1 1 0 {THREE}\n",
-        4,
-        "the edge needs a point, vertex 1 is a pose (line 2)",
-    ),
-    "missing point": (
-        f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 6 1 0 {THREE}\n",
-        4,
-        "vertex 6, which no VERTEX_XY line has",
-    ),
-    "no points": (f"{TWO}EDGE_SE2_XY 0 6 1 0 {THREE}\n", 3, "vertex 6, which no point vertex line has"),
-    "id for two": (f"{TWO}VERTEX_XY 1 1 1\n", 3, "vertex 1 was given before, on line 2"),
-    "both without vertices": (
-        f"EDGE_SE2_XY 0 1 1 0 {THREE}\nEDGE_SE2 0 1 1 0 0 {INFORMATION_2}\n",
-        2,
-        "vertex 1 is used as pose here, and as point on line 1",
-    ),
-    "sensor and pose": (
-        f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2_CALIB 0 1 2 1 0 0 {SIX}\nEDGE_SE2 1 2 1 0 0 {SIX}\n",
-        5,
-        "vertex 2 is used as pose here, and as place of a sensor on line 4",
-    ),
-    "sensor and point": (
-        f"EDGE_SE2_XY_CALIB 0 3 2 1 0 {THREE}\nEDGE_SE2_XY 0 2 1 0 {THREE}\n",
-        2,
-        "vertex 2 is used as point here, and as place of a sensor on line 1",
-    ),
-    "no parameter": (
-        f"{TWO}VERTEX_XY 5 1 1\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_POINTXY_OFFSET 0 5 2 1 0 {THREE}\n",
-        5,
-        "the edge needs parameter 2, which no PARAMS_SE2OFFSET line has",
-    ),
-    "second parameter": (
-        f"{TWO}PARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_OFFSET 0 1 1 7 1 0 0 {SIX}\n",
-        4,
-        "the edge needs parameter 7",
-    ),
-    "parameter twice": (
-        f"{TWO}PARAMS_SE2OFFSET 1 0 0 0\nPARAMS_SE2OFFSET 1 0 0 0\n",
-        4,
-        "parameter 1 was given before",
-    ),
-    "parameter word": (f"{TWO}PARAMS_SE2OFFSET one 0 0 0\n", 3, "'one' is not a number"),
-    "parameter quaternion": ("PARAMS_SE3OFFSET 1 0 0 0 0 0 0 0\nVERTEX_TRACKXYZ 0 1 2 3\n", 1, "has length 0"),
-    "two dimensions": (f"{TWO}VERTEX_TRACKXYZ 5 1 2 3\n", 3, "mixes poses of the plane and of space"),
-    "entries": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 5 1 0 1 0 0 1 0 1\n", 4, "these are 6 entries for 3"),
-    "6 for 21": (f"EDGE_SE3_PRIOR 0 0 0 0 0 {A} {SIX}\n", 1, "these are 6 entries for 21"),
-    "one for three": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_SE2_XY 0 5 1 0 1\n", 4, "these are 1 entries for 3"),
-    "no entries": (f"{TWO}EDGE_PRIOR_SE2 0 0 0 0\n", 3, "expected 10: i x y theta and 6 entries; these are 0"),
-    "negative bearing": (f"{TWO}VERTEX_XY 5 1 1\nEDGE_BEARING_SE2_XY 0 5 1 -1\n", 4, "negative eigenvalue -1"),
-    "only bearings of one": (f"EDGE_SE2 0 1 1 0 0 {SIX}\nEDGE_BEARING_SE2_XY 0 5 1 1\n", 2, "do not say where point 5"),
-    "points alone": (f"VERTEX_XY 1 0 0\nEDGE_POINTXY 1 1 1 1 {THREE}\n", 2, "the edge joins vertex 1 to itself"),
-    "FIX unknown": (SENSORS_2 + "FIX 21\n", 26, "FIX names vertex 21, which no VERTEX_SE2 or VERTEX_XY line has"),
-}
+two = r"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_XY 5 1 1"
+# file, line, words of the error
+WRONG = cases(rf"""
+{two}\nEDGE_SE2 0 5 1 0 0 {INFORMATION_2} | 4 | needs a pose, vertex 5 is a point (line 3)
+{two}\nEDGE_SE2_XY 0 1 1 0 {THREE} | 4 | needs a point, vertex 1 is a pose (line 2)
+{two}\nEDGE_SE2_XY 0 6 1 0 {THREE} | 4 | vertex 6, which no VERTEX_XY line has
+VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 6 1 0 {THREE} | 2 | vertex 6, which no point vertex line has
+{two}\nVERTEX_XY 1 1 1 | 4 | vertex 1 was given before, on line 2
+EDGE_SE2_XY 0 1 1 0 {THREE}\nEDGE_SE2 0 1 1 0 0 {INFORMATION_2} | 2 | as pose here, and as point on line 1
+EDGE_SE2_CALIB 0 1 2 1 0 0 {SIX}\nEDGE_SE2 1 2 1 0 0 {SIX} | 2 | as pose here, and as place of a sensor on line 1
+EDGE_SE2_XY_CALIB 0 3 2 1 0 {THREE}\nEDGE_SE2_XY 0 2 1 0 {THREE} | 2 | as point here, and as place of a sensor on line 1
+{two}\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_POINTXY_OFFSET 0 5 2 1 0 {THREE} | 5 | parameter 2, which no
+{two}\nPARAMS_SE2OFFSET 1 0 0 0\nEDGE_SE2_OFFSET 0 1 1 7 1 0 0 {SIX} | 5 | parameter 7
+{two}\nPARAMS_SE2OFFSET 1 0 0 0\nPARAMS_SE2OFFSET 1 0 0 0 | 5 | parameter 1 was given before
+{two}\nPARAMS_SE2OFFSET one 0 0 0 | 4 | 'one' is not a number
+PARAMS_SE3OFFSET 1 0 0 0 0 0 0 0\nVERTEX_TRACKXYZ 0 1 2 3 | 1 | length 0
+{two}\nVERTEX_TRACKXYZ 6 1 2 3 | 4 | plane and of space
+{two}\nEDGE_SE2_XY 0 5 1 0 1 0 0 1 0 1 | 4 | these are 6 entries for 3
+EDGE_SE3_PRIOR 0 0 0 0 0 {A} {SIX} | 1 | these are 6 entries for 21
+{two}\nEDGE_SE2_XY 0 5 1 0 1 | 4 | these are 1 entries for 3
+{two}\nEDGE_PRIOR_SE2 0 0 0 0 | 4 | expected 10: i x y theta and 6 entries; these are 0
+{two}\nEDGE_BEARING_SE2_XY 0 5 1 -1 | 4 | eigenvalue -1
+EDGE_SE2 0 1 1 0 0 {SIX}\nEDGE_BEARING_SE2_XY 0 5 1 1 | 2 | where point 5
+VERTEX_XY 1 0 0\nEDGE_POINTXY 1 1 1 1 {THREE} | 2 | vertex 1 to itself
+{two}\nFIX 21 | 4 | vertex 21, which no VERTEX_SE2 or VERTEX_XY line has
+""")
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_has_its_line(case: str) -> None:
-    text, line, message = WRONG[case]
-    with pytest.raises(GraphFileError) as caught:
-        read(text)
-    assert message in str(caught.value)
-    assert caught.value.line == line
-    assert caught.value.text == quoted(text.splitlines()[line - 1])
+@for_all(case=WRONG)
+def test_every_mistake_has_its_line(case: list[str]) -> None:
+    error = assert_refused(int(case[1]), case[2], read, case[0])
+    assert error.text == quoted(case[0].splitlines()[int(case[1]) - 1])
 
 
 # ---- without vertices
 
 
-def edges_only(text: str) -> str:
-    return "".join(line + "\n" for line in text.splitlines() if line.startswith(("EDGE", "PARAMS")))
-
-
-@pytest.mark.parametrize(("text", "group"), [(SENSORS_2, SE2), (SENSORS_3, SE3)], ids=["plane", "space"])
-def test_without_vertices_everything_has_a_start(text: str, group: LieGroup) -> None:
+@for_all(group=[SE2, SE3])
+def test_without_vertices_everything_has_a_start(group: LieGroup) -> None:
+    text = SENSORS_2 if group is SE2 else SENSORS_3
     """Poses chained through fixed sensors too, points where they were seen: the optimum is that of the whole file."""
-    graph, values, report = read(edges_only(text))
+    edges = "\n".join(line for line in text.splitlines() if line.startswith(("EDGE", "PARAMS")))
+    graph, values, report = read(edges)
     assert not report.vertices_given
     assert [note.split(": ")[1] for note in report.notes if note.startswith("no vertices")] == [
         "3 poses chained along the edges",
         "2 points placed by the measurements",
         "1 place of a sensor begins at the vehicle's own",
     ]
-    assert [str(stack.manifold) for stack in values.stacks.values()] == [
-        str(group),
-        f"R({group.point_dim})",
-        str(group),
-    ]
+    assert [stack.manifold for stack in values.stacks.values()] == [group, R(group.point_dim), group]
     best = read(text)
     best[0].fixed = []
     wanted, found = best[0].optimize(best[1]), graph.optimize(values)
@@ -268,14 +235,12 @@ EDGE_POINTXY 11 12 1 1 {THREE}
 
 
 def test_points_alone() -> None:
-    graph, values, _ = read(
-        f"VERTEX_XY 1 0 0\nVERTEX_XY 2 1 0\nEDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n"
-    )
-    assert values.stacks["l"].manifold is R(2)
+    edges = f"EDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n"
+    graph, values, _ = read("VERTEX_XY 1 0 0\nVERTEX_XY 2 1 0\n" + edges)
     assert graph.optimize(values).values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
-    _, values, report = read(f"EDGE_PRIOR_XY 1 1 1 {THREE}\nEDGE_POINTXY 1 2 3 4 {THREE}\n")
+    _, values, report = read(edges)
     assert values[l] == pytest.approx(np.array([[1, 1], [4, 5]]))
-    assert report.dimension == "2-D"
+    assert (values.stacks["l"].manifold, report.dimension) == (R(2), "2-D")
 
 
 def test_one_offset_for_all_is_kept_once() -> None:
@@ -284,4 +249,3 @@ def test_one_offset_for_all_is_kept_once() -> None:
     landmark = read(text)[0].factors[0]
     assert landmark.offset.shape == (1, 3)  # type: ignore[attr-defined]
     assert read(text.replace("1 10 3 0.9", "1 10 7 0.9"))[0].factors[0].offset.shape == (2, 3)  # type: ignore[attr-defined]
-    assert isinstance(read(text)[1], Values)

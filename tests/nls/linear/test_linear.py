@@ -3,45 +3,30 @@
 from __future__ import annotations
 
 import importlib
+from itertools import cycle, product
 
 import numpy as np
 import pytest
 
 import nls
-from factors import Between, Factor, Isotropic, Prior
+from factors import Between, Factor, Huber, Isotropic, Prior
 from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
-from nls.linear import SOLVERS, LinearSolver, Pinv, backends, best_decomposition, default_solver
-from nls.linear.cholesky import Cholmod
-from nls.linear.factorization import Decomposition, Factorization
+from nls.linear import SOLVERS, Pinv, backends, best_decomposition, default_solver
+from nls.linear.factorization import Decomposition
 from nls.linear.lu import SuperLU
 from nls.linear.singular import SingularSystemError
-from tests.combinations import for_all
-from tests.nls.graphs import SAMPLES, mixed, p, pose_graph, x
+from tests.nls.graphs import SAMPLES, diagonal, mixed, p, pose_graph, x
+from tests.nls.solving import DECOMPOSITIONS, dense_step, factorized, make, near
 
 DENSE = ("dense-qr", "dense-cholesky", "pinv")
-DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU)
-
-
-def make(name: str) -> LinearSolver:
-    solver = SOLVERS[name]()
-    if (why := solver.missing()) is not None:
-        pytest.skip(f"{name}: {why}")
-    return solver
+ALL = pytest.mark.parametrize("name", SOLVERS)
+REFUSING = pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
 
 
 def solve(name: str, system: LinearSystem) -> Array:
-    solver = make(name)
-    return solver.analyze(system.pattern).solve(system).dx
-
-
-def factorized(kind: type[Decomposition], system: LinearSystem) -> tuple[Factorization, Array]:
-    """A factorization, and the flat blocks it was made of."""
-    if kind is Cholmod:
-        make("cholesky")
-    hessian = system.pattern.hessian(kind.order)
-    return Factorization(hessian, kind(hessian)).factorize(system.H_blocks), system.H_blocks
+    return make(name).analyze(system.pattern).solve(system).dx
 
 
 def in_other_units(system: LinearSystem, variable: int, component: int, factor: float) -> LinearSystem:
@@ -55,180 +40,84 @@ def in_other_units(system: LinearSystem, variable: int, component: int, factor: 
     return LinearSystem(system.pattern, blocks, system.b)
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-@for_all(graph=SAMPLES)
-def test_every_solver_on_every_graph(name: str, graph: str) -> None:
-    sample = SAMPLES[graph]()
-    system = sample.graph.linearize(sample.values)
-    expected = np.linalg.lstsq(system.A.toarray(), system.b)[0]
-    np.testing.assert_allclose(solve(name, system), expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+@ALL
+def test_every_solver_on_every_graph(name: str) -> None:
+    """One analysis serves every linearization and damping of a graph, in any order; A stays as it is."""
+    rng, tolerance = np.random.default_rng(0), 1e-7 if "pcg" in name else 1e-9
+    for (label, create), relative in zip(SAMPLES.items(), cycle((1e-6, 1e-2, 1.0, 1e4)), strict=False):
+        sample = create()
+        graph = sample.graph.robust(Huber(0.5)) if relative == 1.0 else sample.graph
+        first, second = graph.linearize(sample.values), graph.linearize(sample.truth)
+        damping = relative * diagonal(first) * rng.uniform(0.5, 2, first.pattern.n)
+        before = [np.array(A_k) for A in first.blocks for A_k in A]
+        state = make(name).analyze(first.pattern)
+        near(state.solve(first).dx, dense_step(first), 1e-9)
+        for system, D in ((first, damping), (second, None), (first, 0 * damping), (second, damping), (first, None)):
+            solution, expected = state.solve(system, D), dense_step(system, D)
+            assert np.abs(solution.dx - expected).max() <= tolerance * np.abs(expected).max(), (label, relative)
+            assert set(solution.seconds) <= {"assemble", "factorize", "solve"}
+            assert min(solution.seconds.values()) >= 0
+        assert all(np.array_equal(a, b) for a, b in zip(before, [A_k for A in first.blocks for A_k in A], strict=True))
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_the_state_serves_every_linearization_of_a_graph(name: str) -> None:
-    sample = pose_graph(SE3, start=0.3)
-    solver = make(name)
-    first, second = sample.graph.linearize(sample.values), sample.graph.linearize(sample.truth)
-    state = solver.analyze(first.pattern)
-    for system in (first, second, first):
-        solution = state.solve(system)
-        expected = np.linalg.lstsq(system.A.toarray(), system.b)[0]
-        np.testing.assert_allclose(solution.dx, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-        assert set(solution.seconds) <= {"assemble", "factorize", "solve"}
-        assert all(seconds >= 0 for seconds in solution.seconds.values())
-
-
-def relative() -> FactorGraph:
-    return pose_graph(SE2, seed=7, anchored=False).graph
-
-
-def untouched() -> FactorGraph:
-    return FactorGraph([Prior(x[k], [0.1, 0.2, 0.3], Isotropic(0.1)) for k in range(7)])
-
-
-def few_rows() -> FactorGraph:
-    """The position of every pose is measured; the heading is not."""
-    return FactorGraph([Factor.from_function(lambda X: X[:, :2] - 1.0, x[0:8], 2)])
-
-
-def apart() -> FactorGraph:
-    """Two components, one of them with a prior."""
-    graph = FactorGraph([Prior(x[0], [0.0, 0.0, 0.0], Isotropic(1))])
+def singular_graphs() -> list[FactorGraph]:
+    """Relative measurements, and one heading; a pose without any; no heading measured; two components and one prior."""
+    untouched = FactorGraph([Prior(x[k], [0.1, 0.2, 0.3], Isotropic(0.1)) for k in range(7)])
+    few_rows = FactorGraph([Factor.from_function(lambda X: X[:, :2] - 1.0, x[0:8], 2)])
+    apart = FactorGraph([Prior(x[0], [0.0, 0.0, 0.0], Isotropic(1))])
     for k in (0, 1, 2, 4, 5, 6):
-        graph.add(Between(x[k], x[k + 1], [1.0, 0.1, 0.2], Isotropic(0.1)))
-    return graph
+        apart.add(Between(x[k], x[k + 1], [1.0, 0.1, 0.2], Isotropic(0.1)))
+    relative, heading = (pose_graph(SE2, seed=7, anchored=False).graph for _ in range(2))
+    heading.add(Prior(x[0], pose_graph(SE2, seed=7).values[x[0]], Isotropic(0.1), components=["yaw"]))
+    return [relative, heading, untouched, few_rows, apart]
 
 
-@pytest.mark.parametrize("case", [relative, untouched, few_rows, apart])
-@pytest.mark.parametrize("name", SOLVERS)
-def test_singular_systems_are_refused_or_solved_shortest(name: str, case: object) -> None:
-    system = case().linearize(pose_graph(SE2, seed=7).values)  # type: ignore[operator]
-    A = system.A.toarray()
-    assert np.linalg.matrix_rank(A) < A.shape[1]
-    if name == "pinv":
+@ALL
+def test_singular_systems_are_refused_or_solved_shortest_and_damping_holds_them(name: str) -> None:
+    for graph, key in zip(singular_graphs(), ("x0", "x0", "x7", "x0", "x4"), strict=True):
+        system = graph.linearize(pose_graph(SE2, seed=7).values)
+        A = system.A.toarray()
+        assert np.linalg.matrix_rank(A) < A.shape[1]
         shortest = np.linalg.lstsq(A, system.b, rcond=1e-12)[0]
-        np.testing.assert_allclose(solve(name, system), shortest, rtol=0, atol=1e-9 * np.abs(shortest).max())
-    else:
-        with pytest.raises(SingularSystemError):
-            solve(name, system)
+        state = make(name).analyze(system.pattern)
+        if name == "pinv":
+            near(state.solve(system).dx, shortest, 1e-9)
+        else:
+            with pytest.raises(SingularSystemError):
+                state.solve(system)
+            with pytest.raises(nls.UnderconstrainedError, match=key):
+                nls.gauss_newton_step(system, make(name))
+        dx = state.solve(system, 1e-7 * diagonal(system)).dx
+        np.testing.assert_allclose(A @ dx, A @ shortest, rtol=0, atol=1e-4 * np.abs(system.b).max())
+        assert np.abs(dx).max() < 10 * np.abs(shortest).max()
 
 
-@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
-@for_all(seed=range(8))
-def test_rounding_does_not_hide_a_free_gauge(name: str, seed: int) -> None:
-    for group in (R(2), SE2, SE3):
+@REFUSING
+def test_rounding_does_not_hide_a_free_gauge(name: str) -> None:
+    for seed, group in product(range(8), (R(2), SE2, SE3)):
         sample = pose_graph(group, seed=20 + seed, anchored=False, n=8 + seed)
         with pytest.raises(SingularSystemError):
             solve(name, sample.graph.linearize(sample.values))
 
 
-@pytest.mark.parametrize("units", [1e8, 1e-8])
-@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
-def test_units_do_not_make_a_system_singular(name: str, units: float) -> None:
-    sample = pose_graph(SE2, seed=8)
-    system = sample.graph.linearize(sample.values)
-    expected = np.linalg.lstsq(system.A.toarray(), system.b)[0]
-    expected[3 * 3 + 1] /= units
-    found = solve(name, in_other_units(system, 3, 1, units))
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
+@REFUSING
+def test_units_make_no_system_singular_and_hide_no_free_direction(name: str) -> None:
+    sample, free = pose_graph(SE2, seed=8), pose_graph(SE2, seed=8, anchored=False)
+    system, loose = (s.graph.linearize(s.values) for s in (sample, free))
+    for units in (1e8, 1e-8):
+        expected = dense_step(system)
+        expected[3 * 3 + 1] /= units
+        np.testing.assert_allclose(solve(name, in_other_units(system, 3, 1, units)), expected, rtol=1e-8, atol=1e-10)
+        with pytest.raises(SingularSystemError):
+            solve(name, in_other_units(loose, 3, 1, units))
 
 
-@pytest.mark.parametrize("units", [1e8, 1e-8])
-@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "pinv"])
-def test_units_do_not_hide_a_free_direction(name: str, units: float) -> None:
-    sample = pose_graph(SE2, seed=8, anchored=False)
-    system = sample.graph.linearize(sample.values)
-    with pytest.raises(SingularSystemError):
-        solve(name, in_other_units(system, 3, 1, units))
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_no_columns_no_step(name: str) -> None:
+@ALL
+def test_no_columns_give_no_step_and_no_number_gives_no_finite_step(name: str) -> None:
+    """The model refuses b that is not finite; a solver called directly must not invent an answer."""
     sample = pose_graph(SE2)
     sample.graph.fix(x[0:8])
     assert solve(name, sample.graph.linearize(sample.values)).shape == (0,)
-
-
-@pytest.mark.parametrize("name", DENSE)
-def test_dense_solvers_refuse_before_taking_memory(name: str) -> None:
-    sample = pose_graph(SE2)
-    system = sample.graph.linearize(sample.values)
-    solver = SOLVERS[name](memory_limit=1000.0)  # type: ignore[call-arg]
-    with pytest.raises(nls.ResourceLimitError, match=rf"'{name}': a dense 42 x 24 system needs") as caught:
-        solver.analyze(system.pattern)
-    assert isinstance(caught.value, MemoryError)
-    assert caught.value.limit == 1000.0
-    assert caught.value.needed >= 8 * 42 * 24
-    with pytest.raises(nls.ResourceLimitError):
-        sample.graph.optimize(sample.values, linear_solver=solver)
-    enough = SOLVERS[name](memory_limit=caught.value.needed)  # type: ignore[call-arg]
-    enough.analyze(system.pattern)
-
-
-@pytest.mark.parametrize(("name", "module", "function"), [("cholesky", "cholesky", "cholmod"), ("qr", "qr", "spqr")])
-def test_a_missing_solver_says_how_it_is_installed(
-    name: str, module: str, function: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(importlib.import_module(f"nls.linear.{module}"), function, lambda: None)
-    sample = pose_graph(SE2)
-    with pytest.raises(
-        nls.MissingSolverError, match=rf"linear solver '{name}': .*apt-get install.*pip install"
-    ) as caught:
-        sample.graph.optimize(sample.values, linear_solver=SOLVERS[name]())
-    assert isinstance(caught.value, ImportError)
-    assert "pip install" in backends()[name]
-
-
-def test_without_suitesparse_the_default_is_lu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
-    sample = pose_graph(SE3)
-    assert default_solver().name == "lu"
-    assert best_decomposition() is SuperLU
-    assert backends()["default"] == "lu"
-    result = sample.graph.optimize(sample.values)
-    assert (result.linear_solver, result.converged) == ("lu", True)
-
-
-def test_the_default_is_cholesky_where_it_is_installed() -> None:
-    make("cholesky")
-    sample = pose_graph(SE2)
-    assert default_solver().name == backends()["default"] == "cholesky"
-    assert sample.graph.optimize(sample.values).linear_solver == "cholesky"
-    assert all(backends()[name] == "available" for name in ("cholesky", "lu", *DENSE))
-
-
-@pytest.mark.parametrize("kind", DECOMPOSITIONS)
-@for_all(graph=SAMPLES)
-def test_upper_is_a_square_root_of_H(kind: type[Decomposition], graph: str) -> None:
-    sample = SAMPLES[graph]()
-    system = sample.graph.linearize(sample.values)
-    state, S = factorized(kind, system)
-    R_, order = state.upper()
-    H = (system.A.T @ system.A).toarray()
-    assert np.array_equal(np.sort(order), np.arange(len(H)))
-    assert np.array_equal(np.triu(R_.toarray()), R_.toarray())
-    np.testing.assert_allclose((R_.T @ R_).toarray(), H[np.ix_(order, order)], rtol=0, atol=1e-12 * np.abs(H).max())
-    g = np.random.default_rng(0).normal(size=(len(H), 2))  # solving still works afterwards, and for many right sides
-    np.testing.assert_allclose(H @ state.solve(g), g, rtol=0, atol=1e-8)
-    state.factorize(S)
-    np.testing.assert_allclose(H @ state.solve(g[:, 0]), g[:, 0], rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("kind", DECOMPOSITIONS)
-def test_factorizations_refuse_what_is_not_finite(kind: type[Decomposition]) -> None:
-    sample = mixed(1)
-    system = sample.graph.linearize(sample.values)
-    state, S = factorized(kind, system)
-    for entry in state.hessian.source[[0, -1]]:
-        broken = S.copy()
-        broken[entry] = np.nan
-        with pytest.raises(SingularSystemError):
-            state.factorize(broken)
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_a_right_side_that_is_not_finite_gives_no_finite_step(name: str) -> None:
-    """The model refuses such numbers before; a solver called directly must not invent an answer."""
     system = mixed(1).graph.linearize(mixed(1).values)
     b = system.b.copy()
     b[0] = np.nan
@@ -239,16 +128,73 @@ def test_a_right_side_that_is_not_finite_gives_no_finite_step(name: str) -> None
     assert np.isnan(dx).any()
 
 
+def test_dense_solvers_refuse_before_taking_memory() -> None:
+    sample = pose_graph(SE2)
+    system = sample.graph.linearize(sample.values)
+    for name in DENSE:
+        solver = SOLVERS[name](memory_limit=1000.0)  # type: ignore[call-arg]
+        with pytest.raises(nls.ResourceLimitError, match=rf"'{name}': a dense 42 x 24 system needs") as caught:
+            solver.analyze(system.pattern)
+        assert isinstance(caught.value, MemoryError)
+        assert caught.value.limit == 1000.0
+        assert caught.value.needed >= 8 * 42 * 24
+        with pytest.raises(nls.ResourceLimitError):
+            sample.graph.optimize(sample.values, linear_solver=solver)
+        SOLVERS[name](memory_limit=caught.value.needed).analyze(system.pattern)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(("name", "function"), [("cholesky", "cholmod"), ("qr", "spqr")])
+def test_a_missing_solver_says_how_it_is_installed(name: str, function: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.import_module(f"nls.linear.{name}"), function, lambda: None)
+    sample = pose_graph(SE2)
+    with pytest.raises(nls.MissingSolverError, match=rf"'{name}': .*apt-get install.*pip install") as caught:
+        sample.graph.optimize(sample.values, linear_solver=SOLVERS[name]())
+    assert isinstance(caught.value, ImportError)
+    assert "pip install" in backends()[name]
+
+
+def test_the_default_is_cholesky_and_without_suitesparse_lu(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = pose_graph(SE3)
+    if SOLVERS["cholesky"].missing() is None:
+        assert default_solver().name == backends()["default"] == "cholesky"
+        assert sample.graph.optimize(sample.values).linear_solver == "cholesky"
+        assert all(backends()[name] == "available" for name in ("cholesky", "lu", *DENSE))
+    monkeypatch.setattr(importlib.import_module("nls.linear.cholesky"), "cholmod", lambda: None)
+    assert default_solver().name == backends()["default"] == "lu"
+    assert best_decomposition() is SuperLU
+    result = sample.graph.optimize(sample.values)
+    assert (result.linear_solver, result.converged) == ("lu", True)
+
+
 @pytest.mark.parametrize("kind", DECOMPOSITIONS)
-def test_an_indefinite_matrix_is_no_normal_equation(kind: type[Decomposition]) -> None:
-    """Simplicial LDL' factors one without complaint; its saddle point must not come out as a step."""
+def test_upper_is_a_square_root_of_H(kind: type[Decomposition]) -> None:
+    for name in ("R(1)", "SE3 odd ids", "mixed, some fixed"):
+        sample = SAMPLES[name]()
+        system = sample.graph.linearize(sample.values)
+        state, S = factorized(kind, system), system.H_blocks
+        R_, order = state.upper()
+        H = (system.A.T @ system.A).toarray()
+        assert np.array_equal(np.sort(order), np.arange(len(H)))
+        assert np.array_equal(np.triu(R_.toarray()), R_.toarray())
+        near((R_.T @ R_).toarray(), H[np.ix_(order, order)], 1e-12)
+        g = np.random.default_rng(0).normal(size=(len(H), 2))  # solving still works afterwards
+        np.testing.assert_allclose(H @ state.solve(g), g, rtol=0, atol=1e-8)
+        state.factorize(S)
+        np.testing.assert_allclose(H @ state.solve(g[:, 0]), g[:, 0], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", DECOMPOSITIONS)
+def test_factorizations_refuse_what_is_not_finite_or_indefinite(kind: type[Decomposition]) -> None:
+    """Simplicial LDL' factors an indefinite matrix without complaint; its saddle must not come out as a step."""
     sample = pose_graph(R(2), seed=3)
     system = sample.graph.linearize(sample.values)
-    state, S = factorized(kind, system)
-    where = state.hessian.source[state.hessian.indptr[5]]
-    S[where] = -S[where]
-    with pytest.raises(SingularSystemError):
-        state.factorize(S)
+    state, S = factorized(kind, system), system.H_blocks
+    first, pivot, last = state.hessian.source[[0, state.hessian.indptr[5], -1]]
+    for entry, value in ((first, np.nan), (last, np.nan), (pivot, -S[pivot])):
+        broken = S.copy()
+        broken[entry] = value
+        with pytest.raises(SingularSystemError):
+            state.factorize(broken)
 
 
 def test_pinv_takes_a_tolerance() -> None:

@@ -15,6 +15,7 @@ from nls.linear.schur.independent import _heaviest, independent, separate
 from nls.linear.singular import SingularSystemError
 from tests.nls.graphs import Sample, diagonal, pose_graph
 from tests.nls.landmarks import l, landmarks, said, same, seen_by_range, step, two_kinds, x
+from tests.nls.solving import near
 
 # ---- what is eliminated
 
@@ -28,17 +29,13 @@ def test_the_kinds_with_the_most_columns_are_eliminated() -> None:
 
 
 def test_held_variables_join_nothing() -> None:
-    """With every other pose held no pose is joined to another one."""
+    """With every other pose held no pose is joined to another one; with all held none is left."""
     sample = pose_graph(SE3, n=9)
     sample.graph.fix(x[[0, 2, 4, 6, 7, 8]])
     system = sample.graph.linearize(sample.values)
     assert said(system) == "schur, x eliminated: 18 of 18 columns"
     same(system)
-
-
-def test_no_unknowns_at_all() -> None:
-    sample = pose_graph(SE2)
-    sample.graph.fix(x[0:8])
+    sample.graph.fix(x[0:9])
     system = sample.graph.linearize(sample.values)
     assert said(system) == "schur, nothing eliminated: 0 of 0 columns"
     assert step(Schur(), system).shape == (0,)
@@ -57,7 +54,7 @@ def test_a_pose_graph_loses_single_poses() -> None:
 def test_of_few_kinds_the_best_set_and_of_many_a_set_in_time() -> None:
     """Kinds in pairs, joined in a ring: a search among 40 of them takes half an hour."""
     rng = np.random.default_rng(0)
-    for n in (3, 8, 16, 17, 40, 2000):
+    for n in (3, 8, 16, 17, 40, 1000):
         joined, columns = np.zeros((n, n), dtype=bool), rng.integers(1, 100, n)
         joined[np.arange(n), np.arange(n) - 1] = joined[np.arange(n) - 1, np.arange(n)] = True
         taken = _heaviest(range(n), joined, columns)
@@ -70,17 +67,16 @@ def test_of_few_kinds_the_best_set_and_of_many_a_set_in_time() -> None:
         assert columns[taken].sum() >= columns.sum() / 3  # each leaves out two of no more columns
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_separate_nodes_are_a_maximal_set(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    u, v = rng.integers(0, 200, (2, 500))
-    u, v = u[u != v], v[u != v]
-    taken = separate(u, v, 200)
-    assert not (taken[u] & taken[v]).any()
-    near = np.zeros(200, dtype=bool)
-    near[u[taken[v]]] = near[v[taken[u]]] = True
-    assert (taken | near).all()
-    assert np.array_equal(taken, separate(v, u, 200))
+def test_separate_nodes_are_a_maximal_set() -> None:
+    for seed in range(5):
+        u, v = np.random.default_rng(seed).integers(0, 200, (2, 500))
+        u, v = u[u != v], v[u != v]
+        taken = separate(u, v, 200)
+        assert not (taken[u] & taken[v]).any()
+        neighbors = np.zeros(200, dtype=bool)
+        neighbors[u[taken[v]]] = neighbors[v[taken[u]]] = True
+        assert (taken | neighbors).all()
+        assert np.array_equal(taken, separate(v, u, 200))
 
 
 # ---- singular
@@ -112,14 +108,10 @@ def test_singular_systems_are_refused_by_name(case: Callable[[], Sample], key: s
 def test_a_singular_landmark_shows_before_anything_is_divided_by_its_pivot() -> None:
     sample = seen_by_range(4)
     sample.graph.fix(x[4])
-    system = sample.graph.linearize(sample.values)
     with pytest.raises(SingularSystemError, match="in a variable that is eliminated by itself"):
-        step(Schur(), system)
-
-
-def test_two_distances_place_a_landmark() -> None:
-    sample = seen_by_range(4, 9)
-    same(sample.graph.linearize(sample.values))
+        step(Schur(), sample.graph.linearize(sample.values))
+    two = seen_by_range(4, 9)
+    same(two.graph.linearize(two.values))
 
 
 def test_a_weak_direction_of_a_landmark_costs_no_digits_elsewhere() -> None:
@@ -132,6 +124,4 @@ def test_a_weak_direction_of_a_landmark_costs_no_digits_elsewhere() -> None:
     values = Values({x: (SE2, sample.values[x]), l: (R(2), points, [*range(30), 99])})
     system = graph.linearize(values)
     expected = np.linalg.lstsq(system.A.toarray(), system.b)[0]
-    found = step(Schur(), system)
-    poses = slice(0, 36)
-    assert found[poses] == pytest.approx(expected[poses], rel=0, abs=1e-9 * np.abs(expected[poses]).max())
+    near(step(Schur(), system)[:36], expected[:36], 1e-9)

@@ -8,7 +8,7 @@ problem 11 is misprinted there, this is the one that MINPACK's tests use and tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +25,10 @@ from nls import FactorGraph, Values, kinds
 class Problem:
     """A residual of R^n, where to start, and the published values of |f|^2 at its minima, also those at infinity."""
 
+    name: str
     residual: Callable[[Array], Array]
     start: tuple[float, ...]
     minima: tuple[float, ...]
-
-    @property
-    def name(self) -> str:
-        return self.residual.__name__
 
     def f(self, X: Array) -> Array:
         """Residuals (k, m) at the points X (k, n), as a factor wants them."""
@@ -54,10 +51,6 @@ class Problem:
         return Values({p: (R(len(self.start)), [multiple * np.array(self.start)])})
 
 
-def rosenbrock(x: Array) -> Array:
-    return np.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-
-
 def freudenstein_roth(x: Array) -> Array:
     a, b = x
     return np.stack([-13 + a + ((5 - b) * b - 2) * b, -29 + a + ((b + 1) * b - 14) * b])
@@ -67,12 +60,8 @@ def powell_badly_scaled(x: Array) -> Array:
     return np.stack([1e4 * x[0] * x[1] - 1, np.exp(-x[0]) + np.exp(-x[1]) - 1.0001])
 
 
-def brown_badly_scaled(x: Array) -> Array:
-    return np.stack([x[0] - 1e6, x[1] - 2e-6, x[0] * x[1] - 2])
-
-
 def beale(x: Array) -> Array:
-    y, i = column([1.5, 2.25, 2.625]), count(3)
+    y, i = numbers("1.5 2.25 2.625"), count(3)
     return y - x[0] * (1 - x[1] ** i)
 
 
@@ -88,22 +77,20 @@ def helical_valley(x: Array) -> Array:
 
 
 def bard(x: Array) -> Array:
-    y = column([0.14, 0.18, 0.22, 0.25, 0.29, 0.32, 0.35, 0.39, 0.37, 0.58, 0.73, 0.96, 1.34, 2.10, 4.39])
+    y = numbers("0.14 0.18 0.22 0.25 0.29 0.32 0.35 0.39 0.37 0.58 0.73 0.96 1.34 2.10 4.39")
     u = count(15)
     v = 16 - u
     return y - (x[0] + u / (v * x[1] + np.minimum(u, v) * x[2]))
 
 
 def gaussian(x: Array) -> Array:
-    half = [0.0009, 0.0044, 0.0175, 0.0540, 0.1295, 0.2420, 0.3521]
-    t, y = (8 - count(15)) / 2, column([*half, 0.3989, *half[::-1]])
+    half = numbers("0.0009 0.0044 0.0175 0.0540 0.1295 0.2420 0.3521 0.3989")
+    t, y = (8 - count(15)) / 2, np.concatenate([half, half[-2::-1]])
     return x[0] * np.exp(-x[1] * (t - x[2]) ** 2 / 2) - y
 
 
 def meyer(x: Array) -> Array:
-    y = [34780, 28610, 23650, 19630, 16370, 13720, 11540, 9744, 8261, 7030, 6005, 5147, 4427, 3820, 3307, 2872]
-    t = 45 + 5 * count(16)
-    return x[0] * np.exp(x[1] / (t + x[2])) - column(y)
+    return x[0] * np.exp(x[1] / (45 + 5 * count(16) + x[2])) - MEYER
 
 
 def gulf_research(x: Array) -> Array:
@@ -130,9 +117,8 @@ def wood(x: Array) -> Array:
 
 
 def kowalik_osborne(x: Array) -> Array:
-    y = column([0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246])
-    u = column([4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625])
-    return y - x[0] * (u * u + u * x[1]) / (u * u + u * x[2] + x[3])
+    u = numbers("4 2 1 0.5 0.25 0.167 0.125 0.1 0.0833 0.0714 0.0625")
+    return KOWALIK_OSBORNE - x[0] * (u * u + u * x[1]) / (u * u + u * x[2] + x[3])
 
 
 def brown_dennis(x: Array) -> Array:
@@ -244,55 +230,26 @@ def chebyquad(x: Array) -> Array:
     return np.stack([t.mean(axis=0) for t in T[1:]]) - integral
 
 
-def chebyquad_8(x: Array) -> Array:
-    return chebyquad(x)
-
-
 def count(n: int) -> Array:
     """1 ... n as a column."""
     return np.arange(1.0, n + 1)[:, None]
 
 
-def column(y: Sequence[float]) -> Array:
-    """Data as a column."""
-    return np.array(y)[:, None]
+def numbers(text: str) -> Array:
+    """Data, one number after the other, as a column."""
+    return np.array(text.split(), dtype=float)[:, None]
 
 
-OSBORNE_1 = column(
-    (
-        *[844, 908, 932, 936, 925, 908, 881, 850, 818, 784, 751, 718, 685, 658, 628, 603, 580],
-        *[558, 538, 522, 506, 490, 478, 467, 457, 448, 438, 431, 424, 420, 414, 411, 406],
-    )
+MEYER = numbers("34780 28610 23650 19630 16370 13720 11540 9744 8261 7030 6005 5147 4427 3820 3307 2872")
+KOWALIK_OSBORNE = numbers("0.1957 0.1947 0.1735 0.16 0.0844 0.0627 0.0456 0.0342 0.0323 0.0235 0.0246")
+OSBORNE_1 = numbers(
+    "844 908 932 936 925 908 881 850 818 784 751 718 685 658 628 603 580 558 538 522 506 490 478 467 457 448 438 "
+    "431 424 420 414 411 406"
 )
-OSBORNE_2 = column(
-    (
-        *[
-            1366,
-            1191,
-            1112,
-            1013,
-            991,
-            885,
-            831,
-            847,
-            786,
-            725,
-            746,
-            679,
-            608,
-            655,
-            616,
-            606,
-            602,
-            626,
-            651,
-            724,
-            649,
-            649,
-        ],
-        *[694, 644, 624, 661, 612, 558, 533, 495, 500, 423, 395, 375, 372, 391, 396, 405, 428, 429, 523, 562, 607, 653],
-        *[672, 708, 633, 668, 645, 632, 591, 559, 597, 625, 739, 710, 729, 720, 636, 581, 428, 292, 162, 98, 54],
-    )
+OSBORNE_2 = numbers(
+    "1366 1191 1112 1013 991 885 831 847 786 725 746 679 608 655 616 606 602 626 651 724 649 649 694 644 624 661 "
+    "612 558 533 495 500 423 395 375 372 391 396 405 428 429 523 562 607 653 672 708 633 668 645 632 591 559 597 "
+    "625 739 710 729 720 636 581 428 292 162 98 54"
 )
 
 
@@ -305,40 +262,40 @@ def _rank_1(m: int) -> float:
 
 
 PROBLEMS = (
-    Problem(rosenbrock, (-1.2, 1), (0,)),
-    Problem(freudenstein_roth, (0.5, -2), (0, 48.9842)),
-    Problem(powell_badly_scaled, (0, 1), (0,)),
-    Problem(brown_badly_scaled, (1, 1), (0,)),
-    Problem(beale, (1, 1), (0,)),
-    Problem(jennrich_sampson, (0.3, 0.4), (124.362,)),
-    Problem(helical_valley, (-1, 0, 0), (0,)),
-    Problem(bard, (1, 1, 1), (8.21487e-3, 17.4286)),
-    Problem(gaussian, (0.4, 1, 0), (1.12793e-8,)),
-    Problem(meyer, (0.02, 4000, 250), (87.9458,)),
-    Problem(gulf_research, (5, 2.5, 0.15), (0,)),
-    Problem(box_three_dimensional, (0, 10, 20), (0,)),
-    Problem(powell_singular, (3, -1, 0, 1), (0,)),
-    Problem(wood, (-3, -1, -3, -1), (0,)),
-    Problem(kowalik_osborne, (0.25, 0.39, 0.415, 0.39), (3.07505e-4, 1.02734e-3)),
-    Problem(brown_dennis, (25, 5, -5, -1), (85822.2,)),
-    Problem(osborne_1, (0.5, 1.5, -1, 0.01, 0.02), (5.46489e-5,)),
-    Problem(biggs_exp6, (1, 2, 1, 1, 1, 1), (0, 5.65565e-3)),
-    Problem(osborne_2, (1.3, 0.65, 0.65, 0.7, 0.6, 3, 5, 7, 2, 4.5, 5.5), (4.01377e-2,)),
-    Problem(watson, (0,) * 6, (2.28767e-3,)),
-    Problem(extended_rosenbrock, (-1.2, 1) * 5, (0,)),
-    Problem(extended_powell_singular, (3, -1, 0, 1) * 3, (0,)),
-    Problem(penalty_1, (1, 2, 3, 4), (2.24997e-5,)),
-    Problem(penalty_2, (0.5,) * 4, (9.37629e-6,)),
-    Problem(variably_dimensioned, tuple(1 - k / 10 for k in range(1, 11)), (0,)),
-    Problem(trigonometric, (0.1,) * 10, (0,)),
-    Problem(brown_almost_linear, (0.5,) * 10, (0, 1)),
-    Problem(discrete_boundary_value, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
-    Problem(discrete_integral_equation, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
-    Problem(broyden_tridiagonal, (-1,) * 10, (0,)),
-    Problem(broyden_banded, (-1,) * 10, (0,)),
-    Problem(linear_full_rank, (1,) * 10, (5,)),
-    Problem(linear_rank_1, (1,) * 10, (_rank_1(15),)),
-    Problem(linear_rank_1_zeros, (1,) * 10, ((15**2 + 3 * 15 - 6) / (2 * (2 * 15 - 3)),)),
-    Problem(chebyquad, _fractions(7), (0,)),
-    Problem(chebyquad_8, _fractions(8), (3.51687e-3,)),
+    Problem("rosenbrock", lambda x: np.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]]), (-1.2, 1), (0,)),
+    Problem("freudenstein_roth", freudenstein_roth, (0.5, -2), (0, 48.9842)),
+    Problem("powell_badly_scaled", powell_badly_scaled, (0, 1), (0,)),
+    Problem("brown_badly_scaled", lambda x: np.stack([x[0] - 1e6, x[1] - 2e-6, x[0] * x[1] - 2]), (1, 1), (0,)),
+    Problem("beale", beale, (1, 1), (0,)),
+    Problem("jennrich_sampson", jennrich_sampson, (0.3, 0.4), (124.362,)),
+    Problem("helical_valley", helical_valley, (-1, 0, 0), (0,)),
+    Problem("bard", bard, (1, 1, 1), (8.21487e-3, 17.4286)),
+    Problem("gaussian", gaussian, (0.4, 1, 0), (1.12793e-8,)),
+    Problem("meyer", meyer, (0.02, 4000, 250), (87.9458,)),
+    Problem("gulf_research", gulf_research, (5, 2.5, 0.15), (0,)),
+    Problem("box_three_dimensional", box_three_dimensional, (0, 10, 20), (0,)),
+    Problem("powell_singular", powell_singular, (3, -1, 0, 1), (0,)),
+    Problem("wood", wood, (-3, -1, -3, -1), (0,)),
+    Problem("kowalik_osborne", kowalik_osborne, (0.25, 0.39, 0.415, 0.39), (3.07505e-4, 1.02734e-3)),
+    Problem("brown_dennis", brown_dennis, (25, 5, -5, -1), (85822.2,)),
+    Problem("osborne_1", osborne_1, (0.5, 1.5, -1, 0.01, 0.02), (5.46489e-5,)),
+    Problem("biggs_exp6", biggs_exp6, (1, 2, 1, 1, 1, 1), (0, 5.65565e-3)),
+    Problem("osborne_2", osborne_2, (1.3, 0.65, 0.65, 0.7, 0.6, 3, 5, 7, 2, 4.5, 5.5), (4.01377e-2,)),
+    Problem("watson", watson, (0,) * 6, (2.28767e-3,)),
+    Problem("extended_rosenbrock", extended_rosenbrock, (-1.2, 1) * 5, (0,)),
+    Problem("extended_powell_singular", extended_powell_singular, (3, -1, 0, 1) * 3, (0,)),
+    Problem("penalty_1", penalty_1, (1, 2, 3, 4), (2.24997e-5,)),
+    Problem("penalty_2", penalty_2, (0.5,) * 4, (9.37629e-6,)),
+    Problem("variably_dimensioned", variably_dimensioned, tuple(1 - k / 10 for k in range(1, 11)), (0,)),
+    Problem("trigonometric", trigonometric, (0.1,) * 10, (0,)),
+    Problem("brown_almost_linear", brown_almost_linear, (0.5,) * 10, (0, 1)),
+    Problem("discrete_boundary_value", discrete_boundary_value, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
+    Problem("discrete_integral_equation", discrete_integral_equation, tuple(t * (t - 1) for t in _fractions(10)), (0,)),
+    Problem("broyden_tridiagonal", broyden_tridiagonal, (-1,) * 10, (0,)),
+    Problem("broyden_banded", broyden_banded, (-1,) * 10, (0,)),
+    Problem("linear_full_rank", linear_full_rank, (1,) * 10, (5,)),
+    Problem("linear_rank_1", linear_rank_1, (1,) * 10, (_rank_1(15),)),
+    Problem("linear_rank_1_zeros", linear_rank_1_zeros, (1,) * 10, ((15**2 + 3 * 15 - 6) / (2 * (2 * 15 - 3)),)),
+    Problem("chebyquad", chebyquad, _fractions(7), (0,)),
+    Problem("chebyquad_8", lambda x: chebyquad(x), _fractions(8), (3.51687e-3,)),
 )

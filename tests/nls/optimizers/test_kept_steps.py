@@ -14,6 +14,7 @@ from models.algebra import Array
 from nls import FactorGraph, GaussNewton, LinearSystem, Pinv, Status, Stop, Values, kinds
 from nls.linear import default_solver
 from nls.linear.singular import SingularSystemError
+from nls.optimizers.problem import Problem
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import distance, pose_graph, x
 
@@ -28,8 +29,8 @@ def scalar(residual: object, at: list[float], dim: int) -> tuple[FactorGraph, Va
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
 def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup) -> None:
     factorizations = steps = reused = 0
-    for seed in range(6):
-        sample = pose_graph(group, n=60, seed=seed, start=0.1)
+    for seed in range(3):
+        sample = pose_graph(group, n=40, seed=seed, start=0.1)
         kept = sample.graph.optimize(sample.values, KEEPING)
         full = sample.graph.optimize(sample.values, GaussNewton())
         none = sample.graph.optimize(sample.values, KEEPING, linear_solver=Pinv())  # which keeps nothing
@@ -50,6 +51,20 @@ def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup
     assert reused > 0
 
 
+def test_the_last_of_them_is_not_linearized(monkeypatch: pytest.MonkeyPatch) -> None:
+    linearize, points = Problem.linearize, []
+
+    def counted(problem: Problem, values: Values) -> LinearSystem:
+        points.append(values)
+        return linearize(problem, values)
+
+    monkeypatch.setattr(Problem, "linearize", counted)
+    sample = pose_graph(SE2, n=40, start=0.1)
+    result = sample.graph.optimize(sample.values, KEEPING)
+    assert (result.history[-1].reused, result.converged) == (True, True)
+    assert len(points) == result.iterations
+
+
 def test_a_step_above_the_best_point_is_not_converged() -> None:
     """A trap at x = 12 behind the minimum that was met on the way."""
 
@@ -65,17 +80,21 @@ def test_a_step_above_the_best_point_is_not_converged() -> None:
     assert result.chi2_final == graph.chi2(result.values) == 1.0
 
 
-@pytest.mark.parametrize("c", [-0.8, -0.95])
-def test_slow_convergence_is_followed_to_its_end(c: float) -> None:
+def test_slow_convergence_is_followed_to_its_end() -> None:
     """Gauss-Newton shortens x by the factor -c from step to step: many small falls."""
-    graph, start = scalar(lambda X: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1), [0.5], 3)
-    result = graph.optimize(start, GaussNewton(Stop(max_iterations=500), reuse=True))
-    assert result.converged
-    assert result.chi2_final - 1 < 2e-6
+    for c in (-0.8, -0.95):
+        graph, start = scalar(
+            lambda X, c=c: np.concatenate([X, 1 + c * X**2 / 2, 0 * X], axis=1),  # type: ignore[misc]
+            [0.5],
+            3,
+        )
+        result = graph.optimize(start, GaussNewton(Stop(max_iterations=500), reuse=True))
+        assert result.converged
+        assert result.chi2_final - 1 < 2e-6
 
 
 def test_robust_means_are_followed_to_their_end() -> None:
-    for seed in range(40):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         z = np.concatenate([rng.normal(size=30), rng.normal(3, 3, size=10)])[:, None]
         graph = FactorGraph([Prior(p[np.zeros(40, dtype=int)], z, Robust(Isotropic(1), GemanMcClure(1.0)))])
@@ -111,12 +130,10 @@ def test_a_system_that_was_refused_is_refused_again() -> None:
     values = Values({p: (R(12), np.zeros(12))})
     factor = Factor.from_function(lambda X: X @ A.T, p[0], dim=40, jacobians=lambda X: [A[None]])
     pattern = Pattern([factor], values)
-    solver = default_solver()
-    state = solver.analyze(pattern)
+    state = default_solver().analyze(pattern)
     for _ in range(3):
         with pytest.raises(SingularSystemError):
             state.solve(LinearSystem.at(pattern, values))
-    assert isinstance(LinearSystem.at(pattern, values), LinearSystem)
 
 
 INSIDE = """

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from factors import Factor
+from factors import Factor, Isotropic, Prior
 from models import R
 from models.algebra import Array
 from models.errors import UnderconstrainedError
@@ -17,9 +18,6 @@ from tests.combinations import for_all
 from tests.nls.optimizers.nist import REGRESSIONS, Regression, p
 
 DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
-CASES = pytest.mark.parametrize(
-    ("problem", "start"), [(q, s) for q in REGRESSIONS for s in (0, 1)], ids=lambda v: getattr(v, "name", v)
-)
 TIGHT = {
     "default": Stop(max_iterations=1000),
     "update": Stop(1e-12, 0.0, 0.0, 1000),
@@ -27,22 +25,24 @@ TIGHT = {
     "gradient": Stop(0.0, 0.0, 1e-10, 1000),
     "none": Stop(0.0, 0.0, 0.0, 1000),
 }
+TURN = ("update", "fall", "gradient", "none")
+# From far away by default, from nearby with one threshold alone or none.
+CASES = [case for k, q in enumerate(REGRESSIONS) for case in ((q, 0, "default"), (q, 1, TURN[k % 4]))]
 
 
 @DAMPED
-@for_all(stop=TIGHT)
-@CASES
-def test_solved_from_both_starts(name: str, stop: str, problem: Regression, start: int) -> None:
-    problem.evaluations = 0
-    result = problem.graph.optimize(problem.values(start), OPTIMIZERS[name](TIGHT[stop]))
-    assert problem.evaluations <= 1000
-    assert result.converged, result.reason
-    assert problem.digits(result.values) > {"default": 2.5, "fall": 5.5}.get(stop, 6.0)
+def test_solved_from_both_starts(name: str) -> None:
+    for problem, start, stop in CASES:
+        problem.evaluations = 0
+        result = problem.graph.optimize(problem.values(start), OPTIMIZERS[name](TIGHT[stop]))
+        case = (problem.name, start, stop, result.reason)
+        assert problem.evaluations <= 1000, case
+        assert result.converged, case
+        assert problem.digits(result.values) > {"default": 2.5, "fall": 5.5}.get(stop, 6.0), case
 
 
 @DAMPED
-@for_all(seed=range(3))
-@pytest.mark.parametrize("problem", [q for q in REGRESSIONS if q.name in ("MGH10", "BoxBOD", "Thurber", "Rat43")])
+@for_all(seed=range(2), problem=[q for q in REGRESSIONS if q.name in ("MGH10", "BoxBOD", "Thurber", "Rat43")])
 def test_solved_from_starts_nearby(name: str, seed: int, problem: Regression) -> None:
     """No luck of one start: each parameter of the far one is changed by some percent."""
     changed = problem.values(0)
@@ -52,18 +52,19 @@ def test_solved_from_starts_nearby(name: str, seed: int, problem: Regression) ->
     assert problem.digits(result.values) > 6
 
 
-@for_all(stop=TIGHT)
-@CASES
-def test_gauss_newton_knows_where_it_has_arrived(stop: str, problem: Regression, start: int) -> None:
-    try:
-        result = problem.graph.optimize(problem.values(start), OPTIMIZERS["gauss-newton"](TIGHT[stop]))
-    except UnderconstrainedError:  # the far starts are nearly singular for some
-        assert start == 0
-        return
-    arrived = problem.digits(result.values) > 6
-    other = problem.name == "MGH09" and result.chi2_final == pytest.approx(4.23675e-4, rel=1e-4)  # its second minimum
-    assert result.converged == (arrived or other or (stop == "default" and result.converged))
-    assert not result.converged or other or problem.digits(result.values) > 2.5
+def test_gauss_newton_knows_where_it_has_arrived() -> None:
+    arrivals = 0
+    for problem, start, stop in CASES:
+        try:
+            result = problem.graph.optimize(problem.values(start), OPTIMIZERS["gauss-newton"](TIGHT[stop]))
+        except UnderconstrainedError:  # the far starts are nearly singular for some
+            assert start == 0
+            continue
+        arrived = problem.digits(result.values) > (2.5 if stop == "default" else 6)
+        other = problem.name == "MGH09" and result.chi2_final == pytest.approx(4.23675e-4, rel=1e-4)  # second minimum
+        assert result.converged == (arrived or other), (problem.name, start, stop)
+        arrivals += result.converged
+    assert arrivals >= 6
 
 
 # ---- plateaus: chi2 falls for ever while an unknown goes to infinity
@@ -79,11 +80,13 @@ PLATEAUS: dict[str, Callable[[Array], Array]] = {
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-@for_all(plateau=PLATEAUS, threshold=[*((stop, 1.0) for stop in TIGHT), ("default", 1e-9), ("default", 1e9)])
+@for_all(
+    plateau=PLATEAUS, threshold=[("default", 1.0), ("none", 1.0), ("gradient", 1.0), ("fall", 1e-9), ("update", 1e9)]
+)
 def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, float]) -> None:
     """Beside residuals that stay: with any threshold, in any unit of x."""
     stop, scale = threshold
-    f = PLATEAUS[plateau]
+    f, short = PLATEAUS[plateau], replace(TIGHT[stop], max_iterations=200)
     residual = Factor.from_function(
         lambda X: np.concatenate([f(X / scale), X / X, 0.5 * X / X], axis=1),
         p[0],
@@ -93,7 +96,7 @@ def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, 
         ],
     )
     try:
-        result = FactorGraph([residual]).optimize(Values({p: (R(1), 2.0 * scale)}), OPTIMIZERS[name](TIGHT[stop]))
+        result = FactorGraph([residual]).optimize(Values({p: (R(1), 2.0 * scale)}), OPTIMIZERS[name](short))
     except UnderconstrainedError:
         return
     assert not result.converged, result.reason
@@ -104,10 +107,11 @@ def test_a_plateau_is_no_minimum(name: str, plateau: str, threshold: tuple[str, 
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-@for_all(residuals=[1e-9, 1.0, 1e9], unknowns=[1e-9, 1.0, 1e13, 1e40])
-def test_units_decide_nothing(name: str, residuals: float, unknowns: float) -> None:
+@for_all(units=[(1e-9, 1e40), (1.0, 1e13), (1e9, 1e-9), (1e9, 1.0)])
+def test_units_decide_nothing(name: str, units: tuple[float, float]) -> None:
     """The same curve in other units: neither 'diverged' nor 'converged' hangs on the size of a number."""
     problem = next(q for q in REGRESSIONS if q.name == "Rat43")
+    residuals, unknowns = units
     factor = Factor.from_function(
         lambda X: residuals * problem.f(X / unknowns),
         p[0],
@@ -121,8 +125,6 @@ def test_units_decide_nothing(name: str, residuals: float, unknowns: float) -> N
 
 
 def test_one_step_to_coordinates_beyond_1e30() -> None:
-    from factors import Isotropic, Prior
-
     graph = FactorGraph([Prior(p[0], [1e31, -1e32], Isotropic(1e28)), Prior(p[0], [1e31, -2e32], Isotropic(1e28))])
     for name in OPTIMIZERS:
         result = graph.optimize(Values({p: (R(2), [0.0, 0.0])}), OPTIMIZERS[name]())

@@ -1,258 +1,212 @@
-"""Gauss-Newton on problems whose answer is known; every way it can end, each called by its right name."""
+"""Every optimizer on problems whose answer is known; every way it can end; nothing gets worse, nothing is touched."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from factors import Between, Diagonal, Factor, Isotropic, Prior
-from models import LieGroup, R
+import nls
+from factors import Between, Diagonal, Factor, Huber, Isotropic, Prior
+from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
-from nls import (
-    FactorGraph,
-    GaussNewton,
-    Iteration,
-    OptionError,
-    SingularGeometryError,
-    Status,
-    Stop,
-    Values,
-)
+from models.errors import OptionError, UnderconstrainedError
+from nls import FactorGraph, GaussNewton, Iteration, LevenbergMarquardt, Status, Stop, Values
 from nls.linear import SOLVERS
-from tests.nls.graphs import GROUPS, circle, distance, never_worse, p, pose_graph, scalar, walk, x
+from nls.optimizers import OPTIMIZERS
+from tests.nls.graphs import GROUPS, SAMPLES, circle, distance, never_worse, p, pose_graph, scalar, walk, x
 
+ALL = pytest.mark.parametrize("name", OPTIMIZERS)
+DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
 NEVER = Stop(update_tol=0.0, chi2_rtol=0.0, gradient_tol=0.0)
 
 
 # ---- answers known in closed form
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_two_poses_pulled_at_both_ends(name: str) -> None:
-    graph = FactorGraph(
-        [Prior(x[0], [0.0], Isotropic(1)), Prior(x[1], [2.0], Isotropic(1)), Between(x[0], x[1], [1.0], Isotropic(1))]
-    )
-    solver = SOLVERS[name]()
-    if solver.missing():
-        pytest.skip(f"{name}: {solver.missing()}")
-    result = graph.optimize(Values({x: (R(1), [5.0, -5.0])}), linear_solver=solver)
-    assert result.values[x].ravel() == pytest.approx([1 / 3, 5 / 3], abs=1e-12)
-    assert result.chi2_final == pytest.approx(1 / 3, rel=1e-12)
-    assert (result.dof, result.converged, result.linear_solver.split(",")[0]) == (1, True, name)
-
-
-def test_a_mean_is_weighted_by_information() -> None:
+def test_two_poses_pulled_at_both_ends_and_a_weighted_mean() -> None:
+    one = Isotropic(1)
+    graph = FactorGraph([Prior(x[0], [0.0], one), Prior(x[1], [2.0], one), Between(x[0], x[1], [1.0], one)])
+    for name, kind in SOLVERS.items():
+        if not kind.missing():
+            result = graph.optimize(Values({x: (R(1), [5.0, -5.0])}), linear_solver=kind())
+            assert result.values[x].ravel() == pytest.approx([1 / 3, 5 / 3], abs=1e-12)
+            assert result.chi2_final == pytest.approx(1 / 3, rel=1e-12)
+            assert (result.dof, result.converged, result.linear_solver.split(",")[0]) == (1, True, name)
     sigmas, z = np.array([0.1, 0.2, 0.4]), np.array([1.0, 2.0, 4.0])
-    graph = FactorGraph([Prior(x[[0, 0, 0]], z, Diagonal(sigmas[:, None]))])
-    w = 1 / sigmas**2
-    result = graph.optimize(Values({x: (R(1), [0.0])}))
-    assert result.values[x[0]][0] == pytest.approx((w @ z) / w.sum(), rel=1e-12)
+    result = FactorGraph([Prior(x[[0, 0, 0]], z, Diagonal(sigmas[:, None]))]).optimize(Values({x: (R(1), [0.0])}))
+    assert result.values[x[0]][0] == pytest.approx(np.average(z, weights=sigmas**-2), rel=1e-12)
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_a_chain_is_composed_exactly(group: LieGroup) -> None:
-    X = walk(group, 6, np.random.default_rng(1))
-    graph = FactorGraph([Between(x[0:5], x[1:6], group.between(X[:-1], X[1:]), Isotropic(0.1))])
-    start = np.concatenate([X[:1], np.repeat(X[:1], 5, axis=0)])
-    result = graph.optimize(Values({x: (group, start)}))
-    assert result.converged
-    assert result.chi2_final < 1e-20
-    assert distance(group, X, result.values[x]) < 1e-9
-    assert np.array_equal(result.values[x[0]], X[0])
-    assert result.dof == 0
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_noise_free_measurements_are_met(group: LieGroup) -> None:
-    sample = pose_graph(group, start=0.2)
-    for factor in sample.graph.factors:
-        X = [sample.truth[keys] for keys in factor.keys]
-        factor._z = group.between(*X) if len(X) == 2 else X[0]
-        factor._model = None
-    result = sample.graph.optimize(sample.values)
-    assert result.converged
-    assert distance(group, sample.truth[x], result.values[x]) < 1e-8
+@ALL
+def test_noise_free_measurements_are_met(name: str) -> None:
+    for group in GROUPS:
+        X = walk(group, 6, np.random.default_rng(1))
+        chain = Between(x[0:5], x[1:6], group.between(X[:-1], X[1:]), Isotropic(0.1))
+        closure = Between(x[0], x[5], group.between(X[:1], X[5:]), Isotropic(0.1))
+        start = group.retract(X, 0.2 * np.random.default_rng(2).normal(size=(6, group.dim)))
+        start[0] = X[0]
+        result = FactorGraph([chain, closure]).optimize(Values({x: (group, start)}), OPTIMIZERS[name]())
+        assert result.converged
+        assert distance(group, X, result.values[x]) < 1e-6
+        start[1:] = X[:1]
+        result = FactorGraph([chain]).optimize(Values({x: (group, start)}), OPTIMIZERS[name]())
+        assert result.converged
+        assert (result.chi2_final < 1e-20, result.dof) == (True, 0)
+        assert distance(group, X, result.values[x]) < 1e-9
+        assert np.array_equal(result.values[x[0]], X[0])
 
 
 def test_rosenbrock_from_the_classical_start() -> None:
-    graph = FactorGraph(
-        [Factor.from_function(lambda X: np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1), p[0], 2)]
-    )
-    result = graph.optimize(Values({p: (R(2), [-1.2, 1.0])}))
+    def residual(X: Array) -> Array:
+        return np.stack([10 * (X[:, 1] - X[:, 0] ** 2), 1 - X[:, 0]], axis=1)
+
+    result = FactorGraph([Factor.from_function(residual, p[0], 2)]).optimize(Values({p: (R(2), [-1.2, 1.0])}))
     assert result.values[p[0]] == pytest.approx([1.0, 1.0], abs=1e-9)
     assert result.iterations <= 4
     assert max(it.chi2 for it in result.history) > result.chi2_initial  # it passes through a rise on its way
 
 
+@DAMPED
+def test_the_optimum_of_gauss_newton(name: str) -> None:
+    tight = Stop(update_tol=1e-9, chi2_rtol=1e-12)
+    for sample in ("R(1)", "SO3", "SE3 odd ids", "two poses", "mixed", "mixed, some fixed"):
+        made = SAMPLES[sample]()
+        expected, result = (
+            made.graph.optimize(made.values, OPTIMIZERS[method](tight)) for method in ("gauss-newton", name)
+        )
+        assert (result.converged, expected.converged) == (True, True)
+        assert (result.method, result.underconstrained, result.dof) == (name, (), expected.dof)
+        assert result.chi2_final == pytest.approx(expected.chi2_final, rel=1e-9)
+        for kind in {key.kind for key in made.values}:
+            stack = expected.values.stack(kind)
+            assert np.abs(stack.manifold.local(stack.X, result.values.stack(kind).X)).max() < 1e-5
+        never_worse(made.graph, made.values, result)
+
+
 # ---- every status
 
 
-def test_converged_by_the_gradient_without_a_step() -> None:
+@ALL
+def test_converged_by_each_rule(name: str) -> None:
     graph, start = circle()
-    optimum = graph.optimize(start, GaussNewton(Stop(update_tol=1e-14, chi2_rtol=0.0))).values
-    again = graph.optimize(optimum, GaussNewton(Stop(update_tol=0.0, chi2_rtol=0.0, gradient_tol=1e-7)))
+    optimizer = OPTIMIZERS[name]
+    by_update = graph.optimize(start, optimizer(Stop(1e-3, 0.0, 0.0)))
+    by_fall = graph.optimize(start, optimizer(Stop(0.0, 1e-2, 0.0)))
+    by_gradient = graph.optimize(start, optimizer(Stop(0.0, 0.0, 1e-5)))
+    for result, words in (
+        (by_update, "max|dx| "),
+        (by_fall, "relative decrease of chi2"),
+        (by_gradient, "scaled gradient"),
+    ):
+        assert (result.status, result.reason.startswith(words)) == (Status.CONVERGED, True), result.reason
+        assert result.values[p[0]] == pytest.approx([2.8059, 4.1378], abs=0.05)
+        never_worse(graph, start, result)
+    assert by_update.history[-1].update < 1e-3 <= by_update.history[-2].update
+    if name == "gauss-newton":
+        last, before, earlier = (it.chi2 for it in reversed(by_fall.history[-3:]))
+        assert 0 <= before - last <= 1e-2 * before
+        assert earlier - before > 1e-2 * earlier
+    again = graph.optimize(by_gradient.values, optimizer(Stop(0.0, 0.0, 1e-5)))
     assert (again.status, again.iterations) == (Status.CONVERGED, 0)
-    assert "scaled gradient" in again.reason
-    assert np.array_equal(again.values[p[0]], optimum[p[0]])
-    exact = graph.optimize(start, GaussNewton(Stop(0.0, 0.0, gradient_tol=1e-5)))
-    assert exact.status is Status.CONVERGED
-    assert "1e-05" in exact.reason
+    assert np.array_equal(again.values[p[0]], by_gradient.values[p[0]])
 
 
-def test_converged_by_the_update() -> None:
+@ALL
+def test_limits_of_iterations_and_time(name: str) -> None:
     graph, start = circle()
-    result = graph.optimize(start, GaussNewton(Stop(update_tol=1e-3, chi2_rtol=0.0, gradient_tol=0.0)))
-    assert result.status is Status.CONVERGED
-    assert result.reason.startswith("max|dx| ")
-    assert result.history[-1].update < 1e-3 <= result.history[-2].update
+    for limit in (0, 1, 2):
+        result = graph.optimize(start, OPTIMIZERS[name](Stop(max_iterations=limit)))
+        assert (result.status, result.iterations, result.converged) == (Status.MAX_ITERATIONS, limit, False)
+        assert f" {limit} " in result.reason
+        never_worse(graph, start, result)
+    result = graph.optimize(start, OPTIMIZERS[name](Stop(max_seconds=0.0)))
+    assert (result.status, result.iterations <= 1) == (Status.MAX_TIME, True)
     never_worse(graph, start, result)
 
 
-def test_converged_by_the_decrease_of_chi2() -> None:
+@DAMPED
+def test_the_time_limit_while_steps_are_refused(name: str) -> None:
+    def slow(X: Array) -> Array:
+        time.sleep(0.005)
+        return np.where(X == 1.0, 1.0, 9.0)
+
+    graph, start = scalar(slow, 1.0, lambda X: np.ones((1, 1, 1)))
+    began = time.perf_counter()
+    result = graph.optimize(start, OPTIMIZERS[name](Stop(max_seconds=0.02)))
+    assert (result.status, result.iterations) == (Status.MAX_TIME, 0)
+    assert time.perf_counter() - began < 5
+
+
+@ALL
+def test_a_callback_stops_interrupts_or_fails(name: str) -> None:
     graph, start = circle()
-    result = graph.optimize(start, GaussNewton(Stop(update_tol=0.0, chi2_rtol=1e-2, gradient_tol=0.0)))
-    assert result.status is Status.CONVERGED
-    assert result.reason.startswith("relative decrease of chi2")
-    last, before, earlier = (it.chi2 for it in reversed(result.history[-3:]))
-    assert 0 <= before - last <= 1e-2 * before
-    assert earlier - before > 1e-2 * earlier
+    records: list[Iteration] = []
+
+    def second(act: Callable[[], bool]) -> Callable[[Iteration], bool]:
+        def callback(iteration: Iteration) -> bool:
+            records.append(iteration)
+            return act() if iteration.number == 2 else False
+
+        return callback
+
+    def fail(error: BaseException) -> bool:
+        raise error
+
+    stopped = graph.optimize(start, OPTIMIZERS[name](NEVER, second(lambda: True)))
+    assert (stopped.status, stopped.iterations) == (Status.STOPPED, 2)
+    assert [it.number for it in records] == [1, 2]
+    assert [(it.chi2, it.update) for it in records] == [(it.chi2, it.update) for it in stopped.history[1:]]
+    never_worse(graph, start, stopped)
+    interrupted = graph.optimize(start, OPTIMIZERS[name](NEVER, second(lambda: fail(KeyboardInterrupt()))))
+    assert (interrupted.status, interrupted.iterations) == (Status.INTERRUPTED, 2)
+    never_worse(graph, start, interrupted)
+    assert graph.optimize(start, OPTIMIZERS[name](callback=lambda iteration: None)).converged
+    before = start[p].copy()
+    with pytest.raises(RuntimeError, match="a fault of the caller"):
+        graph.optimize(start, OPTIMIZERS[name](callback=second(lambda: fail(RuntimeError("a fault of the caller")))))
+    assert np.array_equal(start[p], before)
 
 
-def test_chi2_of_zero_is_converged() -> None:
-    graph, start = scalar(lambda X: X - 2.0, 2.0)
-    result = graph.optimize(start, GaussNewton(NEVER))
-    assert (result.status, result.iterations, result.chi2_final) == (Status.CONVERGED, 0, 0.0)
+@ALL
+def test_interrupted_in_a_residual(name: str) -> None:
+    calls = []
 
-
-@pytest.mark.parametrize("limit", [0, 1, 2])
-def test_the_iteration_limit(limit: int) -> None:
-    graph, start = circle()
-    result = graph.optimize(start, GaussNewton(Stop(max_iterations=limit)))
-    assert (result.status, result.iterations) == (Status.MAX_ITERATIONS, limit)
-    assert result.reason == f"after {limit} iterations"
-    assert not result.converged
-    never_worse(graph, start, result)
-
-
-def test_the_time_limit() -> None:
-    graph, start = circle()
-    result = graph.optimize(start, GaussNewton(Stop(max_seconds=0.0)))
-    assert result.status is Status.MAX_TIME
-    assert result.iterations <= 1
-    never_worse(graph, start, result)
-
-
-def test_stopped_by_the_callback() -> None:
-    graph, start = circle()
-    seen: list[Iteration] = []
-
-    def callback(iteration: Iteration) -> bool:
-        seen.append(iteration)
-        return iteration.number == 2
-
-    result = graph.optimize(start, GaussNewton(NEVER, callback))
-    assert (result.status, result.iterations) == (Status.STOPPED, 2)
-    assert [it.number for it in seen] == [1, 2]
-    assert [(it.chi2, it.update) for it in seen] == [(it.chi2, it.update) for it in result.history[1:]]
-    never_worse(graph, start, result)
-
-
-def test_a_callback_that_returns_nothing_does_not_stop() -> None:
-    graph, start = circle()
-    assert graph.optimize(start, GaussNewton(callback=lambda iteration: None)).converged
-
-
-def test_interrupted_in_a_residual() -> None:
     def residual(X: Array) -> Array:
-        if X[0, 0] < 5:  # two steps from the start
+        calls.append(1)
+        if len(calls) > 12:
             raise KeyboardInterrupt
         return np.array(X**2 - 2.0)
 
-    graph, start = scalar(residual, 30.0)
-    result = graph.optimize(start)
-    assert result.status is Status.INTERRUPTED
+    graph, start = scalar(residual, 3000.0)
+    result = graph.optimize(start, OPTIMIZERS[name]())
+    assert (result.status, result.converged) == (Status.INTERRUPTED, False)
     assert 1 <= result.iterations < 5
     assert result.chi2_final < result.chi2_initial
-    assert result.values[p[0]][0] < 30.0
+    assert result.chi2_final == min(it.chi2 for it in result.history)
+    assert 0 < result.values[p[0]][0] < 3000.0
+    assert np.array_equal(start[p], [[3000.0]])
 
 
-def test_interrupted_in_the_callback() -> None:
-    graph, start = circle()
-
-    def callback(iteration: Iteration) -> None:
-        if iteration.number == 2:
-            raise KeyboardInterrupt
-
-    result = graph.optimize(start, GaussNewton(NEVER, callback))
-    assert (result.status, result.iterations) == (Status.INTERRUPTED, 2)
-    never_worse(graph, start, result)
-
-
-def test_diverged_by_a_jacobian_of_the_wrong_sign() -> None:
-    graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
-    result = graph.optimize(start, GaussNewton())
-    assert result.status is Status.DIVERGED
-    assert np.array_equal(result.values[p[0]], [3.0])
-    never_worse(graph, start, result)
-
-
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_a_wrong_sign_is_never_converged(group: LieGroup) -> None:
-    class Wrong(Between):
-        def predict(self, manifolds: tuple, *X: Array) -> tuple:  # type: ignore[type-arg]
-            h, (H_i, _) = super().predict(manifolds, *X)
-            return h, (-H_i, -np.eye(manifolds[0].dim)[None])
-
-    sample = pose_graph(group, anchored=False)
-    edges = [Wrong(*f.keys, f.z, f.noise) for f in sample.graph.factors]
-    graph = FactorGraph(edges)
-    result = graph.optimize(sample.values, GaussNewton())
-    assert not result.converged
-    never_worse(graph, sample.values, result)
-
-
-def test_diverged_where_the_residual_is_not_finite() -> None:
-    def residual(X: Array) -> Array:
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.log(X) + 3.0)
-
-    graph, start = scalar(residual, 1.0)  # the first step leads to -2
-    result = graph.optimize(start, GaussNewton())
-    assert result.status is Status.DIVERGED
-    assert "residual(p0)" in result.reason
-    assert "not finite" in result.reason
-    assert np.array_equal(result.values[p[0]], [1.0])
-    assert np.isfinite([it.chi2 for it in result.history]).all()
-    never_worse(graph, start, result)
-
-
-def test_diverged_where_the_geometry_is_singular() -> None:
-    def residual(X: Array) -> Array:
-        if X[0, 0] < 0:
-            raise SingularGeometryError("behind the camera")
-        return np.array(X + 3.0)
-
-    graph, start = scalar(residual, 1.0)
-    assert graph.optimize(start, GaussNewton()).status is Status.DIVERGED
-
-
-def test_cycling_between_two_points() -> None:
+@ALL
+def test_cycling(name: str) -> None:
+    """Newton's cycle 0, 1, 0, 1 is one of undamped steps; the others come to the local minimum instead."""
     graph, start = scalar(lambda X: X**3 - 2 * X + 2, 0.0, lambda X: (3 * X**2 - 2)[..., None])
-    result = graph.optimize(start, GaussNewton())  # Newton's classical cycle 0, 1, 0, 1, ...
-    assert result.status is Status.CYCLING
-    assert result.iterations < 30
-    assert result.values[p[0]][0] == pytest.approx(1.0)
-    assert result.chi2_final == pytest.approx(1.0)
+    result = graph.optimize(start, OPTIMIZERS[name]())
     never_worse(graph, start, result)
-
-
-def test_swinging_between_points_of_equal_chi2_is_not_converged() -> None:
-    """For sign(x) sqrt|x| the undamped step is -2x: x, -x, x, ... with a slope that never vanishes."""
-    graph, start = scalar(
-        lambda X: np.sign(X) * np.sqrt(np.abs(X)), 0.7, lambda X: (0.5 / np.sqrt(np.abs(X)))[..., None]
-    )
-    result = graph.optimize(start, GaussNewton())
-    assert result.status is Status.CYCLING
+    if name == "gauss-newton":
+        assert (result.status, result.iterations < 30) == (Status.CYCLING, True)
+        assert (result.values[p[0]][0], result.chi2_final) == pytest.approx((1.0, 1.0))
+    else:  # a minimum with f = 0.91, f' = 0: a single residual without slope, found within the rounding of chi2
+        assert result.values[p[0]][0] == pytest.approx(np.sqrt(2 / 3), abs=1e-4)
+        assert result.status in (Status.CONVERGED, Status.STALLED)
 
 
 def test_stalled_above_a_lower_point_met_before() -> None:
@@ -262,18 +216,135 @@ def test_stalled_above_a_lower_point_met_before() -> None:
     )
     result = graph.optimize(start, GaussNewton())
     assert result.status is Status.STALLED
-    assert "above the 1 met before, which is returned" in result.reason
+    assert "above the 1 met before" in result.reason
     assert result.values[p[0]][0] == pytest.approx(1.0)
     never_worse(graph, start, result)
 
 
-@pytest.mark.parametrize("option", ["update_tol", "chi2_rtol", "gradient_tol", "max_iterations", "max_seconds"])
-@pytest.mark.parametrize("value", [-1, float("nan"), "1e-3"])
-def test_thresholds_that_are_none(option: str, value: object) -> None:
-    with pytest.raises(OptionError, match=option):
-        Stop(**{option: value})  # type: ignore[arg-type]
+def test_a_real_interrupt_writes_the_best_point(tmp_path: Path) -> None:
+    """The command is sent SIGINT while it iterates towards thresholds it can never reach."""
+    sample = pose_graph(SE2, n=8, seed=4, anchored=False, start=0.3)
+    source, target = tmp_path / "in.g2o", tmp_path / "out.g2o"
+    nls.save(source, sample.graph, sample.values)
+    limits = ["--method", "dogleg", "--init", "file", "--max-iterations", "1000000000", "--update-tol", "0"]
+    code = (
+        "import sys, time, signal, os\n"
+        "import nls.optimizers.watch as w\n"
+        "from nls.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background inherits none
+        "old = w.Watch.step\n"
+        "def step(self, *a, **k):\n"
+        "    old(self, *a, **k)\n"
+        "    if len(self.history) == 3:\n"
+        "        os.kill(os.getpid(), signal.SIGINT); time.sleep(0.3)\n"
+        "w.Watch.step = step\n"
+        f"sys.exit(main({['solve', str(source), '-o', str(target), *limits]!r}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1, done.stderr
+    assert "interrupted" in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    graph, values, _ = nls.load(target)
+    start_graph, start, _ = nls.load(source)
+    assert graph.chi2(values) < start_graph.chi2(start)
 
 
-def test_half_an_iteration() -> None:
+# ---- never worse, nothing touched
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    noise=st.sampled_from([0.0, 0.3, 3.0]),
+    group=st.sampled_from([R(2), SE2, SE3]),
+    name=st.sampled_from(list(OPTIMIZERS)),
+    kernel=st.sampled_from([None, Huber(1.0)]),
+)
+def test_never_worse(seed: int, noise: float, group: LieGroup, name: str, kernel: Huber | None) -> None:
+    sample = pose_graph(group, seed=seed, start=noise)
+    graph = sample.graph if kernel is None else sample.graph.robust(kernel)
+    before = sample.values[x].copy()
+    result = graph.optimize(sample.values, OPTIMIZERS[name]())
+    never_worse(graph, sample.values, result)
+    assert np.array_equal(sample.values[x], before)
+    if name != "gauss-newton":
+        falls = np.diff([it.chi2 for it in result.history])
+        assert (falls < 0).all()  # damped methods take no step that rises
+
+
+# ---- what is free
+
+
+def test_a_singular_graph_is_refused_undamped_and_named_damped() -> None:
+    loose, anchored = (pose_graph(SE2, n=8, seed=3, anchored=prior) for prior in (False, True))
+    graph, start = loose.graph, loose.values
+    with pytest.raises(UnderconstrainedError) as caught:
+        graph.optimize(start, GaussNewton(), gauge="none")
+    assert caught.value.nullity == 3
+    assert graph.chi2(caught.value.values) == graph.chi2(start)
+    held = graph.optimize(start)
+    assert held.underconstrained == ()
+    for name in ("levenberg-marquardt", "dogleg"):
+        result = graph.optimize(start, OPTIMIZERS[name](), gauge="none")
+        assert result.converged
+        assert result.chi2_final == pytest.approx(held.chi2_final, rel=1e-6)
+        assert len(result.underconstrained) == 3
+        assert all("x" in direction for direction in result.underconstrained)
+        assert "free, left where the start had them" in str(result)
+    result = anchored.graph.optimize(anchored.values, LevenbergMarquardt(), gauge="none")
+    assert (result.converged, result.underconstrained) == (True, ())
+
+
+def test_what_is_free_is_said_without_a_step() -> None:
+    X = walk(SE2, 4, np.random.default_rng(0))
+    i, j = np.array([0, 1, 2, 0]), np.array([1, 2, 3, 3])
+    graph = FactorGraph([Between(x[i], x[j], SE2.between(X[i], X[j]), Isotropic(0.1))])
+    result = graph.optimize(Values({x: (SE2, X)}), LevenbergMarquardt(Stop(gradient_tol=1.0)), gauge="none")
+    assert (result.converged, result.iterations, len(result.underconstrained)) == (True, 0, 3)
+
+
+@ALL
+def test_unknowns_without_measurement_are_refused(name: str) -> None:
+    graph = FactorGraph([Prior(p[0], [1.0, 0.0], Isotropic(0.1), components=["x"])])
+    with pytest.raises(UnderconstrainedError, match="p0: y"):
+        graph.optimize(Values({p: (R(2), [[0.0, 0.0]])}), OPTIMIZERS[name]())
+    graph, start = scalar(lambda X: np.full_like(X, 2.0), 1.0, lambda X: np.zeros((1, 1, 1)))
+    with pytest.raises(UnderconstrainedError, match="p0"):
+        graph.optimize(start, OPTIMIZERS[name]())
+
+
+def test_a_free_scale() -> None:
+    """Ratios of distances alone: the scale is free, as in a reconstruction from one camera; the shape is found."""
+    truth = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
+    i, j = np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3])
+    size = np.linalg.norm(truth[j] - truth[i], axis=1)
+
+    def ratios(X0: Array, X1: Array, X2: Array, X3: Array) -> Array:
+        X = np.stack([X0, X1, X2, X3], axis=1)
+        d = np.linalg.norm(X[:, j] - X[:, i], axis=2)
+        return np.log(d / d[:, :1]) - np.log(size / size[0]) + 0.01 * np.array([0, 1, -1, 1, 2, -1])
+
+    graph = FactorGraph([Factor.from_function(ratios, [p[k] for k in range(4)], 6)])
+    off = np.array([[0.1, 0.2], [-0.2, 0.1], [0.3, -0.1], [0.0, -0.3]])
+    start = Values({p: (R(2), truth + off)})
+    with pytest.raises(UnderconstrainedError, match="leave 4 directions free"):
+        graph.optimize(start)
+    graph.add(Prior(p[0], truth[0], Isotropic(0.1)))
+    graph.add(Prior(p[1], truth[1], Isotropic(0.1), components=["y"]))
+    graph.add(Prior(p[1], truth[1], Isotropic(0.2), components=["y"]))  # once more: dof 0, and still no scale
+    result = graph.optimize(start, LevenbergMarquardt())
+    assert result.converged
+    assert len(result.underconstrained) == 1
+    assert all(f"p{k}" in result.underconstrained[0] for k in (1, 2, 3))
+
+
+def test_options_that_are_not_possible() -> None:
+    for option in ("update_tol", "chi2_rtol", "gradient_tol", "max_iterations", "max_seconds"):
+        for value in (-1, float("nan"), "1e-3"):
+            with pytest.raises(OptionError, match=option):
+                Stop(**{option: value})  # type: ignore[arg-type]
     with pytest.raises(OptionError, match="whole number"):
         Stop(max_iterations=1.5)  # type: ignore[arg-type]
+    for damping in (0, -1.0, np.nan, np.inf, 1e17):
+        with pytest.raises(OptionError, match="damping"):
+            LevenbergMarquardt(damping=damping)

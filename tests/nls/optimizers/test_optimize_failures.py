@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from factors import Factor, Isotropic, Prior
-from models import SE2, R
+from factors import Isotropic, Prior
+from models import SE2
 from models.algebra import Array
 from models.errors import EvaluationError, UnderconstrainedError
 from nls import FactorGraph, Result, SingularGeometryError, Status, Stop, Values
@@ -16,7 +16,6 @@ from tests.nls.graphs import GROUPS, never_worse, p, pose_graph, scalar
 
 ALL = pytest.mark.parametrize("name", OPTIMIZERS)
 DAMPED = pytest.mark.parametrize("name", ["levenberg-marquardt", "dogleg"])
-BAD = {Status.STALLED, Status.DIVERGED}
 
 
 def optimize(graph: FactorGraph, start: Values, name: str, stop: Stop | None = None) -> Result:
@@ -25,66 +24,59 @@ def optimize(graph: FactorGraph, start: Values, name: str, stop: Stop | None = N
     result = graph.optimize(start, OPTIMIZERS[name](stop or Stop()))
     never_worse(graph, start, result)
     assert all(np.array_equal(start[kind], X) for kind, X in before.items())
+    assert np.isfinite([it.chi2 for it in result.history]).all()
     assert result.reason
     return result
-
-
-def outcome(graph: FactorGraph, start: Values, name: str) -> Result | UnderconstrainedError:
-    """The result, or the refusal of an undamped method."""
-    try:
-        return optimize(graph, start, name)
-    except UnderconstrainedError as error:
-        return error
 
 
 # ---- the start cannot be evaluated
 
 
 @ALL
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e200])
-def test_no_residual_at_the_start(name: str, bad: float) -> None:
-    def depth(X: Array) -> Array:
-        return np.full_like(X, bad)
+def test_nothing_to_start_from(name: str) -> None:
+    """Residuals, Jacobians or weighted residuals that are not finite."""
+    for bad in (np.nan, np.inf, -np.inf, 1e200):
 
-    graph, start = scalar(depth, 1.0)
-    with pytest.raises(EvaluationError, match=r"depth\(p0\): its residual is") as caught:
-        graph.optimize(start, OPTIMIZERS[name]())
-    assert (caught.value.iteration, caught.value.where, caught.value.factor) == (0, "residual", "depth")
-    assert np.array_equal(start[p], [[1.0]])
+        def depth(X: Array, bad: float = bad) -> Array:
+            return np.full_like(X, bad)
 
-
-@ALL
-def test_no_jacobian_at_the_start(name: str) -> None:
+        graph, start = scalar(depth, 1.0)
+        with pytest.raises(EvaluationError, match=r"depth\(p0\): its residual is") as caught:
+            graph.optimize(start, OPTIMIZERS[name]())
+        assert (caught.value.iteration, caught.value.where, caught.value.factor) == (0, "residual", "depth")
+        assert np.array_equal(start[p], [[1.0]])
     graph, start = scalar(lambda X: X, 1.0, lambda X: np.full((1, 1, 1), np.nan))
     with pytest.raises(EvaluationError, match="Jacobian with respect to p0 is not finite") as caught:
         graph.optimize(start, OPTIMIZERS[name]())
     assert caught.value.iteration == 0
+    with pytest.raises(EvaluationError):
+        FactorGraph([Prior(p[0], [0.0], Isotropic(1e-160))]).optimize(start, OPTIMIZERS[name]())
 
 
 @ALL
-@pytest.mark.parametrize("call", [1, 2, 5])
-def test_a_function_that_raises(name: str, call: int) -> None:
+def test_a_function_that_raises(name: str) -> None:
     """At the start or later: the exception comes through, chained, with the iteration; the values are untouched."""
-    calls = []
+    for call in (1, 2, 5):
+        calls: list[int] = []
 
-    def table(X: Array) -> Array:
-        calls.append(1)
-        if len(calls) >= call:
-            raise KeyError("no such depth")
-        return np.array(X**2 + 1.0)
+        def table(X: Array, calls: list[int] = calls, call: int = call) -> Array:
+            calls.append(1)
+            if len(calls) >= call:
+                raise KeyError("no such depth")
+            return np.array(X**2 + 1.0)
 
-    graph, start = scalar(table, 30.0, lambda X: 2 * X[..., None])
-    with pytest.raises(EvaluationError, match=r"table\(p0\): your function raised KeyError: 'no such depth'") as caught:
-        graph.optimize(start, OPTIMIZERS[name]())
-    assert isinstance(caught.value.__cause__, KeyError)
-    assert caught.value.iteration == (0 if call == 1 else len(calls) - 1)
-    assert np.array_equal(start[p], [[30.0]])
+        graph, start = scalar(table, 30.0, lambda X: 2 * X[..., None])
+        with pytest.raises(EvaluationError, match=r"table\(p0\): .* KeyError: 'no such depth'") as caught:
+            graph.optimize(start, OPTIMIZERS[name]())
+        assert isinstance(caught.value.__cause__, KeyError)
+        assert caught.value.iteration == (0 if call == 1 else len(calls) - 1)
+        assert np.array_equal(start[p], [[30.0]])
 
 
 # ---- no step leads anywhere
 
 
-@DAMPED
+@ALL
 @pytest.mark.parametrize("singular", [False, True])
 def test_no_trial_step_can_be_evaluated(name: str, singular: bool) -> None:
     def hole(X: Array) -> Array:
@@ -94,8 +86,9 @@ def test_no_trial_step_can_be_evaluated(name: str, singular: bool) -> None:
 
     graph, start = scalar(hole, 1.0, lambda X: np.ones((1, 1, 1)))
     result = optimize(graph, start, name)
-    assert (result.status, result.iterations) == (Status.STALLED, 0)
-    assert "the last one led where hole(p0): " in result.reason
+    assert result.status is (Status.DIVERGED if name == "gauss-newton" else Status.STALLED)
+    assert result.iterations == 0 or name == "gauss-newton"
+    assert "hole(p0)" in result.reason
     assert ("range is zero" if singular else "not finite") in result.reason
     assert np.array_equal(result.values[p], [[1.0]])
 
@@ -108,8 +101,7 @@ def test_a_wall_is_avoided(name: str) -> None:
         with np.errstate(invalid="ignore"):
             return np.asarray(np.log(X) + 3.0)
 
-    graph, start = scalar(residual, 1.0)
-    result = optimize(graph, start, name)
+    result = optimize(*scalar(residual, 1.0), name)
     assert result.converged
     assert result.values[p[0]][0] == pytest.approx(np.exp(-3), rel=1e-6)
 
@@ -118,38 +110,31 @@ def test_a_wall_is_avoided(name: str) -> None:
 def test_a_jacobian_of_the_wrong_sign(name: str) -> None:
     graph, start = scalar(lambda X: X - 1.0, 3.0, lambda X: -np.ones((1, 1, 1)))
     result = optimize(graph, start, name)
-    assert result.status in BAD
     assert np.array_equal(result.values[p[0]], [3.0])
-    if name != "gauss-newton":
-        assert result.status is Status.STALLED
-        assert "factors.check_jacobians" in result.reason
+    assert result.status is (Status.DIVERGED if name == "gauss-newton" else Status.STALLED)
+    assert name == "gauss-newton" or "factors.check_jacobians" in result.reason
+    for group in GROUPS:
+        sample = pose_graph(group, anchored=False)
+        graph = FactorGraph([WrongSign(*f.keys, f.z, f.noise) for f in sample.graph.factors])
+        result = optimize(graph, sample.values, name)
+        assert not result.converged
+        if name != "gauss-newton":
+            assert result.status is Status.STALLED
+            assert "factors.check_jacobians" in result.reason
 
 
 @ALL
-@pytest.mark.parametrize("group", GROUPS, ids=str)
-def test_poses_with_a_wrong_sign(name: str, group: object) -> None:
-    sample = pose_graph(group, anchored=False)  # type: ignore[arg-type]
-    graph = FactorGraph([WrongSign(*f.keys, f.z, f.noise) for f in sample.graph.factors])
-    result = optimize(graph, sample.values, name)
-    assert not result.converged
-    if name != "gauss-newton":
-        assert result.status is Status.STALLED
-        assert "factors.check_jacobians" in result.reason
-
-
-@ALL
-@pytest.mark.parametrize("factor", [0.5, 0.9, 1.5, 3.0, 30.0])
-def test_a_jacobian_of_the_wrong_size(name: str, factor: float) -> None:
+def test_a_jacobian_of_the_wrong_size(name: str) -> None:
     """It points downhill: the minimum is reached slowly, or not, but nothing else is called one."""
-    graph, start = scalar(
-        lambda X: np.concatenate([X - 1.0, 0.1 * X**2], axis=1),
-        3.0,
-        lambda X: factor * np.stack([np.ones_like(X), 0.2 * X], axis=1),
-        dim=2,
-    )
-    result = optimize(graph, start, name)
-    if result.converged:
-        assert result.values[p[0]][0] == pytest.approx(0.98070, abs=1e-3)
+    for factor in (0.5, 0.9, 1.5, 3.0, 30.0):
+        graph, start = scalar(
+            lambda X: np.concatenate([X - 1.0, 0.1 * X**2], axis=1),
+            3.0,
+            lambda X, factor=factor: factor * np.stack([np.ones_like(X), 0.2 * X], axis=1),  # type: ignore[misc]
+            dim=2,
+        )
+        result = optimize(graph, start, name)
+        assert not result.converged or result.values[p[0]][0] == pytest.approx(0.98070, abs=1e-3)
 
 
 @DAMPED
@@ -170,75 +155,60 @@ def test_a_row_of_the_jacobian_that_is_wrong(name: str) -> None:
 
 
 @ALL
-@pytest.mark.parametrize(
-    ("residual", "dim"),
-    [
-        (lambda X: np.arctan(X) - 2.0, 1),
-        (lambda X: np.exp(-X) + 1.0, 1),
-        (lambda X: np.concatenate([np.exp(-X), np.ones_like(X)], axis=1), 2),
-        (lambda X: np.concatenate([1 / (1 + X**2), 3 * np.ones_like(X)], axis=1), 2),
-        (lambda X: np.concatenate([np.arctan(X) - 2.0, np.ones_like(X)], axis=1), 2),
-    ],
-)
-@pytest.mark.parametrize("at", [0.5, 3.0])
-def test_a_plateau_at_infinity(name: str, residual: object, dim: int, at: float) -> None:
-    graph, start = scalar(residual, at, dim=dim)  # type: ignore[arg-type]
-    result = outcome(graph, start, name)
-    if isinstance(result, UnderconstrainedError):
-        assert name != "levenberg-marquardt"
-        assert "p0" in str(result)
-        assert graph.chi2(result.values) <= graph.chi2(start)
-        return
-    assert np.isfinite(result.values[p]).all()
-    assert result.values[p[0]][0] > at + 1  # on its way to infinity
-    if result.status is Status.DIVERGED:
-        assert any(word in result.reason for word in ("plateau", "by an update of", "not finite")), result.reason
-    else:  # damped steps: chi2 is still falling, or the only residual promises a fall to 0 that never comes
-        assert name != "gauss-newton"
-        assert result.status in (Status.MAX_ITERATIONS, Status.STALLED)
+def test_a_plateau_at_infinity(name: str) -> None:
+    for at, dim, residual in (
+        (0.5, 1, lambda X: np.arctan(X) - 2.0),
+        (3.0, 1, lambda X: np.arctan(X) - 2.0),
+        (0.5, 1, lambda X: np.exp(-X) + 1.0),
+        (0.5, 2, lambda X: np.concatenate([np.exp(-X), np.ones_like(X)], axis=1)),
+        (3.0, 2, lambda X: np.concatenate([1 / (1 + X**2), 3 * np.ones_like(X)], axis=1)),
+    ):
+        graph, start = scalar(residual, at, dim=dim)
+        try:
+            result = optimize(graph, start, name)
+        except UnderconstrainedError as error:  # the refusal of an undamped method
+            assert (name != "levenberg-marquardt", "p0" in str(error)) == (True, True)  # noqa: PT017
+            assert graph.chi2(error.values) <= graph.chi2(start)  # noqa: PT017
+            continue
+        assert np.isfinite(result.values[p]).all()
+        assert result.values[p[0]][0] > at + 1  # on its way to infinity
+        if at == 0.5 and dim == 2:
+            assert (result.status, result.rule) == (Status.DIVERGED, "plateau")
+        if result.status is Status.DIVERGED:
+            assert any(word in result.reason for word in ("plateau", "by an update of", "not finite")), result.reason
+        else:  # damped steps: chi2 is still falling, or the only residual promises a fall to 0 that never comes
+            assert name != "gauss-newton"
+            assert result.status in (Status.MAX_ITERATIONS, Status.STALLED)
 
 
 @ALL
-@pytest.mark.parametrize("at", [-2.3, 0.7, 40.0])
-def test_a_kink(name: str, at: float) -> None:
+def test_a_kink(name: str) -> None:
     """|x| + 1 has its minimum at a kink, where no derivative vanishes: any name but converged, unless it is there."""
-    graph, start = scalar(lambda X: np.abs(X) + 1.0, at, lambda X: np.sign(X)[..., None])
-    result = optimize(graph, start, name)
-    assert not result.converged
-    if name != "gauss-newton":
-        assert abs(result.values[p[0]][0]) < 1e-3 * abs(at)
+    for at in (-2.3, 0.7, 40.0):
+        for stop in (None, Stop(update_tol=1e-9)):
+            graph, start = scalar(lambda X: np.abs(X) + 1.0, at, lambda X: np.sign(X)[..., None])
+            result = optimize(graph, start, name, stop)
+            assert not result.converged
+            assert name == "gauss-newton" or abs(result.values[p[0]][0]) < 1e-3 * abs(at)
 
 
 @DAMPED
-@pytest.mark.parametrize("scale", [1e-100, 1e-20, 1e20, 1e60])
-def test_huge_and_tiny_numbers(name: str, scale: float) -> None:
+def test_huge_and_tiny_numbers(name: str) -> None:
     """Units of the unknown do not matter: x in units of `scale`."""
-    graph, start = scalar(lambda X: np.concatenate([X / scale - 2.0, (X / scale) ** 2 - 3.0], axis=1), 5 * scale, dim=2)
-    exact = FactorGraph(
-        [
-            Factor.from_function(
-                lambda X: np.concatenate([X / scale - 2.0, (X / scale) ** 2 - 3.0], axis=1),
-                p[0],
-                2,
-                jacobians=lambda X: [np.stack([np.ones_like(X) / scale, 2 * X / scale**2], axis=1)],
-            )
-        ]
-    )
-    result = optimize(exact, start, name, Stop(update_tol=0.0))
-    assert result.converged
-    assert result.values[p[0]][0] == pytest.approx(1.7523324 * scale, rel=1e-4, abs=0)  # 2 x^3 - 5 x = 2
-    assert graph.chi2(result.values) == pytest.approx(result.chi2_final)
+    for scale in (1e-100, 1e-20, 1e20, 1e60):
+        graph, start = scalar(
+            lambda X, s=scale: np.concatenate([X / s - 2.0, (X / s) ** 2 - 3.0], axis=1),  # type: ignore[misc]
+            5 * scale,
+            lambda X, s=scale: np.stack([np.ones_like(X) / s, 2 * X / s**2], axis=1),  # type: ignore[misc]
+            dim=2,
+        )
+        result = optimize(graph, start, name, Stop(update_tol=0.0))
+        assert result.converged
+        assert result.values[p[0]][0] == pytest.approx(1.7523324 * scale, rel=1e-4, abs=0)  # 2 x^3 - 5 x = 2
 
 
 @ALL
 def test_zero_residuals_at_the_start(name: str) -> None:
     graph = FactorGraph([Prior(p[0], [1.0, 2.0, 0.5], Isotropic(0.1))])
-    result = optimize(graph, Values({p: (SE2, [1.0, 2.0, 0.5])}), name)
+    result = optimize(graph, Values({p: (SE2, [1.0, 2.0, 0.5])}), name, Stop(0.0, 0.0, 0.0))
     assert (result.status, result.iterations, result.chi2_final) == (Status.CONVERGED, 0, 0.0)
-
-
-@ALL
-def test_huge_weights_overflow_by_name(name: str) -> None:
-    graph = FactorGraph([Prior(p[0], [0.0], Isotropic(1e-160))])
-    with pytest.raises(EvaluationError):
-        graph.optimize(Values({p: (R(1), [1.0])}), OPTIMIZERS[name]())

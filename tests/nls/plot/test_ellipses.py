@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from factors import Diagonal, Prior
-from models import SE2, SE3, SO3, R
+from models import SE2, SE3, SO3
 from models.algebra import Array
 from models.errors import OptionError
 from nls import FactorGraph, Marginals, Values
@@ -40,6 +40,7 @@ def test_half_axes_by_hand() -> None:
     graph = FactorGraph([Prior(x[0], [5.0, -2.0, np.pi / 2], Diagonal([0.3, 0.1, 0.01]))])
     marginals = Marginals(graph, Values({x: (SE2, [5.0, -2.0, np.pi / 2])}))
     (outline,) = outlines(ellipses(marginals).axes[0])
+    drawn(ellipses(marginals))
     np.testing.assert_allclose(np.ptp(outline, axis=0) / 2, 2.4477 * np.array([0.1, 0.3]), rtol=0.01)
     np.testing.assert_allclose((outline.max(axis=0) + outline.min(axis=0)) / 2, [5.0, -2.0], atol=0.01)
     (half,) = outlines(ellipses(marginals, probability=0.5, scale=10).axes[0])
@@ -50,7 +51,6 @@ def test_every_corner_is_at_the_same_distance_in_sigmas() -> None:
     sample = mixed(0)
     marginals = marginals_of(sample)
     figure = ellipses(marginals, probability=0.9)
-    assert drawn(figure).startswith(b"\x89PNG")
     found = outlines(figure.axes[0])
     kinds = [(l, sample.values[l], marginals.all(l)), (x, sample.values[x][:, :2], marginals.all(x, view="position"))]
     expected = []
@@ -61,16 +61,6 @@ def test_every_corner_is_at_the_same_distance_in_sigmas() -> None:
     for outline, (t, Sigma) in zip(found, expected, strict=True):
         away = np.einsum("ni,ij,nj->n", outline - t, np.linalg.inv(Sigma), outline - t)
         np.testing.assert_allclose(away, -2 * np.log(0.1), rtol=1e-8)
-
-
-def test_the_share_of_samples_inside() -> None:
-    sample = pose_graph(R(2), seed=3)
-    marginals = marginals_of(sample)
-    outline = outlines(ellipses(marginals, probability=0.8).axes[0])[5]
-    draws = np.random.default_rng(0).multivariate_normal(sample.values[x[5]], marginals.covariance(x[5]), 5000)
-    from matplotlib.path import Path
-
-    assert Path(outline).contains_points(draws).mean() == pytest.approx(0.8, abs=0.03)
 
 
 def test_which_are_drawn() -> None:
@@ -84,9 +74,10 @@ def test_which_are_drawn() -> None:
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["95 % ellipse of every 3rd x"]
     many = pose_graph(SE2, n=300)
-    axes = ellipses(marginals_of(many)).axes[0]
+    marginals = marginals_of(many)
+    axes = ellipses(marginals).axes[0]
     assert len(outlines(axes)) == 100
-    texts = [text.get_text() for text in ellipses(marginals_of(many), scale=2, every=22).axes[0].get_legend().texts]
+    texts = [text.get_text() for text in ellipses(marginals, scale=2, every=22).axes[0].get_legend().texts]
     assert texts == ["95 % ellipse of every 22nd x, 2 times as large"]
 
 
@@ -124,9 +115,7 @@ def test_nothing_to_draw_and_wrong_options() -> None:
     assert figure.axes[0].get_legend() is None
     drawn(figure)
     marginals = marginals_of(pose_graph(SE2))
-    with pytest.raises(OptionError, match="probability: 95 is not possible"):
-        ellipses(marginals, probability=95)
-    with pytest.raises(OptionError, match="every: 0 is not possible"):
-        ellipses(marginals, every=0)
-    with pytest.raises(OptionError, match="scale: 0 is not possible"):
-        ellipses(marginals, scale=0)
+    options: dict[str, int] = {"probability": 95, "every": 0, "scale": 0}
+    for name, value in options.items():
+        with pytest.raises(OptionError, match=f"{name}: {value} is not possible"):
+            ellipses(marginals, **{name: value})  # type: ignore[arg-type]

@@ -70,16 +70,12 @@ def test_ellipses_are_turned_with_the_map(solved: Solved) -> None:
     assert north > 1.2 * east
 
 
-def test_a_line_that_is_hidden_is_said_to_be(solved: Solved) -> None:
-    _, dead, values, _ = solved
+def test_hidden_lines_and_small_ellipses_are_said(solved: Solved) -> None:
+    graph, dead, values, _ = solved
     assert legend_of(track(values, dead).axes[0])[0] == "dead reckoning"
     near = values.copy()
     near[x[1]] = SE3.retract(near[x[1]], np.array([1e-4, 0, 0, 0, 0, 0]))
     assert legend_of(track(values, near).axes[0])[0] == "dead reckoning (hidden under the solution)"
-
-
-def test_ellipses_are_drawn_large_enough_to_be_seen(solved: Solved) -> None:
-    graph, dead, values, _ = solved
     tight = nls.FactorGraph([*graph.factors, Prior(x[0:4], values[x], Isotropic(1e-4))])
     axes = track(values, dead, marginals=nls.Marginals(tight, values)).axes[0]
     assert legend_of(axes)[-1].endswith("times as large")

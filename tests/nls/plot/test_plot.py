@@ -32,7 +32,7 @@ def drawn(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("group", [R(2), R(3), SE2, SE3], ids=str)
+@pytest.mark.parametrize("group", [R(3), SE2], ids=str)
 def test_trajectory_in_the_order_of_the_numbers(group: LieGroup) -> None:
     sample = pose_graph(group, numbers=ODD)
     figure = trajectory(sample.graph, sample.values)
@@ -59,17 +59,15 @@ def test_landmarks_are_points() -> None:
     sample = mixed(0)
     sample.graph.add(Seen(x[40], l[5], in_frame(sample.truth[x[[40]]], sample.truth[l[[5]]]), Isotropic(1)))
     figure = trajectory(sample.graph, sample.values)
-    drawn(figure)
-    markers = [line.get_marker() for line in figure.axes[0].get_lines()]
-    assert "*" in markers
-    stars = next(line for line in figure.axes[0].get_lines() if line.get_marker() == "*")
+    (stars,) = (line for line in figure.axes[0].get_lines() if line.get_marker() == "*")
     assert len(stars.get_xdata()) == 4  # type: ignore[arg-type]
 
 
-def test_rotations_have_no_place() -> None:
+def test_without_places_nothing_is_drawn() -> None:
+    """Rotations have none, nor has an empty graph; a picture there is all the same."""
     sample = pose_graph(SO3)
-    figure = trajectory(sample.graph, sample.values)
-    assert figure.axes[0].get_lines() == []
+    assert trajectory(sample.graph, sample.values).axes[0].get_lines() == []
+    assert drawn(trajectory(FactorGraph(), Values({x: (SE2, np.zeros((0, 3)))})))
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)
@@ -84,7 +82,6 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     assert titles[2] == f"converged after {result.iterations} iterations"
     assert figure.get_suptitle() == "a survey"
     alone = convergence(result)
-    drawn(alone)
     np.testing.assert_array_equal(alone.axes[0].get_lines()[0].get_ydata(), [it.chi2 for it in result.history])
     np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
 
@@ -92,16 +89,15 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
 def test_convergence_to_zero_and_without_a_step() -> None:
     sample = pose_graph(R(2))
     sample.graph.fix(x[0:8])
-    drawn(convergence(sample.graph.optimize(sample.values)))
+    convergence(sample.graph.optimize(sample.values)).draw_without_rendering()
     graph = FactorGraph(sample.graph.factors[:1])
     exact = graph.optimize(graph.optimize(sample.values).values)
-    drawn(convergence(exact))
+    convergence(exact).draw_without_rendering()
     assert exact.converged
 
 
-@pytest.mark.parametrize("case", ["plane", "mixed"])
-def test_spy_counts_every_number(case: str) -> None:
-    sample = pose_graph(SE2) if case == "plane" else mixed(0)
+def test_spy_counts_every_number() -> None:
+    sample = mixed(0)
     system = sample.graph.linearize(sample.values)
     figure = spy(system)
     drawn(figure)
@@ -118,11 +114,8 @@ def test_spy_counts_every_number(case: str) -> None:
     assert fill == nnz - upper
     names = [label.get_text() for label in A.get_xticklabels()]
     assert names == [f"{key!r}" for key in sample.values]
-
-
-def test_spy_of_many_variables_counts_columns() -> None:
-    sample = pose_graph(R(1), n=60)
-    figure = spy(sample.graph.linearize(sample.values))
+    many = pose_graph(R(1), n=60)  # too many to be named: columns are counted
+    figure = spy(many.graph.linearize(many.values))
     assert "x0" not in [label.get_text() for label in figure.axes[0].get_xticklabels()]
 
 
@@ -130,11 +123,6 @@ def test_there_is_no_R_of_a_singular_system() -> None:
     sample = pose_graph(SE2, anchored=False)
     with pytest.raises(UnderconstrainedError, match="3 directions free"):
         spy(sample.graph.linearize(sample.values))
-
-
-def test_nothing_to_draw() -> None:
-    figure = trajectory(FactorGraph(), Values({x: (SE2, np.zeros((0, 3)))}))
-    assert drawn(figure)
 
 
 def run(code: str) -> str:
@@ -148,17 +136,10 @@ def run(code: str) -> str:
     ).stdout
 
 
-def test_importing_the_library_is_cheap() -> None:
-    code = "import sys, nls, nls.plot, nls.cli; print(sorted({m.split('.')[0] for m in sys.modules}))"
-    loaded = run(code)
-    assert "'nls'" in loaded
-    for package in ("matplotlib", "tqdm", "threadpoolctl", "sksparse", "sparseqr", "pandas", "IPython"):
-        assert f"'{package}'" not in loaded
-
-
-def test_pictures_need_no_pyplot() -> None:
+def test_importing_the_library_is_cheap_and_pictures_need_no_pyplot() -> None:
     code = """
-import sys
+import sys, nls, nls.plot, nls.cli
+print(*{m.split(".")[0] for m in sys.modules})
 from models import SE2
 from nls.plot import before_after, spy
 from tests.nls.graphs import pose_graph
@@ -168,4 +149,8 @@ before_after(sample.graph, sample.values, result)
 spy(sample.graph.linearize(sample.values)).savefig("/dev/null", format="png", dpi=20)
 print("matplotlib.pyplot" in sys.modules, "matplotlib" in sys.modules)
 """
-    assert run(code).split() == ["False", "True"]
+    loaded, drawing = run(code).splitlines()
+    assert "nls" in loaded.split()
+    slow = {"matplotlib", "tqdm", "threadpoolctl", "sksparse", "sparseqr", "pandas", "IPython"}
+    assert not slow & set(loaded.split())
+    assert drawing == "False True"

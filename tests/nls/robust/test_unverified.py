@@ -29,27 +29,24 @@ def carried() -> Robustified:
     return Robustified(result, graph, [mask.astype(float) for mask in masks], (), 12, 1.0)
 
 
-def test_groups_are_numbered_as_in_the_given_graph(carried: Robustified) -> None:
+def test_the_choice_its_report_and_its_record_have_the_group(carried: Robustified) -> None:
+    """Its closures are numbered as in the given graph, not as in the graph of the chosen."""
     (group,) = carried.unverified
     (same,) = unverified_groups(carried.graph, carried.result.values)
     assert same.closures == tuple((1, k) for k in range(10))
     assert group.closures == tuple((2, k) for k in range(1, 11))
     assert group.names == same.names
     assert carried.unverified is carried.unverified
-
-
-def test_the_report_has_both_numbers(carried: Robustified) -> None:
-    (group,) = carried.unverified
     numbers = f"redundancy 0.00, the map moves {group.meters:.3g} m ({group.sigmas:.2g} sigmas) without it"
     assert f"accepted, not verified: Between(x0, x50) and 9 more: {numbers}" in carried.report()
-
-
-def test_the_record_has_every_closure(carried: Robustified) -> None:
-    (group,) = carried.unverified
     (entry,) = record(carried)["unverified"]
     assert entry["factors"] == [f"Between(x{k}, x{k + 50})" for k in range(10)]
-    numbers = [entry[name] for name in ("redundancy", "meters", "rms", "sigmas")]
-    assert numbers == [group.redundancy, group.meters, group.rms, group.sigmas]
+    assert [entry[name] for name in ("redundancy", "meters", "rms", "sigmas")] == [
+        group.redundancy,
+        group.meters,
+        group.rms,
+        group.sigmas,
+    ]
 
 
 def test_a_choice_of_right_closures_has_none() -> None:

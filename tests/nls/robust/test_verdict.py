@@ -13,7 +13,7 @@ import sim
 from factors import Between, Diagonal
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
-from nls.robust import Doubt, DoubtKind
+from nls.robust import DoubtKind
 from nls.robust import preselection as preselection_module
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
@@ -38,48 +38,38 @@ def laps() -> sim.World:
     return sim.ring(np.random.default_rng(0), laps=2, per_lap=60)
 
 
-# --- what is said of a choice ---
-
-
-def test_more_than_half_wrong_is_doubtful_and_less_is_not(laps: sim.World) -> None:
+@pytest.mark.parametrize(
+    ("share", "times", "expected"),
+    [
+        (0.5, 1.0, []),
+        (3.0, 1.0, [DoubtKind.FEW_KEPT, DoubtKind.SIGMAS]),
+        (3.0, 2.0, [DoubtKind.FEW_KEPT]),  # a map with less noise than stated shows that sigmas are not too small
+    ],
+)
+def test_more_than_half_wrong_is_doubtful(
+    laps: sim.World, share: float, times: float, expected: list[DoubtKind]
+) -> None:
     loops = len(laps.graph.factors[1])
-    for count, doubtful in ((loops // 2, False), (3 * loops, True)):
-        found = nls.gnc(FactorGraph([*laps.graph.factors, wrong(120, count, 1)]), laps.truth)
-        assert found.weights[1].all()
-        assert not found.weights[2].any()
-        kinds_of = [doubt.kind for doubt in found.doubts]
-        assert kinds_of == ([DoubtKind.FEW_KEPT, DoubtKind.SIGMAS] if doubtful else [])
-        if doubtful:
-            assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
-            assert "doubtful: " in str(found)
+    wider = [
+        Between(*factor.keys, factor.z, Diagonal(times / factor.noise.sqrt_information(1, ("x", "y", "yaw"))[0]))
+        for factor in (*laps.graph.factors, wrong(120, int(share * loops), 1))
+    ]
+    found = nls.gnc(FactorGraph(wider), laps.truth)
+    assert found.weights[1].all()
+    assert not found.weights[2].any()
+    assert [doubt.kind for doubt in found.doubts] == expected
+    quiet = np.sqrt(found.result.chi2_final / found.result.dof) < preselection_module.QUIET
+    assert quiet == (times == 2.0)
+    if expected:
+        assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
+        assert "doubtful: " in str(found)
 
 
-def test_a_quiet_map_shows_that_sigmas_are_not_too_small(laps: sim.World) -> None:
-    """The same numbers; disagreeing neighbors are a doubt of the sigmas only where the map has about as much noise."""
-    count = 3 * len(laps.graph.factors[1])
-    for times, quiet in ((1.0, False), (2.0, True)):
-        wider = [
-            Between(*factor.keys, factor.z, Diagonal(times / factor.noise.sqrt_information(1, ("x", "y", "yaw"))[0]))
-            for factor in (*laps.graph.factors, wrong(120, count, 1))
-        ]
-        found = nls.gnc(FactorGraph(wider), laps.truth)
-        assert found.weights[1].all()
-        assert not found.weights[2].any()
-        doubts_of = [DoubtKind.FEW_KEPT] + ([] if quiet else [DoubtKind.SIGMAS])
-        assert [doubt.kind for doubt in found.doubts] == doubts_of
-        noise = np.sqrt(found.result.chi2_final / found.result.dof)
-        assert (noise < preselection_module.QUIET) == quiet
-
-
-def test_half_is_meant_less_what_chance_rejects(laps: sim.World) -> None:
+def test_half_is_meant_less_what_chance_rejects_and_noise_explains_chi2(laps: sim.World) -> None:
     result = laps.graph.optimize(laps.start)
     assert doubts(result, 50, 100, 0.99) == doubts(result, 99, 200, 0.99) == []
     assert [doubt.kind for doubt in doubts(result, 98, 200, 0.99)] == [DoubtKind.FEW_KEPT]
     assert [doubt.kind for doubt in doubts(result, 99, 200, 0.999)] == [DoubtKind.FEW_KEPT]
-
-
-def test_a_chi2_that_noise_does_not_explain_is_doubtful(laps: sim.World) -> None:
-    result = laps.graph.optimize(laps.start)
     for ratio, doubtful in ((1.9, False), (2.1, True)):
         found = doubts(replace(result, chi2_final=ratio * result.dof), 1, 1, 0.99)
         assert [doubt.kind for doubt in found] == [DoubtKind.UNEXPLAINED] * doubtful
@@ -94,7 +84,6 @@ def test_closures_that_span_little_of_the_track_are_near_dead_reckoning() -> Non
     found = nls.gnc(FactorGraph([odometry, short, far]), values)
     assert found.weights[1].all()
     assert not found.weights[2].any()
-    assert Doubt(DoubtKind.DEAD_RECKONING, 20, 97).kind in [doubt.kind for doubt in found.doubts]
     (doubt,) = (doubt for doubt in found.doubts if doubt.kind is DoubtKind.DEAD_RECKONING)
     assert (doubt.count, doubt.total) == (20, 98)
 
@@ -140,12 +129,7 @@ def test_the_shift_of_a_map_is_its_change_of_shape(space: LieGroup) -> None:
     assert shift(track, values, Values({x: (space, other)})) == pytest.approx(expected, rel=1e-6)
 
 
-# --- when all closures are kept ---
-
-
-@pytest.mark.parametrize(
-    "name", ["kitti_00.g2o", "CSAIL.g2o", "FR079_P_toro.graph", "input_INTEL.g2o", "manhattan.g2o"]
-)
+@pytest.mark.parametrize("name", ["kitti_00.g2o", "CSAIL.g2o", "FR079_P_toro.graph", "input_INTEL.g2o"])
 def test_no_more_right_closures_of_public_graphs_are_lost_than_chance_takes(data: Path, name: str) -> None:
     graph, values, _ = nls.load(data / (PLANE + name))
     found = nls.gnc(graph, values)
@@ -180,9 +164,6 @@ def test_neighbors_less_noisy_than_stated_do_not_condemn_a_long_way(monkeypatch:
     assert not spoiled.weights[2].any()
 
 
-# --- one group more or less ---
-
-
 def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> None:
     steps = np.arange(19)
     odometry = Between(x[steps], x[steps + 1], np.ones((19, 1)), Diagonal([1.0]))
@@ -190,15 +171,11 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> Non
     lone = Between(x[1], x[17], [4.0], Diagonal([0.1]))  # 16 is right
     graph, values = FactorGraph([odometry, right, lone]), Values({x: (R(1), np.arange(20.0)[:, None])})
     loops = loop_graph(graph, values)
-    problem = Truncated(graph, loops_masks(graph), [6.6, 6.6, 6.6])
+    doubted = [np.full(len(factor), k > 0) for k, factor in enumerate(graph.factors)]
+    problem = Truncated(graph, doubted, [6.6, 6.6, 6.6])
     start = problem.without(problem.settled(values), [np.ones(19, bool), np.zeros(3, bool), np.ones(1, bool)])
     assert start.cost > 3 * 6.6 - 1e-9
     choice, others = exchanged(problem, loops, start)
     assert [mask.all() for mask in choice.inliers] == [True, True, False]
     assert choice.cost == pytest.approx(6.6, rel=1e-6)
     assert all(other.cost >= choice.cost * (1 - 1e-3) for other in others)
-
-
-def loops_masks(graph: FactorGraph) -> list[np.ndarray]:
-    """All but the first factor are doubted."""
-    return [np.full(len(factor), k > 0) for k, factor in enumerate(graph.factors)]

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from nls.sparse.components import connected, firsts
 
 
-def lowest(i: np.ndarray, j: np.ndarray, n: int) -> list[int]:
-    """The lowest node of every node's component, by scipy."""
-    _, label = connected_components(sp.csr_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
-    return [int(np.argmax(label == own)) for own in label]
-
-
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("numbering", ["along", "backward", "shuffled"])
-def test_components_of_trajectories_with_gaps_and_closures(numbering: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 60))
-    step = np.flatnonzero(rng.random(n - 1) < 0.8)  # some neighbors are not joined
-    i, j = np.concatenate([step, rng.integers(0, n, 4)]), np.concatenate([step + 1, rng.integers(0, n, 4)])
-    order = {"along": np.arange(n), "backward": np.arange(n)[::-1], "shuffled": rng.permutation(n)}[numbering]
-    i, j = order[i], order[j]
-    turned = rng.random(len(i)) < 0.3
-    i, j = np.where(turned, j, i), np.where(turned, i, j)
-    assert connected(i, j, n).tolist() == lowest(i, j, n)
+def test_components_of_trajectories_with_gaps_and_closures() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 60))
+        step = np.flatnonzero(rng.random(n - 1) < 0.8)  # some neighbors are not joined
+        closures = rng.integers(0, n, (2, 4))
+        for order in (np.arange(n), np.arange(n)[::-1], rng.permutation(n)):
+            i, j = order[np.append(step, closures[0])], order[np.append(step + 1, closures[1])]
+            turned = rng.random(len(i)) < 0.3
+            i, j = np.where(turned, j, i), np.where(turned, i, j)
+            _, label = connected_components(sp.csr_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
+            assert connected(i, j, n).tolist() == [int(np.argmax(label == own)) for own in label], seed
 
 
 def test_no_pairs_and_no_nodes() -> None:
@@ -37,10 +30,10 @@ def test_no_pairs_and_no_nodes() -> None:
     assert firsts(np.array([0, 0]), none).tolist() == []
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_first_of_some_nodes_in_every_component(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    component = connected(rng.integers(0, 30, 15), rng.integers(0, 30, 15), 30)
-    nodes = rng.permutation(30)[:20]
-    expected = {int(c): next(int(v) for v in nodes if component[v] == c) for c in component[nodes]}
-    assert firsts(component, nodes).tolist() == [expected[c] for c in sorted(expected)]
+def test_the_first_of_some_nodes_in_every_component() -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        component = connected(rng.integers(0, 30, 15), rng.integers(0, 30, 15), 30)
+        nodes = rng.permutation(30)[:20]
+        expected = {int(c): next(int(v) for v in nodes if component[v] == c) for c in component[nodes]}
+        assert firsts(component, nodes).tolist() == [expected[c] for c in sorted(expected)]

@@ -1,4 +1,4 @@
-"""Which order CHOLMOD eliminates in: AMD's, and METIS's where a large graph costs less in that."""
+"""Which order CHOLMOD eliminates in, AMD's or METIS's; and that an elimination is kept for its own pairs alone."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 
 import nls.linear.cholesky as cholesky
 from models.algebra import Index
-from nls.sparse.elimination import Elimination
+from nls.sparse.elimination import Elimination, Eliminations
 from nls.sparse.fill import counted
 
-pytestmark = pytest.mark.skipif(cholesky.cholmod() is None, reason="needs CHOLMOD")
+CHOLMOD = pytest.mark.skipif(cholesky.cholmod() is None, reason="needs CHOLMOD")
 
 
 def cube(side: int) -> tuple[Index, Index, int]:
@@ -22,10 +22,6 @@ def cube(side: int) -> tuple[Index, Index, int]:
     pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:]), (number[:, :, :-1], number[:, :, 1:])]
     u, v = (np.concatenate([pair[s].reshape(-1) for pair in pairs]) for s in (0, 1))
     return u, v, side**3
-
-
-def chain(V: int) -> tuple[Index, Index, int]:
-    return np.arange(V - 1), np.arange(1, V), V
 
 
 def asked(monkeypatch: pytest.MonkeyPatch, built_with_metis: bool = True) -> list[str]:
@@ -48,37 +44,37 @@ def ordered(u: Index, v: Index, V: int) -> tuple[Index, float]:
     return order, counted(np.ones(V, dtype=np.intp), u, v, order).flops
 
 
+@CHOLMOD
 def test_a_large_graph_with_much_fill_takes_metis_which_costs_less(monkeypatch: pytest.MonkeyPatch) -> None:
     u, v, V = cube(23)
     assert len(u) > cholesky.LARGE
-    methods = asked(monkeypatch)
-    order, flops = ordered(u, v, V)
-    assert methods == ["amd", "metis"]
-    assert np.array_equal(ordered(u, v, V)[0], order)  # every time the same
+    with monkeypatch.context() as patch:
+        methods = asked(patch)
+        order, flops = ordered(u, v, V)
+        assert methods == ["amd", "metis"]
+        assert np.array_equal(ordered(u, v, V)[0], order)  # every time the same
+    with monkeypatch.context() as patch:
+        methods = asked(patch, built_with_metis=False)
+        without, _ = ordered(u, v, V)
+        assert methods == ["amd", "metis"]
     monkeypatch.setattr(cholesky, "LARGE", len(u))
     amd, more = ordered(u, v, V)
+    assert np.array_equal(without, amd)
     assert not np.array_equal(order, amd)
     assert more > cholesky.COSTLY * len(u)
     assert flops < 0.7 * more
 
 
-def test_without_metis_the_order_of_amd_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    u, v, V = cube(23)
-    methods = asked(monkeypatch, built_with_metis=False)
-    order, _ = ordered(u, v, V)
-    assert methods == ["amd", "metis"]
-    monkeypatch.setattr(cholesky, "LARGE", len(u))
-    assert np.array_equal(order, ordered(u, v, V)[0])
-
-
+@CHOLMOD
 def test_a_large_graph_with_little_fill_stays_with_amd(monkeypatch: pytest.MonkeyPatch) -> None:
-    u, v, V = chain(40_000)
+    V = 40_000
     methods = asked(monkeypatch)
-    _, flops = ordered(u, v, V)
-    assert flops < 10 * len(u)
+    _, flops = ordered(np.arange(V - 1), np.arange(1, V), V)
+    assert flops < 10 * V
     assert methods == ["amd"]
 
 
+@CHOLMOD
 def test_a_small_graph_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     def counting(*_: object) -> None:
         raise AssertionError("counted")
@@ -92,3 +88,25 @@ def test_a_small_graph_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert methods == ["amd"]
     with pytest.raises(AssertionError, match="counted"):
         ordered(*cube(23))
+
+
+def test_an_elimination_is_kept_for_the_same_pairs_and_for_no_others() -> None:
+    def backward(u: Index, v: Index, V: int) -> Index:
+        return np.arange(V)[::-1]
+
+    def forward(u: Index, v: Index, V: int) -> Index:
+        return np.arange(V)
+
+    kept, u, v = Eliminations(), np.array([0, 1, 2]), np.array([1, 2, 3])
+    first = kept.of(u, v, 4, backward)
+    assert kept.of(u.copy(), v.copy(), 4, backward) is first
+    given = kept.of(u, v, 4, np.arange(4))  # its order is given: neither kept nor in the way of the latest
+    assert given.variables.tolist() == [0, 1, 2, 3]
+    assert kept.of(u, v, 4, backward) is first
+    for other in ((np.array([0, 1, 1]), v, 4, backward), (u, np.array([1, 2, 0]), 4, backward), (u, v, 5, backward)):
+        new = kept.of(*other)
+        assert new is not first
+        assert (new.u.tolist(), new.v.tolist(), len(new.variables)) == (other[0].tolist(), other[1].tolist(), other[2])
+        first = kept.of(u, v, 4, backward)
+        assert first.variables.tolist() == [3, 2, 1, 0]
+    assert kept.of(u, v, 4, forward).variables.tolist() == [0, 1, 2, 3]

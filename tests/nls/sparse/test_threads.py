@@ -19,6 +19,7 @@ from nls.linear import SOLVERS
 from nls.sparse import threads
 from nls.sparse.threads import single_thread
 from tests.nls.graphs import SAMPLES, Sample, p, pose_graph, x
+from tests.nls.solving import make
 
 WORKERS = 4
 
@@ -45,24 +46,14 @@ def solved(sample: Sample, solver: str) -> bytes:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_different_graphs_at_once(solver: str) -> None:
-    if (why := SOLVERS[solver].missing()) is not None:
-        pytest.skip(why)
-    names = list(SAMPLES)
-    names = names[: len(names) // WORKERS * WORKERS]
+def test_different_graphs_and_one_graph_by_many_at_once(solver: str) -> None:
+    make(solver)
+    names = ("SO2", "SE2 odd ids", "SE3", "mixed")
     alone = [solved(SAMPLES[name](), solver) for name in names]
     samples = [SAMPLES[name]() for name in names]
     assert together([lambda s=s: solved(s, solver) for s in samples]) == alone  # type: ignore[misc]
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
-def test_one_graph_by_many_at_once(group: LieGroup, solver: str) -> None:
-    if (why := SOLVERS[solver].missing()) is not None:
-        pytest.skip(why)
-    alone = solved(pose_graph(group, n=30), solver)
-    sample = pose_graph(group, n=30)  # nothing of it has been bound yet
-    assert together([lambda: solved(sample, solver)] * 3 * WORKERS) == [alone] * 3 * WORKERS
+    one, shared = (pose_graph(SE2, n=12) for _ in range(2))  # nothing of the shared one has been bound yet
+    assert together([lambda: solved(shared, solver)] * 2 * WORKERS) == [solved(one, solver)] * 2 * WORKERS
 
 
 def test_one_factor_bound_to_two_spaces_at_once() -> None:
@@ -71,7 +62,7 @@ def test_one_factor_bound_to_two_spaces_at_once() -> None:
     wrong: list[Any] = []
 
     def bind(space: LieGroup) -> bytes:
-        for _ in range(3000):
+        for _ in range(1500):
             model = factor.bind(space)
             if model.manifolds != (space,):
                 wrong.append(model.manifolds)
@@ -103,19 +94,16 @@ def test_a_thread_beside_the_main_one_is_kept_to_one_thread_too() -> None:
 
 
 def test_marginals_at_once() -> None:
-    sample = pose_graph(SE3, n=30)
-    alone = Marginals(sample.graph, sample.truth).all(x, frame="body").tobytes()
-    job = lambda: Marginals(sample.graph, sample.truth).all(x, frame="body").tobytes()  # noqa: E731
-    assert together([job] * WORKERS) == [alone] * WORKERS
-
-
-def test_warnings_of_the_program_are_left_alone() -> None:
-    """Filters are shared by all threads: a solver that changed them for a moment could leave them changed."""
-    sample = pose_graph(SE2, n=30)
+    """Filters of warnings are shared by all threads: who changed them for a moment could leave them changed."""
+    sample = pose_graph(SE3, n=20)
     before, show = list(warnings.filters), warnings.showwarning
-    together([lambda: solved(sample, "lu"), lambda: solved(sample, next(iter(SOLVERS)))] * (WORKERS // 2))
-    assert list(warnings.filters) == before
-    assert warnings.showwarning is show
+
+    def job() -> bytes:
+        result = sample.graph.optimize(sample.truth, linear_solver=SOLVERS["lu"]())
+        return bits(result.values) + Marginals(sample.graph, sample.truth).all(x, frame="body").tobytes()
+
+    assert together([job] * WORKERS) == [job()] * WORKERS
+    assert (list(warnings.filters), warnings.showwarning) == (before, show)
 
 
 class Runtime:
@@ -171,32 +159,29 @@ def test_settings_come_back_in_whatever_order_threads_leave(
     """Two threads inside at once: whoever is still inside keeps one thread, and in the end all is as it was."""
     runtime, blas = Runtime(of_process, 3), Blas(8)
     pretend(monkeypatch, lambda loaded: [levels(runtime), threads._numbers(blas)])
-    said: list[tuple[str, int, int]] = []
-    both = threading.Barrier(2, timeout=60)
-    gone = threading.Event()
-
-    def look(where: str) -> None:
-        said.append((where, runtime.omp_get_max_active_levels(), blas.number))
+    numbers: dict[tuple[str, int], tuple[int, int]] = {}
+    both, gone = threading.Barrier(2, timeout=60), threading.Event()
 
     def work(number: int) -> None:
+        def look(where: str) -> None:
+            numbers[where, number] = runtime.omp_get_max_active_levels(), blas.number
+
         with single_thread():
             both.wait()
             if number != first_out:
                 assert gone.wait(60)
                 look("still inside")
         if number == first_out:
-            if not of_process:
-                look("first out")
+            look("first out")
             gone.set()
         both.wait()
         look("after")
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(2)))
-    after = [entry[1:] for entry in said if entry[0] == "after"]
-    assert ("still inside", 0, 1) in said
-    assert after == [(3, 8)] * 2
-    assert of_process or ("first out", 3, 1) in said  # its own OpenMP is its own again, BLAS is still shared
+    assert numbers["still inside", 1 - first_out] == (0, 1)
+    assert numbers["after", 0] == numbers["after", 1] == (3, 8)
+    assert of_process or numbers["first out", first_out] == (3, 1)  # its own OpenMP is its own again, BLAS still shared
 
 
 def test_settings_come_back_after_an_error_and_when_nested(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,17 +258,17 @@ class OpenBLAS:
 
 
 @pytest.mark.parametrize(
-    ("files", "parallel", "asked"),
+    ("files", "asked"),
     [
-        ({"libopenblas.so": OpenBLAS(1), "libblas.so.3": object()}, 1, False),  # beside the reference BLAS
-        ({"libopenblas.so": OpenBLAS(0)}, 0, False),
-        ({"libopenblas.so": OpenBLAS(2)}, 2, True),  # its threads are OpenMP's
-        ({"libopenblas.so": OpenBLAS(1), "libmkl_rt.so.2": object()}, 1, True),
-        ({}, 0, True),  # another system
+        ({"libopenblas.so": OpenBLAS(1), "libblas.so.3": object()}, False),  # beside the reference BLAS
+        ({"libopenblas.so": OpenBLAS(0)}, False),
+        ({"libopenblas.so": OpenBLAS(2)}, True),  # its threads are OpenMP's
+        ({"libopenblas.so": OpenBLAS(1), "libmkl_rt.so.2": object()}, True),
+        ({}, True),  # another system
     ],
 )
 def test_threadpoolctl_is_asked_about_what_is_no_openblas_of_its_own(
-    files: dict[str, Any], parallel: int, asked: bool, monkeypatch: pytest.MonkeyPatch
+    files: dict[str, Any], asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     theirs = threads.Knob("theirs", lambda: 4, lambda number: None, 1)
     monkeypatch.setattr(threads, "_mapped", lambda: list(files))
@@ -300,7 +285,7 @@ def test_a_user_function_may_solve_a_graph_itself() -> None:
     """Inside a residual another graph is solved, in several threads at once."""
 
     def inner(X: np.ndarray) -> np.ndarray:
-        sample = pose_graph(R(1))
+        sample = pose_graph(R(1), n=4)
         return X - sample.graph.optimize(sample.values).chi2_final
 
     def job() -> bytes:

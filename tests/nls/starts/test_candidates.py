@@ -35,11 +35,10 @@ def forgotten(values: Values) -> Values:
     return values.replaced({"l": np.full((6, 2), 7.0)})
 
 
-@pytest.mark.parametrize("points", ["located", "unknown"])
-@pytest.mark.parametrize("seed", range(8))
-def test_ranges_alone_end_at_the_best_optimum(seed: int, points: str) -> None:
+@pytest.mark.parametrize("seed", range(0, 8, 2))
+def test_ranges_alone_end_at_the_best_optimum(seed: int) -> None:
     world, graph = ranges_alone(seed)
-    start, name, chi2 = initialize(graph, world.start if points == "located" else forgotten(world.start))
+    start, name, chi2 = initialize(graph, world.start if seed % 4 else forgotten(world.start))
     assert chi2[name] == graph.chi2(start)
     result = graph.optimize(start)
     assert result.converged
@@ -57,24 +56,19 @@ def test_the_lowest_start_is_not_the_one_that_ends_lowest() -> None:
     assert chi2["chordal + 20 steps"] == pytest.approx(relaxed.chi2_final, rel=1e-2)
     assert name == "file + 20 steps"
     assert chi2[name] == min(chi2.values()) < 375  # of the incremental start
+    assert chi2["odometry"] == pytest.approx(chi2["chordal"], rel=1e-9)  # no loop closures: one chain, compared once
+    assert sum(name in chi2 for name in ("odometry + 20 steps", "chordal + 20 steps")) == 1
     assert "incremental" not in chi2
     assert world.ate(graph.optimize(start).values) < 0.5
 
 
 def test_the_incremental_start_is_tried_where_no_other_leads_to_an_optimum() -> None:
     world, graph = ranges_alone(1)
-    _, name, chi2 = initialize(graph, forgotten(world.start))
+    start, name, chi2 = initialize(graph, forgotten(world.start))
     assert chi2["chordal"] < 100 * 3 * len(graph)  # not poor enough to try it at once
     assert name.startswith("incremental")
     assert {"file", "chordal", "incremental", "chordal + 20 steps", "file + 20 steps"} <= chi2.keys()
-    assert chi2[name] == min(chi2.values())
-
-
-def test_an_equal_start_is_not_compared_twice() -> None:
-    world, graph = ranges_alone(1)
-    _, _, chi2 = initialize(graph, world.start)
-    assert chi2["odometry"] == pytest.approx(chi2["chordal"], rel=1e-9)  # no loop closures: one chain
-    assert sum(name in chi2 for name in ("odometry + 20 steps", "chordal + 20 steps")) == 1
+    assert chi2[name] == min(chi2.values()) == graph.chi2(start)
 
 
 def refuse(*_: object) -> Result:
@@ -91,19 +85,16 @@ def test_a_good_start_costs_no_comparison(monkeypatch: pytest.MonkeyPatch) -> No
     assert (name, chi2.keys()) == ("file", {"file", "chordal"})
 
 
-@pytest.mark.parametrize("anchored", [False, True])
-def test_a_pose_graph_costs_no_comparison(anchored: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pose_graph_costs_no_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     """However poor: chordal relaxation has used all there is. With a prior there is more."""
     sample = pose_graph(SE2, n=30, seed=7, start=0.5)
     overconfident: list[Factor] = [Between(*f.keys, f.z, Isotropic(1e-4)) for f in between(sample)]
     prior = Prior(x[0], sample.values[x[0]] + 1.0, Isotropic(0.1))
-    graph = FactorGraph([*overconfident, prior] if anchored else overconfident)
+    graph = FactorGraph(overconfident)
     monkeypatch.setattr(FactorGraph, "optimize", refuse)
-    if anchored:
-        with pytest.raises(AssertionError, match="a step was taken"):
-            initialize(graph, sample.values)
-    else:
-        assert min(initialize(graph, sample.values)[2].values()) > 10 * 3 * len(graph)
+    assert min(initialize(graph, sample.values)[2].values()) > 10 * 3 * len(graph)
+    with pytest.raises(AssertionError, match="a step was taken"):
+        initialize(FactorGraph([*overconfident, prior]), sample.values)
 
 
 def test_an_interrupt_ends_the_comparison(monkeypatch: pytest.MonkeyPatch) -> None:

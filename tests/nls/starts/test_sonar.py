@@ -23,12 +23,13 @@ from factors import (
     RangeAzimuth,
     sonar_factors,
 )
+from factors.base import Jacobians, Model
 from factors.keys import Keys
-from models import SE2, SE3, R, euler
-from models.errors import OptionError, SingularGeometryError
-from models.sensors import DIDSON_HIGH, cartesian, spherical
+from models import SE2, SE3, Manifold, Measured, R, euler
+from models.errors import GraphError, OptionError, SingularGeometryError
+from models.sensors import DIDSON_HIGH, cartesian, levelled, spherical, zpr
 from nls import FactorGraph, Values, initialize, kinds
-from nls.starts import chain, dead_reckoning, first_sighting, search_elevation, spanning_tree
+from nls.starts import chain, dead_reckoning, first_sighting, incremental, search_elevation, spanning_tree
 
 Array = npt.NDArray[np.float64]
 same = np.testing.assert_allclose
@@ -45,6 +46,36 @@ def path(n: int, seed: int = 0) -> Array:
     yaw = 0.6 * np.arange(n)
     heading = (yaw + np.pi) % (2 * np.pi) - np.pi
     return np.stack([*rng.normal(scale=0.2, size=(2, n)), heading, *np.cumsum(rng.normal(size=(3, n)), axis=1)], axis=1)
+
+
+class Log(XYH):
+    """A log from outside: centimeters to port and ahead, and the turn."""
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return Measured("port", "ahead", "turn")
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        h, (H_i, H_j) = levelled(*X)
+        T = np.array([[0, -100.0, 0], [100.0, 0, 0], [0, 0, 1.0]])
+        return h @ T.T, (T @ H_i, T @ H_j)
+
+    def level_steps(self, model: Model) -> Array:
+        return np.column_stack([model.z[:, 1] / 100, -model.z[:, 0] / 100, model.z[:, 2]])
+
+
+class Gravity(ZPR):
+    """Tilt and pressure, bar, from outside."""
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return Measured("pitch", "roll", "bar")
+
+    def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
+        h, H = zpr(X[0])
+        T = np.array([[0, 1.0, 0], [0, 0, 1.0], [0.1, 0, 0]])
+        return h @ T.T, (T @ H,)
+
+    def tilts(self, model: Model) -> Array:
+        return model.z[:, [2, 0, 1]] * [10.0, 1, 1]
 
 
 def navigation(e: Array, numbers: npt.NDArray[np.int64], kind: str = "x") -> list[Factor]:
@@ -71,26 +102,26 @@ def same_poses(found: Array, expected: Array) -> None:
 
 
 def test_exact_navigation_gives_the_path() -> None:
-    e, numbers = path(40), 3 * np.arange(40) - 5
+    """Of sensors from outside, too; an array of another shape is refused."""
+    e, numbers = path(20), 3 * np.arange(20) - 5
     truth = Values({x: (SE3, euler.to_se3(e), numbers)})
-    found = dead_reckoning(FactorGraph(navigation(e, numbers)), lost(truth, x[-5]))
-    same_poses(found[x], truth[x])
-
-
-def test_a_step_over_the_fewest_numbers_is_taken_where_neighbors_have_none() -> None:
-    """x2 is reached from x0, not from x9 by a wrong step; the wrong steps from far away are passed over."""
-    e = path(4)
-    truth = Values({x: (SE3, euler.to_se3(e), [0, 2, 3, 9])})
-    i, j = np.array([0, 1, 0, 2]), np.array([1, 2, 3, 3])
-    step = SE2.between(e[i][:, PLANE], e[j][:, PLANE])
-    step[2] += 1.0  # x0 to x9
-    odometry = XYH(Keys("x", truth.stacks["x"].numbers[i]), Keys("x", truth.stacks["x"].numbers[j]), step, UNIT)
-    graph = FactorGraph([odometry, ZPR(Keys("x", [0, 2, 3, 9]), e[:, DOWN], UNIT)])
-    same_poses(dead_reckoning(graph, lost(truth, x[0]))[x], truth[x])
+    steps, tilts = navigation(e, numbers)
+    log = Log(*steps.keys, np.column_stack([-100 * steps.z[:, 1], 100 * steps.z[:, 0], steps.z[:, 2]]), UNIT)
+    gravity = Gravity(*tilts.keys, tilts.z[:, [1, 2, 0]] / [1, 1, 10.0], UNIT)
+    for factors in ([steps, tilts], [log, gravity]):
+        same_poses(dead_reckoning(FactorGraph(factors), lost(truth, x[-5]))[x], truth[x])
+    grown = incremental(FactorGraph([log, gravity]), lost(truth, x[-5]), stage_size=10)
+    same(SE3.local(truth[x], grown[x]), 0.0, atol=1e-6)
+    gravity.tilts = lambda model: model.z[0]  # type: ignore[method-assign]
+    with pytest.raises(GraphError, match=r"Gravity.*tilts returned an array of shape \(3,\), expected \(20, 3\)"):
+        dead_reckoning(FactorGraph([log, gravity]), truth)
 
 
 def test_fixed_poses_stay_and_parts_have_their_own_beginning() -> None:
-    """x5 is fixed, wherever it is, and the path hangs on it; y has nothing fixed and begins at its first pose."""
+    """x5 is fixed, wherever it is, and the path hangs on it; y has nothing fixed and begins at its first pose.
+
+    Beside the steps of x, y may be chained by relative poses.
+    """
     e, f, numbers = path(9), path(6, seed=1), np.arange(9)
     truth = Values({x: (SE3, euler.to_se3(e)), y: (SE3, euler.to_se3(f))})
     graph = FactorGraph([*navigation(e, numbers), *navigation(f, numbers[:6], "y")])
@@ -101,6 +132,10 @@ def test_fixed_poses_stay_and_parts_have_their_own_beginning() -> None:
     same_poses(found[x], truth[x])
     same_poses(found[y], truth[y])
     assert np.array_equal(found[x[5]], start[x[5]])
+    chained = Between(y[0:5], y[1:6], SE3.between(truth[y][:-1], truth[y][1:]), UNIT)
+    values, _, _ = initialize(FactorGraph([*navigation(e, numbers), chained], [x[5]]), start, "odometry")
+    same_poses(values[x], truth[x])
+    same_poses(values[y], truth[y])
 
 
 def test_what_is_not_measured_is_kept() -> None:
@@ -206,16 +241,15 @@ def test_landmarks_at_the_elevation_of_their_first_contact() -> None:
     same(spherical(height)[0], np.column_stack([z[first, :2], np.full(len(first), 0.1)]), atol=1e-12)
 
 
-@pytest.mark.parametrize("offset", ["fixed", "variable"])
-def test_the_search_finds_exact_elevations(offset: str) -> None:
+def test_the_search_finds_exact_elevations() -> None:
     """To what a parabola over a step of half a degree leaves, and FLAT allows: mostly 0.1 deg of 7."""
     truth, i, k, z = dive()
-    given = contacts(i, k, z, elevation="free")
+    (given,) = contacts(i, k, z, elevation="free")
     values = forgotten(truth)
-    if offset == "variable":
-        given = [RangeAzimuth(x[i], l[k], z[:, :2], given[0].noise, offset=y[0])]
-        values = Values({**{n: (s.manifold, s.X) for n, s in values.stacks.items()}, "y": (SE3, MOUNT)})
-    found = search_elevation(FactorGraph(given), values, limit=radians(7))
+    found = search_elevation(FactorGraph([given]), values, limit=radians(7))
+    with_place = Values({**{n: (s.manifold, s.X) for n, s in values.stacks.items()}, "y": (SE3, MOUNT)})
+    variable = RangeAzimuth(x[i], l[k], z[:, :2], given.noise, offset=y[0])
+    same(search_elevation(FactorGraph([variable]), with_place, limit=radians(7))[l], found[l], atol=1e-12)
     first = first_of(i, k)
     S = SE3.compose(truth[x], MOUNT)[i[first]]
     h, _ = spherical(SE3.act(SE3.inverse(S), found[l]))
@@ -318,27 +352,15 @@ def test_fixed_landmarks_and_other_variables_stay() -> None:
     assert search_elevation(FactorGraph([graph.factors[1]]), values)[l].tolist() == values[l].tolist()
 
 
-@pytest.mark.parametrize("bad", [np.nan, 4.0, -np.pi / 2, "a", None, np.array([0.1, 0.2])])
-def test_no_such_elevation(bad: object) -> None:
-    truth, i, k, z = dive()
-    with pytest.raises(OptionError, match="first_sighting: elevation"):
-        first_sighting(FactorGraph(contacts(i, k, z)), truth, elevation=bad)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        ({"limit": 7.0}, "limit: 7.0"),
-        ({"limit": "a"}, "limit: 'a'"),
-        ({"steps": 0}, "steps: 0 is not"),
-        ({"steps": 1.5}, "steps: 1.5 is not possible; expected a whole number"),
-        ({"steps": True}, "steps: True"),
-    ],
-)
-def test_bad_options_of_the_search(more: dict[str, float], message: str) -> None:
-    truth, i, k, z = dive()
-    with pytest.raises(OptionError, match=f"search_elevation: {message}"):
-        search_elevation(FactorGraph(contacts(i, k, z)), truth, **more)  # type: ignore[arg-type]
+def test_bad_options_are_refused_by_name() -> None:
+    empty = FactorGraph()
+    for bad in (np.nan, 4.0, -np.pi / 2, "a", None, np.array([0.1, 0.2])):
+        with pytest.raises(OptionError, match="first_sighting: elevation"):
+            first_sighting(empty, Values(), elevation=bad)  # type: ignore[arg-type]
+    for name, wrong in (("limit", (7.0, "a")), ("steps", (0, 1.5, True))):
+        for value in wrong:
+            with pytest.raises(OptionError, match=f"search_elevation: {name}: {value!r}"):
+                search_elevation(empty, Values(), **{name: value})  # type: ignore[arg-type]
 
 
 def test_the_method_odometry_reckons_and_searches() -> None:
@@ -359,14 +381,3 @@ def test_the_method_odometry_reckons_and_searches() -> None:
     result = graph.optimize(values)
     assert result.converged
     same(result.values[l], truth[l], atol=1e-4)
-
-
-def test_between_factors_are_chained_as_before() -> None:
-    """A path of Between beside one of XYH: each its own way."""
-    e, f = path(5), path(4, seed=1)
-    truth = Values({x: (SE3, euler.to_se3(e)), y: (SE3, euler.to_se3(f))})
-    chained = Between(y[0:3], y[1:4], SE3.between(truth[y][:-1], truth[y][1:]), UNIT)
-    graph = FactorGraph([*navigation(e, np.arange(5)), chained])
-    values, _, _ = initialize(graph, lost(truth, x[0], y[0]), "odometry")
-    same_poses(values[x], truth[x])
-    same_poses(values[y], truth[y])

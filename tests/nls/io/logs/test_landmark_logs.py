@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 
 from models.errors import GraphFileError
 from nls.io.logs import read_mrclam, read_victoria_park
+from tests.combinations import for_all
+from tests.nls.io.g2o_files import assert_refused, cases
 
 MRCLAM = {
     "Robot7_Odometry.dat": "# time v w\n100.5 0.1 0.2\n100.6 0.3 0.4\n\n100.6 0.5 0.6\n",
@@ -25,10 +28,9 @@ PARK = {
 }
 
 
-def written(folder: Path, files: dict[str, str], **changed: str) -> Path:
-    """Files in a folder, some with another text; the names without their suffix."""
+def written(folder: Path, files: dict[str, str]) -> Path:
     for name, text in files.items():
-        (folder / name).write_text(changed.get(name.split(".")[0], text))
+        (folder / name).write_text(text)
     return folder
 
 
@@ -57,43 +59,36 @@ def test_a_victoria_park_log(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.gps, [[2, 1], [4, 3]])  # east and north
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("Robot7_Odometry", "# only\n", r"Robot7_Odometry\.dat:1: has no row; expected lines of 3 numbers: time, ve"),
-        ("Robot7_Odometry", "1 2 3\n1 2\n", r"Robot7_Odometry\.dat:2: 2 numbers, expected 3: .* \[1 2\]"),
-        ("Robot7_Odometry", "#\n2 0 0\n1 0 0\n", r"Robot7_Odometry\.dat:3: time 1\.0 is before the 2\.0 before it"),
-        ("Robot7_Odometry", "1 fast 3\n", r"Robot7_Odometry\.dat:1: 'fast' is not a number"),
-        ("Robot7_Measurement", "1 63 2 0\n\n1 63 0 0\n", r"Robot7_Measurement\.dat:3: no range is 0 or below"),
-        ("Robot7_Measurement", "1 6.5 2 0\n", r"Robot7_Measurement\.dat:1: id '6\.5' is not a whole number"),
-        ("Robot7_Groundtruth", "1 2 3 nan\n", r"Robot7_Groundtruth\.dat:1: 'nan' is not a number"),
-        ("Robot7_Measurement", f"1 1{'0' * 20} 2 0\n", r"Robot7_Measurement\.dat:1: id '10+' is not a whole number"),
-        ("Barcodes", "1 5\n6 5\n", r"Barcodes\.dat:2: barcode 5 was given before"),
-        ("Barcodes", "6 5\n6 7\n", r"Barcodes\.dat:2: subject 6 was given before"),
-        ("Landmark_Groundtruth", "6 1 2 1 1\n6 3 4 1 1\n", r"Landmark_Groundtruth\.dat:2: subject 6 was given before"),
-        ("Landmark_Groundtruth", "6 1 2 3\n", r"Landmark_Groundtruth\.dat:1: 4 numbers, expected 5: subject, x, y"),
-    ],
-)
-def test_what_is_no_mrclam_log(tmp_path: Path, name: str, text: str, said: str) -> None:
-    with pytest.raises(GraphFileError, match=said):
-        read_mrclam(written(tmp_path, MRCLAM, **{name: text}), 7)
+MISTAKES = cases("""
+Robot7_Odometry.dat | # only\\n | 1 | has no row; expected lines of 3 numbers: time
+Robot7_Odometry.dat | 1 2 3\\n1 2\\n | 2 | 2 numbers, expected 3
+Robot7_Odometry.dat | #\\n2 0 0\\n1 0 0\\n | 3 | time 1.0 is before the 2.0
+Robot7_Odometry.dat | 1 fast 3\\n | 1 | 'fast'
+Robot7_Measurement.dat | 1 63 2 0\\n\\n1 63 0 0\\n | 3 | range
+Robot7_Measurement.dat | 1 6.5 2 0\\n | 1 | id '6.5'
+Robot7_Measurement.dat | 1 100000000000000000000 2 0\\n | 1 | id '10
+Robot7_Groundtruth.dat | 1 2 3 nan\\n | 1 | 'nan'
+Barcodes.dat | 1 5\\n6 5\\n | 2 | barcode 5 was given before
+Barcodes.dat | 6 5\\n6 7\\n | 2 | subject 6 was given before
+Landmark_Groundtruth.dat | 6 1 2 1 1\\n6 3 4 1 1\\n | 2 | subject 6 was given before
+Landmark_Groundtruth.dat | 6 1 2 3\\n | 1 | 4 numbers, expected 5: subject, x, y
+DRS.txt | 1 0 0\\n1 0 0\\n | 2 | time 1.0 does not rise over 1.0
+GPS.txt | 1 0\\n | 1 | 2 numbers, expected 3: time, north, east
+LASER_TREE.txt | \\n | 1 | has no scan
+LASER_TREE.txt | 1 20 0.5\\n2 20 0.5 7\\n | 2 | 4 numbers, expected a time and pairs
+LASER_TREE.txt | 1 20 0.5\\n2 -20 0.5\\n | 2 | range
+LASER_TREE.txt | 1 20 0.5\\n\\n2 2_0 0.5\\n | 3 | '2_0'
+LASER_TREE.txt | 2 20 0.5\\n1\\n | 2 | time 1.0 does not rise over 2.0
+""")
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("DRS", "1 0 0\n1 0 0\n", r"DRS\.txt:2: time 1\.0 does not rise over 1\.0"),
-        ("GPS", "1 0\n", r"GPS\.txt:1: 2 numbers, expected 3: time, north, east"),
-        ("LASER_TREE", "\n", r"LASER_TREE\.txt:1: has no scan; expected lines of a time and pairs"),
-        ("LASER_TREE", "1 20 0.5\n2 20 0.5 7\n", r"LASER_TREE\.txt:2: 4 numbers, expected a time and pairs of range"),
-        ("LASER_TREE", "1 20 0.5\n2 -20 0.5\n", r"LASER_TREE\.txt:2: no range is 0 or below"),
-        ("LASER_TREE", "1 20 0.5\n\n2 2_0 0.5\n", r"LASER_TREE\.txt:3: '2_0' is not a number"),
-        ("LASER_TREE", "2 20 0.5\n1\n", r"LASER_TREE\.txt:2: time 1\.0 does not rise over 2\.0"),
-    ],
-)
-def test_what_is_no_victoria_park_log(tmp_path: Path, name: str, text: str, said: str) -> None:
-    with pytest.raises(GraphFileError, match=said):
-        read_victoria_park(written(tmp_path, PARK, **{name: text}))
+@for_all(case=MISTAKES)
+def test_every_mistake_has_its_line(case: list[str], tmp_path: Path) -> None:
+    name, text, line, words = case
+    place = written(written(tmp_path, MRCLAM), PARK)
+    (place / name).write_text(text)
+    reader = partial(read_mrclam, robot=7) if name in MRCLAM else read_victoria_park
+    assert assert_refused(int(line), words, reader, place).path.endswith(name)
 
 
 def test_a_log_that_is_not_there(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from models import SE3
 from models.errors import GraphFileError
 from nls.io.logs import read_auv_dvl, read_caves, read_holoocean
+from tests.combinations import for_all
 
 
 @pytest.fixture
@@ -21,12 +22,11 @@ def logs(script: Callable[[str], Any]) -> Any:
     return script("real_logs")
 
 
-@pytest.mark.parametrize("number", range(1, 8))
-def test_auv_at_sea(data: Path, logs: Any, number: int) -> None:
+@for_all(number=range(1, 8))
+def test_auv_at_sea(number: int, data: Path, logs: Any) -> None:
     """400 s and 670 to 890 m: below 1 % of the distance, with the true attitude and with a simulated sensor."""
     log = read_auv_dvl(data / "underwater-auv-dvl", number)
     true, sensor = logs.auv_dvl(log, "true"), logs.auv_dvl(log, "sensor", number)
-    print(f"trajectory {number}: {true.distance:.0f} m, drift {true.drift:.2f} %, by the sensor {sensor.drift:.2f} %")
     assert 650 < true.distance < 900
     assert 0.2 < true.drift < 0.95
     assert 1.5 < true.ate < 4.0
@@ -42,8 +42,6 @@ def test_holoocean(data: Path, logs: Any) -> None:
     """Exact with the true attitude; by the gyro the heading goes; heights hold the depth."""
     log = read_holoocean(data / "underwater-holoocean" / "underwater_data.txt.gz")
     exact, gyro, graph = logs.holoocean(log)
-    for track in (exact, gyro, graph):
-        print(f"{track.name}: drift {track.drift:.2f} %, ATE {track.ate:.3f} m, z {track.height:.3f} m")
     assert exact.drift < 0.05
     assert exact.ate < 0.015
     assert 10 < gyro.drift < 25
@@ -70,7 +68,6 @@ def test_caves(data: Path, logs: Any) -> None:
     """
     log = read_caves(data / "underwater-caves")
     track, legs = logs.caves(log)
-    print(f"{legs}; {track.drift:.2f} % of {track.distance:.0f} m")
     assert (len(log.t), int(log.valid.sum())) == (5564, 5082)
     gaps = np.diff(log.t[log.valid])
     lost = np.diff(np.flatnonzero(log.valid)) > 1
@@ -116,14 +113,8 @@ def test_what_is_no_such_log(tmp_path: Path) -> None:
 
 
 def test_what_is_no_holoocean_log(tmp_path: Path) -> None:
-    step = [
-        "R 0.1 1 0 0 0 1 0 0 0 1",
-        "V 0.1 1 0 0",
-        "P 0.1 1 2 3",
-        "IMU 0.1 1 2 3 4 5 6",
-        "DVL 0.1 1 0 0",
-        "DEPTH 0.1 3",
-    ]
+    step = ["R 0.1 1 0 0 0 1 0 0 0 1", "V 0.1 1 0 0", "P 0.1 1 2 3"]
+    step += ["IMU 0.1 1 2 3 4 5 6", "DVL 0.1 1 0 0", "DEPTH 0.1 3"]
     path = tmp_path / "log.txt.gz"
 
     def written(lines: list[str]) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ from nls.cli import main
 from nls.io.logs import read_auv_dvl
 from nls.io.mission.columns import COLUMNS
 from nls.io.mission.table import csv_text
+from tests.combinations import for_all
 from tests.nls.io.mission.mission_files import folder
 
 SIGMA_ATTITUDE, SIGMA_Z = (0.002, 0.002, 0.005), 0.05
 
 
-@pytest.mark.parametrize("number", range(1, 8))
+@for_all(number=[1, 4, 7])
 def test_the_drift_of_a_real_log(number: int, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Attitude and depth are those of the truth with noise; the DVL, with six seconds taken out, is as measured."""
     log, rng = read_auv_dvl(data / "underwater-auv-dvl", number), np.random.default_rng(number)
@@ -36,13 +38,11 @@ def test_the_drift_of_a_real_log(number: int, data: Path, tmp_path: Path, capsys
         "truth": (poses, log.rpy[poses], log.p[poses]),
     }
     files = {name: csv_text(COLUMNS[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
-    assert main(["solve", str(folder(tmp_path / "m", files)), "--json", "-"]) == 0
+    assert main(["solve", str(folder(tmp_path / str(number), files)), "--json", "-"]) == 0
     report = json.loads(capsys.readouterr().out)
     mission = report["mission"]
     assert 600 < mission["distance_m"] < 1000
     assert mission["dead_reckoning"]["drift_percent"] < 1.2
     assert mission["dead_reckoning"]["ate_rmse_m"] < 5.0
     assert mission["solution"]["ate_rmse_m"] == pytest.approx(mission["dead_reckoning"]["ate_rmse_m"], rel=1e-3)
-    assert any(
-        "velocity is bridged for 6.0" in note or "velocity is bridged for 7.0" in note for note in report["notes"]
-    )
+    assert re.search(r"velocity is bridged for [67]\.0", " ".join(report["notes"]))

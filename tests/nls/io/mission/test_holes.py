@@ -17,6 +17,7 @@ from nls.io.mission import MissionReport
 from nls.io.mission.columns import COLUMNS
 from nls.io.mission.holes import holes_of
 from nls.io.mission.table import Table, csv_text
+from tests.nls.io.g2o_files import assert_refused
 from tests.nls.io.mission.mission_files import folder, raw
 
 (x,) = nls.kinds("x")
@@ -66,9 +67,9 @@ def log(
 
 
 def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:
-    """NEES over 40 flights with 10 s without attitude and 20 s without depth: it was above 100 in both."""
+    """NEES over 20 flights with 10 s without attitude and 20 s without depth: it was above 100 in both."""
     yaw, tilt, z, end, gone = [], [], [], [], []
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         files, truth = log(rng, [(30.05, 40.05)], [(60.0, 80.0)])
         graph, values, _ = nls.load(folder(tmp_path / "m", files))
@@ -105,10 +106,7 @@ def test_poses_in_holes_have_no_heading_and_it_is_said(tmp_path: Path) -> None:
     assert np.flatnonzero(W[:, 0] < sure[0] * 0.999).tolist() == [*range(61, 80)]
     ahrs, depth = (next(note for note in report.notes if f"{name}.csv:" in note) for name in ("ahrs", "depth"))
     assert "ahrs.csv:303: 2 holes, 10.4 s in all, the longest between 30 and 40 s: 9 of 91 poses" in ahrs
-    assert (
-        depth
-        == "depth.csv:123: a hole between 60 and 80 s: 19 of 91 poses have the depth of the DVL, with a larger sigma"
-    )
+    assert "depth.csv:123: a hole between 60 and 80 s: 19 of 91 poses" in depth
     assert files["ahrs"].splitlines()[302].startswith("40.0,")
     assert files["depth"].splitlines()[122].startswith("80.0,")
     assert "; the attitude for 10.4 s, in 11" in " ".join(report.notes)
@@ -154,12 +152,6 @@ def test_a_yaw_over_a_hole_is_known_no_better_than_the_rows_at_its_ends(tmp_path
     assert ((W[2:5, 2, 2] > 0.8 * rows) & (W[2:5, 2, 2] < rows)).all()
 
 
-def test_a_log_without_holes_says_nothing_of_them(tmp_path: Path) -> None:
-    files, _ = log(np.random.default_rng(3), [], [])
-    _, _, report = nls.load(folder(tmp_path / "m", files))
-    assert "hole" not in " ".join(report.notes)
-
-
 def test_the_way_over_a_hole_is_less_sure(tmp_path: Path) -> None:
     """About the same whether the hole is inside of one leg or has poses in it."""
     found = {}
@@ -168,7 +160,8 @@ def test_the_way_over_a_hole_is_less_sure(tmp_path: Path) -> None:
         for legs in (1, 10):
             t = [20.0, *np.linspace(29.5, 40.5, legs + 1), 41.0]
             poses = "\n".join(["i,time_s", *(f"{k},{s!r}" for k, s in enumerate(map(float, t)))])
-            graph, values, _ = nls.load(folder(tmp_path / "m", files, poses=poses))
+            graph, values, report = nls.load(folder(tmp_path / "m", files, poses=poses))
+            assert ("hole" in " ".join(report.notes)) == bool(holes)
             values = graph.optimize(values).values
             Sigma = nls.Marginals(graph, values).all(x, view="euler")[-1]
             found[holes, legs] = np.sqrt(np.trace(Sigma[3:5, 3:5]))
@@ -191,15 +184,9 @@ def test_a_track_that_begins_in_a_hole_is_held_where_the_compass_sees_it(tmp_pat
         nls.load(folder(tmp_path / "m", files, poses=inside))
 
 
-@pytest.mark.parametrize("name", ["ahrs", "depth"])
-def test_a_hole_that_nothing_tells_how_to_bridge(name: str, tmp_path: Path) -> None:
-    holes = {"ahrs": [(20.0, 70.0)], "depth": []}
-    if name == "depth":
-        holes = {"ahrs": [], "depth": [(20.0, 70.0)]}
-    files, _ = log(np.random.default_rng(7), holes["ahrs"], holes["depth"])
-    line = {"ahrs": 203, "depth": 43}[name]
-    with pytest.raises(
-        GraphFileError, match=rf"{name}\.csv:{line}: no row in the 50 s before this one, and no time as l"
-    ):
-        nls.load(folder(tmp_path / "m", files))
-    assert files[name].splitlines()[line - 1].startswith("70.0,")
+def test_a_hole_that_is_too_long_to_be_bridged(tmp_path: Path) -> None:
+    long = [(20.0, 70.0)]
+    for name, line, holes in (("ahrs", 203, (long, [])), ("depth", 43, ([], long))):
+        files, _ = log(np.random.default_rng(7), *holes)
+        assert_refused(line, f"{name}.csv:{line}: no row in the 50 s", nls.load, folder(tmp_path / name, files))
+        assert files[name].splitlines()[line - 1].startswith("70.0,")

@@ -114,16 +114,13 @@ def test_the_sigma_of_an_elevation_is_that_of_many_draws(tmp_path: Path) -> None
     assert grown.range == pytest.approx(found.range, abs=1e-7)
 
 
-@pytest.mark.parametrize(("elevation", "kinds"), [("free", []), ("prior", [Elevation]), ("hinge", [ElevationHinge])])
-def test_what_is_done_about_the_elevation(elevation: str, kinds: list[type], tmp_path: Path) -> None:
-    graph, _, _ = nls.load(folder(tmp_path / "m"), elevation=elevation)
-    assert [type(f) for f in graph.factors[5:]] == kinds
-    with pytest.raises(OptionError, match="elevation: 'search' is not possible"):
-        read_mission(tmp_path / "m", "search")
-
-
-def test_what_a_file_has_and_a_folder_has_not(tmp_path: Path) -> None:
+def test_options_of_a_folder_and_of_a_file(tmp_path: Path) -> None:
     here = folder(tmp_path / "m")
+    for elevation, kinds in (("free", []), ("prior", [Elevation]), ("hinge", [ElevationHinge])):
+        graph, _, _ = nls.load(here, elevation=elevation)
+        assert [type(f) for f in graph.factors[5:]] == kinds
+    with pytest.raises(OptionError, match="elevation: 'search' is not possible"):
+        read_mission(here, "search")
     with pytest.raises(OptionError, match=r"dialect: 'g2o' is not possible; expected auto: .*m is a folder"):
         nls.load(here, dialect="g2o")
     with pytest.raises(OptionError, match=r"repair_information: True .* format mission"):
@@ -170,15 +167,18 @@ def test_what_is_not_read_is_said(tmp_path: Path) -> None:
     truth = "\n".join([*TINY["truth"].splitlines()[:-1], "9,0,0,0,0,0,0"])
     report = nls.load(folder(here, contacts=lines, odometry=odometry, truth=truth))[2]
     said = " ".join(report.notes)
-    assert "contacts.csv:2: a contact outside the fan or range window of sonar.csv; used all the same: corr" in said
-    assert "odometry.csv measures 1 steps more than once: all of them count" in said
-    assert "truth.csv has no row for 1 of 4 poses" in said
-    assert "truth.csv has 1 poses nothing measures: not used" in said
+    for note in (
+        *("contacts.csv:2: a contact outside", "odometry.csv measures 1 steps more than once"),
+        *("truth.csv has no row for 1 of 4 poses", "truth.csv has 1 poses nothing measures"),
+    ):
+        assert note in said
     with pytest.warns(GraphWarning, match="1 poses have no row in zpr.csv, the first is 3"):
         nls.load(folder(here, zpr="\n".join(TINY["zpr"].splitlines()[:-1])))
 
 
-def test_without_an_anchor(tmp_path: Path) -> None:
+def test_without_an_anchor_and_times_of_poses(tmp_path: Path) -> None:
+    here = folder(tmp_path / "times", poses="i,time_s\n2,0.5\n0,1.5\n3,2.5\n1,4.0\n")
+    assert nls.load(here)[2].vertex_times["x"].tolist() == [1.5, 4.0, 0.5, 2.5]
     truth = TINY["truth"].replace("0,0.0,0.0,0.0,0.0,0.0,5.0", "0,0.0,0.0,0.5,7.0,8.0,5.0")
     _, values, report = nls.load(folder(tmp_path / "m", anchor=None, truth=truth))
     assert euler.from_se3(values[x[0]])[[3, 4, 2]] == pytest.approx([7.0, 8.0, 0.5])
@@ -187,11 +187,6 @@ def test_without_an_anchor(tmp_path: Path) -> None:
     assert "there is no anchor.csv: x, y and yaw of x0 are held at 0" in report.notes
     assert euler.from_se3(values[x[0]])[[3, 4, 2]] == pytest.approx([0.0, 0.0, 0.0])
     assert graph.optimize(values).converged
-
-
-def test_times_of_poses(tmp_path: Path) -> None:
-    here = folder(tmp_path / "m", poses="i,time_s\n2,0.5\n0,1.5\n3,2.5\n1,4.0\n")
-    assert nls.load(here)[2].vertex_times["x"].tolist() == [1.5, 4.0, 0.5, 2.5]
 
 
 def test_a_raw_log_is_integrated(tmp_path: Path) -> None:
@@ -234,7 +229,10 @@ def test_poses_that_are_not_numbered_in_the_order_of_time(tmp_path: Path) -> Non
     assert track.along == pytest.approx(np.hypot([0.0, 3.3, 19.0], 0.1 * np.array([0.0, 3.3, 19.0])))
 
 
-def test_landmarks_that_nothing_judges(tmp_path: Path) -> None:
+def test_a_track_in_pieces_and_landmarks_that_nothing_judges(tmp_path: Path) -> None:
+    lost = "\n".join(row for row in TINY["odometry"].splitlines() if not row.startswith("1,"))
+    with pytest.warns(GraphWarning, match=r"odometry\.csv leaves the track in 2 pieces, the second begins at pose 2: "):
+        assert nls.load(folder(tmp_path / "lost", odometry=lost))[1][x].shape == (4, 7)
     head, one, two, three = TINY["landmarks"].splitlines()
 
     def notes(name: str, landmarks: list[str], **files: str | None) -> list[str]:
@@ -243,17 +241,11 @@ def test_landmarks_that_nothing_judges(tmp_path: Path) -> None:
         return [note for note in report.notes if note.startswith("landmarks.csv")]
 
     assert notes("all", [one, two, three]) == []
-    assert notes("fewer", [two]) == ["landmarks.csv has no row for 2 of 3 landmarks: errors are of the others"]
-    assert notes("more", [one, two, three, "99,1,2,3"]) == ["landmarks.csv has 1 landmarks nothing measures: not used"]
-    assert notes("other", ["7,1,2,3", "8,1,2,3"]) == [
-        "landmarks.csv is not used: none of its landmarks, 7 the first, is in contacts.csv, where 11 is; their errors "
-        "are not known"
-    ]
+    for given, words in (
+        ([two], "no row for 2 of 3 landmarks"),
+        ([one, two, three, "99,1,2,3"], "has 1 landmarks nothing measures"),
+        (["7,1,2,3", "8,1,2,3"], "not used: none of its landmarks, 7 the first, is in contacts.csv, where 11 is"),
+    ):
+        (note,) = notes(given[0][:1], given)
+        assert words in note
     assert notes("none", [one], contacts=None, sonar=None) == ["landmarks.csv is not used: there is no contacts.csv"]
-
-
-def test_a_track_in_pieces(tmp_path: Path) -> None:
-    lost = "\n".join(row for row in TINY["odometry"].splitlines() if not row.startswith("1,"))
-    here = folder(tmp_path / "m", odometry=lost)
-    with pytest.warns(GraphWarning, match=r"odometry\.csv leaves the track in 2 pieces, the second begins at pose 2: "):
-        assert nls.load(here)[1][x].shape == (4, 7)

@@ -1,0 +1,43 @@
+"""What a factor is for, as it states by itself: starts and analyses ask for its use, never for its type.
+
+The model in each method is the factor bound to the spaces of its variables, `factors.base.Model`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from models.algebra import Array
+
+__all__ = ["Traits"]
+
+
+class Traits:
+    """The uses of a factor, none by default; `Sighting` has those of a sensor that sees targets.
+
+    Attributes
+    ----------
+    frame : whose axes the components x, y, z and yaw of z are along: ``world`` of one variable, ``first`` of the second
+        variable as seen from the first, ``sensor`` of a target; empty where no other reading of z makes sense.
+    opaque : True when a function of the user's alone knows its data: it cannot be sliced.
+    """
+
+    frame: ClassVar[str] = ""
+    opaque: ClassVar[bool] = False
+
+    def relative_poses(self, model: Any) -> Array | None:
+        """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""
+        return None
+
+    def level_steps(self, model: Any) -> Array | None:
+        """Steps (n, 3) to the second pose in the horizontal axes of the first: x, y, m, and yaw; None of others."""
+        return None
+
+    def tilts(self, model: Any) -> Array | None:
+        """z, m, pitch and roll (n, 3) of the first variable, a pose in SE3; None of other measurements."""
+        return None
+
+    def states(self, trait: str) -> bool:
+        """Whether its class implements a trait, such as ``relative_poses``, of which the default says nothing."""
+        default = next(vars(base)[trait] for base in reversed(type(self).__mro__) if trait in vars(base))
+        return getattr(type(self), trait) is not default

@@ -1,0 +1,101 @@
+"""The benchmarks that guard and describe speed: what the guard answers, and that every table can be made."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nls import Cholesky
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = ROOT / "benchmarks"
+QUICK = ("build", "linearize SE2")
+
+pytestmark = [
+    pytest.mark.skipif(not SCRIPTS.exists(), reason="there are no benchmarks here (an installed copy has none)"),
+    pytest.mark.skipif(Cholesky.missing() is not None, reason="the references need CHOLMOD"),
+]
+
+
+def run(script: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-W", "error", str(SCRIPTS / script), *map(str, arguments)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def table(folder: Path, script: str, world: str, *arguments: object) -> dict[str, list[str]]:
+    """Cells of the rows of a world, by the method in the fifth."""
+    done = run(f"{script}.py", "--quick", *arguments, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in (folder / f"{script}.md").read_text().splitlines() if line.startswith(f"| {world}")]
+    return {line.split("|")[5].strip(" `"): [cell.strip() for cell in line.split("|")] for line in lines}
+
+
+def guard(folder: Path, **baselines: float) -> subprocess.CompletedProcess[str]:
+    file = folder / "baselines.json"
+    file.write_text(json.dumps({"machine": ["any"], "ratios": {k.replace("_", " "): r for k, r in baselines.items()}}))
+    return run("guard.py", "--baselines", file, "--seconds", 0.05, "--only", *QUICK)
+
+
+def test_the_guard_names_what_exceeds_its_baseline_and_nothing_else(tmp_path: Path) -> None:
+    generous = guard(tmp_path, build=1e3, linearize_SE2=1e3)
+    assert (generous.returncode, generous.stderr) == (0, "")
+    ratios = {line[:20].strip(): float(line[20:].split()[0]) for line in generous.stdout.splitlines()[1:]}
+    assert tuple(ratios) == QUICK
+    exceeded = guard(tmp_path, build=ratios["build"] / 4, linearize_SE2=1e3)
+    assert exceeded.returncode == 1
+    assert exceeded.stderr.startswith("guard: build: ")
+    assert exceeded.stderr.count("\n") == 1
+
+
+def test_the_guard_wants_a_baseline_for_every_ratio(tmp_path: Path) -> None:
+    one = guard(tmp_path, build=1e3)
+    assert one.returncode == 1
+    assert one.stderr == "guard: no baseline for linearize SE2: make them with --update\n"
+    committed = json.loads((SCRIPTS / "baselines.json").read_text())
+    assert len(committed["machine"]) == 3
+    refused = run("guard.py", "--only", "nothing")
+    assert refused.returncode == 2
+    assert refused.stderr.endswith(f"no ratio nothing; there are {', '.join(committed['ratios'])}\n")
+
+
+def test_a_table_of_sizes(tmp_path: Path) -> None:
+    """Times and memory of every stage."""
+    done = run("scaling.py", "--largest", 1000, "--only", "grid3d", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    (world,) = json.loads((tmp_path / "scaling.json").read_text())["worlds"]
+    (found,) = world["runs"]
+    assert (world["world"], found["converged"]) == ("grid3d", True)
+    assert found["edges"] == pytest.approx(1000, rel=0.1)
+    for what in ("seconds", "wall"):
+        stages = dict(found[what])
+        assert stages.pop("total") == pytest.approx(sum(stages.values()))
+        assert min(stages.values()) > 0  # a stage that is never entered is one whose method was renamed
+    assert 3e7 < found["bytes"]["factorize"] <= found["bytes"]["total"] < 1e9
+    assert (tmp_path / "scaling.png").stat().st_size > 1e4
+    assert "| edges | variables | read |" in (tmp_path / "scaling.md").read_text()
+
+
+def test_the_solvers_of_many_points_arrive_at_the_same_estimate(tmp_path: Path) -> None:
+    rows = table(tmp_path, "bundle", "rig 50", "--rounds", 1)
+    assert list(rows) == ["cholesky", "schur", "pcg", "pcg, tol 0.1"]
+    for name, cells in rows.items():
+        assert float(cells[7]) > 0
+        assert float(cells[13]) == pytest.approx(float(rows["cholesky"][13]), rel=1e-5)
+        assert float(cells[14]) < (1e-4 if name == "pcg, tol 0.1" else 1e-8)
+
+
+def test_all_elimination_orders_give_the_same_step(tmp_path: Path) -> None:
+    rows = table(tmp_path, "schur", "floor", "--flops", "1e10")
+    assert list(rows) == ["schur", "cholesky", "natural"]
+    assert rows["natural"][7] == "not run"
+    flops = {name: float(cells[10].replace(",", "")) for name, cells in rows.items()}
+    assert flops["natural"] > 20 * max(flops["schur"], flops["cholesky"])
+    for name in ("schur", "cholesky"):
+        assert float(rows[name][7]) > 0
+        assert float(rows[name][12]) < 1e-12
