@@ -1,4 +1,7 @@
-"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts."""
+"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts.
+
+`Preselection.doubts` says why the choice may be wrong.
+"""
 
 from __future__ import annotations
 
