@@ -86,7 +86,7 @@ class RangeAzimuth(InSpace):
     contact = True
 
     def sense(self, p: Array) -> tuple[Array, Array]:
-        return range_azimuth(p)
+        return range_azimuth(p)  # with its Jacobian in models.sensors.spherical
 
     @staticmethod
     def arc(z: Array, elevation: npt.ArrayLike) -> Array:

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from factors.base import Factor, Model
 from models import LieGroup, Manifold
 from models.advice import Advice
-from models.algebra import Array, Index, congruence, gram
+from models.algebra import Array, Index, Mask, congruence, gram
 from models.errors import GraphError
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
@@ -32,7 +32,6 @@ from nls.sparse.pattern import Batch, Pattern
 from nls.values import Values, take
 
 __all__ = ["Edges", "PoseGraph", "closures", "is_relative", "odometry", "places", "pose_graphs", "says_poses", "stated"]
-Mask = npt.NDArray[np.bool_]
 SINGULAR = 1e-12  # smallest eigenvalue of an information block beside its trace
 
 

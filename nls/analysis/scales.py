@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Model
 from factors.keys import Keys
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from nls.sparse.pattern import Pattern
 
 __all__ = ["BEYOND", "Outsized", "outsized"]
@@ -136,6 +135,6 @@ def _beyond(informations: Array) -> tuple[Index, float]:
     return _falling(informations, informations > BEYOND * largest), largest
 
 
-def _falling(values: Array, mask: npt.NDArray[np.bool_]) -> Index:
+def _falling(values: Array, mask: Mask) -> Index:
     rows = np.flatnonzero(mask)
     return rows[np.argsort(-values[rows], kind="stable")]

@@ -1,4 +1,4 @@
-"""The dialects of graph text files, and which one a file is in.
+"""The dialects of graph text files, and which one a file is in; formats without tags are in `nls.io` itself.
 
     TORO      VERTEX2 id x y theta           EDGE2 i j dx dy dtheta I11 I12 I22 I33 I13 I23         (mind the order)
               VERTEX3 id x y z roll pitch yaw    EDGE3 i j x y z roll pitch yaw and 21 entries of the information

@@ -22,7 +22,7 @@ is 1, the stated sigmas, unless they are too small, or more than three times too
 hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
 exactly, noise is 1.
 
-Whether the choice can be trusted is a question of its own: `nls.robust.verdict`.
+Whether the choice can be trusted is a question of its own: `Preselection.doubts`, of any choice `verdict.doubts`.
 
 Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", RA-L
 5(2), 2020.

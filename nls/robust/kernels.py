@@ -25,17 +25,18 @@ DONE = 1e3  # mu of truncated squares that are as good as truncated
 
 
 class Graduated(Kernel):
-    """A kernel with a `mu` that is changed while the kernel is in use."""
+    """A kernel with a `mu` that is changed while the kernel is in use, until it is `done`."""
 
     mu = 1.0
+    done = False
 
     @abstractmethod
     def begin(self, worst: float) -> None:
         """Take the mu at which the worst squared residual still pulls."""
 
     @abstractmethod
-    def bend(self) -> bool:
-        """Take the next mu; False at the last."""
+    def bend(self) -> None:
+        """Take the next mu; done after the last."""
 
 
 class TruncatedSquares(Graduated):
@@ -54,9 +55,9 @@ class TruncatedSquares(Graduated):
     def begin(self, worst: float) -> None:
         self.mu = self.c**2 / max(2 * worst - self.c**2, self.c**2)
 
-    def bend(self) -> bool:
+    def bend(self) -> None:
         self.mu *= FASTER
-        return self.mu < DONE
+        self.done = self.mu >= DONE
 
 
 class GemanMcClureSquares(Graduated):
@@ -73,9 +74,8 @@ class GemanMcClureSquares(Graduated):
     def begin(self, worst: float) -> None:
         self.mu = max(2 * worst / self.c**2, 1.0)
 
-    def bend(self) -> bool:
-        last, self.mu = self.mu == 1.0, max(self.mu / FASTER, 1.0)
-        return not last
+    def bend(self) -> None:
+        self.done, self.mu = self.mu == 1.0, max(self.mu / FASTER, 1.0)
 
 
 LOSSES: dict[str, type[Graduated]] = {"tls": TruncatedSquares, "gm": GemanMcClureSquares}

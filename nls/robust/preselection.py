@@ -1,4 +1,7 @@
-"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts."""
+"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts.
+
+`Preselection.doubts` says why the choice may be wrong.
+"""
 
 from __future__ import annotations
 
@@ -112,8 +115,7 @@ class Preselection:
         if not 0 < other.result.dof < result.dof:
             return []
         ratio = (result.chi2_final - other.result.chi2_final) / (result.dof - other.result.dof) / _noise(other.result)
-        moved = verdict.shift(loops, result.values, other.result.values)
-        if ratio <= NOISIER**2 or moved <= AWAY:
+        if ratio <= NOISIER**2 or (moved := verdict.shift(loops, result.values, other.result.values)) <= AWAY:
             return []
         count, total = int(alone.sum()), int(inliers.sum())
         return [Doubt(DoubtKind.ALONE, count, total, number=float(np.sqrt(ratio)), fraction=moved)]

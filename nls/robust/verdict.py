@@ -16,7 +16,7 @@ from nls.values import Values
 __all__ = ["Doubt", "DoubtKind", "doubts", "shift"]
 
 HALF = 0.5  # of the doubted measurements, of the steps between closures
-UNLIKELY = 0.025  # of chi2 to be larger by noise
+TAIL = 0.025  # of chi2 to be larger by noise
 TWICE = 2.0  # chi2 over degrees of freedom
 
 
@@ -72,7 +72,7 @@ def doubts(result: Result, inlier_count: int, doubted: int, probability: float) 
     reasons = []
     if inlier_count < HALF * probability * doubted:
         reasons.append(Doubt(DoubtKind.FEW_KEPT, inlier_count, doubted))
-    if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - UNLIKELY)):
+    if result.dof > 0 and result.chi2_final > max(TWICE * result.dof, chi2_gate(result.dof, 1 - TAIL)):
         reasons.append(Doubt(DoubtKind.UNEXPLAINED, number=result.chi2_final / result.dof))
     return reasons
 

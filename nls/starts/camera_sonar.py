@@ -18,7 +18,7 @@ from factors.base import Factor
 from factors.noise import square
 from factors.sighting import Sighting
 from models import SE3, R, wrap
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError
 from models.ray_range import RayRange, ray_range
 from models.sensors.singular import CLOSE
@@ -26,7 +26,6 @@ from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
 __all__ = ["AHEAD", "Pairs", "covariance", "on_vehicle", "sightings"]
-Rows = npt.NDArray[np.bool_]
 Columns = list[npt.NDArray[Any]]
 AHEAD = np.array([0.0, 0.0, 0.0, -0.5, -0.5, -0.5, 0.5])  # axes x ahead, y right, z down in those of a camera
 
@@ -84,7 +83,7 @@ class Pairs:
         p = SE3.act(self.C[rows], d[rows, None] * self.b[rows])
         return rows, p, np.trace(Sigma, axis1=1, axis2=2) / 3
 
-    def _nearer(self, O: Array, crossings: RayRange) -> Rows:
+    def _nearer(self, O: Array, crossings: RayRange) -> Mask:
         """Which (n,) of the pairs with two points in front have the azimuth of the near one."""
         twice = np.flatnonzero(crossings.roots == 2)
         off = []
@@ -174,7 +173,7 @@ def on_vehicle(factor: Sighting, X: Sequence[Array]) -> Array:
     return factor.sensor_pose(SE3, SE3.identity(len(factor)), *X[2:])
 
 
-def covariance(factor: Factor, values: Values) -> tuple[Array, Rows]:
+def covariance(factor: Factor, values: Values) -> tuple[Array, Mask]:
     """Covariance (n, m, m) of measurements, and whether (n,) they have one: whether all directions are informed."""
     model, _ = values.gather(factor)
     n, m = len(factor), model.dim

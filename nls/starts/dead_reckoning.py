@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2, SE3, Measured, euler
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import SingularGeometryError
 from models.sensors.heading import refuse_gimbal_lock
 from models.sensors.singular import SingularAt
 from nls.graph import FactorGraph
-from nls.posegraph import Mask, PoseGraph, stated
+from nls.posegraph import PoseGraph, stated
 from nls.values import Values
 
 __all__ = ["dead_reckoning", "walks"]

@@ -28,9 +28,8 @@ from factors.range_azimuth import RangeAzimuth
 from factors.sighting import Sighting
 from factors.sonar import first_contacts
 from models import SE3
-from models.algebra import Array, Index
-from models.errors import OptionError
-from models.options import is_number, is_whole
+from models.algebra import Array, Index, Numbers
+from models.options import check_between, check_whole
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
@@ -83,8 +82,8 @@ def first_sighting(graph: FactorGraph, values: Values, elevation: float = 0.0) -
     >>> first_sighting(graph, values, elevation=0.6435)[l[0]].round(3)
     array([4., 0., 3.])
     """
-    if not is_number(elevation) or not -pi / 2 < elevation < pi / 2:
-        raise OptionError("first_sighting: elevation", elevation, "an angle in (-pi / 2, pi / 2), rad")
+    expected = "an angle in (-pi / 2, pi / 2), rad"
+    check_between("first_sighting: elevation", elevation, -pi / 2, pi / 2, expected)
     return values.replaced({arcs.kind: _placed(values, arcs, arcs.points(elevation)) for arcs in _arcs(graph, values)})
 
 
@@ -125,10 +124,9 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
     >>> search_elevation(graph, Values({x: (SE3, poses), l: (R(3), [0, 0, 0])}), limit=0.8)[l[0]].round(2)
     array([4., 0., 3.])
     """
-    if limit is not None and not (is_number(limit) and 0 < limit < pi / 2):
-        raise OptionError("search_elevation: limit", limit, "half an aperture in (0, pi / 2), rad")
-    if not is_whole(steps) or steps < 1:
-        raise OptionError("search_elevation: steps", steps, "a whole number of at least 1, on either side")
+    if limit is not None:
+        check_between("search_elevation: limit", limit, 0, pi / 2, "half an aperture in (0, pi / 2), rad")
+    check_whole("search_elevation: steps", steps, 1, "a whole number of at least 1, on either side")
     landmarks = {}
     for arcs in _arcs(graph, values):
         sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
@@ -141,7 +139,7 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
 
 def _arcs(graph: FactorGraph, values: Values) -> Iterator[Arcs]:
     """The first contacts of all landmarks that are not fixed, kind by kind."""
-    contacts: dict[str, list[tuple[Array, npt.NDArray[np.int64], npt.NDArray[np.int64], Array]]] = {}
+    contacts: dict[str, list[tuple[Array, Numbers, Numbers, Array]]] = {}
     for factor in graph.factors:
         if isinstance(factor, Sighting) and factor.contact and len(factor):
             model, X = values.gather(factor)

@@ -20,12 +20,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.sighting import Sighting
 from models import SE2, SE3
-from models.errors import OptionError, UnderconstrainedError
-from models.options import is_whole
+from models.algebra import Mask
+from models.errors import UnderconstrainedError
+from models.options import check_whole
 from nls.graph import FactorGraph
 from nls.optimizers import Iteration, LevenbergMarquardt, Stop
 from nls.posegraph import says_poses
@@ -34,7 +34,7 @@ from nls.starts.chain import chain
 from nls.starts.dead_reckoning import dead_reckoning
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import locate_points
-from nls.starts.parts import Mask, Parts, put_back
+from nls.starts.parts import Masks, Parts, put_back
 from nls.values import Values
 
 __all__ = ["incremental", "sees_points"]
@@ -88,8 +88,8 @@ def incremental(graph: FactorGraph, values: Values, stage_size: int | None = Non
     >>> incremental(FactorGraph([walk, sightings]), start, stage_size=1)[x[2]].round(2)
     array([2.03, 0.  , 0.03])
     """
-    if stage_size is not None and (not is_whole(stage_size) or stage_size < 1):
-        raise OptionError("stage_size", stage_size, "a number of poses, at least 1")
+    if stage_size is not None:
+        check_whole("stage_size", stage_size, 1, "a number of poses, at least 1")
     growth, left = _Growth(graph, values, stage_size), 1.0
     for stage in range(growth.stages):
         values = growth.reckoned(values, stage)
@@ -124,7 +124,7 @@ class _Growth:
         last = np.unique(numbers[stage_size - 1 : -1 : stage_size])  # of every stage but the last
         self.stages = len(last) + 1 if len(numbers) else 0
         self.born = {kind: np.searchsorted(last, n) for kind, n in poses.items()}
-        self.placed: Mask = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in points}
+        self.placed: Masks = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in points}
         self.measured = {kind: np.zeros(len(placed), dtype=np.intp) for kind, placed in self.placed.items()}
         self.ripe = []
         for factor, index in zip(graph.factors, self.parts.index, strict=True):
@@ -182,7 +182,7 @@ class _Growth:
         rows = measured_rows(subgraph.pattern(within))
         return put_back(values, subgraph, result.values), result.chi2_final / max(rows, 1)
 
-    def _known(self, stage: int) -> list[npt.NDArray[np.bool_]]:
+    def _known(self, stage: int) -> list[Mask]:
         """Measurements (n,) by factor whose variables are known."""
         missing = {kind: ~placed for kind, placed in self.placed.items()}
         known = [(ripe <= stage) & ~self.parts.any(k, missing) for k, ripe in enumerate(self.ripe)]
@@ -191,9 +191,7 @@ class _Growth:
                 rows[:] = rows.all()
         return known
 
-    def _near(
-        self, known: list[npt.NDArray[np.bool_]], values: Values, stage: int
-    ) -> tuple[list[npt.NDArray[np.bool_]], Mask]:
+    def _near(self, known: list[Mask], values: Values, stage: int) -> tuple[list[Mask], Masks]:
         """Of what is known, the measurements (n,) of poses of this stage and of points they see; what is not moved."""
         moved = {kind: born == stage for kind, born in self.born.items()}
         sighted = {kind: np.zeros(len(placed), dtype=bool) for kind, placed in self.placed.items()}

@@ -22,11 +22,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.sighting import Sighting
 from models import LieGroup
-from models.algebra import Array, Index, apply
+from models.algebra import Array, Index, Mask, Numbers, apply
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
@@ -43,7 +42,7 @@ class Sightings:
     factor: Sighting
     group: LieGroup
     point: Index
-    number: npt.NDArray[np.int64]
+    number: Numbers
     S: Array
     z: Array
     least: Array
@@ -120,13 +119,13 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
 
 def _solve(
     X: Array,
-    todo: npt.NDArray[np.bool_],
+    todo: Mask,
     point: Index,
     s: Array,
     z: Array,
     system: Callable[[Array, Array], tuple[Array, Array]],
     misfit: Callable[[Array, Array], Array],
-) -> npt.NDArray[np.bool_]:
+) -> Mask:
     """Put the points of X that are still to do where M and v say; returns which were (n,)."""
     n, d = X.shape
     count = np.maximum(np.bincount(point, minlength=n), 1)
@@ -138,7 +137,7 @@ def _solve(
     Y = X.copy()
     Y[good] = c[good] + np.linalg.solve(M[good], v[good][..., None])[..., 0]
     before, after = (np.bincount(point, misfit(at[point] - s, z), minlength=n) for at in (X, Y))
-    better: npt.NDArray[np.bool_] = good & (after < before)
+    better: Mask = good & (after < before)
     X[better] = Y[better]
     return better
 

@@ -21,7 +21,6 @@ right angle and equal lengths, and are refused.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
@@ -37,7 +36,7 @@ from models.manifolds.so3 import quaternion_from_matrix
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.starts.camera_sonar import AHEAD, Pairs, covariance
-from nls.starts.parts import Parts, put_back
+from nls.starts.parts import Masks, Parts, put_back
 from nls.values import Values
 
 __all__ = ["at_the_camera", "axes_from_azimuths", "turned_to_azimuths", "unknown_mountings", "where_ranges_say"]
@@ -87,7 +86,7 @@ def where_ranges_say(graph: FactorGraph, values: Values, pairs: Pairs, unknown: 
     """
     rows, _, _ = pairs.placed(pairs.O)
     code = pairs.pose[rows] * len(pairs.points) + pairs.point[rows]
-    distances, masks, held = FactorGraph(fixed=graph.fixed), [], dict[str, npt.NDArray[np.bool_]]()
+    distances, masks, held = FactorGraph(fixed=graph.fixed), [], Masks()
     for factor in pairs.factors:
         Sigma, good = covariance(factor, values)
         i, j = (stack.index(keys) for stack, keys in zip((pairs.poses, pairs.points), factor.keys, strict=False))

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.base import Factor
 from factors.keys import Keys
+from models.algebra import Mask
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
-__all__ = ["Mask", "Parts", "put_back"]
+__all__ = ["Masks", "Parts", "put_back"]
 
-Mask = dict[str, npt.NDArray[np.bool_]]  # per kind (n,), in the order of its stack
-Rows = npt.NDArray[np.bool_]
+Masks = dict[str, Mask]  # per kind (n,), in the order of its stack
 
 
 class Parts:
@@ -39,7 +38,7 @@ class Parts:
         for keys in graph.fixed:
             self.fixed[keys.kind][values.stack(keys.kind).index(keys)] = True
 
-    def any(self, k: int, mask: Mask) -> Rows:
+    def any(self, k: int, mask: Masks) -> Mask:
         """Measurements (n,) of factor k that touch a variable of the mask, whose kinds may be some of all."""
         touched = np.zeros(len(self.factors[k]), dtype=bool)
         for keys, index in zip(self.factors[k].keys, self.index[k], strict=True):
@@ -47,7 +46,7 @@ class Parts:
                 touched |= mask[keys.kind].take(index)
         return touched
 
-    def take(self, measurements: Sequence[Rows], held: Mask, values: Values) -> tuple[FactorGraph, Values]:
+    def take(self, measurements: Sequence[Mask], held: Masks, values: Values) -> tuple[FactorGraph, Values]:
         """Wanted measurements (n,) of every factor, and the values of what they touch; held and fixed ones are fixed.
 
         A factor from a function, whose data only the function knows, comes as a whole.

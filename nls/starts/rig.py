@@ -15,14 +15,13 @@ Source: B. Horn, "Closed-form solution of absolute orientation using unit quater
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from factors.bearing import Bearing
 from factors.keys import Keys
 from factors.noise import Isotropic
 from models import SE3
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.alignment import align
 from models.alignment import three_points as from_three
 from models.errors import SingularGeometryError
@@ -35,7 +34,6 @@ from nls.values import Values
 
 __all__ = ["rig"]
 
-Rows = npt.NDArray[np.bool_]
 IN_LINE = 2.0  # sigmas of a point: points that spread less across their longest line do not tell the turn about it
 
 
@@ -101,7 +99,7 @@ def rig(graph: FactorGraph, values: Values, calibrate: bool = False, three_point
     return _from_rays(pairs, values, known)
 
 
-def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Rows]:
+def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool) -> tuple[Values, Mask]:
     """Poses and points from the pairs, and which points (n,) are known."""
     poses, points = pairs.poses, pairs.points
     rows, p, variance = pairs.placed(pairs.O)
@@ -170,7 +168,7 @@ def _far_apart(v: Array) -> list[int]:
     return [a, b, c]
 
 
-def _fixed(graph: FactorGraph, values: Values, kind: str) -> Rows:
+def _fixed(graph: FactorGraph, values: Values, kind: str) -> Mask:
     """Variables (n,) of a kind that are held fixed."""
     fixed = np.zeros(len(values.stack(kind)), dtype=bool)
     for keys in graph.fixed:
@@ -179,7 +177,7 @@ def _fixed(graph: FactorGraph, values: Values, kind: str) -> Rows:
     return fixed
 
 
-def _from_rays(pairs: Pairs, values: Values, known: Rows) -> Values:
+def _from_rays(pairs: Pairs, values: Values, known: Mask) -> Values:
     """The points that are not known where the rays of their pixels meet, or where they were."""
     bearings = FactorGraph()
     for factor in pairs.factors:

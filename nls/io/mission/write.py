@@ -13,7 +13,7 @@ import numpy.typing as npt
 from factors import XYH, ZPR, Diagonal, Elevation, Heading, Isotropic, Position, Prior, RangeAzimuth
 from factors.base import Factor
 from models import SE3, euler
-from models.algebra import Array
+from models.algebra import Array, Numbers
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["mission_files", "refuse_mixed", "write_mission"]
 
-Numbers = npt.NDArray[np.int64]
 Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
 MEASURED = {"odometry": ("x", "y", "yaw"), "zpr": ("z", "pitch", "roll"), "contacts": ("range", "azimuth")}
 

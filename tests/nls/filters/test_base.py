@@ -16,6 +16,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.filters.base import Step, Track, steps
 from nls.filters.consistency import nees, nees_bounds, regular
 from nls.filters.ekf import EKF
+from nls.filters.fastslam import FastSLAM
 from nls.filters.fixed_lag import FixedLag
 from nls.filters.online import Online
 from tests.sim.scenes import thinned
@@ -178,3 +179,12 @@ def test_without_noise_every_estimate_is_the_truth() -> None:
         keys, L, P = method.landmarks
         np.testing.assert_allclose(L, world.truth[keys], atol=1e-9)
         assert np.linalg.eigvalsh(P).min() > 0
+
+
+def test_without_landmarks_there_are_none() -> None:
+    steps_of_odometry = Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.5], ONE)
+    graph = FactorGraph([Prior(x[0], [0, 0, 0], ONE), steps_of_odometry])
+    for method in (EKF(), FastSLAM(particles=5, rng=np.random.default_rng(0)), Online(), FixedLag(2)):
+        method.run(graph, Values({x: (SE2, SE2.identity(3))}))
+        keys, L, P = method.landmarks
+        assert (len(keys), len(L), len(P)) == (0, 0, 0), method.method

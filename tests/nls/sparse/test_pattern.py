@@ -7,11 +7,12 @@ import pytest
 import scipy.sparse as sp
 
 from factors import Between, Diagonal, Isotropic, Prior
-from models import SE2
+from models import SE2, R
 from models.algebra import Array
 from nls import FactorGraph, LinearSystem, Values
 from nls.gauge import fixed_variables
 from nls.sparse.pattern import Pattern
+from nls.values import Stack
 from tests.nls.graphs import SAMPLES, Sample, mixed, pose_graph, x
 from tests.nls.solving import near
 
@@ -203,3 +204,17 @@ def test_an_empty_batch_has_no_rows() -> None:
     after = sample.graph.linearize(sample.values)
     assert np.array_equal(after.A.toarray(), before.toarray())
     assert after.H.nnz > 0
+
+
+def test_a_pattern_serves_the_same_factors_over_the_same_variables_and_no_others() -> None:
+    graph = FactorGraph([Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.5], Isotropic(0.1))])
+    values = Values({x: (SE2, np.zeros((3, 3)))})
+    pattern, stack = graph.pattern(values), values.stack("x")
+    moved = values.retract(np.ones(9))
+    assert pattern.serves(graph.factors, moved)
+    assert graph.pattern(moved) is pattern
+    others = (Stack("x", R(3), stack.X, stack.numbers), Stack("x", SE2, stack.X, stack.numbers.copy()))
+    for other in others:
+        assert not pattern.serves(graph.factors, Values.of([other]))
+    assert not pattern.serves([*graph.factors, Prior(x[0], [0, 0, 0], Isotropic(1.0))], values)
+    assert not pattern.serves([graph.factors[0][[0, 1]]], values)
