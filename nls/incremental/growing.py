@@ -35,11 +35,17 @@ class Growing:
         """Add rows (k, ...) at the end."""
         end = self._n + len(rows)
         if end > len(self._room):
-            room = np.empty((2 * end, *self._room.shape[1:]), self._room.dtype, order="F" if self._order == "F" else "C")
+            room = np.empty(
+                (2 * end, *self._room.shape[1:]), self._room.dtype, order="F" if self._order == "F" else "C"
+            )
             room[: self._n] = self.rows
             self._room = room
         self._room[self._n : end] = rows
         self._n = end
+
+    def keep(self, n: int) -> None:
+        """Forget all rows but the first n."""
+        self._n = n
 
 
 class Variables:
@@ -78,6 +84,12 @@ class Variables:
         self._X.append(value[None])
         self._columns.append(np.array([column]))
 
+    def keep(self, n: int) -> None:
+        """Forget all but the first n that joined."""
+        self.place = dict(list(self.place.items())[:n])
+        for part in (self._X, self._numbers, self._columns):
+            part.keep(n)
+
     def known(self, keys: Keys) -> npt.NDArray[np.bool_]:
         """Which variables (k,) are there."""
         return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
@@ -95,9 +107,9 @@ class Variables:
         except KeyError as error:
             raise GraphError(f"{self.kind}{error.args[0]} is not in the estimate", [keys]) from None
 
-    def move(self, dx: Array) -> None:
-        """Move all by a tangent step (n, d)."""
-        self.X[...] = self.manifold.retract(self.X, dx)
+    def move(self, X: Array, dx: Array) -> None:
+        """Put all at X (n, size), moved by tangent steps (n, d)."""
+        self.X[...] = self.manifold.retract(X, dx)
 
     def stack(self) -> Stack:
         """A copy of the estimate."""

@@ -12,17 +12,17 @@ Cholesky factorization", SIAM J. Matrix Anal. Appl. 26(3), 2005.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 
-from models.algebra import Array, Index
+from models.algebra import Array
 from nls.linear.cholesky import Updatable
 from nls.sparse.hessian import Hessian
 
-__all__ = ["Preconditioner", "stacked"]
+__all__ = ["Preconditioner"]
 
+WIDEST = 16  # numbers of a variable at most
 RESERVE = 600  # columns for variables to come
 SMALL = 1e-6  # on the diagonal of a column in reserve, of the mean of the others
 
@@ -37,6 +37,7 @@ class Preconditioner:
     Attributes
     ----------
     n : columns, with those in reserve.
+    width : with those of what is held, behind them.
 
     Raises
     ------
@@ -46,6 +47,7 @@ class Preconditioner:
 
     def __init__(self, hessian: Hessian, S: Array) -> None:
         self._used, self.n = hessian.n, hessian.n + RESERVE
+        self.width = self.n + WIDEST
         small = SMALL * float(hessian.diagonal(S).mean())
         reserve = hessian.n + np.arange(RESERVE, dtype=np.int32)
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
@@ -58,29 +60,16 @@ class Preconditioner:
         column, self._used = self._used, self._used + d
         return column if self._used <= self.n else None
 
-    def add(self, C: sp.csc_matrix) -> None:
-        """Add rows of A, the columns of C (n, k)."""
-        self._factor.add(C)
+    def add(self, A: Array, columns: npt.NDArray[np.int32]) -> None:
+        """Add rows of A (k, D), and their columns (k, D)."""
+        order = np.argsort(columns, axis=1, kind="stable")
+        columns, A = np.take_along_axis(columns, order, axis=1), np.take_along_axis(A, order, axis=1)
+        free = columns < self.n
+        indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
+        self._factor.add(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))
 
     def solve(self, g: Array) -> Array:
-        """(A'A)^-1 g (n,), nearly."""
-        return self._factor.solve(g)
-
-
-def stacked(blocks: Sequence[tuple[list[tuple[Index, Array]], int]], columns: int) -> sp.csc_matrix:
-    """Rows of A as the columns of a sparse matrix C', from the blocks of several batches."""
-    data, indices, counts = [], [], []
-    for slots, _ in blocks:
-        place = [np.where(first[:, None] < 0, -1, first[:, None] + np.arange(A.shape[2])) for first, A in slots]
-        index = np.concatenate(place, axis=1)  # (k, D)
-        order = np.argsort(index, axis=1, kind="stable")
-        index = np.take_along_axis(index, order, axis=1)
-        A = np.concatenate([A for _, A in slots], axis=2)  # (k, m, D)
-        A = np.take_along_axis(A, np.broadcast_to(order[:, None], A.shape), axis=2)
-        every = np.broadcast_to(index[:, None], A.shape)
-        free = every >= 0
-        data.append(A[free])
-        indices.append(every[free])
-        counts.append(free.sum(axis=2).reshape(-1))
-    indptr = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    return sp.csc_matrix((np.concatenate(data), np.concatenate(indices).astype(np.int32), indptr.astype(np.int32)), shape=(columns, len(indptr) - 1))
+        """(A'A)^-1 g (width,), nearly; 0 for what is held."""
+        x = np.zeros_like(g)
+        x[: self.n] = self._factor.solve(g[: self.n])
+        return x
