@@ -5,7 +5,8 @@ the one that lowers the cost
 
     sum of min(s, c^2)
 
-the most is taken, until none does. Graduation follows one minimum only and cannot leave it by itself.
+the most is taken, until none does. Graduation follows one minimum only and cannot leave it by itself. Where closures
+are many no group decides alone, and each move costs as much as the whole choice.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from nls.robust.truncated_least_squares import Choice, Truncated
 
 __all__ = ["exchanged"]
 
-FEW = 60  # groups; with more there are others that check each of them
+FEW, MANY = 60, 600  # groups, closures; with more there are others that check each group
 TURNS = 10  # moves at most
 BETTER = 1e-3  # of the cost by which a move must lower it
 
@@ -28,7 +29,7 @@ def exchanged(problem: Truncated, loops: LoopGraph, choice: Choice) -> tuple[Cho
     cluster = loops.neighbors.cluster
     groups = np.unique(cluster)
     alternatives: list[Choice] = []
-    if len(groups) > FEW:
+    if len(groups) > FEW or len(cluster) > MANY:
         return choice, alternatives
     for _ in range(TURNS):
         inliers = loops.accepted(choice.inliers)

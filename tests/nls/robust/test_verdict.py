@@ -13,7 +13,7 @@ import sim
 from factors import Between, Diagonal
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
-from nls.robust import DoubtKind
+from nls.robust import DoubtKind, exchange
 from nls.robust import preselection as preselection_module
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
@@ -164,7 +164,7 @@ def test_neighbors_less_noisy_than_stated_do_not_condemn_a_long_way(monkeypatch:
     assert not spoiled.weights[2].any()
 
 
-def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> None:
+def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = np.arange(19)
     odometry = Between(x[steps], x[steps + 1], np.ones((19, 1)), Diagonal([1.0]))
     right = Between(x[[0, 4, 9]], x[[15, 16, 18]], [[15.0], [12.0], [9.0]], Diagonal([0.1]))
@@ -179,3 +179,5 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out() -> Non
     assert [mask.all() for mask in choice.inliers] == [True, True, False]
     assert choice.cost == pytest.approx(6.6, rel=1e-6)
     assert all(other.cost >= choice.cost * (1 - 1e-3) for other in others)
+    monkeypatch.setattr(exchange, "MANY", 3)  # where more are there, each is checked by others
+    assert exchanged(problem, loops, start) == (start, [])
