@@ -22,7 +22,7 @@ import numpy.typing as npt
 from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
-from factors.noise import SQUARABLE, Noise, weights, whiten
+from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
@@ -260,7 +260,7 @@ class Factor(Traits, Abstract):
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
-            model = self._model = Model(self, manifolds, space, z, _arranged(W), rows, names)
+            model = self._model = Model(self, manifolds, space, z, arranged(W), rows, names)
         return model
 
     @staticmethod
@@ -330,7 +330,7 @@ class Model:
 
     def part(self, factor: Factor, index: Index) -> Model:
         """The model of a factor that has some of the measurements, by place (k,)."""
-        W = _arranged(rows(self.W, index, len(self.z)))
+        W = arranged(rows(self.W, index, len(self.z)))
         return replace(self, factor=factor, z=np.asfortranarray(self.z[index]), W=W)
 
     def refuse_extreme(self) -> None:
@@ -397,8 +397,3 @@ class Model:
             [k[[index]] for k in self.factor.keys],
             where=quantity,
         )
-
-
-def _arranged(W: Array) -> Array:
-    """Whiteners as `product` wants them: components first for small matrices, one by one for larger ones."""
-    return np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)

@@ -14,7 +14,8 @@ from factors.sighting import Sighting
 from models import LieGroup, Manifold, R
 from models.algebra import Mask
 from models.errors import GraphError
-from nls.incremental.beginnings import Known, New, Variable, alone, part, together
+from models.manifolds.rn import Vectors
+from nls.incremental.beginnings import Known, New, Variable, alone, part, points, together
 from nls.incremental.growing import Variables
 from nls.values import Values
 
@@ -40,6 +41,7 @@ class Arrivals:
     def __init__(self, variables: dict[str, Variables]) -> None:
         self._known = Known(variables)
         self._pending: list[tuple[Factor, Factor]] = []  # given, the part of it that waits
+        self._tried: dict[Variable, int] = {}  # with how many measurements that determine too little
 
     def offer(self, values: Values) -> None:
         """Start values of variables to come.
@@ -84,17 +86,26 @@ class Arrivals:
 
     def _joining(self) -> Iterator[New]:
         """Variables that their measurements to the estimate determine, and the first of all."""
-        for kind, number in self._unknown():
-            key = Keys(kind, number)
-            touching = self._touching(key)
-            space = self._known.space(kind) or self._target_space(touching)
-            if space is None:
+        touching = self._touching()
+        waiting: dict[str, tuple[Manifold, dict[int, list[Factor]]]] = {}
+        for variable in self._unknown():
+            key, measurements = Keys(*variable), touching.get(variable, [])
+            space = self._known.space(key.kind) or self._target_space(measurements)
+            count = sum(len(factor) for factor, _ in measurements)
+            if space is None or self._tried.get(variable) == count:
                 continue
-            start, empty = self._known.starts.get((kind, number)), not any(map(len, self._known.variables.values()))
+            start, empty = self._known.starts.get(variable), not any(map(len, self._known.variables.values()))
             if empty and start is not None and self._is_relative(key):
                 yield New(key, space, start)  # the gauge holds it
-            elif (new := alone(self._known, key, space, touching)) is not None:
+            elif (new := alone(self._known, key, space, measurements)) is not None:
                 yield new
+            elif measurements:
+                self._tried[variable] = count
+                if isinstance(space, Vectors):
+                    of_kind = waiting.setdefault(key.kind, (space, {}))[1]
+                    of_kind[variable[1]] = [factor for factor, _ in measurements]
+        for kind, (space, of_kind) in waiting.items():
+            yield from points(self._known, kind, space, of_kind)
 
     def mark(self) -> tuple[Known, list[tuple[Factor, Factor]]]:
         """What is known of variables to come, and what waits."""
@@ -125,15 +136,17 @@ class Arrivals:
                 order |= dict.fromkeys((keys.kind, n) for n in keys.numbers[waits].tolist())
         return list(order)
 
-    def _touching(self, key: Keys) -> list[tuple[Factor, int]]:
-        """Measurements between a variable and the estimate, and the slot in which it is."""
-        number, touching = int(key.numbers[0]), []
+    def _touching(self) -> dict[Variable, list[tuple[Factor, int]]]:
+        """Measurements between a variable that waits and the estimate, and the slot in which it is."""
+        touching: dict[Variable, list[tuple[Factor, int]]] = {}
         for _, factor in self._pending:
+            known = np.array([self._known.has(keys) for keys in factor.keys])
+            alone = (~known).sum(axis=0) == 1  # one variable waits, the others are there
             for slot, keys in enumerate(factor.keys):
-                if keys.kind == key.kind and (here := keys.numbers == number).any():
-                    others = [self._known.has(k) for other, k in enumerate(factor.keys) if other != slot]
-                    if (measurements := part(factor, np.logical_and.reduce([here, *others]))) is not None:
-                        touching.append((measurements, slot))
+                rows = alone & ~known[slot]
+                for number in np.unique(keys.numbers[rows]).tolist():
+                    if (measurements := part(factor, rows & (keys.numbers == number))) is not None:
+                        touching.setdefault((keys.kind, number), []).append((measurements, slot))
         return touching
 
     def _is_relative(self, key: Keys) -> bool:

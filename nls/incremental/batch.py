@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,9 @@ class GrowingBatch:
 
     def __len__(self) -> int:
         return len(self._z)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_sparse": None}
 
     def takes(self, model: Model) -> bool:
         """Whether measurements are of this sort."""

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from factors.base import Factor
 from factors.function import FunctionFactor
+from factors.joined import joined
 from factors.keys import Keys, Kind
 from factors.prior import Prior
 from factors.sighting import Sighting
 from models import LieGroup, Manifold
 from models.algebra import Array, Mask
-from models.errors import EvaluationError, UnderconstrainedError
+from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
 from models.manifolds.rn import Vectors
 from nls.graph import FactorGraph
 from nls.incremental.growing import Variables
+from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import DETERMINED, locate_points
 from nls.values import Stack, Values
 
-__all__ = ["Known", "New", "Variable", "alone", "part", "together"]
+__all__ = ["Known", "New", "Variable", "alone", "part", "points", "together"]
 
 Variable = tuple[str, int]  # kind, number
 
@@ -89,13 +93,15 @@ def part(factor: Factor, mask: Mask) -> Factor | None:
 
 
 def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor, int]]) -> New | None:
-    """A variable that its measurements to the estimate, and the slots in which it is there, determine."""
+    """A variable that its measurements to the estimate, and the slots in which it is there, determine; see `points`."""
     start = known.starts.get((key.kind, int(key.numbers[0])))
     for factor, slot in touching:
         if (value := _placed(known, factor, slot, space)) is not None:
             exact = factor if start is None and len(factor) == 1 else None
             return New(key, space, value if start is None else start, exact)
-    return _determined(known, key, space, start, [factor for factor, _ in touching]) if touching else None
+    if not touching or isinstance(space, Vectors):
+        return None
+    return _determined(known, key, space, start, [factor for factor, _ in touching])
 
 
 def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array | None:
@@ -124,41 +130,58 @@ def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, f
     """Where all measurements between it and the estimate put a variable; None where they leave something free."""
     graph = FactorGraph(factors)
     held = known.values(graph, {})
-    for begin in _candidates(held, space, start):
-        values = _with(held, key, space, begin)
-        if start is None and isinstance(space, Vectors):
-            values = locate_points(graph, values)
-            if (values[key[0]] == begin).all():
-                continue
+    starts = [stack.X[-1] for stack in held.stacks.values() if stack.manifold is space] if start is None else [start]
+    for begin in starts:
         try:
-            result = graph.optimize(values, gauge="none")
-            H = graph.linearize(result.values).H.toarray()
+            result = graph.optimize(_with(held, key, space, begin[None]), gauge="none")
+            H = graph.linearize(result.values).H
         except (UnderconstrainedError, EvaluationError):
             continue
-        scale = np.sqrt(H.diagonal())
-        if result.converged and scale.all() and np.linalg.eigvalsh(H / np.outer(scale, scale))[0] > DETERMINED:
+        if result.converged and _full_rank(H):
             return New(key, space, result.values[key[0]])
     return None
 
 
-def _candidates(held: Values, space: Manifold, start: Array | None) -> Iterator[Array]:
-    """Where a variable may begin: as given, or where another of its space is."""
-    if start is not None:
-        yield start
-        return
-    if isinstance(space, Vectors):
-        yield np.zeros(space.size)
-    for stack in held.stacks.values():
-        if stack.manifold is space:
-            yield stack.X[-1]
+def points(known: Known, kind: str, space: Manifold, measurements: dict[int, list[Factor]]) -> list[New]:
+    """Those points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
+    starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
+    if missing := [number for number in measurements if number not in starts]:
+        graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])
+        values = _with(known.values(graph, {}), Keys(kind, missing), space, np.zeros((len(missing), space.size)))
+        located = locate_points(graph, search_elevation(graph, values))[Keys(kind, missing)]
+        starts |= {number: X for number, X in zip(missing, located, strict=True) if X.any()}
+    if not starts:
+        return []
+    graph = _joined(known, space, [factor for number in starts for factor in measurements[number]])
+    values = _with(known.values(graph, {}), Keys(kind, [*starts]), space, np.stack([*starts.values()]))
+    try:
+        H, d = sp.csr_array(graph.linearize(values).H), space.dim
+    except (EvaluationError, SingularGeometryError):
+        return []
+    blocks = (H[d * k : d * (k + 1), d * k : d * (k + 1)] for k in range(len(starts)))
+    return [
+        New(Keys(kind, n), space, X) for (n, X), block in zip(starts.items(), blocks, strict=True) if _full_rank(block)
+    ]
 
 
-def _with(values: Values, key: Keys, space: Manifold, X: Array) -> Values:
-    """Values, and one more variable."""
-    if key.kind in values.stacks:
-        return values.extended(key, X[None])
+def _joined(known: Known, space: Manifold, factors: list[Factor]) -> FactorGraph:
+    """A graph of few batches; kinds that are not known yet are in a space."""
+    return FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
+
+
+def _full_rank(H: Any) -> bool:
+    """Whether no direction is free, with the diagonal scaled to ones."""
+    dense = H.toarray()
+    scale = np.sqrt(dense.diagonal())
+    return bool(scale.all() and np.linalg.eigvalsh(dense / np.outer(scale, scale))[0] > DETERMINED)
+
+
+def _with(values: Values, keys: Keys, space: Manifold, X: Array) -> Values:
+    """Values, and more variables of a kind."""
+    if keys.kind in values.stacks:
+        return values.extended(keys, X)
     more = Values.of([*values.stacks.values()])
-    more.add(Kind(key.kind), space, X[None], key.numbers)
+    more.add(Kind(keys.kind), space, X, keys.numbers)
     return more
 
 

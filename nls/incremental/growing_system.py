@@ -7,6 +7,8 @@ iterations that its age costs have cost as much as making it.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from factors.base import Factor
@@ -50,6 +52,10 @@ class GrowingSystem:
         self._entered: list[int] = []  # measurements of every batch that are in it
         self._age = 0
         self._held = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the factor, which is made anew."""
+        return {**vars(self), "_preconditioner": None}
 
     @property
     def values(self) -> Values:

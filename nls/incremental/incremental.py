@@ -37,6 +37,7 @@ from nls.incremental.arrivals import Arrivals
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.beginnings import New
 from nls.incremental.growing_system import GrowingSystem
+from nls.linear.updatable import updatable_class
 from nls.sparse.threads import single_thread
 from nls.values import Values
 
@@ -230,6 +231,11 @@ class Incremental:
     def covariance(self, keys: Keys, **options: Any) -> Array:
         """Covariance of a variable, or of several: `Marginals.covariance` at the present values."""
         return Marginals(self.graph, self.values).covariance(keys, **options)
+
+    @property
+    def linear_solver(self) -> str:
+        """How the factor of A'A takes new rows."""
+        return updatable_class().name
 
     def __repr__(self) -> str:
         count = sum(len(variables) for variables in self._system.variables.values())

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from models.algebra import Array
-from nls.linear.cholesky import Updatable
+from nls.linear.updatable import updatable_class
 from nls.sparse.hessian import Hessian
 
 __all__ = ["Preconditioner"]
@@ -53,7 +53,7 @@ class Preconditioner:
         indptr = np.concatenate([hessian.indptr, hessian.indptr[-1] + 1 + np.arange(RESERVE, dtype=np.int32)])
         data = np.concatenate([hessian.data(S), np.full(RESERVE, small)])
         H = sp.csc_matrix((data, np.concatenate([hessian.indices, reserve]), indptr), shape=(self.n, self.n))
-        self._factor = Updatable(H)
+        self._factor = updatable_class()(H)
 
     def column(self, d: int) -> int | None:
         """The first of d columns of a new variable; None where no room is left."""

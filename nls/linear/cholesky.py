@@ -33,7 +33,7 @@ from nls.sparse.fill import counted
 from nls.sparse.hessian import Hessian
 from nls.sparse.threads import openmp, single_thread
 
-__all__ = ["Cholesky", "Cholmod", "Updatable", "openmp_capped"]
+__all__ = ["Cholesky", "Cholmod", "openmp_capped"]
 
 LARGE = 30_000  # pairs of variables; up to here the order is AMD's, and nothing is counted
 COSTLY = 2000.0  # flops a pair; below, METIS takes longer than it saves
@@ -119,37 +119,6 @@ class Cholmod(Decomposition):
 
     def lower(self) -> tuple[sp.csc_array, Index]:
         return sp.csc_array(self._chol.L()), np.arange(self._hessian.n)
-
-
-class Updatable:
-    """H = L D L' of a matrix that rows are added to: H + C C'.
-
-    Parameters
-    ----------
-    H : lower triangle, in the order of elimination.
-
-    Raises
-    ------
-    SingularSystemError
-        H is not positive definite.
-    """
-
-    def __init__(self, H: sp.csc_matrix) -> None:
-        module = cholmod()
-        assert module is not None
-        self._chol = module.analyze(H, mode="simplicial", ordering_method="natural")
-        try:
-            self._chol.cholesky_inplace(H)
-        except module.CholmodNotPositiveDefiniteError as error:
-            raise SingularSystemError(str(error)) from error
-
-    def add(self, C: sp.csc_matrix) -> None:
-        """H <- H + C C', C (n, k)."""
-        self._chol.update_inplace(C)
-
-    def solve(self, g: Array) -> Array:
-        """H^-1 g (n,)."""
-        return np.asarray(self._chol.solve_A(g))
 
 
 class Cholesky(SparseSolver):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,13 +13,14 @@ from hypothesis import strategies as st
 
 import nls
 import sim
-from factors import Between, Factor, GemanMcClure, Huber, Isotropic, Prior, Range
+from factors import Between, Factor, GemanMcClure, Huber, Isotropic, Position, Prior, Range
 from factors.function import FunctionFactor
 from factors.keys import Keys
 from models import SE2, SE3, R
 from models.errors import EvaluationError, GraphError, NoiseModelError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Incremental, Values, kinds
 from nls.incremental import preconditioner
+from nls.linear import cholesky, updatable
 from tests.factors.samples import Sample, full_noise, situation
 from tests.factors.test_conformity import SAMPLES
 
@@ -99,6 +101,30 @@ def test_a_range_alone_waits_for_the_third() -> None:
     assert len(smoother.graph) == 8
 
 
+def test_sonar_contacts_online_end_at_the_batch_map() -> None:
+    world = sim.hauv_floor(np.random.default_rng(0), legs=2, per_leg=6)
+    smoother, waited = Incremental(1e-6), 0
+    for k, factors in enumerate(steps(world.graph)):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        waited += len(smoother.waiting)
+    result = world.graph.optimize(nls.initialize(world.graph, world.start)[0])
+    assert waited
+    assert not smoother.waiting
+    same(smoother, result, 1e-3)
+
+
+def test_a_position_without_a_heading_waits_for_another() -> None:
+    smoother = Incremental(1e-9)
+    smoother.update([Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(4)], Values({x: (SE2, [[0.0, 0, 0]])}))
+    smoother.update(Position(x[1], [1.0, 1.0], STEP))
+    assert len(smoother.graph) == 4
+    np.testing.assert_allclose(smoother[x[4]], [4, 0, 0], atol=1e-9)
+    smoother.update(Position(x[4], [1.0, 4.0], STEP))
+    assert len(smoother.graph) == 6
+    same(smoother, smoother.graph.optimize(smoother.values), 1e-4)
+    np.testing.assert_allclose(smoother[x[4]], [1, 4, np.pi / 2], atol=0.01)
+
+
 @pytest.mark.parametrize("sample", SAMPLES, ids=str)
 def test_every_factor_in_random_order_ends_at_the_batch_solution(sample: Sample) -> None:
     n, rng = 3, np.random.default_rng(5)
@@ -141,6 +167,36 @@ def test_without_room_for_new_variables_it_begins_anew(monkeypatch: pytest.Monke
     for k, factors in enumerate(steps(world.graph)):
         smoother.update(factors, first(world.start) if k == 0 else None)
     is_optimal(smoother)
+
+
+def test_without_suitesparse_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(updatable, "cholmod", lambda: None)
+    monkeypatch.setattr(cholesky, "cholmod", lambda: None)
+    world = sim.ring(np.random.default_rng(2), laps=2, per_lap=20)
+    smoother = Incremental()
+    for k, factors in enumerate(steps(FactorGraph([world.graph.factors[0]]))):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        last = factors[0]
+    closures = world.graph.factors[1]
+    smoother.update(closures[(closures.keys[0].numbers != 39) & (closures.keys[1].numbers != 39)])
+    is_optimal(smoother)
+    assert "SuperLU" in smoother.linear_solver
+    with pytest.raises(UnderconstrainedError, match="x39"):
+        smoother.remove(last)
+    is_optimal(smoother)
+
+
+def test_it_is_saved_and_goes_on() -> None:
+    world = sim.ring(np.random.default_rng(6), laps=2, per_lap=20)
+    smoothers = [Incremental()]
+    for k, factors in enumerate(steps(world.graph)):
+        if k == 25:
+            smoothers.append(pickle.loads(pickle.dumps(smoothers[0])))
+        for smoother in smoothers:
+            smoother.update(factors, first(world.start) if k == 0 else None)
+    for smoother in smoothers:
+        is_optimal(smoother)
+    np.testing.assert_allclose(*(smoother.values[x] for smoother in smoothers), atol=1e-2)
 
 
 def test_a_wrong_closure_is_taken_out() -> None:
