@@ -55,8 +55,10 @@ class Arrivals:
             space = self._known.space(kind) or stack.manifold
             if space is not stack.manifold:
                 raise GraphError(f"{kind} is in {space}, its start values are in {stack.manifold}")
-            self._known.spaces[kind] = space
-            self._known.starts |= {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
+            starts = {(kind, n): X for n, X in zip(stack.numbers.tolist(), stack.X, strict=True)}
+            self._known = replace(
+                self._known, spaces=self._known.spaces | {kind: space}, starts=self._known.starts | starts
+            )
 
     def take(self, factors: Sequence[Factor]) -> Iterator[New | Ready]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
@@ -86,16 +88,16 @@ class Arrivals:
 
     def _joining(self) -> Iterator[New]:
         """Variables that their measurements to the estimate determine, and the first of all."""
-        touching = self._touching()
         waiting: dict[str, tuple[Manifold, dict[int, list[Factor]]]] = {}
-        for variable in self._unknown():
-            key, measurements = Keys(*variable), touching.get(variable, [])
+        for variable, factors in self._unknown().items():
+            key = Keys(*variable)
+            measurements = self._touching(key, factors)
             space = self._known.space(key.kind) or self._target_space(measurements)
             count = sum(len(factor) for factor, _ in measurements)
             if space is None or self._tried.get(variable) == count:
                 continue
             start, empty = self._known.starts.get(variable), not any(map(len, self._known.variables.values()))
-            if empty and start is not None and self._is_relative(key):
+            if empty and start is not None and all(factor.relative for factor in factors):
                 yield New(key, space, start)  # the gauge holds it
             elif (new := alone(self._known, key, space, measurements)) is not None:
                 yield new
@@ -109,51 +111,48 @@ class Arrivals:
 
     def mark(self) -> tuple[Known, list[tuple[Factor, Factor]]]:
         """What is known of variables to come, and what waits."""
-        known = self._known
-        return replace(known, spaces=dict(known.spaces), starts=dict(known.starts)), list(self._pending)
+        return self._known, self._pending.copy()
 
     def back_to(self, mark: tuple[Known, list[tuple[Factor, Factor]]]) -> None:
         """Forget what came since a mark."""
         self._known, self._pending = mark
+        self._tried.clear()
 
-    def drop(self, factor: Factor) -> bool:
-        """Forget measurements that wait; whether there were any."""
-        before = len(self._pending)
+    @property
+    def pending(self) -> tuple[Factor, ...]:
+        """Factors, as they were given, of which something waits."""
+        return tuple(given for given, _ in self._pending)
+
+    def drop(self, factor: Factor) -> None:
+        """Forget what waits of a factor."""
         self._pending = [(given, rest) for given, rest in self._pending if given is not factor]
-        return len(self._pending) < before
 
     @property
     def waiting(self) -> tuple[Keys, ...]:
         """Variables that are measured and not determined yet."""
         return tuple(Keys(kind, number) for kind, number in self._unknown())
 
-    def _unknown(self) -> list[Variable]:
-        """Variables that wait, in the order of their measurements."""
-        order: dict[Variable, None] = {}
+    def _unknown(self) -> dict[Variable, list[Factor]]:
+        """Variables that wait, in the order of their measurements, and the factors these are in."""
+        unknown: dict[Variable, list[Factor]] = {}
         for _, factor in self._pending:
-            for keys in factor.keys:
-                waits = ~self._known.has(keys)
-                order |= dict.fromkeys((keys.kind, n) for n in keys.numbers[waits].tolist())
-        return list(order)
+            waits = ((keys.kind, n) for keys in factor.keys for n in keys.numbers[~self._known.has(keys)].tolist())
+            for variable in dict.fromkeys(waits):
+                unknown.setdefault(variable, []).append(factor)
+        return unknown
 
-    def _touching(self) -> dict[Variable, list[tuple[Factor, int]]]:
-        """Measurements between a variable that waits and the estimate, and the slot in which it is."""
-        touching: dict[Variable, list[tuple[Factor, int]]] = {}
-        for _, factor in self._pending:
-            known = np.array([self._known.has(keys) for keys in factor.keys])
-            alone = (~known).sum(axis=0) == 1  # one variable waits, the others are there
+    def _touching(self, key: Keys, factors: list[Factor]) -> list[tuple[Factor, int]]:
+        """Measurements between a variable and the estimate, and the slot in which it is."""
+        number, touching = int(key.numbers[0]), []
+        for factor in factors:
             for slot, keys in enumerate(factor.keys):
-                rows = alone & ~known[slot]
-                for number in np.unique(keys.numbers[rows]).tolist():
-                    if (measurements := part(factor, rows & (keys.numbers == number))) is not None:
-                        touching.setdefault((keys.kind, number), []).append((measurements, slot))
+                if keys.kind == key.kind and (here := np.flatnonzero(keys.numbers == number)).size:
+                    others = [k[here] for other, k in enumerate(factor.keys) if other != slot]
+                    mask = np.zeros(len(factor), dtype=bool)
+                    mask[here] = np.logical_and.reduce([np.ones(len(here), dtype=bool), *map(self._known.has, others)])
+                    if (measurements := part(factor, mask)) is not None:
+                        touching.append((measurements, slot))
         return touching
-
-    def _is_relative(self, key: Keys) -> bool:
-        """Whether all measurements of a variable are relative."""
-        number = int(key.numbers[0])
-        of_it = (f for _, f in self._pending for k in f.keys if k.kind == key.kind and number in k.numbers)
-        return all(factor.relative for factor in of_it)
 
     def _target_space(self, touching: list[tuple[Factor, int]]) -> Manifold | None:
         """The space of a point that is seen from poses."""

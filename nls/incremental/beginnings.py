@@ -40,7 +40,7 @@ class New:
     measurement: Factor | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class Known:
     """The estimate, and what the user said of variables to come.
 

@@ -3,8 +3,9 @@ r"""Smoothing as measurements arrive, at the optimum of all of them after every 
 The gradient g = A'b is exact, at the present values. Only the factor of A'A is kept from update to update, and takes
 the rows of new measurements. It is the preconditioner of conjugate gradients on the exact A'A:
 
-    z = F^-1 g,   gap = g'z         how far chi2 is above its minimum, F near A'A
-    dx by conjugate gradients, x <- x [+] dx, until gap <= 0.3 tol chi2
+    A'A dx = g by conjugate gradients,   x <- x [+] dx,   until gap <= 0.3 tol chi2
+
+The gap, how far chi2 is above its minimum, is the fall of |A dx - b|^2 in the same iterations.
 
 A new pose whose odometry fits exactly changes nothing, and a new measurement of residual r cannot lower the minimum:
 
@@ -29,7 +30,7 @@ from factors.base import Factor, Model
 from factors.joined import joined
 from factors.keys import Keys
 from models.algebra import Array
-from models.errors import EvaluationError, GraphError, NoiseModelError, UnderconstrainedError
+from models.errors import GraphError, LeadlineError, UnderconstrainedError
 from models.options import check_between
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
@@ -57,8 +58,7 @@ class Incremental:
 
     Attributes
     ----------
-    gap : chi2 is above its minimum by no more; with robust kernels an estimate, from how fast
-        the weights settle.
+    gap : chi2 is above its minimum by no more; with robust kernels an estimate, from how fast the weights settle.
 
     Examples
     --------
@@ -94,23 +94,38 @@ class Incremental:
         factors : as they arrive; of new variables, too.
         values : start values of new variables; the first of every kind needs one, which says its space. Those of the
             others follow from the measurements.
+
+        Raises
+        ------
+        GraphError, NoiseModelError, EvaluationError
+            A measurement that cannot be used. All is as before the call.
         """
         factors = [factors] if isinstance(factors, Factor) else list(factors)
         for factor in factors:
             if not isinstance(factor, Factor):
                 raise GraphError(f"Incremental.update: expected factors such as Between(...), got {factor!r:.80}")
-        factors, self._undecided = [*self._undecided, *factors], []
-        before = self._mark()
+        factors = [*self._undecided, *factors]
+        relative = [factor for factor in factors if factor.relative]
+        try:
+            self._attempt(factors, values)
+        except UnderconstrainedError:  # what held the gauge was let go for too few absolute measurements
+            if len(relative) == len(factors):
+                raise
+            self._attempt(relative, values)
+            self._undecided = [factor for factor in factors if not factor.relative]
+        else:
+            self._undecided = []
+
+    def _attempt(self, factors: list[Factor], values: Values | None) -> None:
+        """Take measurements; where that fails all is as before."""
+        system, arrivals, places, gap = self._system.mark(), self._arrivals.mark(), len(self._places), self.gap
         try:
             self._take(factors, values)
-        except UnderconstrainedError:  # what held the gauge was let go for too few absolute measurements
-            self._back_to(before)
-            self._undecided = [factor for factor in factors if not factor.relative]
-            if not self._undecided:
-                raise
-            self._take([factor for factor in factors if factor.relative], values)
-        except (GraphError, NoiseModelError, EvaluationError):
-            self._back_to(before)
+        except LeadlineError:
+            self._system.back_to(system)
+            self._arrivals.back_to(arrivals)
+            del self._places[places:]
+            self.gap = gap
             raise
 
     def _take(self, factors: list[Factor], values: Values | None) -> None:
@@ -130,16 +145,6 @@ class Incremental:
             self.gap += self._system.catch_up()
         if self.gap > self._allowed(1.0):
             self.settle()
-
-    def _mark(self) -> tuple[Any, ...]:
-        return self._system.mark(), self._arrivals.mark(), len(self._places), self.gap
-
-    def _back_to(self, mark: tuple[Any, ...]) -> None:
-        """Be as before an update that was refused."""
-        system, arrivals, places, self.gap = mark
-        self._system.back_to(system)
-        self._arrivals.back_to(arrivals)
-        del self._places[places:]
 
     @property
     def chi2(self) -> float:
@@ -186,21 +191,22 @@ class Incremental:
         UnderconstrainedError
             Something is free without them; they stay.
         """
-        places = [place for place in self._places if place[0] is factor]
-        if not self._arrivals.drop(factor) and not places:
+        if not any(factor is given for given in (*self.pending, *(place[0] for place in self._places))):
             raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate", factor.keys, factor.name)
-        X, gap = self._system.mark(), self.gap
-        weights = [(batch, rows, batch.silence(rows)) for _, _, batch, rows in places]
+        system, gap = self._system.mark(), self.gap
+        weights = [(batch, rows, batch.silence(rows)) for given, _, batch, rows in self._places if given is factor]
         self._system.renew()
         try:
             self.settle()
-        except (UnderconstrainedError, EvaluationError):
+        except LeadlineError:
             for batch, rows, W in weights:
                 batch.weigh(rows, W)
-            self._system.back_to(X)
+            self._system.back_to(system)
             self.gap = gap
             raise
         self._places = [place for place in self._places if place[0] is not factor]
+        self._undecided = [given for given in self._undecided if given is not factor]
+        self._arrivals.drop(factor)
 
     @property
     def values(self) -> Values:
@@ -227,6 +233,11 @@ class Incremental:
     def waiting(self) -> tuple[Keys, ...]:
         """Variables that are measured, and not determined by the measurements so far."""
         return self._arrivals.waiting
+
+    @property
+    def pending(self) -> tuple[Factor, ...]:
+        """What was given and is not used yet: it waits for a variable, or is too little to hold the map."""
+        return *self._arrivals.pending, *self._undecided
 
     def covariance(self, keys: Keys, **options: Any) -> Array:
         """Covariance of a variable, or of several: `Marginals.covariance` at the present values."""

@@ -118,6 +118,7 @@ def test_a_position_without_a_heading_waits_for_another() -> None:
     smoother.update([Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(4)], Values({x: (SE2, [[0.0, 0, 0]])}))
     smoother.update(Position(x[1], [1.0, 1.0], STEP))
     assert len(smoother.graph) == 4
+    assert [repr(factor) for factor in smoother.pending] == ["Position(x1)"]
     np.testing.assert_allclose(smoother[x[4]], [4, 0, 0], atol=1e-9)
     smoother.update(Position(x[4], [1.0, 4.0], STEP))
     assert len(smoother.graph) == 6
@@ -231,8 +232,10 @@ def test_a_measurement_that_waits_can_be_taken_back() -> None:
     ranges = Range(x[0], l[1], 2.0, STEP)
     smoother.update(ranges)
     assert [repr(keys) for keys in smoother.waiting] == ["l1"]
+    assert smoother.pending == (ranges,)
     smoother.remove(ranges)
     assert not smoother.waiting
+    assert not smoother.pending
 
 
 def test_a_redescending_kernel_from_the_first_measurement_on() -> None:
