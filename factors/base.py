@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, ClassVar
 
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from factors.conventions import check_convention, innovation
 from factors.differences import central_differences
 from factors.keys import Keys
-from factors.noise import SQUARABLE, Noise, weights, whiten
+from factors.noise import SQUARABLE, Noise, arranged, weights, whiten
 from factors.return_values import checked_jacobians, checked_prediction, checked_space, refuse_extreme
 from factors.robust import Kernel, Robust
 from factors.slices import one_each, places, rows
@@ -140,6 +140,7 @@ class Factor(Traits, Abstract):
         subset._noise = self.noise.take(index, n)
         for name in self.per_measurement:
             setattr(subset, name, rows(getattr(self, name), index, n))
+        subset._model = None if self._model is None else self._model.part(subset, index)
         return subset
 
     def __getstate__(self) -> tuple[dict[str, Any], list[str]]:
@@ -259,9 +260,7 @@ class Factor(Traits, Abstract):
             except GraphError as error:
                 raise GraphError(f"{self!r}: {error}", self.keys, name) from error
             z = np.asfortranarray(np.broadcast_to(z, (len(self), space.size)))
-            # components first for small matrices, one by one for larger ones, as `product` wants them
-            W = np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)
-            model = self._model = Model(self, manifolds, space, z, W, rows, names)
+            model = self._model = Model(self, manifolds, space, z, arranged(W), rows, names)
         return model
 
     @staticmethod
@@ -328,6 +327,11 @@ class Model:
     def dim(self) -> int:
         """Numbers per measurement."""
         return len(self.names)
+
+    def part(self, factor: Factor, index: Index) -> Model:
+        """The model of a factor that has some of the measurements, by place (k,)."""
+        W = arranged(rows(self.W, index, len(self.z)))
+        return replace(self, factor=factor, z=np.asfortranarray(self.z[index]), W=W)
 
     def refuse_extreme(self) -> None:
         """Refuse a measurement or weight whose square is no number, see `factors.return_values.refuse_extreme`."""

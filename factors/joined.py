@@ -14,7 +14,7 @@ from factors.noise import SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 
-__all__ = ["joined"]
+__all__ = ["alike", "joined"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -47,15 +47,15 @@ def joined(models: Sequence[Model]) -> list[Factor]:
     """
     groups: list[list[Model]] = []
     for model in models:
-        alike = next((group for group in groups if _alike(group[0], model)), None)
-        if alike is None:
+        group = next((group for group in groups if alike(group[0], model)), None)
+        if group is None:
             groups.append([model])
         else:
-            alike.append(model)
+            group.append(model)
     return [group[0].factor if len(group) == 1 else _batch_of(group) for group in groups]
 
 
-def _alike(a: Model, b: Model) -> bool:
+def alike(a: Model, b: Model) -> bool:
     """Whether two batches may be one."""
     f, g = a.factor, b.factor
     if type(f) is not type(g) or a.manifolds != b.manifolds or f.kernel != g.kernel:

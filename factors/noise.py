@@ -258,6 +258,11 @@ def whiten(W: Array, x: Array) -> Array:
     return apply(W, x) if x.ndim == 2 else product(W, x)
 
 
+def arranged(W: Array) -> Array:
+    """Whiteners as `product` wants them: components first for small matrices, one by one for larger ones."""
+    return np.asfortranarray(W) if W.shape[-1] <= 3 else np.ascontiguousarray(W)
+
+
 def square(W: Array) -> Array:
     """Whiteners (n, m, m), from those or from their diagonals (n, m): W as `Noise.sqrt_information` returns it."""
     return W if W.ndim == 3 else W[..., None] * np.eye(W.shape[-1])

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.explanation import Explanation, Finding, FindingKind, explain
     from nls.graph import FactorGraph
+    from nls.incremental import Incremental
     from nls.io import LoadReport, load, save
     from nls.linear import (
         LU,
@@ -68,6 +69,7 @@ _WHERE = {
     "nls.covariance": "Marginals",
     "nls.explanation": "Explanation Finding FindingKind explain",
     "nls.graph": "FactorGraph",
+    "nls.incremental": "Incremental",
     "nls.io": "LoadReport load save",
     "nls.linear": "LU PCG QR Cholesky CholeskyPCG DenseCholesky DenseQR LinearSolver Pinv Schur backends factorize",
     "nls.optimizers": "Dogleg GaussNewton Iteration LevenbergMarquardt Optimizer Result Status Stop gauss_newton_step",
@@ -105,6 +107,7 @@ __all__ = [
     "GraphError",
     "GraphFileError",
     "GraphWarning",
+    "Incremental",
     "Iteration",
     "JacobianError",
     "Keys",

@@ -74,10 +74,13 @@ def things(folder: Path) -> dict[str, Any]:
     solvers: list[Callable[[], nls.LinearSolver]] = [
         nls.Cholesky, nls.CholeskyPCG, nls.DenseCholesky, nls.DenseQR, nls.LU, nls.PCG, nls.Pinv, nls.QR, nls.Schur
     ]  # fmt: skip
+    smoother = nls.Incremental()
+    smoother.update(list(ring.graph.factors), nls.Values({x: (SE2, ring.start[x[:1]])}))
     made: dict[str, Any] = {
         "manifolds": [SO2, SE2, SO3, SE3, LINE, R(1), R(2), R(7), Measured("range", "azimuth"), Measured("depth")],
         "names": [x, l, x[3], x[[1, 2, 9]], x[0:0], x[[7]]],
         "values": sea.start,
+        "smoother": smoother,
         "noises": [
             Isotropic([0.1, 0.2]),
             factors.Diagonal(x=0.1, yaw=0.2),

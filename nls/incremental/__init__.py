@@ -1,0 +1,7 @@
+"""Smoothing as measurements arrive: the whole trajectory at its optimum after every update."""
+
+from __future__ import annotations
+
+from nls.incremental.incremental import Incremental
+
+__all__ = ["Incremental"]

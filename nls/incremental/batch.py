@@ -1,0 +1,185 @@
+"""Measurements of one sort in one batch that grows: linearized together, however they arrived."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from factors.base import Model
+from factors.joined import alike
+from factors.keys import Keys
+from factors.robust import Kernel
+from models.algebra import Array
+from nls.incremental.growing import Growing, Variables
+from nls.values import take
+
+__all__ = ["GrowingBatch"]
+
+SLIGHTLY = 1e-6  # part of s, for the slope of a weight
+FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
+
+
+class GrowingBatch:
+    """A batch of measurements that grows, and its rows of A and b.
+
+    Parameters
+    ----------
+    model : the first of them.
+    variables : of every slot.
+    """
+
+    def __init__(self, model: Model, variables: list[Variables]) -> None:
+        self.variables, self._first, self.kernel = variables, model, model.factor.kernel
+        factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
+        own = {name: getattr(factor, name) for name in factor.per_measurement}
+        self._own = {name: Growing(np.atleast_2d(v)[:0]) for name, v in own.items() if isinstance(v, np.ndarray)}
+        self._numbers = [Growing(np.zeros(0, dtype=np.int64)) for _ in variables]
+        self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
+        self._z, self._W = Growing(model.z[:0], "F"), Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
+        self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
+        self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
+        self._linearized = 0
+        self._sparse: sp.csr_array | None = None
+
+    def __len__(self) -> int:
+        return len(self._z)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_sparse": None}
+
+    def takes(self, model: Model) -> bool:
+        """Whether measurements are of this sort."""
+        return model.W.ndim == self._first.W.ndim and alike(self._first, model)
+
+    def append(self, model: Model) -> slice:
+        """Add measurements whose variables are there; their rows."""
+        begin, n = len(self), len(model.z)
+        for slot, keys in enumerate(model.factor.keys):
+            self._numbers[slot].append(keys.numbers)
+            self._index[slot].append(self.variables[slot].index(keys))
+        self._z.append(model.z)
+        self._W.append(np.broadcast_to(model.W, (n, *model.W.shape[1:])))
+        for name, own in self._own.items():
+            own.append(np.broadcast_to(np.atleast_2d(getattr(model.factor, name)), (n, *own.rows.shape[1:])))
+        rows, self._sparse = slice(begin, begin + n), None
+        for part in (self._A, self._columns, self._b, self._cost):
+            part.append(np.zeros((n, *part.rows.shape[1:]), part.rows.dtype))
+        self.place(rows)
+        return rows
+
+    def keep(self, n: int) -> None:
+        """Forget all measurements but the first n."""
+        for part in (*self._numbers, *self._index, *self._own.values(), *self._parts()):
+            part.keep(n)
+        self._linearized, self._sparse = min(self._linearized, n), None
+
+    def _parts(self) -> list[Growing]:
+        return [self._z, self._W, self._A, self._columns, self._b, self._cost]
+
+    def catch_up(self) -> float:
+        """Linearize what has come since the last time; its cost."""
+        rows = slice(self._linearized, len(self))
+        if len(self) > self._linearized:
+            self.linearize(rows)
+            self._linearized = len(self)
+        return self.cost(rows)
+
+    def silence(self, rows: slice) -> Array:
+        """Take the weight of some measurements, which is returned: they say nothing any more."""
+        W = np.array(self._W.rows[rows])
+        self.weigh(rows, np.zeros_like(W))
+        return W
+
+    def weigh(self, rows: slice, W: Array) -> None:
+        """Give some measurements other weights."""
+        self._W.rows[rows] = W
+        self.linearize(rows)
+
+    @property
+    def model(self) -> Model:
+        """All of the measurements; views of the arrays that grow."""
+        return self._part(slice(None))
+
+    def _part(self, rows: slice) -> Model:
+        """Some of the measurements."""
+        factor = copy(self._first.factor)
+        kinds = zip(self._first.factor.keys, self._numbers, strict=True)
+        factor.keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
+        for name, values in self._own.items():
+            setattr(factor, name, values.rows[rows])
+        model = replace(self._first, factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
+        factor._model = model
+        return model
+
+    def linearize(self, rows: slice = slice(None)) -> None:
+        """Rows of A and b at the present values."""
+        X = [take(v.X, index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
+        A, b = self._part(rows).linearize(*X)
+        if self.kernel is None:
+            cost = np.square(b).sum(axis=1)
+        else:
+            A, b, cost = _weighted(self.kernel, A, b)
+        at = 0
+        for part in A:
+            self._A.rows[rows, :, at : at + part.shape[2]] = part
+            at += part.shape[2]
+        self._b.rows[rows], self._cost.rows[rows] = b, cost
+
+    def cost(self, rows: slice = slice(None)) -> float:
+        """Of the measurements, at their linearization."""
+        return float(self._cost.rows[rows].sum())
+
+    def place(self, rows: slice = slice(None)) -> None:
+        """Take the columns of A anew from those of the variables."""
+        at, self._sparse = 0, None
+        for v, index in zip(self.variables, self._index, strict=True):
+            d, first = v.manifold.dim, v.columns[index.rows[rows]]
+            self._columns.rows[rows, :, at : at + d] = (first[:, None] + np.arange(d))[:, None]
+            at += d
+
+    @property
+    def b(self) -> Array:
+        """(n m,) errors."""
+        return np.asarray(self._b.rows.reshape(-1))
+
+    def A(self, width: int) -> sp.csr_array:
+        """(n m, width) rows of A; they follow what is linearized later."""
+        if self._sparse is None:
+            n, m, D = self._A.rows.shape
+            indptr = np.arange(0, n * m * D + 1, D, dtype=np.int32)
+            data, columns = self._A.rows.reshape(-1), self._columns.rows.reshape(-1)
+            self._sparse = sp.csr_array((data, columns, indptr), shape=(n * m, width))
+        return self._sparse
+
+    def new_rows(self, begin: int) -> tuple[Array, npt.NDArray[np.int32]]:
+        """Rows of A and their columns (k, D) of the measurements from one on."""
+        D = self._A.rows.shape[2]
+        return self._A.rows[begin:].reshape(-1, D), self._columns.rows[begin:].reshape(-1, D)
+
+    def blocks(self) -> tuple[Array, ...]:
+        """A (n, m, d) of every slot."""
+        return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
+
+
+def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:
+    r"""A, b and costs (n,) with A'b half the downhill gradient of the cost, and A'A nearly half of its curvature.
+
+    Weights alone overrate the curvature along the residual u = b / |b|, as they fall while it grows:
+
+        A <- sqrt(w) (I - (1 - q) u u') A,   b <- sqrt(w) b / q,   q^2 = 1 + 2 s w'(s) / w(s), at least `FLATTEST`
+
+    Source: B. Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 4.3.
+    """
+    s = np.square(b).sum(axis=1)
+    w = kernel.weight(s)
+    further = kernel.weight(s * (1 + SLIGHTLY))
+    q = np.sqrt(np.maximum(1 + 2 * (further / np.where(w > 0, w, 1.0) - 1) / SLIGHTLY, FLATTEST))
+    u, root = b / np.sqrt(np.where(s > 0, s, 1.0))[:, None], np.sqrt(w)
+    flat = ((1 - q)[:, None] * u)[:, :, None]
+    bent = [root[:, None, None] * (A_k - flat * np.einsum("nm,nmd->nd", u, A_k)[:, None]) for A_k in A]
+    return tuple(bent), b * (root / q)[:, None], kernel.rho(s)

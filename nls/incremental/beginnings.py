@@ -1,0 +1,210 @@
+"""Where a new variable begins, once its measurements determine it: by one of them, by all of them, or with others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from factors.base import Factor
+from factors.function import FunctionFactor
+from factors.joined import joined
+from factors.keys import Keys, Kind
+from factors.prior import Prior
+from factors.sighting import Sighting
+from models import LieGroup, Manifold
+from models.algebra import Array, Mask
+from models.errors import EvaluationError, SingularGeometryError, UnderconstrainedError
+from models.manifolds.rn import Vectors
+from nls.graph import FactorGraph
+from nls.incremental.growing import Variables
+from nls.starts.elevation import search_elevation
+from nls.starts.landmarks import DETERMINED, locate_points
+from nls.values import Stack, Values
+
+__all__ = ["Known", "New", "Variable", "alone", "part", "points", "together"]
+
+Variable = tuple[str, int]  # kind, number
+
+
+@dataclass(frozen=True)
+class New:
+    """A variable that joins the estimate, and its value (size,); the one measurement that is exact there, if any."""
+
+    key: Keys
+    space: Manifold
+    value: Array
+    measurement: Factor | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """The estimate, and what the user said of variables to come.
+
+    Attributes
+    ----------
+    variables : of the estimate, by kind.
+    spaces, starts : of kinds and variables to come.
+    """
+
+    variables: dict[str, Variables]
+    spaces: dict[str, Manifold] = field(default_factory=dict)
+    starts: dict[Variable, Array] = field(default_factory=dict)
+
+    def space(self, kind: str) -> Manifold | None:
+        """The space of a kind, if that is known."""
+        return self.variables[kind].manifold if kind in self.variables else self.spaces.get(kind)
+
+    def has(self, keys: Keys) -> Mask:
+        """Which variables (k,) are in the estimate."""
+        variables = self.variables.get(keys.kind)
+        return np.zeros(len(keys), dtype=bool) if variables is None else variables.known(keys)
+
+    def value(self, keys: Keys) -> Array:
+        """(k, size) of variables of the estimate."""
+        variables = self.variables.get(keys.kind)
+        return np.zeros((0, 0)) if variables is None else np.asarray(variables.X[variables.index(keys)])
+
+    def values(self, graph: FactorGraph, starts: dict[Variable, Array]) -> Values:
+        """Of the variables of a graph: those of the estimate, which are held there, and those with a start."""
+        X: dict[str, dict[int, Array]] = {}
+        for keys in (keys for factor in graph.factors for keys in factor.keys):
+            known = self.has(keys)
+            graph.fix(keys[known])
+            of_kind = X.setdefault(keys.kind, {})
+            of_kind |= zip(keys.numbers[known].tolist(), self.value(keys[known]), strict=True)
+            of_kind |= {n: starts[keys.kind, n] for n in keys.numbers[~known].tolist() if (keys.kind, n) in starts}
+        stacks = []
+        for kind, of_kind in X.items():
+            if of_kind and (space := self.space(kind)) is not None:
+                numbers = sorted(of_kind)
+                stacks.append(Stack(kind, space, np.stack([of_kind[n] for n in numbers]), np.array(numbers)))
+        return Values.of(stacks)
+
+
+def part(factor: Factor, mask: Mask) -> Factor | None:
+    """Those measurements (n,) of a factor; None where there are none, or only its function knows them."""
+    if not mask.any() or (isinstance(factor, FunctionFactor) and not mask.all()):
+        return None
+    return factor if mask.all() else factor[mask]
+
+
+def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor, int]]) -> New | None:
+    """A variable that its measurements to the estimate, and the slots in which it is there, determine; see `points`."""
+    start = known.starts.get((key.kind, int(key.numbers[0])))
+    for factor, slot in touching:
+        if (value := _placed(known, factor, slot, space)) is not None:
+            exact = factor if start is None and len(factor) == 1 else None
+            return New(key, space, value if start is None else start, exact)
+    if not touching or isinstance(space, Vectors):
+        return None
+    return _determined(known, key, space, start, [factor for factor, _ in touching])
+
+
+def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array | None:
+    """Where the first of some measurements puts the variable of a slot; None where it does not say."""
+    if isinstance(factor, FunctionFactor):
+        return None
+    first = factor if len(factor) == 1 else factor[[0]]
+    spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(first.keys)]
+    model = first.bind(*spaces)
+    W = model.W[0] if model.W.ndim == 3 else np.diag(model.W[0])
+    if model.dim < space.dim or not np.linalg.det(W):
+        return None
+    if isinstance(first, Prior) and first.offset is None:
+        return np.asarray(model.z[0])
+    X = [np.zeros((1, space.size)) if k == slot else known.value(keys) for k, keys in enumerate(first.keys)]
+    z = first.relative_poses(model)
+    if z is not None and isinstance(space, LieGroup) and spaces[1 - slot] is space:
+        step = z if slot == 1 else space.inverse(z)
+        return np.asarray(space.compose(X[1 - slot], step)[0])
+    if isinstance(first, Sighting) and first.locates and slot == 1 and isinstance(spaces[0], LieGroup):
+        return np.asarray(first.locate(spaces[0], first.sensor_pose(spaces[0], X[0], *X[2:]), model.z)[0])
+    return None
+
+
+def _determined(known: Known, key: Keys, space: Manifold, start: Array | None, factors: list[Factor]) -> New | None:
+    """Where all measurements between it and the estimate put a variable; None where they leave something free."""
+    graph = FactorGraph(factors)
+    held = known.values(graph, {})
+    starts = [stack.X[-1] for stack in held.stacks.values() if stack.manifold is space] if start is None else [start]
+    for begin in starts:
+        try:
+            result = graph.optimize(_with(held, key, space, begin[None]), gauge="none")
+            H = graph.linearize(result.values).H
+        except (UnderconstrainedError, EvaluationError):
+            continue
+        if result.converged and _full_rank(H):
+            return New(key, space, result.values[key[0]])
+    return None
+
+
+def points(known: Known, kind: str, space: Manifold, measurements: dict[int, list[Factor]]) -> list[New]:
+    """Those points of a kind that their measurements to the estimate determine: where rays meet, or on an arc."""
+    starts = {number: known.starts[kind, number] for number in measurements if (kind, number) in known.starts}
+    if missing := [number for number in measurements if number not in starts]:
+        graph = _joined(known, space, [factor for number in missing for factor in measurements[number]])
+        values = _with(known.values(graph, {}), Keys(kind, missing), space, np.zeros((len(missing), space.size)))
+        located = locate_points(graph, search_elevation(graph, values))[Keys(kind, missing)]
+        starts |= {number: X for number, X in zip(missing, located, strict=True) if X.any()}
+    if not starts:
+        return []
+    graph = _joined(known, space, [factor for number in starts for factor in measurements[number]])
+    values = _with(known.values(graph, {}), Keys(kind, [*starts]), space, np.stack([*starts.values()]))
+    try:
+        H, d = sp.csr_array(graph.linearize(values).H), space.dim
+    except (EvaluationError, SingularGeometryError):
+        return []
+    blocks = (H[d * k : d * (k + 1), d * k : d * (k + 1)] for k in range(len(starts)))
+    return [
+        New(Keys(kind, n), space, X) for (n, X), block in zip(starts.items(), blocks, strict=True) if _full_rank(block)
+    ]
+
+
+def _joined(known: Known, space: Manifold, factors: list[Factor]) -> FactorGraph:
+    """A graph of few batches; kinds that are not known yet are in a space."""
+    return FactorGraph(joined([f.bind(*(known.space(keys.kind) or space for keys in f.keys)) for f in factors]))
+
+
+def _full_rank(H: Any) -> bool:
+    """Whether no direction is free, with the diagonal scaled to ones."""
+    dense = H.toarray()
+    scale = np.sqrt(dense.diagonal())
+    return bool(scale.all() and np.linalg.eigvalsh(dense / np.outer(scale, scale))[0] > DETERMINED)
+
+
+def _with(values: Values, keys: Keys, space: Manifold, X: Array) -> Values:
+    """Values, and more variables of a kind."""
+    if keys.kind in values.stacks:
+        return values.extended(keys, X)
+    more = Values.of([*values.stacks.values()])
+    more.add(Kind(keys.kind), space, X, keys.numbers)
+    return more
+
+
+def together(known: Known, waiting: Iterable[Variable], factors: list[Factor]) -> list[New]:
+    """Variables with start values that their measurements determine together, at the optimum of these."""
+    starts = {variable: known.starts[variable] for variable in waiting if variable in known.starts}
+    while starts:
+        there = [[known.has(k) | [(k.kind, n) in starts for n in k.numbers.tolist()] for k in f.keys] for f in factors]
+        masks = [np.logical_and.reduce(slots) for slots in there]
+        parts = [part(factor, mask) for factor, mask in zip(factors, masks, strict=True)]
+        graph = FactorGraph([factor for factor in parts if factor is not None])
+        if not graph.factors:
+            return []
+        try:
+            values = known.values(graph, starts)
+            result = graph.optimize(values)
+        except UnderconstrainedError as error:
+            free = {(keys.kind, n) for keys in error.keys for n in keys.numbers.tolist()} & set(starts)
+            starts = {variable: X for variable, X in starts.items() if free and variable not in free}
+        except EvaluationError:
+            return []
+        else:
+            stacks = result.values.stacks if result.converged else {}
+            new = [Keys(kind, n) for kind, n in starts if kind in stacks and n in stacks[kind].numbers]
+            return [New(key, stacks[key.kind].manifold, result.values[key[0]]) for key in new]
+    return []

@@ -1,0 +1,116 @@
+"""Arrays and estimates that grow: rows are appended, room doubles, what is there is a view."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import Keys
+from models import Manifold
+from models.algebra import Array, Index
+from models.errors import GraphError
+from nls.values import Stack
+
+__all__ = ["Growing", "Variables"]
+
+
+class Growing:
+    """An array (n, ...) that grows by rows, components first in memory where that is asked for."""
+
+    def __init__(self, rows: npt.NDArray[Any], order: str = "C") -> None:
+        self._order, self._n = order, len(rows)
+        self._room = np.array(rows, order="F" if order == "F" else "C")
+
+    def __len__(self) -> int:
+        return self._n
+
+    @property
+    def rows(self) -> Any:
+        """The rows (n, ...), a view."""
+        return self._room[: self._n]
+
+    def append(self, rows: npt.NDArray[Any]) -> None:
+        """Add rows (k, ...) at the end."""
+        end = self._n + len(rows)
+        if end > len(self._room):
+            room = np.empty(
+                (2 * end, *self._room.shape[1:]), self._room.dtype, order="F" if self._order == "F" else "C"
+            )
+            room[: self._n] = self.rows
+            self._room = room
+        self._room[self._n : end] = rows
+        self._n = end
+
+    def keep(self, n: int) -> None:
+        """Forget all rows but the first n."""
+        self._n = n
+
+
+class Variables:
+    """The variables of one kind, in the order in which they joined.
+
+    Attributes
+    ----------
+    kind, manifold : of all of them.
+    place : row of every number.
+    columns : (n,) first column of each in the preconditioner, -1 where it is held.
+    """
+
+    def __init__(self, kind: str, manifold: Manifold) -> None:
+        self.kind, self.manifold = kind, manifold
+        self.place: dict[int, int] = {}
+        self._X = Growing(manifold.identity(0), order="F")
+        self._numbers = Growing(np.zeros(0, dtype=np.int64))
+        self._columns = Growing(np.zeros(0, dtype=np.intp))
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @property
+    def X(self) -> Array:
+        """Values (n, size)."""
+        return np.asarray(self._X.rows)
+
+    @property
+    def columns(self) -> Index:
+        return np.asarray(self._columns.rows)
+
+    def join(self, number: int, value: Array, column: int) -> None:
+        """Add a variable at a value (size,)."""
+        self.place[number] = len(self)
+        self._numbers.append(np.array([number]))
+        self._X.append(value[None])
+        self._columns.append(np.array([column]))
+
+    def keep(self, n: int) -> None:
+        """Forget all but the first n that joined."""
+        self.place = dict(list(self.place.items())[:n])
+        for part in (self._X, self._numbers, self._columns):
+            part.keep(n)
+
+    def known(self, keys: Keys) -> npt.NDArray[np.bool_]:
+        """Which variables (k,) are there."""
+        return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
+
+    def index(self, keys: Keys) -> Index:
+        """Rows (k,) of variables.
+
+        Raises
+        ------
+        GraphError
+            One that is not there.
+        """
+        try:
+            return np.array([self.place[number] for number in keys.numbers.tolist()], dtype=np.intp)
+        except KeyError as error:
+            raise GraphError(f"{self.kind}{error.args[0]} is not in the estimate", [keys]) from None
+
+    def move(self, X: Array, dx: Array) -> None:
+        """Put all at X (n, size), moved by tangent steps (n, d)."""
+        self.X[...] = self.manifold.retract(X, dx)
+
+    def stack(self) -> Stack:
+        """A copy of the estimate."""
+        return Stack(self.kind, self.manifold, self.X.copy(order="F"), self._numbers.rows.copy())

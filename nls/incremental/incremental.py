@@ -1,0 +1,253 @@
+r"""Smoothing as measurements arrive, at the optimum of all of them after every update.
+
+The gradient g = A'b is exact, at the present values. Only the factor of A'A is kept from update to update, and takes
+the rows of new measurements. It is the preconditioner of conjugate gradients on the exact A'A:
+
+    A'A dx = g by conjugate gradients,   x <- x [+] dx,   until gap <= 0.3 tol chi2
+
+The gap, how far chi2 is above its minimum, is the fall of |A dx - b|^2 in the same iterations.
+
+A new pose whose odometry fits exactly changes nothing, and a new measurement of residual r cannot lower the minimum:
+
+    gap_new <= gap + |r|^2
+
+so nothing is solved while that is within tol of chi2. F is made anew, in a new order, when the iterations that its age
+costs have cost as much as making it.
+
+Source: M. Kaess, H. Johannsson, R. Roberts, V. Ila, J. Leonard, F. Dellaert, "iSAM2: incremental smoothing and mapping
+using the Bayes tree", IJRR 31(2), 2012, for the problem; there the linearization of parts stays old and chi2 above its
+minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from factors.base import Factor, Model
+from factors.joined import joined
+from factors.keys import Keys
+from models.algebra import Array
+from models.errors import GraphError, LeadlineError, UnderconstrainedError
+from models.options import check_between
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.incremental.arrivals import Arrivals
+from nls.incremental.batch import GrowingBatch
+from nls.incremental.beginnings import New
+from nls.incremental.growing_system import GrowingSystem
+from nls.linear.updatable import updatable_class
+from nls.sparse.threads import single_thread
+from nls.values import Values
+
+__all__ = ["Incremental"]
+
+SETTLED = 0.3  # of the tolerance: a smaller gap is no reason for another step
+PASSES = 30
+SLOW, SLOWEST = 0.9, 0.95  # rates of reweighting: of a first pass, where none is known; of others at most
+
+
+class Incremental:
+    """The estimate of all variables so far, at the optimum of all measurements so far.
+
+    Parameters
+    ----------
+    tol : chi2 stays within this part of its minimum; of 1 where chi2 is less.
+
+    Attributes
+    ----------
+    gap : chi2 is above its minimum by no more; with robust kernels an estimate, from how fast the weights settle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nls, sim
+    >>> from models import SE2
+    >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=30)
+    >>> odometry, closures = world.graph.factors
+    >>> x, = nls.kinds("x")
+    >>> smoother = nls.Incremental()
+    >>> for k, step in enumerate(odometry):
+    ...     seen = closures[closures.keys[1].numbers == k + 1]
+    ...     smoother.update([step, seen], nls.Values({x: (SE2, [[0, 0, 0]])}) if k == 0 else None)
+    >>> best = world.graph.optimize(smoother.values)
+    >>> smoother.chi2 - best.chi2_final <= smoother.gap <= 1e-3 * smoother.chi2
+    True
+    """
+
+    def __init__(self, tol: float = 1e-3) -> None:
+        self.tol = check_between("tol", tol, 0, 1, "a number between 0 and 1, such as 1e-3")
+        self.gap = 0.0
+        self.passes = self.batch_solutions = 0
+        self._system = GrowingSystem()
+        self._arrivals = Arrivals(self._system.variables)
+        self._places: list[tuple[Factor, Factor, GrowingBatch, slice]] = []  # given, the part of it, where it is
+        self._undecided: list[Factor] = []  # absolute measurements that are too few to let the gauge go
+
+    def update(self, factors: Factor | Sequence[Factor], values: Values | None = None) -> None:
+        """Take measurements, and settle where they change something.
+
+        Parameters
+        ----------
+        factors : as they arrive; of new variables, too.
+        values : start values of new variables; the first of every kind needs one, which says its space. Those of the
+            others follow from the measurements.
+
+        Raises
+        ------
+        GraphError, NoiseModelError, EvaluationError
+            A measurement that cannot be used. All is as before the call.
+        """
+        factors = [factors] if isinstance(factors, Factor) else list(factors)
+        for factor in factors:
+            if not isinstance(factor, Factor):
+                raise GraphError(f"Incremental.update: expected factors such as Between(...), got {factor!r:.80}")
+        factors = [*self._undecided, *factors]
+        relative = [factor for factor in factors if factor.relative]
+        try:
+            self._attempt(factors, values)
+        except UnderconstrainedError:  # what held the gauge was let go for too few absolute measurements
+            if len(relative) == len(factors):
+                raise
+            self._attempt(relative, values)
+            self._undecided = [factor for factor in factors if not factor.relative]
+        else:
+            self._undecided = []
+
+    def _attempt(self, factors: list[Factor], values: Values | None) -> None:
+        """Take measurements; where that fails all is as before."""
+        system, arrivals, places, gap = self._system.mark(), self._arrivals.mark(), len(self._places), self.gap
+        try:
+            self._take(factors, values)
+        except LeadlineError:
+            self._system.back_to(system)
+            self._arrivals.back_to(arrivals)
+            del self._places[places:]
+            self.gap = gap
+            raise
+
+    def _take(self, factors: list[Factor], values: Values | None) -> None:
+        """Add variables and measurements, and settle."""
+        if values is not None:
+            self._arrivals.offer(values)
+        exact, residuals = None, False
+        for arrival in self._arrivals.take(factors):
+            if isinstance(arrival, New):
+                exact = arrival.measurement
+                self._system.join(arrival.key, arrival.space, arrival.value)
+            else:
+                batch, rows = self._system.enter(arrival.factor)
+                self._places.append((arrival.given, arrival.factor, batch, rows))
+                residuals = residuals or arrival.factor is not exact
+        if residuals:
+            self.gap += self._system.catch_up()
+        if self.gap > self._allowed(1.0):
+            self.settle()
+
+    @property
+    def chi2(self) -> float:
+        """Of all measurements at the present values."""
+        return self._system.chi2
+
+    def _allowed(self, part: float) -> float:
+        """So much of the tolerance."""
+        return part * self.tol * max(self.chi2, 1.0)
+
+    @single_thread()
+    def settle(self) -> None:
+        """Move to the optimum, within the tolerance."""
+        last = 0.0
+        for part in (1.0, *(SETTLED,) * PASSES):
+            self.passes += 1
+            dx, fall = self._system.step(self._allowed(SETTLED))
+            self.gap = fall / (1 - self._rate(fall, last)) if self._system.robust else fall
+            if self.gap <= self._allowed(part):
+                return
+            self._system.move(dx)
+            last = fall
+        self._solve_batch()
+
+    @staticmethod
+    def _rate(fall: float, last: float) -> float:
+        """By how much the fall of the weighted squares shrinks from pass to pass: weights follow slowly."""
+        return min(fall / last, SLOWEST) if last > 0 else SLOW
+
+    def _solve_batch(self) -> None:
+        """Solve the whole graph from the present values, where these steps do not arrive."""
+        self.batch_solutions += 1
+        self._system.put(self.graph.optimize(self.values).values)
+        _, fall = self._system.step(self._allowed(SETTLED))
+        self.gap = fall / (1 - SLOW) if self._system.robust else fall
+
+    def remove(self, factor: Factor) -> None:
+        """Take out measurements that were given, and settle.
+
+        Raises
+        ------
+        GraphError
+            They were not given, or were taken out before.
+        UnderconstrainedError
+            Something is free without them; they stay.
+        """
+        if not any(factor is given for given in (*self.pending, *(place[0] for place in self._places))):
+            raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate", factor.keys, factor.name)
+        system, gap = self._system.mark(), self.gap
+        weights = [(batch, rows, batch.silence(rows)) for given, _, batch, rows in self._places if given is factor]
+        self._system.renew()
+        try:
+            self.settle()
+        except LeadlineError:
+            for batch, rows, W in weights:
+                batch.weigh(rows, W)
+            self._system.back_to(system)
+            self.gap = gap
+            raise
+        self._places = [place for place in self._places if place[0] is not factor]
+        self._undecided = [given for given in self._undecided if given is not factor]
+        self._arrivals.drop(factor)
+
+    @property
+    def values(self) -> Values:
+        """A copy of the estimate."""
+        return self._system.values
+
+    def __getitem__(self, keys: Keys) -> Array:
+        """The estimate of a variable, or of several of a kind."""
+        variables = self._system.variables.get(keys.kind)
+        if variables is None:
+            raise GraphError(f"{keys[[0]]} is not in the estimate", [keys])
+        X = np.array(variables.X[variables.index(keys)], order="C")
+        return X[0] if keys.single else X
+
+    @property
+    def graph(self) -> FactorGraph:
+        """The measurements that are in the estimate."""
+        models: list[Model] = [
+            f.bind(*(self._system.variables[k.kind].manifold for k in f.keys)) for _, f, _, _ in self._places
+        ]
+        return FactorGraph(joined(models))
+
+    @property
+    def waiting(self) -> tuple[Keys, ...]:
+        """Variables that are measured, and not determined by the measurements so far."""
+        return self._arrivals.waiting
+
+    @property
+    def pending(self) -> tuple[Factor, ...]:
+        """What was given and is not used yet: it waits for a variable, or is too little to hold the map."""
+        return *self._arrivals.pending, *self._undecided
+
+    def covariance(self, keys: Keys, **options: Any) -> Array:
+        """Covariance of a variable, or of several: `Marginals.covariance` at the present values."""
+        return Marginals(self.graph, self.values).covariance(keys, **options)
+
+    @property
+    def linear_solver(self) -> str:
+        """How the factor of A'A takes new rows."""
+        return updatable_class().name
+
+    def __repr__(self) -> str:
+        count = sum(len(variables) for variables in self._system.variables.values())
+        return f"Incremental({count} variables, {len(self._places)} factors, chi2 {self.chi2:.6g}, gap {self.gap:.2g})"

@@ -1,0 +1,294 @@
+"""`nls.Incremental`: after every update its chi2 is within its gap of the batch optimum, and its gap within `tol`."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nls
+import sim
+from factors import Between, Factor, GemanMcClure, Huber, Isotropic, Position, Prior, Range
+from factors.function import FunctionFactor
+from factors.keys import Keys
+from models import SE2, SE3, R
+from models.errors import EvaluationError, GraphError, NoiseModelError, OptionError, UnderconstrainedError
+from nls import FactorGraph, Incremental, Values, kinds
+from nls.incremental import preconditioner
+from nls.linear import cholesky, updatable
+from tests.factors.samples import Sample, full_noise, situation
+from tests.factors.test_conformity import SAMPLES
+
+Array = npt.NDArray[np.float64]
+x, l = kinds("x", "l")
+STEP = Isotropic(0.1)
+
+
+def steps(graph: FactorGraph) -> Iterator[list[Factor]]:
+    """Measurements in the order of their newest pose."""
+    newest = [np.max([k.numbers for k in f.keys if k.kind == "x"], axis=0) for f in graph.factors]
+    for number in np.unique(np.concatenate(newest)).tolist():
+        yield [f[of == number] for f, of in zip(graph.factors, newest, strict=True) if (of == number).any()]
+
+
+def first(values: Values) -> Values:
+    """The first pose of some values."""
+    stack = values.stack("x")
+    return Values({x: (stack.manifold, stack.X[:1], stack.numbers[:1])})
+
+
+def is_optimal(smoother: Incremental) -> None:
+    """chi2 is above its minimum by no more than the gap, and the gap is within the tolerance."""
+    best = smoother.graph.optimize(smoother.values).chi2_final
+    above, allowed = smoother.chi2 - best, smoother.tol * max(smoother.chi2, 1.0)
+    assert smoother.gap <= allowed
+    bound = allowed if any(f.kernel for f in smoother.graph.factors) else 1.05 * smoother.gap
+    assert -1e-9 * max(best, 1.0) <= above <= bound + 1e-9 * max(best, 1.0)
+    np.testing.assert_allclose(smoother.chi2, smoother.graph.chi2(smoother.values), rtol=1e-9, atol=1e-9)
+
+
+def same(smoother: Incremental, result: nls.Result, tolerance: float) -> None:
+    """Every variable is where a batch solution has it."""
+    for kind, stack in result.values.stacks.items():
+        keys = Keys(kind, stack.numbers)
+        np.testing.assert_allclose(stack.manifold.local(stack.X, smoother[keys]), 0, atol=tolerance)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3])
+def test_a_loop_is_at_its_optimum_after_every_step(group: type) -> None:
+    rng = np.random.default_rng(0)
+    world = sim.ring(rng, laps=2, per_lap=25) if group is SE2 else sim.sphere(rng, rings=5, per_ring=12)
+    smoother = Incremental()
+    for k, factors in enumerate(steps(world.graph)):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        if k % 5 == 0:
+            is_optimal(smoother)
+    is_optimal(smoother)
+    assert not smoother.waiting
+    assert len(smoother.graph) == len(world.graph)
+
+
+def test_landmarks_join_when_they_are_determined() -> None:
+    world = sim.subsea(np.random.default_rng(1), laps=1)
+    smoother, waited = Incremental(1e-9), set()
+    for k, factors in enumerate(steps(world.graph)):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        waited |= {repr(keys) for keys in smoother.waiting}
+        if k % 20 == 0:
+            is_optimal(smoother)
+    assert waited == set() or all(name.startswith("l") for name in waited)
+    same(smoother, smoother.graph.optimize(smoother.values), 1e-3)
+
+
+def test_a_range_alone_waits_for_the_third() -> None:
+    beacon = np.array([3.0, 4.0])
+    poses = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0.5], [2, 3, 1.0]])
+    smoother = Incremental(1e-9)
+    smoother.update(Prior(x[0], poses[0], STEP), Values({x: (SE2, poses[:1]), l: (R(2), np.zeros((0, 2)))}))
+    waiting = []
+    for k in range(4):
+        z = np.linalg.norm(beacon - poses[k, :2])
+        walk = [] if k == 0 else [Between(x[k - 1], x[k], SE2.between(poses[k - 1 : k], poses[k : k + 1]), STEP)]
+        smoother.update([*walk, Range(x[k], l[7], z, Isotropic(0.01))])
+        waiting.append([repr(keys) for keys in smoother.waiting])
+    assert waiting == [["l7"], ["l7"], [], []]
+    np.testing.assert_allclose(smoother[l[7]], beacon, atol=1e-6)
+    assert len(smoother.graph) == 8
+
+
+def test_sonar_contacts_online_end_at_the_batch_map() -> None:
+    world = sim.hauv_floor(np.random.default_rng(0), legs=2, per_leg=6)
+    smoother, waited = Incremental(1e-6), 0
+    for k, factors in enumerate(steps(world.graph)):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        waited += len(smoother.waiting)
+    result = world.graph.optimize(nls.initialize(world.graph, world.start)[0])
+    assert waited
+    assert not smoother.waiting
+    same(smoother, result, 1e-3)
+
+
+def test_a_position_without_a_heading_waits_for_another() -> None:
+    smoother = Incremental(1e-9)
+    smoother.update([Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(4)], Values({x: (SE2, [[0.0, 0, 0]])}))
+    smoother.update(Position(x[1], [1.0, 1.0], STEP))
+    assert len(smoother.graph) == 4
+    assert [repr(factor) for factor in smoother.pending] == ["Position(x1)"]
+    np.testing.assert_allclose(smoother[x[4]], [4, 0, 0], atol=1e-9)
+    smoother.update(Position(x[4], [1.0, 4.0], STEP))
+    assert len(smoother.graph) == 6
+    same(smoother, smoother.graph.optimize(smoother.values), 1e-4)
+    np.testing.assert_allclose(smoother[x[4]], [1, 4, np.pi / 2], atol=0.01)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=str)
+def test_every_factor_in_random_order_ends_at_the_batch_solution(sample: Sample) -> None:
+    n, rng = 3, np.random.default_rng(5)
+    X, z = situation(sample, "truth", n, 0)
+    factor = sample.factor(z, full_noise(n, sample.dim, 1))
+    priors = [Prior(keys, Y, Isotropic(0.3)) for keys, Y in zip(factor.keys, X, strict=True)]
+    graph = FactorGraph([factor, *priors])
+    moved = [m.retract(Y, 0.01 * rng.normal(size=(n, m.dim))) for m, Y in zip(sample.manifolds, X, strict=True)]
+    start = sample.values(tuple(moved))
+    pieces = [p for f in graph.factors for p in ([f] if isinstance(f, FunctionFactor) else f)]
+    smoother = Incremental(1e-13)
+    for k in rng.permutation(len(pieces)).tolist():
+        smoother.update(pieces[k], start)
+    assert not smoother.waiting
+    result = graph.optimize(smoother.values, nls.GaussNewton(nls.Stop(update_tol=1e-12, max_iterations=200)))
+    same(smoother, result, 1e-6)
+
+
+@given(st.integers(0, 10**6))
+def test_random_graphs_removals_kernels_and_rebuilds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    world = sim.ring(rng, laps=2, per_lap=int(rng.integers(6, 12)))
+    kernel = [None, Huber(1.0)][int(rng.integers(2))]
+    smoother, removable = Incremental(), []
+    for k, factors in enumerate(steps(world.graph)):
+        new = [f if kernel is None else f.robust(kernel) for f in factors]
+        smoother.update(new, first(world.start) if k == 0 else None)
+        removable += [f for f in new if (abs(f.keys[0].numbers - f.keys[1].numbers) != 1).all()]
+        if removable and rng.random() < 0.2:
+            smoother.remove(removable.pop(int(rng.integers(len(removable)))))
+        if rng.random() < 0.2:
+            smoother._system.renew()
+    is_optimal(smoother)
+
+
+def test_without_room_for_new_variables_it_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = sim.ring(np.random.default_rng(2), laps=1, per_lap=20)
+    monkeypatch.setattr(preconditioner, "RESERVE", 7)
+    smoother = Incremental()
+    for k, factors in enumerate(steps(world.graph)):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+    is_optimal(smoother)
+
+
+def test_without_suitesparse_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(updatable, "cholmod", lambda: None)
+    monkeypatch.setattr(cholesky, "cholmod", lambda: None)
+    world = sim.ring(np.random.default_rng(2), laps=2, per_lap=20)
+    smoother = Incremental()
+    for k, factors in enumerate(steps(FactorGraph([world.graph.factors[0]]))):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+        last = factors[0]
+    closures = world.graph.factors[1]
+    smoother.update(closures[(closures.keys[0].numbers != 39) & (closures.keys[1].numbers != 39)])
+    is_optimal(smoother)
+    assert "SuperLU" in smoother.linear_solver
+    with pytest.raises(UnderconstrainedError, match="x39"):
+        smoother.remove(last)
+    is_optimal(smoother)
+
+
+def test_it_is_saved_and_goes_on() -> None:
+    world = sim.ring(np.random.default_rng(6), laps=2, per_lap=20)
+    smoothers = [Incremental()]
+    for k, factors in enumerate(steps(world.graph)):
+        if k == 25:
+            smoothers.append(pickle.loads(pickle.dumps(smoothers[0])))
+        for smoother in smoothers:
+            smoother.update(factors, first(world.start) if k == 0 else None)
+    for smoother in smoothers:
+        is_optimal(smoother)
+    np.testing.assert_allclose(*(smoother.values[x] for smoother in smoothers), atol=1e-2)
+
+
+def test_a_wrong_closure_is_taken_out() -> None:
+    world = sim.ring(np.random.default_rng(3), laps=2, per_lap=20)
+    wrong = Between(x[3], x[15], [5.0, 0, 1], Isotropic(0.05))
+    smoother = Incremental(1e-9)
+    smoother.update([*world.graph.factors, wrong], first(world.start))
+    bent = smoother.chi2
+    smoother.remove(wrong)
+    assert smoother.chi2 < bent / 2
+    same(smoother, world.graph.optimize(smoother.values), 1e-4)
+    with pytest.raises(GraphError, match=r"Between.*is not in the estimate"):
+        smoother.remove(wrong)
+
+
+def test_what_would_be_free_stays() -> None:
+    smoother = Incremental()
+    walk = [Between(x[k], x[k + 1], [1.0, 0, 0], STEP) for k in range(3)]
+    smoother.update(walk, Values({x: (SE2, [[0.0, 0, 0]])}))
+    before = smoother.values
+    with pytest.raises(UnderconstrainedError, match="x3"):
+        smoother.remove(walk[2])
+    assert (smoother[x[3]] == before[x[3]]).all()
+    assert len(smoother.graph) == 3
+    smoother.update(Between(x[0], x[3], [3.0, 0.1, 0], STEP))
+    is_optimal(smoother)
+
+
+def test_a_measurement_that_waits_can_be_taken_back() -> None:
+    smoother = Incremental()
+    smoother.update(Prior(x[0], [0.0, 0, 0], STEP), Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), np.zeros((0, 2)))}))
+    ranges = Range(x[0], l[1], 2.0, STEP)
+    smoother.update(ranges)
+    assert [repr(keys) for keys in smoother.waiting] == ["l1"]
+    assert smoother.pending == (ranges,)
+    smoother.remove(ranges)
+    assert not smoother.waiting
+    assert not smoother.pending
+
+
+def test_a_redescending_kernel_from_the_first_measurement_on() -> None:
+    world = sim.ring(np.random.default_rng(4), laps=2, per_lap=20)
+    wrong = Between(x[[2, 5]], x[[30, 22]], [[9.0, 0, 1], [0, 9, 2]], Isotropic(0.05)).robust(GemanMcClure(2.0))
+    smoother = Incremental()
+    for k, factors in enumerate(steps(FactorGraph([*world.graph.factors, wrong]))):
+        smoother.update(factors, first(world.start) if k == 0 else None)
+    is_optimal(smoother)
+    assert (wrong.weights(smoother.values) < 0.1).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error"),
+    [
+        ("Between(x0, x1)", GraphError),
+        (Between(x[1], x[2], [1.0, 0, 0], Isotropic([0.1, 0.2, 0.3])), NoiseModelError),
+        (Between(x[1], x[2], [1.0, 0], STEP), GraphError),
+        (Between(x[0], x[1], [1e308, 0, 0], STEP), EvaluationError),
+        (Prior(l[1], [0.0, 0, 0], STEP), GraphError),
+    ],
+    ids=["text", "noise", "size", "beyond numbers", "space"],
+)
+def test_after_a_refused_update_all_is_as_before(wrong: Factor, error: type[Exception]) -> None:
+    smoother = Incremental()
+    known = Values({x: (SE2, [[0.0, 0, 0]]), l: (R(2), [[1.0, 1.0]])})
+    smoother.update([Between(x[0], x[1], [1.0, 0, 0], STEP), Prior(l[0], [1.0, 1.0], STEP)], known)
+    before, chi2 = smoother.values, smoother.chi2
+    with pytest.raises(error):
+        smoother.update([Between(x[0], x[1], [1.1, 0, 0], STEP), wrong])
+    assert smoother.values.stack("x").X.shape == before.stack("x").X.shape
+    assert smoother.chi2 == chi2
+    assert len(smoother.graph) == 2
+    assert not smoother.waiting
+    smoother.update(Between(x[0], x[1], [1.1, 0, 0], STEP))
+    is_optimal(smoother)
+
+
+def test_options_and_unknown_variables_are_refused() -> None:
+    for tol in (0, 1, -1e-3, "1e-3", None):
+        with pytest.raises(OptionError, match="tol"):
+            Incremental(tol)  # type: ignore[arg-type]
+    smoother = Incremental()
+    with pytest.raises(GraphError, match="x0 is not in the estimate"):
+        smoother[x[0]]
+    smoother.update([], Values({x: (SE2, [[0.0, 0, 0]])}))
+    with pytest.raises(GraphError, match="x is in SE2, its start values are in SE3"):
+        smoother.update([], Values({x: (SE3, SE3.identity())}))
+
+
+def test_covariances_are_those_of_the_batch() -> None:
+    world = sim.ring(np.random.default_rng(5), laps=1, per_lap=15)
+    smoother = Incremental(1e-9)
+    smoother.update(list(world.graph.factors), first(world.start))
+    expected = nls.Marginals(smoother.graph, smoother.values).covariance(x[7], frame="body")
+    np.testing.assert_allclose(smoother.covariance(x[7], frame="body"), expected, rtol=1e-9)

@@ -1,0 +1,35 @@
+"""Factorizations that take new rows against dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from nls.linear.cholesky import cholmod
+from nls.linear.singular import SingularSystemError
+from nls.linear.updatable import Refactorized, Updatable, Updated
+
+both = pytest.mark.parametrize("kind", [Updated, Refactorized] if cholmod() else [Refactorized])
+
+
+@both
+def test_rows_are_added(kind: type[Updatable]) -> None:
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(12, 8)) * (rng.random((12, 8)) < 0.4) + np.eye(12, 8)
+    H = A.T @ A
+    factor, g = kind(sp.csc_matrix(np.tril(H))), rng.normal(size=8)
+    np.testing.assert_allclose(factor.solve(g), np.linalg.solve(H, g), rtol=1e-9)
+    for _ in range(3):
+        C = np.zeros((8, 2))
+        C[rng.choice(8, 3, replace=False)] = rng.normal(size=(3, 2))
+        factor.add(sp.csc_matrix(C))
+        H = H + C @ C.T
+        np.testing.assert_allclose(factor.solve(g), np.linalg.solve(H, g), rtol=1e-8)
+
+
+@both
+def test_what_is_not_positive_definite_is_refused(kind: type[Updatable]) -> None:
+    for H in (np.zeros((2, 2)), np.array([[1.0, 1.0], [1.0, 1.0]]), np.diag([1.0, -1.0])):
+        with pytest.raises(SingularSystemError):
+            kind(sp.csc_matrix(np.tril(H)))
