@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import nls
-from factors import Between, Diagonal, Factor, Huber, Isotropic, Prior
+from factors import Between, Diagonal, Factor, Huber, Information, Isotropic, Prior
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array
 from models.errors import OptionError, UnderconstrainedError
@@ -307,6 +307,9 @@ def test_what_is_free_is_said_without_a_step() -> None:
 def test_unknowns_without_measurement_are_refused(name: str) -> None:
     graph = FactorGraph([Prior(p[0], [1.0, 0.0], Isotropic(0.1), components=["x"])])
     with pytest.raises(UnderconstrainedError, match="p0: y"):
+        graph.optimize(Values({p: (R(2), [[0.0, 0.0]])}), OPTIMIZERS[name]())
+    graph = FactorGraph([Prior(p[0], [0.0, 0.0], Information([[1.0, 1.0], [1.0, 1.0]]))])  # a row of W without weight
+    with pytest.raises(UnderconstrainedError, match="1 direction free: x, y of the variable p0"):
         graph.optimize(Values({p: (R(2), [[0.0, 0.0]])}), OPTIMIZERS[name]())
     graph, start = scalar(lambda X: np.full_like(X, 2.0), 1.0, lambda X: np.zeros((1, 1, 1)))
     with pytest.raises(UnderconstrainedError, match="p0"):

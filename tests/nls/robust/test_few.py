@@ -63,6 +63,13 @@ def test_copies_of_a_closure_neither_support_it_nor_tell_the_noise(track: tuple[
     assert neighbors(pose_graph.closures, pose_graph.odometry, values[x]).support.tolist() == [1, 0, 1]
 
 
+def test_passing_are_the_closures_that_odometry_allows(track: tuple[Between, Values]) -> None:
+    odometry, values = track
+    two = closures(values, [0, 15], [30, 39], np.array([[0.02], [30.0]]))
+    pose_graph = loop_graph(FactorGraph([odometry, two]), values)
+    assert neighbors(pose_graph.closures, pose_graph.odometry, values[x]).passing == 0.5
+
+
 def test_the_weights_that_say_nothing_are_named(track: tuple[Between, Values]) -> None:
     odometry, values = track
     loops = closures(values, [0, 1, 2], [37, 38, 39], 0.0)

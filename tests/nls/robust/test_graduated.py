@@ -21,6 +21,7 @@ from nls.robust.groups import FITS, WIDE, misfits, witnesses
 from nls.robust.kernels import GemanMcClureSquares, TruncatedSquares
 from nls.robust.loop_graph import loop_graph
 from nls.robust.paths import path_covariances
+from nls.robust.truncated_least_squares import lowest
 
 (x,) = kinds("x")
 RNG = np.random.default_rng
@@ -76,6 +77,7 @@ def test_graduated_kernels_slope_as_they_weigh_and_end_where_they_should() -> No
     truncated, squares = TruncatedSquares(2.0), GemanMcClureSquares(2.0)
     truncated.begin(400.0)
     squares.begin(400.0)
+    assert (truncated.mu, squares.mu) == (4 / (2 * 400 - 4), 2 * 400 / 4)
     assert (truncated.weight(S) > 0).all()
     assert (squares.weight(S) > 0.4).all()
     for kernel in (truncated, squares):
@@ -118,6 +120,15 @@ def test_the_shortest_path_is_taken_through_a_closure() -> None:
     values = Values({x: (SE2, np.c_[np.arange(21.0), np.zeros((21, 2))])})
     P = path_covariances(loop_graph(graph, values).edges, values[x], np.array([0]), np.array([20]), 1.0)[0]
     assert P[2, 2] == pytest.approx(0.1**2 + 0.2**2 + 0.1**2)
+
+
+def test_the_lowest_optimum_is_that_of_the_better_start() -> None:
+    world = sim.ring(RNG(0), laps=3, per_lap=30)
+    turned = world.truth.replaced({"x": SE2.retract(world.truth[x], RNG(1).normal(size=(90, 3)) * [0, 0, 2.5])})
+    right = world.graph.optimize(world.truth).chi2_final
+    assert world.graph.optimize(turned).chi2_final > 10 * right
+    for values in (turned, world.truth):
+        assert lowest(world.graph, values).chi2_final == pytest.approx(right, rel=1e-3)
 
 
 def test_neighbors_support_each_other_and_tell_the_noise(city: sim.World) -> None:
@@ -189,6 +200,7 @@ def test_exactly_the_wrong_closures_are_rejected(city: sim.World, loss: str, cou
     assert [each.sigmas for each in found.rejected] == sorted((each.sigmas for each in found.rejected), reverse=True)
     assert sum(int((1 - w).sum()) for w in found.weights) == len(found.rejected) == len(graph) - len(found.graph)
     assert 0.5 < found.strain < 2
+    assert found.strain * found.local == pytest.approx(np.sqrt(found.result.chi2_final / found.result.dof))
     spoiled, clean = graph.optimize(nls.initialize(graph, city.truth)[0]).values, city.graph.optimize(city.truth).values
     assert nls.metrics.ate(spoiled[x], clean[x], "rigid").rmse > 1
 

@@ -1,0 +1,188 @@
+"""A map while the vehicle drives: `nls.Incremental` beside iSAM2, a pose at a time, every run a fresh process.
+
+    LEADLINE_DATA=DIR python benchmarks/incremental.py [--sets NAME ...] [--rounds 3] [--gtsam PYTHON] [--out DIR]
+
+Both give the newest pose at every step and all poses at every tenth. At every fiftieth chi2 is compared with the
+minimum of what was measured up to then: the lower of a batch solution from the present poses and from a chordal start.
+Where GTSAM is missing our side runs alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pinv import ONE_THREAD, RESULTS, machine, write_page
+from posegraphs import SETS, prepare
+
+Array = npt.NDArray[np.float64]
+NAMES = ("intel", "manhattan", "input_M3500", "city10000", "sphere2500")
+SETTINGS = ((0.1, 10), (0.1, 1), (0.01, 10), (0.01, 1))  # relinearization threshold and skip of iSAM2
+TOL, CHECK, WHOLE = 1e-3, 50, 10
+PATIENCE = 900.0  # s; a longer run is ended
+
+
+def steps(graph: Any) -> dict[int, list[Any]]:
+    """Measurements by the newest of their poses."""
+    arriving: dict[int, list[Any]] = {}
+    for factor in graph.factors:
+        newest = np.max([keys.numbers for keys in factor.keys], axis=0)
+        order = np.argsort(newest, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(newest[order])) + 1):
+            arriving.setdefault(int(newest[rows[0]]), []).append(factor[rows])
+    return {number: arriving[number] for number in sorted(arriving)}
+
+
+def drive(path: str, out: str) -> None:
+    """Our side, in a process of its own."""
+    import nls
+
+    graph, values, _ = nls.load(path)
+    (x,) = nls.kinds("x")
+    stack = values.stack("x")
+    graph.pattern(values)  # bound, as GTSAM's factors are when they are read
+    arriving = steps(graph)
+    smoother = nls.Incremental(TOL)
+    smoother.update([], nls.Values({x: (stack.manifold, stack.manifold.identity(), stack.numbers[:1])}))
+    seconds, gaps, kept = [], [], {}
+    for n, (number, factors) in enumerate(arriving.items()):
+        began = process_time()
+        smoother.update(factors)
+        smoother[x[number]]
+        if n % WHOLE == 0:
+            smoother.values  # noqa: B018
+        seconds.append(process_time() - began)
+        if n % CHECK == 0 or n == len(arriving) - 1:
+            poses = smoother.values.stack("x")
+            kept[f"X{number}"] = poses.X[np.argsort(poses.numbers)]
+            gaps.append(smoother.gap)
+    np.savez(out, seconds=seconds, gaps=gaps, **kept)
+
+
+def above(graph: Any, values: Any, kept: dict[int, Array]) -> Array:
+    """chi2 above its minimum (k, 2) at some steps, of what was measured up to then: the part, and the number."""
+    import nls
+
+    numbers, best = np.sort(values.stack("x").numbers), {}
+    out = []
+    for number, X in kept.items():
+        masks = [np.max([keys.numbers for keys in factor.keys], axis=0) <= number for factor in graph.factors]
+        prefix = graph.only(masks)
+        (x,) = nls.kinds("x")
+        here = nls.Values({x: (values.stack("x").manifold, X, numbers[numbers <= number])})
+        starts = (here, nls.starts.chordal(prefix, here))
+        best[number] = min(prefix.optimize(start).chi2_final for start in starts)
+        chi2 = prefix.chi2(here)
+        out.append(((chi2 - best[number]) / max(best[number], 1.0), chi2 - best[number]))
+    return np.array(out)
+
+
+def run(command: list[str], out: Path) -> dict[str, Any] | None:
+    """What a child left; None where it failed or took too long."""
+    try:
+        subprocess.run(command, check=True, timeout=PATIENCE, env=os.environ | ONE_THREAD, capture_output=True)
+    except subprocess.TimeoutExpired:
+        return None
+    except subprocess.CalledProcessError as error:
+        print(error.stderr.decode()[-500:], file=sys.stderr)
+        return None
+    with np.load(out) as file:
+        return dict(file)
+
+
+def row(name: str, title: str, found: list[dict[str, Any]], off: Array, ratio: str) -> str:
+    """A line of the table: medians over the rounds."""
+    totals = [float(f["seconds"].sum()) for f in found]
+    ms = 1e3 * np.median([f["seconds"] for f in found], axis=0)
+    honest = ""
+    if "gaps" in found[-1]:
+        gaps = found[-1]["gaps"]
+        honest = f"{int((off[:, 1] > gaps + 1e-9).sum())} of {len(gaps)}"
+    cells = [
+        name,
+        title,
+        f"{np.median(totals):.2f}",
+        ratio,
+        f"{ms.mean():.2f}",
+        f"{np.quantile(ms, 0.99):.1f}",
+        f"{ms.max():.0f}",
+        f"{100 * off[:, 0].max():.2g} %",
+        f"{100 * off[-1, 0]:.2g} %",
+        honest,
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def measured(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
+    """The rows of a set: ours, and iSAM2 with each setting."""
+    problem = prepare(name, folder, os.environ["LEADLINE_DATA"])
+    path, out = problem.files.graph, folder / "run.npz"
+    commands = {"leadline": [sys.executable, __file__, "--drive", str(path), str(out)]}
+    for threshold, skip in SETTINGS if options.gtsam else ():
+        script = Path(__file__).parent / "peers" / "isam2.py"
+        numbers = [str(value) for value in (threshold, skip, CHECK, WHOLE)]
+        commands[f"iSAM2 {threshold:g}, {skip}"] = [options.gtsam, str(script), str(path), str(out), *numbers]
+    found: dict[str, list[dict[str, Any]]] = {title: [] for title in commands}
+    for _ in range(options.rounds):
+        for title, command in commands.items():
+            if (result := run(command, out)) is not None:
+                found[title].append(result)
+    found = {title: results for title, results in found.items() if results}
+    total = {title: float(np.median([r["seconds"].sum() for r in results])) for title, results in found.items()}
+    fastest = min((total[title] for title in total if title != "leadline"), default=float("nan"))
+    rows = []
+    for title, results in found.items():
+        convention = "g2o" if title == "leadline" else "gtsam"
+        kept = {int(key[1:]): X for key, X in results[-1].items() if key.startswith("X")}
+        off = above(problem.graphs[convention], problem.values, kept)
+        ratio = f"{total[title] / fastest:.2f}" if title == "leadline" and fastest == fastest else ""
+        rows.append(row(name, title, results, off, ratio))
+        print(rows[-1], flush=True)
+    return rows
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(NAMES), metavar="NAME", help="of public graphs")
+    parser.add_argument("--rounds", type=int, default=3, help="runs of each, interleaved (default 3)")
+    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="for incremental.md")
+    parser.add_argument("--drive", nargs=2, metavar=("GRAPH", "OUT"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.drive:
+        drive(*options.drive)
+        return 0
+    if not os.environ.get("LEADLINE_DATA"):
+        print("incremental: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
+        return 0
+    head = machine()
+    titles = "set|smoother|s|ours / fastest|mean, ms|p99|largest|above at most|above in the end|beyond its gap"
+    lines = [
+        "# While the vehicle drives",
+        "",
+        *head,
+        f"- rounds: {options.rounds}, a fresh process for every run, interleaved; medians; processor time, one thread",
+        "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, factorization by QR",
+        f"- above: chi2 above the batch minimum at every {CHECK}th step; beyond its gap: how often by more than the",
+        "  smoother's own bound",
+        "",
+        "| " + titles.replace("|", " | ") + " |",
+        "|:--|:--|" + "--:|" * (titles.count("|") - 1),
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.sets:
+            lines += measured(name, options, Path(folder))
+    write_page(lines, options.out / "incremental.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
