@@ -4,6 +4,8 @@ A beam is fan / beams wide, a bin (far - near) / bins long, and a contact is kno
 evenly over a cell of width w has the standard deviation w / sqrt(12). Finding a contact in a real image is worse than
 that; `quality` is how many times worse, and is the user's to say.
 
+What it measures of a point, and the Jacobian of that, is `models.sensors.spherical.range_azimuth`.
+
 Every other sonar is its numbers, and a range window is set with `dataclasses.replace`:
 
     my_sonar = ImagingSonar("mine", beams=256, bins=1000, fan=radians(90), aperture=radians(15), window=(0.5, 20.0))

@@ -1,5 +1,7 @@
 """Angles of a file that are more than a turn: they are read as they are, and said, for they may be degrees.
 
+Bearings made in Python are looked at by `factors.sighting`.
+
 Those of measurements are a warning, those of vertices, whose yaw may count its turns, a note.
 """
 

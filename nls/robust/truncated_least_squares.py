@@ -14,6 +14,7 @@ from nls.graph import FactorGraph
 from nls.linear import best_decomposition
 from nls.optimizers import Optimizer, Result, Status
 from nls.robust.kernels import LOSSES, Graduated
+from nls.robust.loop_graph import LoopGraph
 from nls.sparse.fill import fill_in
 from nls.starts import chordal
 from nls.values import Values
@@ -117,6 +118,11 @@ class Truncated:
         graph = self.graph.only(inliers)
         result = graph.optimize(choice.result.values)
         return self.chosen(result, graph, inliers, self._s(result.values))
+
+    def among(self, choice: Choice, loops: LoopGraph, right: Mask) -> Choice:
+        """The optimum of those of a choice that are among some closures (m,)."""
+        masks = loops.masks(loops.accepted(choice.inliers) & right)
+        return self.without(choice, [a & b for a, b in zip(choice.inliers, masks, strict=True)])
 
     def _s(self, values: Values) -> list[Array]:
         return [factor.chi2(values) for factor in self.graph.factors]

@@ -1,4 +1,7 @@
-"""When an estimate from chosen closures is doubtful: too little was kept, or what was kept does not fit together."""
+"""When an estimate from chosen closures is doubtful: too little was kept, or what was kept does not fit together.
+
+Every kind of doubt, its sentence, its bound and what decides it.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,30 @@ from enum import Enum
 
 import numpy as np
 
+from models.algebra import Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.metrics import displacements
 from nls.optimizers import Result
+from nls.robust.consistency import unit_variance
+from nls.robust.groups import Witness, misfits
 from nls.robust.loop_graph import LoopGraph
+from nls.robust.truncated_least_squares import Choice, Truncated
 from nls.values import Values
 
-__all__ = ["Doubt", "DoubtKind", "doubts", "shift"]
+__all__ = ["Doubt", "DoubtKind", "Evidence", "doubts", "noise", "preselected", "shift", "strain"]
 
 HALF = 0.5  # of the doubted measurements, of the steps between closures
 TAIL = 0.025  # of chi2 to be larger by noise
 TWICE = 2.0  # chi2 over degrees of freedom
+UNLIKELY = 0.05  # of chi2 to be smaller, or larger
+STILL = 0.005  # of the extent: a map that moves less is the same
+STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9 to 2.35
+CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
+MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
+QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
+SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
+NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
+RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 
 
 class DoubtKind(Enum):
@@ -82,3 +98,101 @@ def shift(loops: LoopGraph, before: Values, after: Values) -> float:
     p, q = (loops.places(values) for values in (before, after))
     extent = float(np.ptp(p, axis=0).max()) if p.shape[1] else 0.0
     return float(np.sqrt(np.square(displacements(p, q)).mean())) / extent if extent else 1.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A choice among loop closures, and what speaks against it.
+
+    Attributes
+    ----------
+    rivals : other choices, in the order of their cost.
+    variance : what the squares of the stated sigmas were multiplied by for the threshold.
+    judged : the groups of the choice, judged by its other closures.
+    moved : part of its extent by which the map moves without the contradicted groups.
+    """
+
+    problem: Truncated
+    loops: LoopGraph
+    choice: Choice
+    rivals: list[Choice]
+    variance: float
+    judged: list[Witness]
+    moved: float
+
+
+def preselected(evidence: Evidence, probability: float) -> list[Doubt]:
+    """Reasons to doubt a choice among loop closures."""
+    loops, result, moved = evidence.loops, evidence.choice.result, evidence.moved
+    inliers = loops.accepted(evidence.choice.inliers)
+    m, n = len(inliers), int(inliers.sum())
+    reasons = doubts(result, n, m, probability)
+    span, spans = loops.spanned(inliers), loops.spanned(np.ones(m, dtype=bool))
+    if span < HALF * spans:
+        reasons.append(Doubt(DoubtKind.DEAD_RECKONING, span, spans))
+    if moved > STILL:
+        count = int(misfits(evidence.judged, result, loops).sum())
+        reasons.append(Doubt(DoubtKind.CONTRADICTED, count, n, fraction=moved))
+    reasons += [*_alone(evidence, inliers), *_rivals(evidence), *_unchecked(evidence, inliers)]
+    if (ratio := strain(loops, result)) > STRAIN:
+        reasons.append(Doubt(DoubtKind.STRAINED, number=ratio))
+    small = loops.neighbors.typical > 1 and _sigmas(result) > QUIET
+    if small and (reasons or n < MANY * m):
+        reasons.append(Doubt(DoubtKind.SIGMAS, number=loops.neighbors.typical))
+    return reasons
+
+
+def strain(loops: LoopGraph, result: Result) -> float:
+    """Noise of an optimum over the typical one between neighbors, or the stated one if that is less."""
+    return _sigmas(result) / min(loops.neighbors.typical, 1.0)
+
+
+def _unchecked(evidence: Evidence, inliers: Mask) -> list[Doubt]:
+    """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
+    _, sizes = np.unique(evidence.loops.neighbors.cluster[~inliers], return_counts=True)
+    alike = (sizes > 1).any()
+    chances = [w.chance if alike or len(w.members) == 1 else 0.0 for w in evidence.judged]
+    mean = float(np.mean(chances or [0.0]))
+    chosen = not inliers.all() or len(chances) > SOLE
+    return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > CHANCE and chosen else []
+
+
+def _alone(evidence: Evidence, inliers: Mask) -> list[Doubt]:
+    """Whether the closures (m,) that agree with no neighbor are much noisier than all else without them.
+
+    Where the stated sigmas are too large wrong closures fit, and right ones fit much better. One by one the wrong ones
+    hide each other, so they are left out together.
+    """
+    loops, result = evidence.loops, evidence.choice.result
+    alone = inliers & (loops.neighbors.support == 0)
+    if not alone.any() or alone.sum() == inliers.sum():
+        return []
+    other = evidence.problem.among(evidence.choice, loops, ~alone).result
+    if not 0 < other.dof < result.dof:
+        return []
+    ratio = (result.chi2_final - other.chi2_final) / (result.dof - other.dof) / noise(other)
+    if ratio <= NOISIER**2 or (moved := shift(loops, result.values, other.values)) <= AWAY:
+        return []
+    count, total = int(alone.sum()), int(inliers.sum())
+    return [Doubt(DoubtKind.ALONE, count, total, number=float(np.sqrt(ratio)), fraction=moved)]
+
+
+def _rivals(evidence: Evidence) -> list[Doubt]:
+    """The first choice that fits nearly as well, but for a different map."""
+    c2 = evidence.variance * max(evidence.problem.c2)
+    for rival in evidence.rivals[1:]:
+        worse = (rival.cost - evidence.rivals[0].cost) / c2
+        away = shift(evidence.loops, evidence.choice.result.values, rival.result.values)
+        if worse <= RIVAL and away > AWAY:
+            return [Doubt(DoubtKind.RIVAL, number=worse, fraction=away)]
+    return []
+
+
+def _sigmas(result: Result) -> float:
+    """Noise of an optimum, in the stated sigmas."""
+    return float(np.sqrt(result.chi2_final / max(result.dof, 1)))
+
+
+def noise(result: Result) -> float:
+    """chi2 over its 5 % quantile, as of few numbers it may be small by chance; 1 where all fit exactly."""
+    return unit_variance(result.chi2_final / chi2_gate(max(result.dof, 1), UNLIKELY))

@@ -15,7 +15,7 @@ from models.algebra import Index, Mask
 
 __all__ = ["Elimination", "Eliminations", "Order"]
 Order = Callable[[Index, Index, int], Index]
-"""(u, v, V) -> order of elimination (V,): every pair once, u > v, by rising v and then u."""
+"""(u, v, V) -> order of elimination (V,), such as `Cholmod.order`: every pair once, u > v, by rising v and then u."""
 
 
 class Elimination:

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 
 from models import errors
+from models.advice import Advice, listed
 
 SECOND_BASES = {
     "GraphFileError": ValueError,
@@ -70,6 +71,16 @@ def test_attributes() -> None:
     assert (limit.needed, limit.limit, limit.subject) == (2e9, 1e9, "A")
     singular = errors.SingularGeometryError("m", "Range", ["l1"])
     assert (singular.factor, singular.keys) == ("Range", ("l1",))
+
+
+def test_advice_is_python_unless_the_shell_asks() -> None:
+    cures = [Advice("qr"), Advice("gauge")]
+    python = ["keep twice the digits: linear_solver=nls.QR()", "hold one pose of every part: gauge='first'"]
+    assert listed(cures) == [cure.words() for cure in cures] == python
+    assert listed(cures, shell=True) == [
+        "keep twice the digits: --linear-solver qr",
+        "hold one pose of every part: --gauge first",
+    ]
 
 
 def test_an_error_from_another_process_is_the_same() -> None:

@@ -55,6 +55,8 @@ def test_noise_free_measurements_are_met(name: str) -> None:
         start[0] = X[0]
         result = FactorGraph([chain, closure]).optimize(Values({x: (group, start)}), OPTIMIZERS[name]())
         assert result.converged
+        laps = sum(it.seconds["linearize"] for it in result.history)
+        assert 0 < laps == pytest.approx(result.timings["linearize"])
         assert distance(group, X, result.values[x]) < 1e-6
         start[1:] = X[:1]
         result = FactorGraph([chain]).optimize(Values({x: (group, start)}), OPTIMIZERS[name]())

@@ -13,7 +13,7 @@ import sim
 from factors import Between, Diagonal
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
-from nls.robust import DoubtKind, exchange
+from nls.robust import DoubtKind, exchange, verdict
 from nls.robust import preselection as preselection_module
 from nls.robust.exchange import exchanged
 from nls.robust.loop_graph import loop_graph
@@ -58,7 +58,7 @@ def test_more_than_half_wrong_is_doubtful(
     assert found.weights[1].all()
     assert not found.weights[2].any()
     assert [doubt.kind for doubt in found.doubts] == expected
-    quiet = np.sqrt(found.result.chi2_final / found.result.dof) < preselection_module.QUIET
+    quiet = np.sqrt(found.result.chi2_final / found.result.dof) < verdict.QUIET
     assert quiet == (times == 2.0)
     if expected:
         assert str(found.doubts[0]) == f"{loops} of {4 * loops} doubted measurements were kept, less than half"
