@@ -68,7 +68,7 @@ def test_caves(data: Path, logs: Any) -> None:
     """
     log = read_caves(data / "underwater-caves")
     track, legs = logs.caves(log)
-    assert (len(log.t), int(log.valid.sum())) == (5564, 5082)
+    assert (len(log.t), int(log.valid.sum()), log.t_track[0]) == (5564, 5082, 0.0)
     gaps = np.diff(log.t[log.valid])
     lost = np.diff(np.flatnonzero(log.valid)) > 1
     inside = gaps[lost].sum()
