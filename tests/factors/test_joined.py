@@ -21,6 +21,7 @@ from factors import (
     Robust,
     Wheels,
 )
+from factors.base import Model
 from factors.joined import joined
 from models import SE2, R
 from nls import FactorGraph, Values, kinds
@@ -81,6 +82,22 @@ def test_what_differs_stays_apart() -> None:
     fewer = together(factors)
     assert [len(f) for f in fewer] == [2, 1, 1, 2, 1, 1, 1, 1, 1, 1]
     close(rows(fewer), rows(factors), rtol=1e-10, atol=1e-9)
+
+
+class Tagged(BearingRange):
+    """A factor with an attribute that all of its measurements share."""
+
+    tag: object = None
+
+    def tagged(self, tag: object) -> Model:
+        self.tag = tag
+        return self.bind(SE2, R(2))
+
+
+def test_what_is_shared_is_equal_in_a_batch() -> None:
+    tags = [np.array([1.0, 2.0]), np.array([1.0, 2.0]), np.array([1.0, 3.0]), 2.0, 2.0]
+    models = [Tagged(x[0], l[0], [1.0, 0.1], Isotropic(0.1)).tagged(tag) for tag in tags]
+    assert [len(f) for f in joined(models)] == [2, 1, 2]
 
 
 def test_each_measurement_keeps_its_offset() -> None:
