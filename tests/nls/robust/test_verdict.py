@@ -10,7 +10,7 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Diagonal
+from factors import Between, Diagonal, Prior
 from models import SE2, SE3, LieGroup, R
 from nls import FactorGraph, Values, kinds
 from nls.robust import DoubtKind, exchange, verdict
@@ -164,6 +164,12 @@ def test_neighbors_less_noisy_than_stated_do_not_condemn_a_long_way(monkeypatch:
     assert not spoiled.weights[2].any()
 
 
+def test_where_noise_explains_all_closures_none_is_grown(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = sim.sphere(np.random.default_rng(0), rings=8, per_ring=16)
+    monkeypatch.setattr(preselection_module, "grown", None)
+    assert not nls.gnc(world.graph, world.start).rejected
+
+
 def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = np.arange(19)
     odometry = Between(x[steps], x[steps + 1], np.ones((19, 1)), Diagonal([1.0]))
@@ -179,5 +185,9 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypa
     assert [mask.all() for mask in choice.inliers] == [True, True, False]
     assert choice.cost == pytest.approx(6.6, rel=1e-6)
     assert all(other.cost >= choice.cost * (1 - 1e-3) for other in others)
+    offset = Prior(x[[0, 0]], [[-100.0], [100.0]], Diagonal([1.0]))  # adds the same to every cost
+    dear = Truncated(FactorGraph([*graph.factors, offset]), [*doubted, np.zeros(2, bool)], [6.6] * 4)
+    best = dear.settled(choice.result.values)
+    assert exchanged(dear, loop_graph(dear.graph, values), best)[0] is best
     monkeypatch.setattr(exchange, "MANY", 3)  # where more are there, each is checked by others
     assert exchanged(problem, loops, start) == (start, [])

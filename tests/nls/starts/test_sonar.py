@@ -357,7 +357,8 @@ def test_bad_options_are_refused_by_name() -> None:
     for bad in (np.nan, 4.0, -np.pi / 2, "a", None, np.array([0.1, 0.2])):
         with pytest.raises(OptionError, match="first_sighting: elevation"):
             first_sighting(empty, Values(), elevation=bad)  # type: ignore[arg-type]
-    for name, wrong in (("limit", (7.0, "a")), ("steps", (0, 1.5, True))):
+    assert search_elevation(empty, Values(), limit=1.57).stacks == {}
+    for name, wrong in (("limit", (7.0, 1.58, "a")), ("steps", (0, 1.5, True))):
         for value in wrong:
             with pytest.raises(OptionError, match=f"search_elevation: {name}: {value!r}"):
                 search_elevation(empty, Values(), **{name: value})  # type: ignore[arg-type]
