@@ -71,17 +71,16 @@ def above(graph: Any, values: Any, kept: dict[int, Array]) -> Array:
     """chi2 above its minimum (k, 2) at some steps, of what was measured up to then: the part, and the number."""
     import nls
 
-    numbers, best = np.sort(values.stack("x").numbers), {}
-    out = []
+    numbers, out = np.sort(values.stack("x").numbers), []
+    (x,) = nls.kinds("x")
     for number, X in kept.items():
         masks = [np.max([keys.numbers for keys in factor.keys], axis=0) <= number for factor in graph.factors]
         prefix = graph.only(masks)
-        (x,) = nls.kinds("x")
         here = nls.Values({x: (values.stack("x").manifold, X, numbers[numbers <= number])})
         starts = (here, nls.starts.chordal(prefix, here))
-        best[number] = min(prefix.optimize(start).chi2_final for start in starts)
-        chi2 = prefix.chi2(here)
-        out.append(((chi2 - best[number]) / max(best[number], 1.0), chi2 - best[number]))
+        best = min(prefix.optimize(start).chi2_final for start in starts)
+        off = prefix.chi2(here) - best
+        out.append((off / max(best, 1.0), off))
     return np.array(out)
 
 

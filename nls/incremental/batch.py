@@ -74,12 +74,10 @@ class GrowingBatch:
 
     def keep(self, n: int) -> None:
         """Forget all measurements but the first n."""
-        for part in (*self._numbers, *self._index, *self._own.values(), *self._parts()):
+        arrays = self._z, self._W, self._A, self._columns, self._b, self._cost
+        for part in (*self._numbers, *self._index, *self._own.values(), *arrays):
             part.keep(n)
         self._linearized, self._sparse = min(self._linearized, n), None
-
-    def _parts(self) -> list[Growing]:
-        return [self._z, self._W, self._A, self._columns, self._b, self._cost]
 
     def catch_up(self) -> float:
         """Linearize what has come since the last time; its cost."""
@@ -100,13 +98,8 @@ class GrowingBatch:
         self._W.rows[rows] = W
         self.linearize(rows)
 
-    @property
-    def model(self) -> Model:
-        """All of the measurements; views of the arrays that grow."""
-        return self._part(slice(None))
-
-    def _part(self, rows: slice) -> Model:
-        """Some of the measurements."""
+    def model(self, rows: slice = slice(None)) -> Model:
+        """The measurements, or some of them; views of the arrays that grow."""
         factor = copy(self._first.factor)
         kinds = zip(self._first.factor.keys, self._numbers, strict=True)
         factor.keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
@@ -119,7 +112,7 @@ class GrowingBatch:
     def linearize(self, rows: slice = slice(None)) -> None:
         """Rows of A and b at the present values."""
         X = [take(v.X, index.rows[rows]) for v, index in zip(self.variables, self._index, strict=True)]
-        A, b = self._part(rows).linearize(*X)
+        A, b = self.model(rows).linearize(*X)
         if self.kernel is None:
             cost = np.square(b).sum(axis=1)
         else:

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from factors.base import Factor
-from factors.function import FunctionFactor
 from factors.joined import joined
 from factors.keys import Keys, Kind
 from factors.prior import Prior
@@ -87,7 +86,7 @@ class Known:
 
 def part(factor: Factor, mask: Mask) -> Factor | None:
     """Those measurements (n,) of a factor; None where there are none, or only its function knows them."""
-    if not mask.any() or (isinstance(factor, FunctionFactor) and not mask.all()):
+    if not mask.any() or (factor.opaque and not mask.all()):
         return None
     return factor if mask.all() else factor[mask]
 
@@ -106,7 +105,7 @@ def alone(known: Known, key: Keys, space: Manifold, touching: list[tuple[Factor,
 
 def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array | None:
     """Where the first of some measurements puts the variable of a slot; None where it does not say."""
-    if isinstance(factor, FunctionFactor):
+    if factor.opaque:
         return None
     first = factor if len(factor) == 1 else factor[[0]]
     spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(first.keys)]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError
 from nls.values import Stack
 
@@ -19,9 +19,9 @@ __all__ = ["Growing", "Variables"]
 class Growing:
     """An array (n, ...) that grows by rows, components first in memory where that is asked for."""
 
-    def __init__(self, rows: npt.NDArray[Any], order: str = "C") -> None:
-        self._order, self._n = order, len(rows)
-        self._room = np.array(rows, order="F" if order == "F" else "C")
+    def __init__(self, rows: npt.NDArray[Any], order: Literal["C", "F"] = "C") -> None:
+        self._order: Literal["C", "F"] = order
+        self._room, self._n = np.array(rows, order=order), len(rows)
 
     def __len__(self) -> int:
         return self._n
@@ -35,9 +35,7 @@ class Growing:
         """Add rows (k, ...) at the end."""
         end = self._n + len(rows)
         if end > len(self._room):
-            room = np.empty(
-                (2 * end, *self._room.shape[1:]), self._room.dtype, order="F" if self._order == "F" else "C"
-            )
+            room = np.empty((2 * end, *self._room.shape[1:]), self._room.dtype, self._order)
             room[: self._n] = self.rows
             self._room = room
         self._room[self._n : end] = rows
@@ -55,7 +53,7 @@ class Variables:
     ----------
     kind, manifold : of all of them.
     place : row of every number.
-    columns : (n,) first column of each in the preconditioner, -1 where it is held.
+    columns : (n,) first column of each in the preconditioner, behind all others where it is held.
     """
 
     def __init__(self, kind: str, manifold: Manifold) -> None:
@@ -90,7 +88,7 @@ class Variables:
         for part in (self._X, self._numbers, self._columns):
             part.keep(n)
 
-    def known(self, keys: Keys) -> npt.NDArray[np.bool_]:
+    def known(self, keys: Keys) -> Mask:
         """Which variables (k,) are there."""
         return np.array([number in self.place for number in keys.numbers.tolist()], dtype=bool)
 

@@ -184,7 +184,7 @@ class GrowingSystem:
         self.factorizations += 1
         self._age = 0
         values = self.values
-        pattern = Pattern([batch.model.factor for batch in self.batches], values)
+        pattern = Pattern([batch.model().factor for batch in self.batches], values)
         gauge = choose_gauge("first", pattern, values, np.zeros(len(pattern.dims), dtype=bool))
         self._held = bool(gauge.held.any())
         pattern = pattern.holding(gauge.held)

@@ -162,24 +162,25 @@ class Incremental:
         for part in (1.0, *(SETTLED,) * PASSES):
             self.passes += 1
             dx, fall = self._system.step(self._allowed(SETTLED))
-            self.gap = fall / (1 - self._rate(fall, last)) if self._system.robust else fall
+            self.gap = self._bound(fall, last)
             if self.gap <= self._allowed(part):
                 return
             self._system.move(dx)
             last = fall
         self._solve_batch()
 
-    @staticmethod
-    def _rate(fall: float, last: float) -> float:
-        """By how much the fall of the weighted squares shrinks from pass to pass: weights follow slowly."""
-        return min(fall / last, SLOWEST) if last > 0 else SLOW
+    def _bound(self, fall: float, last: float = 0.0) -> float:
+        """The gap: a fall and, under kernels, those to come at the rate from the last to this one."""
+        if not self._system.robust:
+            return fall
+        return fall / (1 - (min(fall / last, SLOWEST) if last > 0 else SLOW))
 
     def _solve_batch(self) -> None:
         """Solve the whole graph from the present values, where these steps do not arrive."""
         self.batch_solutions += 1
         self._system.put(self.graph.optimize(self.values).values)
         _, fall = self._system.step(self._allowed(SETTLED))
-        self.gap = fall / (1 - SLOW) if self._system.robust else fall
+        self.gap = self._bound(fall)
 
     def remove(self, factor: Factor) -> None:
         """Take out measurements that were given, and settle.

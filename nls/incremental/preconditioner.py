@@ -22,7 +22,7 @@ from nls.sparse.hessian import Hessian
 
 __all__ = ["Preconditioner"]
 
-WIDEST = 16  # numbers of a variable at most
+WIDEST = 16  # numbers of a variable that is held, at most
 RESERVE = 600  # columns for variables to come
 SMALL = 1e-6  # on the diagonal of a column in reserve, of the mean of the others
 

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from models.abstract import Abstract
 from models.algebra import Array, Index
 from models.errors import EvaluationError
-from nls.linear.singular import NULL, SINGULAR, WEAK, SingularSystemError
+from nls.linear.singular import NULL, WEAK, SingularSystemError, refuse_vanishing
 from nls.sparse.hessian import Hessian
 from nls.sparse.takahashi import inverse_blocks
 from nls.system import LinearSystem
@@ -79,8 +79,7 @@ class Factorization:
                 )
             raise SingularSystemError("A'A is not finite")
         pivots = self.decomposition.factorize(S)
-        if not (pivots > SINGULAR * diagonal).all():
-            raise SingularSystemError("a pivot of A'A vanishes")
+        refuse_vanishing(pivots, diagonal)
         self._pivots = pivots / np.where(diagonal > 0, diagonal, 1.0)
         self.diagonal = np.empty_like(diagonal)
         self.diagonal[self.hessian.permutation] = diagonal

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["NULL", "SINGULAR", "SingularSystemError", "UnsolvedSystemError"]
+from models.algebra import Array
+
+__all__ = ["NULL", "SINGULAR", "SingularSystemError", "UnsolvedSystemError", "refuse_vanishing"]
 
 SINGULAR = 1e-13
 """A pivot below this, relative to the diagonal entry it came from (so whatever the units), is rounding: 13 of the 16
@@ -22,3 +24,15 @@ class SingularSystemError(np.linalg.LinAlgError):
 
 class UnsolvedSystemError(SingularSystemError):
     """An iteration did not reach its tolerance: too near to singular for it, or given too few steps."""
+
+
+def refuse_vanishing(pivots: Array, diagonal: Array) -> None:
+    """Refuse pivots (n,) that are rounding beside the diagonal entries (n,) they came from.
+
+    Raises
+    ------
+    SingularSystemError
+        One of them is.
+    """
+    if not (pivots > SINGULAR * diagonal).all():
+        raise SingularSystemError("a pivot of A'A vanishes")

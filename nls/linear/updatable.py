@@ -11,11 +11,9 @@ from models.abstract import Abstract
 from models.algebra import Array
 from nls.linear.cholesky import cholmod
 from nls.linear.lu import SYMMETRIC
-from nls.linear.singular import SingularSystemError
+from nls.linear.singular import SingularSystemError, refuse_vanishing
 
 __all__ = ["Refactorized", "Updatable", "Updated", "updatable_class"]
-
-TINY = 1e-13  # of its diagonal: a smaller pivot is rounding
 
 
 class Updatable(Abstract):
@@ -62,7 +60,7 @@ class Updated(Updatable):
             self._chol.cholesky_inplace(H)
         except module.CholmodNotPositiveDefiniteError as error:
             raise SingularSystemError(str(error)) from error
-        _refuse_free(self._chol.D(), H.diagonal())  # the natural order: that of H
+        refuse_vanishing(self._chol.D(), H.diagonal())  # the natural order: that of H
 
     def add(self, C: sp.csc_matrix) -> None:
         self._chol.update_inplace(C)
@@ -87,7 +85,7 @@ class Refactorized(Updatable):
             self._lu = splu(self._H, permc_spec="NATURAL", **SYMMETRIC)
         except RuntimeError as error:  # SuperLU's way to say that a pivot is exactly zero
             raise SingularSystemError(str(error)) from error
-        _refuse_free(self._lu.U.diagonal()[self._lu.perm_c], self._H.diagonal())
+        refuse_vanishing(self._lu.U.diagonal()[self._lu.perm_c], self._H.diagonal())
 
     def add(self, C: sp.csc_matrix) -> None:
         self._H = sp.csc_matrix(self._H + C @ C.T)
@@ -95,11 +93,6 @@ class Refactorized(Updatable):
 
     def solve(self, g: Array) -> Array:
         return np.asarray(self._lu.solve(g))
-
-
-def _refuse_free(pivots: Array, diagonal: Array) -> None:
-    if not (pivots > TINY * diagonal).all():
-        raise SingularSystemError("a pivot of A'A vanishes")
 
 
 def updatable_class() -> type[Updatable]:
