@@ -30,11 +30,11 @@ asked of neighbors only, which needs a few pairs for each closure, and `nls.robu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance.frames import turned
 from nls.posegraph import Edges
@@ -42,7 +42,7 @@ from nls.sparse.components import connected
 
 __all__ = ["Neighbors", "neighbors", "unit_variance"]
 
-WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures that are compared; for sigma0
+WINDOW, NEAR = 20, 5  # steps of odometry at either end between two closures that are compared; that are near
 LOW = 0.1  # quantile that tells sigma0, the noise of right neighbors where nine of ten are wrong
 QUARTILE, LOOSE = 0.25, 4.0  # of the closures, and times its variance: the noise of odometry
 AGREED = 0.99  # probability with which two true closures agree
@@ -64,6 +64,7 @@ class Neighbors:
     rho : by what the sigmas of odometry have to be multiplied, at most 1.
     typical : sigma0 by the median: with as many wrong neighbors as right ones it is theirs.
     passing : share of the closures that odometry allows, by the stated sigmas.
+    near : (p, 2) closures that agree with few steps of odometry between them.
     """
 
     support: Index
@@ -72,6 +73,16 @@ class Neighbors:
     rho: float = 1.0
     typical: float = 1.0
     passing: float = 1.0
+    near: Index = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+
+    def parts(self, accepted: Mask) -> Index:
+        """(m,) the part of its cluster that each of some closures (m,) is in, named by its first closure.
+
+        Parts hang together by near pairs. The more odometry lies between two closures the less says that they agree, so
+        a few wrong ones may agree with a whole cluster of right ones from afar.
+        """
+        a, b = self.near[accepted[self.near].all(axis=1)].T
+        return connected(a, b, len(accepted))
 
 
 class Odometry:
@@ -136,8 +147,9 @@ def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
         for q in (LOW, 0.5)
     )
     agree = d <= min(variance, 1.0) * chi2_gate(group.dim, AGREED)
+    joined = np.column_stack([a, b])[agree & near]
     a, b = a[agree], b[agree]
     rho2 = np.clip(LOOSE * np.quantile(along, QUARTILE) / chi2_gate(group.dim, 0.5), min(variance, 1.0), 1.0)
     support = np.bincount(np.r_[a, b], minlength=m)
     sigma0, rho, sigma = (float(np.sqrt(v)) for v in (variance, rho2, typical))
-    return Neighbors(support, connected(a, b, m), sigma0, rho, sigma, passing)
+    return Neighbors(support, connected(a, b, m), sigma0, rho, sigma, passing, joined)

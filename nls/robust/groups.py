@@ -32,15 +32,15 @@ from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.optimizers import Result
-from nls.robust.consistency import unit_variance
+from nls.robust.consistency import Neighbors, unit_variance
 from nls.robust.loop_graph import LoopGraph
 from nls.values import Values
 
 __all__ = ["Witness", "misfits", "witnesses"]
 
-LARGE = 60  # closures; larger groups are what the others are judged by
+LARGE = 60  # closures; larger groups are what the others, and their own loose parts, are judged by
 MANY = 300  # groups that are judged, those of the largest residuals
-WIDE, FITS = 2.0, 0.999  # a group misfits beyond so many times this quantile: residuals have heavier tails than chi2
+WIDE, FITS = 1.6, 0.999  # a group misfits beyond so many times this quantile; right ones of simulated graphs reach 1.4
 FLAT = 1e-3  # of the longest side of the map: what is thinner is counted as so thick
 TURNS = {0: 1.0, 1: 2 * pi, 3: 8 * pi**2}  # volume of all rotations, by their dimension
 
@@ -85,10 +85,7 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     ends = [poses.i[~poses.odometry], poses.j[~poses.odometry]]
     marginals, numbers = Marginals(graph, values), values.stacks[poses.kinds[0]].numbers
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
-    closures = np.flatnonzero(accepted)
-    order = closures[np.argsort(loops.neighbors.cluster[closures], kind="stable")]
-    starts = np.flatnonzero(np.diff(loops.neighbors.cluster[order])) + 1
-    groups = [members for members in np.split(order, starts) if 0 < len(members) <= LARGE]
+    groups = _judgeable(loops.neighbors, accepted)
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
     for members in groups[:MANY]:
         k = len(members)
@@ -102,6 +99,17 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
         own = S.reshape(k, d, k, d)[np.arange(k), :, np.arange(k)]
         chance = np.exp(np.min(np.linalg.slogdet(own)[1] / 2 + volume[members]))
         yield Witness(members, float(b_g @ S @ b_g), min(float(chance), 1.0))
+
+
+def _judgeable(neighbors: Neighbors, accepted: Mask) -> list[Index]:
+    """Members of every accepted cluster, or of the parts of a large one, but for those that are large themselves."""
+    cluster = neighbors.cluster
+    large = np.bincount(cluster[accepted], minlength=len(cluster))[cluster] > LARGE
+    group = np.where(large, neighbors.parts(accepted), cluster)
+    closures = np.flatnonzero(accepted)
+    order = closures[np.argsort(group[closures], kind="stable")]
+    groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+    return [members for members in groups if 0 < len(members) <= LARGE]
 
 
 def _passing(loops: LoopGraph, values: Values) -> float:
