@@ -24,7 +24,6 @@ SCENE_FILES = "estimate.png (four pictures), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
     "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
     "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
-    "every": (("online",), "online solves at every N-th step (default 1)"),
     "iterations": (("ekf",), "how often at most ekf linearizes an update (default 1)"),
 }
 LIMIT = 20.0  # s

@@ -21,8 +21,7 @@ from nls.filters.base import POSE, Filter, Step, Track, landmark_kind
 from nls.filters.consistency import nees, regular
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
-from nls.filters.fixed_lag import FixedLag
-from nls.filters.online import Online
+from nls.filters.smoother import Smoother
 from nls.values import Values
 from sim.landmark_world import LandmarkWorld
 from sim.worlds.lines import lines
@@ -35,9 +34,7 @@ ESTIMATORS = ("ekf", "ekf-first-estimates", "fastslam1", "fastslam2", "fixed-lag
 SCENES: dict[str, Callable[..., LandmarkWorld]] = {"subsea": subsea, "lines": lines}
 
 
-def tracked(
-    world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1, iterations: int = 1
-) -> Track:
+def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, iterations: int = 1) -> Track:
     """What an estimator finds in a world.
 
     Parameters
@@ -46,7 +43,6 @@ def tracked(
     name : one of `ESTIMATORS`. Landmarks stay in the window of fixed-lag.
     particles : of fastslam1 and fastslam2.
     lag : poses in the window of fixed-lag.
-    every : online solves at every k-th step.
     iterations : how often at most ekf linearizes an update.
 
     Returns
@@ -66,7 +62,7 @@ def tracked(
     >>> errors(world, tracked(world, "ekf"))["ate"] < 0.5 < world.ate(world.start)
     True
     """
-    chosen = estimator(world, name, particles, lag, every, iterations)
+    chosen = estimator(world, name, particles, lag, iterations)
     with _named(name):
         return batch(world) if chosen is None else chosen.run(world.graph, world.start)
 
@@ -215,7 +211,7 @@ class Followed(Filter):
 
 
 def estimator(
-    world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, every: int = 1, iterations: int = 1
+    world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, iterations: int = 1
 ) -> Filter | None:
     """A filter by name, with the settings of `tracked`; None is the batch solution."""
     landmarks: Any = world.landmarks_as
@@ -228,9 +224,9 @@ def estimator(
             version: Literal[1, 2] = 1 if name == "fastslam1" else 2
             return FastSLAM(particles, version, rng=np.random.default_rng([world.seed or 0, particles, version]))
         case "fixed-lag":
-            return FixedLag(lag, landmarks="stay")
+            return Smoother(lag, landmarks="stay")
         case "online":
-            return Online(every)
+            return Smoother()
         case "batch":
             return None
     raise OptionError("estimators", name, "one of " + ", ".join(ESTIMATORS))

@@ -130,8 +130,8 @@ def things(folder: Path) -> dict[str, Any]:
         filters.EKF(associate=filters.JointCompatibility()),
         filters.EKF(associate=filters.Nearest()),
         filters.EKF(associate=filters.Assignment()),
-        filters.FixedLag(5),
-        filters.Online(every=10),
+        filters.Smoother(5),
+        filters.Smoother(),
         filters.FastSLAM(20, rng=np.random.default_rng(2)),
     ):
         made[f"track {len(made)}"] = filter.run(sea.graph, sea.start)

@@ -26,8 +26,7 @@ from nls.filters.base import Filter, Track
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
-from nls.filters.fixed_lag import FixedLag
-from nls.filters.online import Online
+from nls.filters.smoother import Smoother
 from nls.plot.filters import power_laws
 from nls.plot.picture import write_picture
 from sim.monte_carlo import runs
@@ -164,7 +163,7 @@ def accuracy(seeds: int, many: int) -> list[str]:
         for N in (*PARTICLES, MANY):
             name = f"FastSLAM {version}.0, {N} particles"
             estimators[name] = (partial(particles, N=N, version=version), many if N == MANY else seeds)
-    for smoother in (partial(FixedLag, 20), partial(FixedLag, 20, "stay"), partial(Online, every=10), Online):
+    for smoother in (partial(Smoother, 20), partial(Smoother, 20, "stay"), Smoother):
         function = partial(filtered, estimator=smoother, scene=sim.subsea, known_start=True)
         estimators[smoother().method] = (function, max(1, many // 3))
     for name, (function, count) in estimators.items():

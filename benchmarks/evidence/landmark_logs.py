@@ -31,8 +31,7 @@ from nls.filters.association import Association, JointCompatibility, Nearest
 from nls.filters.base import Track
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
-from nls.filters.fixed_lag import FixedLag
-from nls.filters.online import Online
+from nls.filters.smoother import Smoother
 from nls.io.logs import read_mrclam, read_victoria_park
 from nls.metrics import TrajectoryError
 from nls.plot.picture import write_picture
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
 BENCHMARKS = Path(__file__).parents[1]
 KERNEL = Cauchy(2.0)
 WRONG = 0.1  # weight below which a sighting is taken for one of something else: 6 sigma of this kernel
-PARTICLES, LAG, EVERY, SEEDS = 100, 20, 20, (1, 2, 3)
+PARTICLES, LAG, SEEDS = 100, 20, (1, 2, 3)
 ORANGE, BLUE, GREEN, GREY = "#e07a2f", "#0b4f6c", "#3f8f4f", "#909090"
 
 
@@ -123,8 +122,8 @@ WITHOUT_WRONG: dict[str, Callable[[LandmarkWorld], Track]] = {
     "EKF": by(EKF),
     "EKF, first estimates": by(lambda: EKF(first_estimates=True)),
     **{f"FastSLAM {v}.0, {PARTICLES} particles, seed {k}": particles(v, k) for v in (1, 2) for k in SEEDS},
-    f"fixed lag {LAG}, landmarks stay": by(lambda: FixedLag(LAG, "stay")),
-    f"online, every {EVERY} steps": by(lambda: Online(EVERY)),
+    f"fixed lag {LAG}, landmarks stay": by(lambda: Smoother(LAG, "stay")),
+    "online": by(Smoother),
     "graph": batch,
 }
 

@@ -16,7 +16,7 @@ from models.algebra import Array
 from nls import kinds
 from nls.filters.base import steps
 from nls.filters.ekf import EKF
-from nls.filters.online import Online
+from nls.filters.smoother import Smoother
 
 INK, ACCENT, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
 LARGER, EVERY = 10.0, 4
@@ -29,7 +29,7 @@ def make() -> tuple[list[Figure], list[float]]:
     world = sim.subsea(np.random.default_rng(6), laps=1, known_start=True)
     x, l = kinds("x", "l")
     truth, L = world.truth[x], world.truth[l]
-    ekf, online = EKF(), Online(every=EVERY)
+    ekf, online = EKF(), Smoother()
     frames, off, then = [], [], []
     for k, step in enumerate(steps(world.graph, world.start)):
         for estimator in (ekf, online):
@@ -37,7 +37,7 @@ def make() -> tuple[list[Figure], list[float]]:
         X, P = ekf.pose
         then.append((X.copy(), P.copy()))
         if k % EVERY == EVERY - 1:
-            P_now = online.marginals.all(x, frame="body")
+            P_now = online.smoother.covariance(x[: k + 1], frame="body")
             path = [np.array([X for X, _ in then]), online.smoothed()]
             sure = [np.array([P for _, P in then]), P_now]
             found = [ekf.landmarks, online.landmarks]

@@ -8,18 +8,16 @@ from nls.filters.association import Assignment, JointCompatibility, Nearest
 from nls.filters.base import Filter, Step, Track, steps
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
-from nls.filters.fixed_lag import FixedLag
-from nls.filters.online import Online
+from nls.filters.smoother import Smoother
 
 __all__ = [
     "EKF",
     "Assignment",
     "FastSLAM",
     "Filter",
-    "FixedLag",
     "JointCompatibility",
     "Nearest",
-    "Online",
+    "Smoother",
     "Step",
     "Track",
     "steps",

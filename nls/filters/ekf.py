@@ -232,7 +232,7 @@ class EKF(Filter):
                 past = keys[[int(np.argmax(past_pose))]]
                 raise GraphError(
                     f"EKF at {self._pose}: {factor.describe(int(np.argmax(past_pose)))} needs {past}, which is past; a "
-                    "filter of the latest pose closes no loops between poses: use FixedLag or a graph",
+                    "filter of the latest pose closes no loops between poses: use a Smoother or a graph",
                     [past],
                     factor.name,
                 )

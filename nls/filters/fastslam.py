@@ -228,7 +228,7 @@ class FastSLAM(Filter):
                 return "sighting"
         raise GraphError(
             f"FastSLAM: {factor!r} is about more than {pose} and a landmark seen from it; what joins several poses is "
-            "for a graph, FixedLag or Online",
+            "for a graph or a Smoother",
             factor.keys,
             factor.name,
         )

@@ -1,105 +1,100 @@
-"""What online and fixed-lag smoothing share: a graph that grows by a step at a time, solved from its last optimum."""
+"""Online and fixed-lag smoothing as filters: `nls.Incremental`, given a step at a time."""
 
 from __future__ import annotations
 
-import warnings
-from abc import abstractmethod
+from typing import Literal
 
 import numpy as np
 
-from factors.joined import joined
 from factors.keys import Keys
 from models.algebra import Array
-from models.errors import GraphWarning
-from nls.covariance import Marginals
 from nls.filters.base import POSE, Filter, Step
-from nls.filters.marginal import numbers_of
-from nls.filters.motion import copies, most_likely, slot_of
-from nls.graph import FactorGraph
-from nls.optimizers import Optimizer, Result
-from nls.starts.landmarks import locate_points
+from nls.incremental import Incremental
 from nls.values import Stack, Values
+
+__all__ = ["Smoother"]
 
 
 class Smoother(Filter):
-    """A graph of the steps so far, or of the latest of them. A subclass gives `_settle`, what is done after each step.
+    """The optimum of everything measured so far, or of the latest poses and a prior in the place of all before.
 
-    A new pose begins where the motion leads, a new landmark where it is seen from there; everything else begins at the
-    last optimum, so that a few Gauss-Newton iterations are enough.
+    Parameters
+    ----------
+    lag, landmarks, tol : of `nls.Incremental`; without a lag every step is a batch solution of what was measured.
 
     Attributes
     ----------
-    graph, values : of the steps so far, as they are believed now.
-    iterations : of every solve, in the order of time.
+    smoother : the `nls.Incremental` of a run.
+
+    Raises
+    ------
+    OptionError
+        A lag, a word or a tolerance there is not.
+
+    Notes
+    -----
+    A landmark joins once its measurements determine it. In the record of a run, a pose that left the window is as it
+    was believed then. So is a landmark, and its covariance is nan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.filters import Smoother
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    >>> track = Smoother(lag=10, landmarks="stay").run(world.graph, world.start)
+    >>> track.ate(world.truth).rmse < 0.4 < world.ate(world.start)
+    True
     """
 
-    def __init__(self, optimizer: Optimizer | None = None) -> None:
-        self.optimizer = optimizer
+    def __init__(
+        self, lag: int | None = None, landmarks: Literal["leave", "stay"] = "leave", tol: float = 1e-6
+    ) -> None:
+        self.lag, self._landmarks, self.tol = lag, landmarks, tol
+        self.smoother = self._new()
 
-    def start(self, step: Step, values: Values) -> None:
-        self.start_values, self.iterations, self.graph = values, list[int](), FactorGraph()
-        self.values = Values.of(Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in values.stacks.values())
-        self.landmark_kind = next((kind for kind in values.stacks if kind != POSE), None)
-        self._begin()
-        self.latest = step.pose
-        self._grow(step, values[step.pose])
-        self._settle()
-
-    def step(self, step: Step) -> None:
-        manifold, before = self.values.stack(POSE).manifold, self.values[self.latest][None]
-        motion = [(copies(f, [manifold] * 2, 1), slot_of(f, step.pose), (before,)) for f in step.motion]
-        X, _ = most_likely(motion, manifold, before, step.pose)
-        self._motion = motion
-        self.latest = step.pose
-        self._grow(step, X[0])
-        self._settle()
-
-    @abstractmethod
-    def _begin(self) -> None:
-        """Forget everything of an earlier run."""
-
-    @abstractmethod
-    def _settle(self) -> None:
-        """What is done once the graph and the values have grown by a step."""
-
-    def _solve(self) -> Result:
-        """The optimum of the graph from where the values are."""
-        result = self.graph.optimize(self.values, self.optimizer, gauge="none")
-        if not result.converged:
-            warnings.warn(f"{self.method} at {self.latest}: {result.status.value}: {result.reason}", GraphWarning, 3)
-        self.values = result.values
-        self.iterations.append(result.iterations)
-        return result
+    def _new(self) -> Incremental:
+        return Incremental(self.tol, self.lag, self._landmarks)
 
     @property
-    def marginals(self) -> Marginals:
-        """Covariances of the graph at its values."""
-        return Marginals(self.graph, self.values, gauge="none")
+    def method(self) -> str:
+        if self.lag is None:
+            return "online"
+        return f"fixed lag {self.lag}{', landmarks stay' if self._landmarks == 'stay' else ''}"
+
+    def start(self, step: Step, values: Values) -> None:
+        self.smoother, self.latest = self._new(), step.pose
+        self._kind = next((kind for kind in values.stacks if kind != POSE), None)
+        pose = values.stack(POSE).manifold
+        spaces = [Stack(POSE, pose, values[step.pose][None], step.pose.numbers)]
+        if self._kind is not None:
+            landmarks = values.stack(self._kind)
+            spaces.append(Stack(self._kind, landmarks.manifold, landmarks.X[:0], landmarks.numbers[:0]))
+        self.smoother.update([*step.motion, *step.observations], Values.of(spaces))
+
+    def step(self, step: Step) -> None:
+        self.latest = step.pose
+        self.smoother.update([*step.motion, *step.observations])
 
     @property
     def pose(self) -> tuple[Array, Array]:
-        return self.values[self.latest], self.marginals.covariance(self.latest, frame="body")
+        return self.smoother[self.latest], self.smoother.covariance(self.latest, frame="body")
 
     @property
     def landmarks(self) -> tuple[Keys, Array, Array]:
-        kind = self.landmark_kind
-        keys = Keys(kind or "l", self.values.stack(kind).numbers if kind else [])
+        kind = self._kind or "l"
+        stacks = [values.stacks[kind] for values in (self.smoother.values, self.smoother.left) if kind in values.stacks]
+        keys = Keys(kind, np.concatenate([[], *(stack.numbers for stack in stacks)]).astype(np.int64))
         if not len(keys):
             return keys, np.zeros((0, 0)), np.zeros((0, 0, 0))
-        return keys, self.values[keys], self.marginals.covariance(keys, frame="body")
+        L: Array = np.concatenate([stack.X for stack in stacks])
+        d = stacks[0].manifold.dim
+        P = np.full((len(keys), d, d), np.nan)
+        if len(here := Keys(kind, stacks[0].numbers)):
+            P[: len(here)] = self.smoother.covariance(here, frame="body")
+        return keys, L, P
 
-    def _grow(self, step: Step, X: Array) -> None:
-        """The factors of a step, its pose at X (size,), and its new landmarks where they are seen from there."""
-        known = [Keys(stack.kind, stack.numbers) for stack in self.values.stacks.values() if len(stack)]
-        self.values = self.values.extended(step.pose, X[None])
-        if (kind := self.landmark_kind) is not None:
-            numbers = numbers_of(step.observations, kind)
-            new = Keys(kind, numbers[~np.isin(numbers, self.values.stack(kind).numbers)])
-            self.values = self.values.extended(new, self.start_values[new]) if len(new) else self.values
-        graph = FactorGraph(step.observations)
-        for keys in known:
-            graph.fix(keys)
-        self.values = locate_points(graph, self.values) if step.observations else self.values
-        self.graph = FactorGraph(
-            joined([self.values.gather(f)[0] for f in (*self.graph.factors, *step.motion, *step.observations)])
-        )
+    def smoothed(self) -> Array:
+        parts = [values.stacks[POSE] for values in (self.smoother.left, self.smoother.values) if POSE in values.stacks]
+        X: Array = np.concatenate([stack.X for stack in parts])
+        return np.asarray(X[np.argsort(np.concatenate([stack.numbers for stack in parts]))])

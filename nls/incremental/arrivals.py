@@ -17,6 +17,7 @@ from models.errors import GraphError
 from models.manifolds.rn import Vectors
 from nls.incremental.beginnings import Known, New, Variable, alone, part, points, together
 from nls.incremental.growing import Variables
+from nls.incremental.window import Window
 from nls.values import Values
 
 __all__ = ["Arrivals", "Ready"]
@@ -36,10 +37,11 @@ class Arrivals:
     Parameters
     ----------
     variables : of the estimate, by kind; who joins is added by the caller.
+    window : what may still be measured.
     """
 
-    def __init__(self, variables: dict[str, Variables]) -> None:
-        self._known = Known(variables)
+    def __init__(self, variables: dict[str, Variables], window: Window) -> None:
+        self._known, self._window = Known(variables), window
         self._pending: list[tuple[Factor, Factor]] = []  # given, the part of it that waits
         self._tried: dict[Variable, int] = {}  # with how many measurements that determine too little
 
@@ -63,6 +65,7 @@ class Arrivals:
     def take(self, factors: Sequence[Factor]) -> Iterator[New | Ready]:
         """Variables that join, and the measurements that can be used; the caller adds each before it asks for more."""
         self._pending += [(factor, factor) for factor in factors]
+        self.reach()
         progress = bool(factors)
         while progress and self._pending:
             progress = False
@@ -74,6 +77,11 @@ class Arrivals:
                 new = together(self._known, self._unknown(), [factor for _, factor in self._pending])
                 progress = bool(new)
                 yield from new
+
+    def reach(self) -> None:
+        """Give up measurements of what left."""
+        within = [(given, self._window.reached(factor)) for given, factor in self._pending]
+        self._pending = [(given, factor) for given, factor in within if factor is not None]
 
     def _usable(self) -> Iterator[Ready]:
         """Measurements all of whose variables are in the estimate; the others wait on."""

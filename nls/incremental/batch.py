@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -10,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from factors.base import Model
+from factors.base import Factor, Model
 from factors.joined import alike
 from factors.keys import Keys
 from factors.robust import Kernel
-from models.algebra import Array
+from models.algebra import Array, Index, Mask
 from nls.incremental.growing import Growing, Variables
 from nls.values import take
 
@@ -52,6 +53,11 @@ class GrowingBatch:
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_sparse": None}
 
+    @property
+    def factor(self) -> Factor:
+        """The first measurements, as they were given."""
+        return self._first.factor
+
     def takes(self, model: Model) -> bool:
         """Whether measurements are of this sort."""
         return model.W.ndim == self._first.W.ndim and alike(self._first, model)
@@ -74,10 +80,38 @@ class GrowingBatch:
 
     def keep(self, n: int) -> None:
         """Forget all measurements but the first n."""
-        arrays = self._z, self._W, self._A, self._columns, self._b, self._cost
-        for part in (*self._numbers, *self._index, *self._own.values(), *arrays):
+        for part in self._parts():
             part.keep(n)
         self._linearized, self._sparse = min(self._linearized, n), None
+
+    def touches(self, of: dict[str, Mask]) -> Mask:
+        """Which measurements (n,) are about some of the variables, by kind."""
+        touched = np.zeros(len(self), dtype=bool)
+        for v, index in zip(self.variables, self._index, strict=True):
+            if v.kind in of:
+                touched |= of[v.kind][index.rows]
+        return touched
+
+    def rows_of(self, variables: Variables) -> Iterator[Index]:
+        """The variable (n,) of every measurement, for every slot of a kind."""
+        return (index.rows for v, index in zip(self.variables, self._index, strict=True) if v is variables)
+
+    def drop(self, rows: Mask) -> None:
+        """Forget some measurements (n,)."""
+        for part in self._parts():
+            part.drop(rows)
+        self._linearized, self._sparse = len(self), None
+
+    def renumber(self, rows: dict[str, Index]) -> None:
+        """The variables of some kinds have new rows."""
+        for v, index in zip(self.variables, self._index, strict=True):
+            if v.kind in rows:
+                index.rows[...] = rows[v.kind][index.rows]
+
+    def _parts(self) -> Iterator[Growing]:
+        """Everything that has a row a measurement."""
+        yield from (*self._numbers, *self._index, *self._own.values())
+        yield from (self._z, self._W, self._A, self._columns, self._b, self._cost)
 
     def catch_up(self) -> float:
         """Linearize what has come since the last time; its cost."""
@@ -98,8 +132,8 @@ class GrowingBatch:
         self._W.rows[rows] = W
         self.linearize(rows)
 
-    def model(self, rows: slice = slice(None)) -> Model:
-        """The measurements, or some of them; views of the arrays that grow."""
+    def model(self, rows: slice | Mask = slice(None)) -> Model:
+        """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
         factor = copy(self._first.factor)
         kinds = zip(self._first.factor.keys, self._numbers, strict=True)
         factor.keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError
 from nls.values import Stack
 
@@ -45,6 +45,12 @@ class Growing:
         """Forget all rows but the first n."""
         self._n = n
 
+    def drop(self, rows: Mask) -> None:
+        """Forget some rows (n,)."""
+        rest = self.rows[~rows]
+        self._n = len(rest)
+        self.rows[...] = rest
+
 
 class Variables:
     """The variables of one kind, in the order in which they joined.
@@ -72,6 +78,10 @@ class Variables:
         return np.asarray(self._X.rows)
 
     @property
+    def numbers(self) -> Numbers:
+        return np.asarray(self._numbers.rows)
+
+    @property
     def columns(self) -> Index:
         return np.asarray(self._columns.rows)
 
@@ -87,6 +97,16 @@ class Variables:
         self.place = dict(list(self.place.items())[:n])
         for part in (self._X, self._numbers, self._columns):
             part.keep(n)
+
+    def drop(self, rows: Mask) -> None:
+        """Forget some of them (n,)."""
+        for part in (self._X, self._numbers, self._columns):
+            part.drop(rows)
+        self.place = {number: row for row, number in enumerate(self.numbers.tolist())}
+
+    def keys(self, rows: Mask) -> Keys:
+        """Some of them (n,)."""
+        return Keys(self.kind, self.numbers[rows])
 
     def known(self, keys: Keys) -> Mask:
         """Which variables (k,) are there."""
@@ -111,4 +131,4 @@ class Variables:
 
     def stack(self) -> Stack:
         """A copy of the estimate."""
-        return Stack(self.kind, self.manifold, self.X.copy(order="F"), self._numbers.rows.copy())
+        return Stack(self.kind, self.manifold, self.X.copy(order="F"), self.numbers.copy())

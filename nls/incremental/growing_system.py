@@ -14,10 +14,11 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, Mask
 from nls.gauge import choose_gauge
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.growing import Variables
+from nls.incremental.marginal import marginalized
 from nls.incremental.preconditioner import Preconditioner
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
@@ -120,6 +121,35 @@ class GrowingSystem:
             batch.linearize()
         self.renew()
 
+    def drop(self, rows: list[Mask]) -> None:
+        """Forget measurements (n,) of every batch."""
+        for batch, mask in zip(self.batches, rows, strict=True):
+            if mask.any():
+                batch.drop(mask)
+        self.batches = [batch for batch in self.batches if len(batch)]
+        self._entered = [len(batch) for batch in self.batches]
+        self.renew()
+
+    def marginalize(self, gone: dict[str, Mask]) -> tuple[list[Mask], Factor | None]:
+        """Take out variables (n,) by kind; the measurements (n,) of every batch that went with them, and what they say.
+
+        Raises
+        ------
+        UnderconstrainedError
+            The measurements do not determine what leaves; all is as before.
+        """
+        rows = [batch.touches(gone) for batch in self.batches]
+        factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
+        leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
+        priors, _ = marginalized(factors, self.values, leaving)
+        self.drop(rows)
+        for kind, mask in gone.items():
+            self.variables[kind].drop(mask)
+        places = {kind: np.cumsum(~mask) - 1 for kind, mask in gone.items()}
+        for batch in self.batches:
+            batch.renumber(places)
+        return rows, priors[0] if priors else None
+
     def renew(self) -> None:
         """Make the preconditioner anew before the next step."""
         self._preconditioner = None
@@ -156,16 +186,17 @@ class GrowingSystem:
             d = z + (rz / before) * d
         return dx, fall + OLD * rz
 
-    def move(self, dx: Array) -> None:
-        """Move all variables and linearize there: by the whole step, or the first half of halves that lowers chi2."""
+    def move(self, dx: Array) -> bool:
+        """Move all variables by the whole step, or the first half of halves that lowers chi2; whether one does."""
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
-        for part in 0.5 ** np.arange(HALVES):
+        for part in (*0.5 ** np.arange(HALVES), 0.0):
             for kind, v in self.variables.items():
                 v.move(begin[kind], part * dx[v.columns[:, None] + np.arange(v.manifold.dim)])
             for batch in self.batches:
                 batch.linearize()
-            if self.chi2 <= chi2:
-                return
+            if self.chi2 < chi2:
+                return True
+        return False
 
     def _refreshed(self) -> Preconditioner:
         """The preconditioner with all measurements in it."""

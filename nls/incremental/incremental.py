@@ -22,14 +22,14 @@ minimum.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from factors.base import Factor, Model
 from factors.joined import joined
 from factors.keys import Keys
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, LeadlineError, UnderconstrainedError
 from models.options import check_between
 from nls.covariance import Marginals
@@ -38,6 +38,7 @@ from nls.incremental.arrivals import Arrivals
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.beginnings import New
 from nls.incremental.growing_system import GrowingSystem
+from nls.incremental.window import Window
 from nls.linear.updatable import updatable_class
 from nls.sparse.threads import single_thread
 from nls.values import Values
@@ -55,6 +56,10 @@ class Incremental:
     Parameters
     ----------
     tol : chi2 stays within this part of its minimum; of 1 where chi2 is less.
+    lag : how many poses are kept, the newest; all where it is None. What the measurements of an older one say of the
+        others stays, linearized where it left (`nls.incremental.marginal`).
+    landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
+        same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
 
     Attributes
     ----------
@@ -77,12 +82,15 @@ class Incremental:
     True
     """
 
-    def __init__(self, tol: float = 1e-3) -> None:
+    def __init__(
+        self, tol: float = 1e-3, lag: int | None = None, landmarks: Literal["leave", "stay"] = "leave"
+    ) -> None:
         self.tol = check_between("tol", tol, 0, 1, "a number between 0 and 1, such as 1e-3")
         self.gap = 0.0
         self.passes = self.batch_solutions = 0
         self._system = GrowingSystem()
-        self._arrivals = Arrivals(self._system.variables)
+        self._window = Window(lag, landmarks)
+        self._arrivals = Arrivals(self._system.variables, self._window)
         self._places: list[tuple[Factor, Factor, GrowingBatch, slice]] = []  # given, the part of it, where it is
         self._undecided: list[Factor] = []  # absolute measurements that are too few to let the gauge go
 
@@ -115,16 +123,44 @@ class Incremental:
             self._undecided = [factor for factor in factors if not factor.relative]
         else:
             self._undecided = []
+        self._leave()
+
+    def _leave(self) -> None:
+        """Marginalize what is older than the window."""
+        gone = self._window.leaving(self._system.variables, self._system.batches)
+        if not gone:
+            return
+        for kind, mask in gone.items():
+            self._window.leave(self._system.variables[kind], mask)
+        batches = self._system.batches
+        rows, prior = self._system.marginalize(gone)
+        self._forget(dict(zip(map(id, batches), rows, strict=True)))
+        if prior is not None:
+            self._places.append((prior, prior, *self._system.enter(prior)))
+            self._system.catch_up()
+        self._arrivals.reach()
+
+    def _forget(self, dropped: dict[int, Mask]) -> None:
+        """Measurements (n,) of some batches are dropped."""
+        places = []
+        for given, factor, batch, rows in self._places:
+            gone = dropped[id(batch)]
+            if not gone[rows].all():
+                begin = int(np.count_nonzero(~gone[: rows.start]))
+                kept = factor[~gone[rows]] if gone[rows].any() else factor
+                places.append((given, kept, batch, slice(begin, begin + len(kept))))
+        self._places = places
 
     def _attempt(self, factors: list[Factor], values: Values | None) -> None:
         """Take measurements; where that fails all is as before."""
         system, arrivals, places, gap = self._system.mark(), self._arrivals.mark(), len(self._places), self.gap
+        behind = len(self._window.behind)
         try:
             self._take(factors, values)
         except LeadlineError:
             self._system.back_to(system)
             self._arrivals.back_to(arrivals)
-            del self._places[places:]
+            del self._places[places:], self._window.behind[behind:]
             self.gap = gap
             raise
 
@@ -165,7 +201,8 @@ class Incremental:
             self.gap = self._bound(fall, last)
             if self.gap <= self._allowed(part):
                 return
-            self._system.move(dx)
+            if not self._system.move(dx):
+                break
             last = fall
         self._solve_batch()
 
@@ -229,6 +266,16 @@ class Incremental:
             f.bind(*(self._system.variables[k.kind].manifold for k in f.keys)) for _, f, _, _ in self._places
         ]
         return FactorGraph(joined(models))
+
+    @property
+    def left(self) -> Values:
+        """Variables that left the window, where they were then."""
+        return self._window.left(self._system.variables)
+
+    @property
+    def behind(self) -> tuple[Factor, ...]:
+        """Measurements of poses that had left when they came: they are not used."""
+        return tuple(self._window.behind)
 
     @property
     def waiting(self) -> tuple[Keys, ...]:

@@ -49,6 +49,7 @@ AGREED = 0.99  # probability with which two true closures agree
 PASSES = 0.999  # probability with which odometry allows a true closure
 EXACT = 1e-12  # variance of unit weight of numbers without noise: what is below is rounding
 FEW = 10  # pairs that are too few to tell the noise: one wrong closure among four spoils half of them
+AT_ONCE = 10_000  # pairs that are compared at once: their matrices stay in the cache
 COPY = 1e-9  # m and rad; the same measurement once more, but for the rounding of an inverse
 
 
@@ -113,6 +114,19 @@ def mahalanobis(xi: Array, S: Array) -> Array:
     return np.asarray((xi * np.linalg.solve(S, xi[..., None])[..., 0]).sum(axis=1))
 
 
+def _compared(track: Odometry, loops: Edges, a: Index, b: Index) -> Array:
+    """The statistic d (k,) of pairs of closures, forward in time; nan where one is a copy of the other."""
+    group = loops.group
+    T_ik, C_ik = track.between(loops.i[a], loops.i[b])
+    T_lj, C_lj = track.between(loops.j[b], loops.j[a])
+    z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
+    around = group.compose(group.compose(T_ik, z_b), T_lj)
+    xi = group.log(group.compose(group.inverse(loops.z[a]), around))
+    S = loops.C[a] + turned(to_j @ group.adjoint(group.inverse(z_b)), C_ik) + turned(to_j, loops.C[b]) + C_lj
+    copy = (loops.i[a] == loops.i[b]) & (loops.j[a] == loops.j[b]) & (np.abs(xi) <= COPY).all(axis=1)
+    return np.where(copy, np.nan, mahalanobis(xi, S))
+
+
 def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
     """Compare every closure with those near it.
 
@@ -129,17 +143,12 @@ def neighbors(closures: Edges, odometry: Edges, T: Array) -> Neighbors:
     along = mahalanobis(group.log(group.compose(group.inverse(loops.z), T_ij)), loops.C + P_ij)
     passing = float((along <= chi2_gate(group.dim, PASSES)).mean())
     pairs = cKDTree(ends.astype(float)).query_pairs(WINDOW, p=np.inf, output_type="ndarray")
-    a, b = pairs[np.lexsort(pairs.T[::-1])].T
-    if not len(a):
+    if not len(pairs):
         return Neighbors(np.zeros(m, dtype=np.intp), np.arange(m), passing=passing)
-    T_ik, C_ik = track.between(loops.i[a], loops.i[b])
-    T_lj, C_lj = track.between(loops.j[b], loops.j[a])
-    z_b, to_j = loops.z[b], group.adjoint(group.inverse(T_lj))
-    around = group.compose(group.compose(T_ik, z_b), T_lj)
-    xi = group.log(group.compose(group.inverse(loops.z[a]), around))
-    new = (ends[a] != ends[b]).any(axis=1) | (np.abs(xi) > COPY).any(axis=1)
-    S = loops.C[a] + turned(to_j @ group.adjoint(group.inverse(z_b)), C_ik) + turned(to_j, loops.C[b]) + C_lj
-    a, b, d = a[new], b[new], mahalanobis(xi[new], S[new])
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    parts = np.array_split(pairs, -(-len(pairs) // AT_ONCE))
+    d = np.concatenate([_compared(track, loops, *part.T) for part in parts])
+    (a, b), d = pairs[~np.isnan(d)].T, d[~np.isnan(d)]
     near = np.abs(ends[a] - ends[b]).max(axis=1) <= NEAR
     enough_pairs = near.sum() >= FEW
     variance, typical = (

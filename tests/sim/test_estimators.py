@@ -25,7 +25,7 @@ METHODS = {
     "fastslam1": "FastSLAM 1.0, 30 particles",
     "fastslam2": "FastSLAM 2.0, 30 particles",
     "fixed-lag": "fixed lag 5, landmarks stay",
-    "online": "online, every 30 steps",
+    "online": "online",
 }
 
 
@@ -35,7 +35,7 @@ def world() -> sim.LandmarkWorld:
 
 
 def test_names(world: sim.LandmarkWorld) -> None:
-    found = {name: estimator(world, name, particles=30, lag=5, every=30) for name in ESTIMATORS}
+    found = {name: estimator(world, name, particles=30, lag=5) for name in ESTIMATORS}
     assert found.pop("batch") is None
     again = estimator(world, "ekf", iterations=10)
     assert again is not None

@@ -13,12 +13,11 @@ from models import SE2, R
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.filters import Smoother
 from nls.filters.base import Step, Track, steps
 from nls.filters.consistency import nees, nees_bounds, regular
 from nls.filters.ekf import EKF
 from nls.filters.fastslam import FastSLAM
-from nls.filters.fixed_lag import FixedLag
-from nls.filters.online import Online
 from tests.sim.scenes import thinned
 
 x, l, o = kinds("x", "l", "o")
@@ -173,18 +172,18 @@ def test_without_noise_every_estimate_is_the_truth() -> None:
     """Measurements as the truth predicts them, no gain or linearization can then be in the way."""
     world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
     exact = FactorGraph([predicted(factor, factor.keys, world.truth) for factor in world.graph.factors])
-    for method in (EKF(), EKF(iterations=3), Online(every=5), FixedLag(10, landmarks="stay"), FixedLag(3)):
+    for method in (EKF(), EKF(iterations=3), Smoother(), Smoother(10, landmarks="stay"), Smoother(3)):
         track = method.run(exact, world.truth)
         assert track.ate(world.truth).rmse < 1e-9
         keys, L, P = method.landmarks
         np.testing.assert_allclose(L, world.truth[keys], atol=1e-9)
-        assert np.linalg.eigvalsh(P).min() > 0
+        assert np.linalg.eigvalsh(P[~np.isnan(P[:, 0, 0])]).min() > 0  # nan: it left
 
 
 def test_without_landmarks_there_are_none() -> None:
     steps_of_odometry = Between(x[[0, 1]], x[[1, 2]], [1.0, 0.0, 0.5], ONE)
     graph = FactorGraph([Prior(x[0], [0, 0, 0], ONE), steps_of_odometry])
-    for method in (EKF(), FastSLAM(particles=5, rng=np.random.default_rng(0)), Online(), FixedLag(2)):
+    for method in (EKF(), FastSLAM(particles=5, rng=np.random.default_rng(0)), Smoother(), Smoother(2)):
         method.run(graph, Values({x: (SE2, SE2.identity(3))}))
         keys, L, P = method.landmarks
         assert (len(keys), len(L), len(P)) == (0, 0, 0), method.method

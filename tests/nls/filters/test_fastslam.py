@@ -219,7 +219,7 @@ def test_what_it_cannot_take_is_refused_by_name() -> None:
     values = Values({x: (SE2, SE2.identity(3)), l: (R(2), [[3.0, 4.0]])})
     with pytest.raises(GraphError, match=r"Range\(x1, l0\) is the first to see l0.*Prior"):
         run(FactorGraph([first, walk, Range(x[1], l[0], [5.0], Isotropic(0.1))]), values)
-    with pytest.raises(GraphError, match=r"Between\(x0, x2\) is about more than x2.*FixedLag or Online"):
+    with pytest.raises(GraphError, match=r"Between\(x0, x2\) is about more than x2.*or a Smoother"):
         run(FactorGraph([first, walk, Between(x[0], x[2], [2.0, 0, 0], Isotropic(0.1))]), values)
     with pytest.raises(GraphError, match=r"Heading\(x1\) has a robust kernel"):
         run(FactorGraph([first, walk, Heading(x[1], [0.1], Robust(Isotropic(0.1), Cauchy(1.0)))]), values)

@@ -46,6 +46,7 @@ class MarginalPrior(Factor):
     X0 : per variable the value (size,) where it was linearized.
     A : (m, D) whitened rows over the tangent steps from X0, side by side.
     b : (m,) whitened right-hand side.
+    relative, unmoved : as the measurements were, see `Factor`.
 
     Notes
     -----
@@ -67,9 +68,17 @@ class MarginalPrior(Factor):
 
     damped = True
 
-    def __init__(self, keys: Sequence[Keys], X0: Sequence[Array], A: Array, b: Array) -> None:
+    def __init__(
+        self,
+        keys: Sequence[Keys],
+        X0: Sequence[Array],
+        A: Array,
+        b: Array,
+        relative: bool = False,
+        unmoved: tuple[int, ...] = (),
+    ) -> None:
         super().__init__(keys, b, Isotropic(1.0))
-        self.slots, self.X0, self.A = (None,) * len(keys), tuple(X0), A
+        self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), tuple(X0), A, relative, unmoved
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
@@ -147,7 +156,16 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     left = without(values, leaving)
     rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
     if stays and len(rows):
-        untouched.append(MarginalPrior(stays, [near_values[key] for key in stays], rows[:, e:-1], rows[:, -1]))
+        unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
+        prior = MarginalPrior(
+            stays,
+            [near_values[key] for key in stays],
+            rows[:, e:-1],
+            rows[:, -1],
+            relative=all(factor.relative for factor in touching),
+            unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
+        )
+        untouched.append(prior)
     return untouched, left
 
 

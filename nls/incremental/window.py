@@ -1,0 +1,100 @@
+"""The newest poses and what they measure: which variables leave a smoother with a lag, and what comes too late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from factors.base import Factor
+from models.algebra import Array, Mask
+from models.errors import OptionError
+from models.options import check_whole
+from nls.incremental.batch import GrowingBatch
+from nls.incremental.beginnings import part
+from nls.incremental.growing import Variables
+from nls.incremental.marginal import MarginalPrior
+from nls.values import Stack, Values
+
+__all__ = ["Window"]
+
+
+class Window:
+    """How many poses are kept, and what has left.
+
+    Parameters
+    ----------
+    lag : poses of a track that are kept; all where it is None.
+    landmarks : ``leave``: a landmark leaves with the last pose that measured it. ``stay``: all of them stay.
+
+    Attributes
+    ----------
+    behind : measurements of poses that had left: they are not used.
+    """
+
+    def __init__(self, lag: int | None, landmarks: Literal["leave", "stay"]) -> None:
+        if lag is not None:
+            check_whole("Incremental: lag", lag, 1, "a whole number of poses of at least 1, or None for all")
+        if landmarks not in ("leave", "stay"):
+            raise OptionError("Incremental: landmarks", landmarks, "leave or stay")
+        self.lag, self.landmarks = lag, landmarks
+        self.behind: list[Factor] = []
+        self._tracks: set[str] = set()  # kinds that odometry joins
+        self._sensors: set[str] = set()  # kinds that a motion of everything does not move
+        self._left: dict[str, dict[int, Array]] = {}
+
+    def reached(self, factor: Factor) -> Factor | None:
+        """The measurements of a factor that are about no pose that left; the others are `behind`."""
+        for slot, keys in enumerate(factor.keys):
+            if slot in factor.unmoved:
+                self._sensors.add(keys.kind)
+            elif any(keys.kind == other.kind for other in factor.keys[:slot]):
+                self._tracks.add(keys.kind)
+        late = np.zeros(len(factor), dtype=bool)
+        for keys in factor.keys:
+            if keys.kind in self._tracks and (left := self._left.get(keys.kind)):
+                late |= [number in left for number in keys.numbers.tolist()]
+        if not late.any():
+            return factor
+        rest = part(factor, ~late)
+        self.behind.append(factor if rest is None else factor[late])
+        return rest
+
+    def leaving(self, variables: dict[str, Variables], batches: Sequence[GrowingBatch]) -> dict[str, Mask]:
+        """Which variables (n,) leave, by kind; empty where none does."""
+        if self.lag is None:
+            return {}
+        old = {kind: np.arange(len(v)) < len(v) - self.lag for kind, v in variables.items() if kind in self._tracks}
+        if not any(mask.any() for mask in old.values()) or self.landmarks == "stay":
+            return {kind: mask for kind, mask in old.items() if mask.any()}
+        new = {kind: ~mask for kind, mask in old.items()}
+        measured = [batch for batch in batches if any(v.kind in old for v in batch.variables)]
+        measured = [batch for batch in measured if not isinstance(batch.factor, MarginalPrior)]
+        for kind, v in variables.items():
+            if kind not in old and kind not in self._sensors:
+                old[kind] = _measured(v, measured, old) & ~_measured(v, measured, new)
+        return {kind: mask for kind, mask in old.items() if mask.any()}
+
+    def leave(self, v: Variables, rows: Mask) -> None:
+        """Remember some variables (n,) of a kind where they are."""
+        self._left.setdefault(v.kind, {}).update(zip(v.numbers[rows].tolist(), v.X[rows], strict=True))
+
+    def left(self, variables: dict[str, Variables]) -> Values:
+        """Variables that left, but for those that came back."""
+        stacks = []
+        for kind, left in self._left.items():
+            away = {number: X for number, X in left.items() if number not in variables[kind].place}
+            if away:
+                stacks.append(Stack(kind, variables[kind].manifold, np.stack([*away.values()]), np.array([*away])))
+        return Values.of(stacks)
+
+
+def _measured(v: Variables, batches: Sequence[GrowingBatch], by: dict[str, Mask]) -> Mask:
+    """Which variables (n,) of a kind some of the others measure."""
+    measured = np.zeros(len(v), dtype=bool)
+    for batch in batches:
+        rows = batch.touches(by)
+        for index in batch.rows_of(v):
+            measured[index[rows]] = True
+    return measured
