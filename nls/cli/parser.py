@@ -31,6 +31,9 @@ EXAMPLES = """examples:
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls plot survey.g2o survey.png                       the graph as it was read
+  nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
+  nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
+  nls stream - < survey.g2o                            from a pipe, as lines come
   nls solve - < survey.g2o                             from a pipe or standard input, also compressed
   nls explain - < survey.g2o
   nls info - < survey.g2o
@@ -156,6 +159,24 @@ def parser() -> Parser:
     convert.add_argument("--to", choices=formats(), help="format of OUT (default: by its suffix)")
     convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
 
+    stream = command("stream", "the optimum at every step, while lines arrive", _stream)
+    stream.add_argument(
+        "--tol", type=float, default=1e-3, metavar="X", help="of chi2 that it may be above (default 1e-3)"
+    )
+    stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
+    stream.add_argument(
+        "--landmarks",
+        choices=("leave", "stay"),
+        default="leave",
+        help="with --lag: with the last pose that measured them, or never (default: leave)",
+    )
+    stream.add_argument("--robust", action=Once, metavar="KERNEL:SIGMAS", help="robust kernel on every factor")
+    stream.add_argument(
+        "--checkpoint",
+        metavar="STATE",
+        help="go on from this file if it is there; written every 100 steps (a pickle: load none but your own)",
+    )
+
     plot = command("plot", "draw the graph as it was read", _plot)
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
     return top
@@ -214,6 +235,12 @@ def _convert(options: argparse.Namespace) -> int:
     from nls.cli.convert import convert
 
     return convert(options)
+
+
+def _stream(options: argparse.Namespace) -> int:
+    from nls.cli.stream import stream
+
+    return stream(options)
 
 
 def _plot(options: argparse.Namespace) -> int:

@@ -98,9 +98,10 @@ class GrowingBatch:
 
     def drop(self, rows: Mask) -> None:
         """Forget some measurements (n,)."""
+        self._linearized -= int(np.count_nonzero(rows[: self._linearized]))
+        self._sparse = None
         for part in self._parts():
             part.drop(rows)
-        self._linearized, self._sparse = len(self), None
 
     def renumber(self, rows: dict[str, Index]) -> None:
         """The variables of some kinds have new rows."""

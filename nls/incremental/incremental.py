@@ -132,6 +132,7 @@ class Incremental:
             return
         for kind, mask in gone.items():
             self._window.leave(self._system.variables[kind], mask)
+        self.gap += self._system.catch_up()
         batches = self._system.batches
         rows, prior = self._system.marginalize(gone)
         self._forget(dict(zip(map(id, batches), rows, strict=True)))

@@ -54,7 +54,7 @@ class Window:
         late = np.zeros(len(factor), dtype=bool)
         for keys in factor.keys:
             if keys.kind in self._tracks and (left := self._left.get(keys.kind)):
-                late |= [number in left for number in keys.numbers.tolist()]
+                late |= np.array([number in left for number in keys.numbers.tolist()], dtype=bool)
         if not late.any():
             return factor
         rest = part(factor, ~late)

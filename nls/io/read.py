@@ -26,7 +26,7 @@ from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import KINDS, Format, Record
 from nls.io.report import LoadReport, Source, Statement
 from nls.io.roles import Roles
-from nls.io.start import started
+from nls.io.start import started, unstarted
 from nls.io.text import Text, printable
 from nls.io.unused_lines import keep, keep_unknown, note_comments
 from nls.io.weights import matrix, noise_of, repaired
@@ -38,7 +38,13 @@ __all__ = ["read_graph"]
 
 @np.errstate(over="ignore", invalid="ignore")  # numbers near the largest overflow in the checks, and are then refused
 def read_graph(
-    data: bytes, path: str, convention: str = "g2o", dialect: str = "auto", repair_information: bool = False
+    data: bytes,
+    path: str,
+    convention: str = "g2o",
+    dialect: str = "auto",
+    repair_information: bool = False,
+    before: int = 0,
+    start: bool = True,
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """Graph, start values and report of the bytes of a graph text file.
 
@@ -48,6 +54,8 @@ def read_graph(
     convention : residual of pose measurements.
     dialect : one of `nls.io.dialects.FORMATS`, or ``auto``.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones.
+    before : lines of the file before these bytes.
+    start : without vertices, chain the poses; otherwise the values are none, of the spaces that the edges name.
 
     Raises
     ------
@@ -58,7 +66,7 @@ def read_graph(
     """
     check_convention(convention)
     with stage("read words"):
-        text = Text(data, path)
+        text = Text(data, path, before)
         tags = dict(text.tags)
     comments = joined([tags.pop(tag) for tag in list(tags) if tag.startswith(b"#")])
     format, reason = choose(text, tags, comments, dialect)
@@ -93,14 +101,14 @@ def read_graph(
             for mine in roles.kinds_of(block):
                 factor = _factor(text, block, mine, noises, offsets, roles, format, convention, group, report)
                 bound.append((factor, block))
-                report.sources.append(Source(path, block.at[mine] + 1))
+                report.sources.append(Source(path, block.at[mine] + 1 + before))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.vertex_ids):
         values = _vertex_values(vertices, roles, group)
     else:
         report.vertices_given = False
         with stage("read chain"):
-            values = started(text, bound, roles, group, report)
+            values = started(text, bound, roles, group, report) if start else unstarted(roles, group)
     _note_rounded(read, report)
     for part_of, say in ((vertices, report.notes.append), (edges, report.warn)):
         for message in turns((block.record.tag.decode(), block.at, block.angles) for block in part_of):
@@ -160,6 +168,7 @@ def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: Lo
         M, changed = repaired(M)
         if changed.any():
             count, tag, line = int(changed.sum()), block.record.tag.decode(), block.at[np.argmax(changed)] + 1
+            line += text.before
             matrices, were, noun = ("matrices", "were", "ones") if count > 1 else ("matrix", "was", "one")
             report.warn(
                 f"{count} information {matrices} of {tag} had negative eigenvalues, first on line {line}, and {were} "

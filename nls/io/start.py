@@ -11,7 +11,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from factors.prior import Prior
 from factors.sighting import Sighting
-from models import LieGroup, R
+from models import LieGroup, Manifold, R
 from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.lines import Lines
@@ -35,15 +35,12 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
     GraphFileError
         A point that its measurements do not place; poses beyond the largest number.
     """
-    ids = roles.all_ids()
-    spaces = {POSE: group, POINT: R(group.point_dim), MOUNT: group}
-    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in ids.items() if len(n)})
+    spaces = _spaces(group)
+    values = Values({k: (spaces[k], spaces[k].identity(len(n)), n) for k, n in roles.all_ids().items() if len(n)})
     for factor, _ in bound:
         if isinstance(factor, Prior):  # a pose, place or point that is known
-            X = spaces[factor.keys[0].kind]
-            values[factor.keys[0]] = (
-                factor.z if factor.offset is None else X.compose(factor.z, X.inverse(factor.offset))
-            )
+            known = factor.z if factor.offset is None else group.compose(factor.z, group.inverse(factor.offset))
+            values[factor.keys[0]] = known
     if len(roles.poses):
         values = chain(FactorGraph([b for factor, _ in bound for b in _pose_steps(factor, values, group)]), values)
         report.notes.append(f"no vertices in the file: {several(len(roles.poses), 'pose')} chained along the edges")
@@ -61,6 +58,17 @@ def started(text: Text, bound: list[tuple[Factor, Lines]], roles: Roles, group: 
         line = int(min(block.at.min() for _, block in bound))
         raise text.error("the poses chained along the edges grow beyond the largest number", line)
     return values
+
+
+def unstarted(roles: Roles, group: LieGroup) -> Values:
+    """No values, of the kinds that the edges name."""
+    spaces = _spaces(group)
+    return Values({k: (spaces[k], spaces[k].identity(0), []) for k, n in roles.all_ids().items() if len(n)})
+
+
+def _spaces(group: LieGroup) -> dict[str, Manifold]:
+    """The space of every kind of variables."""
+    return {POSE: group, POINT: R(group.point_dim), MOUNT: group}
 
 
 def _pose_steps(factor: Factor, values: Values, group: LieGroup) -> list[Factor]:

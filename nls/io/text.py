@@ -82,6 +82,7 @@ class Text:
     ----------
     data : the bytes.
     path : for messages.
+    before : lines of the file before the data.
 
     Attributes
     ----------
@@ -89,8 +90,8 @@ class Text:
     first : (lines + 1,) index of the first token of every line.
     """
 
-    def __init__(self, data: bytes, path: str = "<text>") -> None:
-        self.path = path
+    def __init__(self, data: bytes, path: str = "<text>", before: int = 0) -> None:
+        self.path, self.before = path, before
         self._bytes = b"\n".rjust(PAD) + data + b"\n".ljust(SHORT)  # first words are compared up to SHORT behind
         self._marks = self._bytes.translate(MARKS)
         marks = np.frombuffer(self._marks, dtype=np.uint8)
@@ -121,7 +122,7 @@ class Text:
         start = self.line(line)[:READ]
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
-        return GraphFileError(message, self.path, line + 1, _quoted(printable(start.strip())), advice)
+        return GraphFileError(message, self.path, line + 1 + self.before, _quoted(printable(start.strip())), advice)
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:

@@ -1,0 +1,229 @@
+"""``nls stream``: the measurements of a file or a pipe as they arrive, and a line of JSON for every step."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import pickle
+import re
+import sys
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from io import BufferedReader
+from itertools import chain, dropwhile
+from time import perf_counter
+from typing import Any, cast
+
+import numpy as np
+
+import nls
+from factors.robust import kernel_from_text
+from nls.cli.outputs import input_name, refuse_unwritable
+from nls.incremental.steps import Arrived, steps
+from nls.io.files import GZIP, read_bytes, read_stream, write_bytes
+from nls.io.read import read_graph
+from nls.values import Stack
+
+__all__ = ["stream"]
+
+HEAD = b"checkpoint of nls stream, version 1\n"
+EVERY = 100  # steps from one checkpoint to the next
+AT_ONCE = 1 << 20  # bytes of a pipe, at most
+PARAMETERS, VERTEX, FIX = (
+    re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE) for tag in (rb"PARAMS_", rb"VERTEX", rb"FIX\b")
+)
+MEASUREMENT = re.compile(rb"^[ \t]*(?!PARAMS_)[^#\s]", re.MULTILINE)
+SETTINGS = "tol", "lag", "landmarks", "robust", "convention", "dialect", "repair_information"
+
+
+@dataclass
+class Session:
+    """How far a stream is.
+
+    Attributes
+    ----------
+    smoother : the estimate.
+    settings : the options that it depends on.
+    step, line : the last ones.
+    digest : of all lines up to that one.
+    """
+
+    smoother: nls.Incremental
+    settings: dict[str, Any]
+    step: int = 0
+    line: int = 0
+    digest: str = ""
+
+
+def stream(options: argparse.Namespace) -> int:
+    """Read, settle and print, step by step; returns the exit status."""
+    if options.checkpoint is not None:
+        refuse_unwritable(options.checkpoint, read=options.file)
+    session, name = _begun(options), input_name(options.file)
+    options.phase.now(f"while streaming {name}")
+    reader = _Reader(options)
+    arrivals = chain.from_iterable(map(reader.steps, _blocks(options)))
+    for k, (arrived, values) in enumerate(dropwhile(lambda arrival: arrival[0].line <= session.line, arrivals)):
+        if k == 0:
+            _refuse_other(options, session, reader)
+        began = perf_counter()
+        session.smoother.update(arrived.factors, values)
+        session.step, session.line = session.step + 1, arrived.line
+        print(json.dumps(_facts(session, arrived, 1e3 * (perf_counter() - began))), flush=True)
+        if options.checkpoint is not None and session.step % EVERY == 0:
+            _save(options, session, reader)
+    if not session.step:
+        raise nls.GraphFileError("has no measurement: nothing to stream", name)
+    if options.checkpoint is not None:
+        _save(options, session, reader)
+    return 0
+
+
+def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str, Any]:
+    """What is printed of a step."""
+    smoother = session.smoother
+    waits = [repr(key) for key in smoother.waiting]
+    facts = {
+        "step": session.step,
+        "variable": repr(arrived.pose),
+        "estimate": None if repr(arrived.pose) in waits else smoother[arrived.pose].tolist(),
+        "chi2": smoother.chi2,
+        "gap": smoother.gap,
+        "milliseconds": round(milliseconds, 3),
+    }
+    more = {"waiting": waits, "behind": sum(len(factor) for factor in smoother.behind)}
+    return facts | {key: value for key, value in more.items() if value}
+
+
+def _blocks(options: argparse.Namespace) -> Iterator[bytes]:
+    """Whole lines as they come: a file at once, of a pipe what is there."""
+    if options.file != "-":
+        yield read_bytes(options.file)
+        return
+    name = input_name(options.file)
+    if sys.stdin is None:
+        raise nls.GraphFileError("cannot be read: standard input is closed", name)
+    pipe = cast(BufferedReader, sys.stdin.buffer)
+    if pipe.peek(2)[:2] == GZIP:
+        yield read_stream(pipe, name)
+        return
+    rest = b""
+    for block in iter(partial(pipe.read1, AT_ONCE), b""):
+        lines, newline, rest = (rest + block).rpartition(b"\n")
+        if newline:
+            yield lines + newline
+    if rest:
+        yield rest
+
+
+class _Reader:
+    """The steps of blocks of lines, which are numbered from the first block on."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options, self.name, self.dialect = options, input_name(options.file), options.dialect
+        self.before, self._parameters, self._vertices, self._begun = 0, b"", b"", False
+        self._fixed: set[bytes] = set()
+        self._lines: list[bytes] = []  # that are not in the digest yet, where one is wanted
+        self._hash, self._hashed = hashlib.sha256(), 0
+
+    def steps(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
+        """The measurements of a block as they arrive, and what is said of their variables."""
+        before, self.before = self.before, self.before + block.count(b"\n")
+        if self.options.checkpoint is not None:
+            self._lines += block.splitlines(keepends=True)
+        self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
+        if len(self._fixed) > 1:
+            raise nls.GraphFileError(
+                f"holds {len(self._fixed)} poses by FIX; a stream holds the one it begins with, so give the others "
+                "priors (EDGE_PRIOR_SE2, EDGE_SE3_PRIOR)",
+                self.name,
+            )
+        if not self._begun:
+            self._vertices += b"".join(VERTEX.findall(block))
+        data = self._parameters + FIX.sub(b"\n", VERTEX.sub(b"\n", block))
+        before -= self._parameters.count(b"\n")
+        self._parameters += b"".join(PARAMETERS.findall(block))
+        if MEASUREMENT.search(data) is None:
+            return
+        how = self.options.convention, self.dialect, self.options.repair_information
+        graph, values, report = read_graph(data, self.name, *how, before, start=False)
+        self.dialect = report.format
+        for note in report.warnings:
+            warnings.warn(f"{self.name}: {note}", nls.GraphWarning, stacklevel=2)
+        if self.options.robust:
+            graph = graph.robust(kernel_from_text(self.options.robust))
+        lines = [source.lines for source in report.sources]
+        for arrived in steps(graph.factors, lines) if graph.factors else ():
+            yield arrived, values if self._begun else self._beginning(arrived, values)
+            self._begun = True
+
+    def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
+        """The first pose of a stream: as its vertex has it, otherwise in the origin."""
+        kind = arrived.pose.kind
+        first = min(int(keys.numbers.min()) for f in arrived.factors for keys in f.keys if keys.kind == kind)
+        space = values.stack(kind).manifold
+        X = space.identity(1)
+        if self._vertices:
+            given = read_graph(self._vertices, self.name, "g2o", self.dialect)[1].stacks.get(kind)
+            if given is not None and first in given.numbers:
+                X = given.X[given.numbers == first]
+        others = [stack for stack in values.stacks.values() if stack.kind != kind]
+        return nls.Values.of([*others, Stack(kind, space, X, np.array([first]))])
+
+    def digest(self, line: int) -> str:
+        """Of all lines up to one."""
+        count = line - self._hashed
+        self._hash.update(b"".join(self._lines[:count]))
+        del self._lines[:count]
+        self._hashed = line
+        return self._hash.hexdigest()
+
+
+def _begun(options: argparse.Namespace) -> Session:
+    """The session of the checkpoint, or a new one.
+
+    Raises
+    ------
+    GraphFileError
+        No checkpoint, or one of other options.
+    """
+    settings = {name: getattr(options, name) for name in SETTINGS}
+    path = options.checkpoint
+    if path is None or not os.path.exists(path):
+        return Session(nls.Incremental(options.tol, options.lag, options.landmarks), settings)
+    with open(path, "rb") as file:
+        data = file.read()
+    if not data.startswith(HEAD):
+        raise nls.GraphFileError("is no checkpoint of this version of nls stream; give another name", path)
+    try:
+        session = pickle.loads(data[len(HEAD) :])
+    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError) as error:
+        raise nls.GraphFileError("is a damaged checkpoint; remove it to begin anew", path) from error
+    assert isinstance(session, Session)
+    for name, value in session.settings.items():
+        if settings[name] != value:
+            option = name.replace("_", "-")
+            raise nls.GraphFileError(
+                f"was made with --{option} {value}, not {settings[name]}; give the same options, or remove it", path
+            )
+    return session
+
+
+def _save(options: argparse.Namespace, session: Session, reader: _Reader) -> None:
+    """Write the checkpoint, whole or not at all."""
+    session.digest = reader.digest(session.line)
+    write_bytes(options.checkpoint, HEAD + pickle.dumps(session))
+
+
+def _refuse_other(options: argparse.Namespace, session: Session, reader: _Reader) -> None:
+    """Refuse an input that does not begin with the lines a checkpoint was made of."""
+    if session.step and reader.digest(session.line) != session.digest:
+        raise nls.GraphFileError(
+            f"its first {session.line} lines are not those that {options.checkpoint} was made of; give the same input "
+            "from its begin, or remove the checkpoint",
+            input_name(options.file),
+        )

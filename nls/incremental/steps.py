@@ -1,0 +1,75 @@
+"""A graph as its measurements arrive: step by step, a step a run of measurements with the same newest pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.base import Factor
+from factors.keys import Keys
+from models.algebra import Index
+from models.errors import GraphError
+
+__all__ = ["Arrived", "steps"]
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """What arrives at once: the measurements with the same newest pose, and the line of the last of them."""
+
+    pose: Keys
+    factors: list[Factor]
+    line: int
+
+
+def steps(factors: Sequence[Factor], lines: Sequence[Index] | None = None, kind: str = "x") -> Iterator[Arrived]:
+    """The measurements of a graph in the order in which they arrive.
+
+    Parameters
+    ----------
+    factors : of a graph.
+    lines : of a file, (n,) for every factor: they arrive in this order. When omitted, in the order of the newest pose.
+    kind : of the poses, whose numbers rise with time. A measurement of none arrives with the one before it.
+
+    Raises
+    ------
+    GraphError
+        No measurement is of a pose of this kind.
+
+    Examples
+    --------
+    >>> from factors import Between, Isotropic, Landmark
+    >>> from nls import kinds
+    >>> x, l = kinds("x", "l")
+    >>> odometry = Between(x[[0, 1]], x[[1, 2]], [[1, 0, 0], [1, 0, 0]], Isotropic(0.1))
+    >>> sightings = Landmark(x[[0, 2]], l[[0, 0]], [[2, 1], [0, 1]], Isotropic(0.1))
+    >>> for step in steps([odometry, sightings]):
+    ...     print(step.pose, step.factors)
+    x0 [Landmark(x0, l0)]
+    x1 [Between(x0, x1)]
+    x2 [Between(x1, x2), Landmark(x2, l0)]
+    """
+    factors = [factor for factor in factors if len(factor)]
+    of = np.repeat(np.arange(len(factors)), [len(factor) for factor in factors])
+    row = np.concatenate([np.arange(len(factor)) for factor in factors]) if factors else of
+    newest = np.concatenate([_newest(factor, kind) for factor in factors]) if factors else of
+    if (newest < 0).all():
+        raise GraphError(f"no measurement is of a pose, kind {kind}: there is nothing to step through")
+    at = newest if lines is None else np.concatenate(lines)
+    order = np.lexsort((row, of, at))
+    newest = newest[order]
+    before = np.maximum.accumulate(np.where(newest >= 0, np.arange(len(newest)), -1))
+    newest = newest[np.where(before >= 0, before, np.argmax(newest >= 0))]
+    begins = np.flatnonzero(np.diff(newest, prepend=newest[0] - 1))
+    for number, run in zip(newest[begins].tolist(), np.split(order, begins[1:]), strict=True):
+        arrived = [(k, row[run[of[run] == k]]) for k in np.unique(of[run]).tolist()]
+        parts = [factors[k] if len(rows) == len(factors[k]) else factors[k][rows] for k, rows in arrived]
+        yield Arrived(Keys(kind, number), parts, int(at[run].max()))
+
+
+def _newest(factor: Factor, kind: str) -> Index:
+    """The highest number (n,) among the poses of every measurement; -1 where there is none."""
+    numbers = [keys.numbers for keys in factor.keys if keys.kind == kind]
+    return np.max(numbers, axis=0) if numbers else np.full(len(factor), -1)

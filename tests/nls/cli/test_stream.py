@@ -1,0 +1,145 @@
+"""``nls stream``: a line of JSON for every step, from files and pipes, and the same end after kill -9."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+
+COMMAND = [sys.executable, "-c", "from nls.cli import command; raise SystemExit(command())", "stream"]
+(x,) = nls.kinds("x")
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three laps of 100 poses, the lines in the order of time."""
+    path = tmp_path_factory.mktemp("stream") / "ring.g2o"
+    world = sim.ring(np.random.default_rng(0), laps=3, per_lap=100)
+    nls.save(path, world.graph, world.truth)
+    lines = path.read_text().splitlines()
+    vertices = [line for line in lines if line.startswith("VERTEX")]
+    edges = [line for line in lines if line.startswith("EDGE")]
+    edges.sort(key=lambda line: max(map(int, line.split()[1:3])))
+    path.write_text("\n".join([*vertices, *edges]) + "\n")
+    return path
+
+
+def run(*arguments: str | Path, given: bytes | None = None) -> tuple[list[dict[str, Any]], str, int]:
+    """What is printed, what is complained about, and the exit status."""
+    done = subprocess.run([*COMMAND, *map(str, arguments)], input=given, capture_output=True, timeout=120)
+    return [json.loads(line) for line in done.stdout.splitlines()], done.stderr.decode(), done.returncode
+
+
+def end(steps: Sequence[dict[str, Any]]) -> tuple[int, str, list[float], float]:
+    last = steps[-1]
+    return last["step"], last["variable"], last["estimate"], last["chi2"]
+
+
+def test_every_step_of_a_file_is_at_the_optimum_and_a_pipe_says_the_same(ring: Path) -> None:
+    steps, complaint, status = run(ring, "--tol", "1e-9")
+    assert (complaint, status) == ("", 0)
+    assert [step["variable"] for step in steps] == [f"x{k}" for k in range(1, 300)]
+    graph, values, _ = nls.load(ring)
+    best = graph.optimize(values)
+    assert 0 <= steps[-1]["chi2"] - best.chi2_final <= steps[-1]["gap"] <= 1e-9 * steps[-1]["chi2"]
+    newest = x[299]
+    np.testing.assert_allclose(steps[-1]["estimate"], best.values[newest], atol=1e-4)
+    packed, *_ = run("-", "--tol", "1e-9", given=gzip.compress(ring.read_bytes()))
+    assert end(packed) == end(steps)
+    piped, *_ = run("-", "--tol", "1e-9", given=ring.read_bytes())
+    assert list(dict.fromkeys(step["variable"] for step in piped)) == [step["variable"] for step in steps]
+    np.testing.assert_allclose(end(piped)[2], end(steps)[2], atol=1e-4)  # what a pipe cuts in two is settled twice
+
+
+def test_lines_that_come_one_by_one_are_answered_one_by_one(ring: Path) -> None:
+    edges = [line for line in ring.read_text().splitlines(keepends=True) if line.startswith("EDGE")]
+    with subprocess.Popen([*COMMAND, "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as vehicle:
+        assert vehicle.stdin is not None
+        assert vehicle.stdout is not None
+        for k, line in enumerate(edges[:20]):
+            vehicle.stdin.write(line)
+            vehicle.stdin.flush()
+            assert json.loads(vehicle.stdout.readline())["variable"] == f"x{k + 1}"
+        vehicle.stdin.close()
+
+
+@pytest.mark.parametrize("options", [[], ["--lag", "20"]], ids=["all", "lag"])
+def test_killed_between_two_steps_it_ends_the_same(ring: Path, tmp_path: Path, options: list[str]) -> None:
+    expected, *_ = run(ring, *options)
+    state = tmp_path / "state"
+    killed = subprocess.Popen(
+        [*COMMAND, "-", "--checkpoint", str(state), *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert killed.stdin is not None
+    assert killed.stdout is not None
+    lines = ring.read_bytes().splitlines(keepends=True)
+    killed.stdin.write(b"".join(lines[: 300 + next(k for k, line in enumerate(lines[300:]) if b" 200 " in line)]))
+    killed.stdin.flush()
+    printed = [json.loads(killed.stdout.readline()) for _ in range(150)]
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.communicate()
+    assert state.exists()
+    again, complaint, status = run(ring, "--checkpoint", state, *options)
+    assert (complaint, status) == ("", 0)
+    assert again[0]["step"] == 101 <= printed[-1]["step"]
+    assert end(again)[:2] == end(expected)[:2]
+    np.testing.assert_allclose(end(again)[2], end(expected)[2], atol=1e-3)
+    np.testing.assert_allclose(end(again)[3], end(expected)[3], rtol=1e-3)
+    assert run(ring, "--checkpoint", state, *options) == ([], "", 0)
+
+
+def test_what_comes_behind_the_window_is_counted(tmp_path: Path) -> None:
+    path, information = tmp_path / "a.g2o", "1 0 0 1 0 1"
+    steps = [f"EDGE_SE2 {k} {k + 1} 1 0 0 {information}" for k in range(9)]
+    path.write_text("\n".join([*steps, f"EDGE_SE2 0 9 9 0 0 {information}", f"EDGE_SE2 8 9 1 0 0 {information}"]))
+    found, _, status = run(path, "--lag", "3")
+    assert status == 0
+    assert "behind" not in found[-2]
+    assert found[-1]["behind"] == 1
+    np.testing.assert_allclose(found[-1]["estimate"], [9, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("", [], "is empty|no measurement"),
+        ("VERTEX_SE2 0 0 0 0\n", [], "has no measurement: nothing to stream"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0\n", [], "stdin>:2: "),
+        ("FIX 0\nFIX 3\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", [], "holds 2 poses by FIX"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--lag", "0"], "lag"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--tol", "-1"], "tol"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--robust", "huger:1"], "huger"),
+    ],
+)
+def test_what_cannot_be_streamed_is_said_in_a_line(text: str, options: list[str], said: str) -> None:
+    _, complaint, status = run("-", *options, given=text.encode())
+    assert status == 2
+    assert complaint.count("\n") == 1
+    assert any(part in complaint for part in said.split("|"))
+
+
+def test_a_checkpoint_of_something_else_is_refused(ring: Path, tmp_path: Path) -> None:
+    state, other = tmp_path / "state", tmp_path / "other.g2o"
+    run(ring, "--checkpoint", state)
+    other.write_text(
+        ring.read_text().replace("EDGE_SE2 0 1 ", "EDGE_SE2 0  1 ") + "EDGE_SE2 299 300 1 0 0 1 0 0 1 0 1\n"
+    )
+    assert "are not those" in run(other, "--checkpoint", state)[1]
+    assert "was made with --lag None, not 5" in run(ring, "--lag", "5", "--checkpoint", state)[1]
+    state.write_bytes(state.read_bytes()[:500])
+    assert "is a damaged checkpoint" in run(ring, "--checkpoint", state)[1]
+    state.write_text("hello")
+    assert "is no checkpoint" in run(ring, "--checkpoint", state)[1]
+    assert "this is the input" in run(ring, "--checkpoint", ring)[1]
