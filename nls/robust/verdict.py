@@ -31,7 +31,6 @@ STRAIN = 2.38  # times the typical noise between neighbors; of public graphs 0.9
 CHANCE = 0.1  # with which a wrong closure may pass; on public graphs 0.2 % at most
 MANY = 0.6  # of the closures kept; where fewer are, sigmas that neighbors contradict are a doubt of their own
 QUIET = 0.6  # times the stated sigmas: a map with less noise shows that these are not too small
-SOLE = 3  # groups of closures; where no more are there, and none is rejected, nothing was chosen
 NOISIER = 2.5  # times the noise of all else; of right maps that move without such closures 1.3 at most
 RIVAL, AWAY = 7.0, 0.01  # measurements by which a rival fits worse, at most; part of the extent to its map, at least
 
@@ -148,12 +147,15 @@ def strain(loops: LoopGraph, result: Result) -> float:
 
 
 def _unchecked(evidence: Evidence, inliers: Mask) -> list[Doubt]:
-    """Whether a wrong closure would pass; of groups that agree only where wrong ones come in groups, too."""
+    """Whether a wrong closure would pass; groups that agree are believed where only single ones were rejected.
+
+    Where all closures make one group, there is nothing to choose.
+    """
     _, sizes = np.unique(evidence.loops.neighbors.cluster[~inliers], return_counts=True)
-    alike = (sizes > 1).any()
-    chances = [w.chance if alike or len(w.members) == 1 else 0.0 for w in evidence.judged]
+    single = len(sizes) > 0 and (sizes == 1).all()
+    chances = [0.0 if single and len(w.members) > 1 else w.chance for w in evidence.judged]
     mean = float(np.mean(chances or [0.0]))
-    chosen = not inliers.all() or len(chances) > SOLE
+    chosen = not inliers.all() or len(chances) > 1
     return [Doubt(DoubtKind.UNCHECKED, fraction=mean)] if mean > CHANCE and chosen else []
 
 

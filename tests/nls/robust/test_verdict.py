@@ -191,3 +191,23 @@ def test_a_wrong_group_is_exchanged_for_the_right_closures_it_keeps_out(monkeypa
     assert exchanged(dear, loop_graph(dear.graph, values), best)[0] is best
     monkeypatch.setattr(exchange, "MANY", 3)  # where more are there, each is checked by others
     assert exchanged(problem, loops, start) == (start, [])
+
+
+def test_groups_that_nothing_checks_are_doubtful_unless_there_is_one_or_wrong_ones_came_singly() -> None:
+    """Two loops one behind the other, of loose odometry: each closes by a group of its own."""
+    rng, n = np.random.default_rng(4), 80
+    turn = SE2.exp([[1.0, 0.0, 2 * np.pi / 40]])
+    loose, tight = Diagonal(x=0.5, y=0.5, yaw=0.3), Diagonal(x=0.02, y=0.02, yaw=0.01)
+    odometry = Between(x[0 : n - 1], x[1:n], np.repeat(turn, n - 1, axis=0), loose)
+
+    def group(begin: int) -> Between:
+        i = begin + np.arange(4)
+        return Between(x[i], x[i + 36], SE2.exp(rng.normal(0, 0.01, (4, 3))), tight)
+
+    one, two = [odometry, group(0)], [odometry, group(0), group(40)]
+    far = Between(x[[20, 24]], x[[60, 75]], [[900.0, 0, 0], [0, 900.0, 0]], tight)
+    start = Values({x: (SE2, np.zeros((n, 3)))})
+    kinds_of = [[doubt.kind for doubt in nls.gnc(FactorGraph(f), start).doubts] for f in (one, two, [*two, far])]
+    assert DoubtKind.UNCHECKED not in kinds_of[0]
+    assert DoubtKind.UNCHECKED in kinds_of[1]
+    assert DoubtKind.UNCHECKED not in kinds_of[2]
