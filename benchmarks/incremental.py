@@ -30,39 +30,29 @@ TOL, CHECK, WHOLE = 1e-3, 50, 10
 PATIENCE = 900.0  # s; a longer run is ended
 
 
-def steps(graph: Any) -> dict[int, list[Any]]:
-    """Measurements by the newest of their poses."""
-    arriving: dict[int, list[Any]] = {}
-    for factor in graph.factors:
-        newest = np.max([keys.numbers for keys in factor.keys], axis=0)
-        order = np.argsort(newest, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(newest[order])) + 1):
-            arriving.setdefault(int(newest[rows[0]]), []).append(factor[rows])
-    return {number: arriving[number] for number in sorted(arriving)}
-
-
 def drive(path: str, out: str) -> None:
     """Our side, in a process of its own."""
     import nls
+    from nls.incremental.steps import steps
 
     graph, values, _ = nls.load(path)
     (x,) = nls.kinds("x")
     stack = values.stack("x")
     graph.pattern(values)  # bound, as GTSAM's factors are when they are read
-    arriving = steps(graph)
+    arriving = list(steps(graph.factors))
     smoother = nls.Incremental(TOL)
     smoother.update([], nls.Values({x: (stack.manifold, stack.manifold.identity(), stack.numbers[:1])}))
     seconds, gaps, kept = [], [], {}
-    for n, (number, factors) in enumerate(arriving.items()):
+    for n, step in enumerate(arriving):
         began = process_time()
-        smoother.update(factors)
-        smoother[x[number]]
+        smoother.update(step.factors)
+        smoother[step.pose]
         if n % WHOLE == 0:
             smoother.values  # noqa: B018
         seconds.append(process_time() - began)
         if n % CHECK == 0 or n == len(arriving) - 1:
             poses = smoother.values.stack("x")
-            kept[f"X{number}"] = poses.X[np.argsort(poses.numbers)]
+            kept[f"X{step.pose.numbers[0]}"] = poses.X[np.argsort(poses.numbers)]
             gaps.append(smoother.gap)
     np.savez(out, seconds=seconds, gaps=gaps, **kept)
 
@@ -128,7 +118,7 @@ def measured(name: str, options: argparse.Namespace, folder: Path) -> list[str]:
     for threshold, skip in SETTINGS if options.gtsam else ():
         script = Path(__file__).parent / "peers" / "isam2.py"
         numbers = [str(value) for value in (threshold, skip, CHECK, WHOLE)]
-        commands[f"iSAM2 {threshold:g}, {skip}"] = [options.gtsam, str(script), str(path), str(out), *numbers]
+        commands[f"iSAM2 {threshold:g}, {skip}"] = [options.gtsam, "-P", str(script), str(path), str(out), *numbers]
     found: dict[str, list[dict[str, Any]]] = {title: [] for title in commands}
     for _ in range(options.rounds):
         for title, command in commands.items():
