@@ -14,7 +14,7 @@ from factors.noise import SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 
-__all__ = ["alike", "joined"]
+__all__ = ["alike", "grouped", "joined"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -45,6 +45,11 @@ def joined(models: Sequence[Model]) -> list[Factor]:
     >>> whole, whole.z.ravel()
     (Range(x[0, 1, 1], l[0, 0, 1]), array([5., 4., 3.]))
     """
+    return [group[0].factor if len(group) == 1 else _batch_of(group) for group in grouped(models)]
+
+
+def grouped(models: Sequence[Model]) -> list[list[Model]]:
+    """Bound factors that `joined` makes one of each."""
     groups: list[list[Model]] = []
     for model in models:
         group = next((group for group in groups if alike(group[0], model)), None)
@@ -52,7 +57,7 @@ def joined(models: Sequence[Model]) -> list[Factor]:
             groups.append([model])
         else:
             group.append(model)
-    return [group[0].factor if len(group) == 1 else _batch_of(group) for group in groups]
+    return groups
 
 
 def alike(a: Model, b: Model) -> bool:

@@ -38,9 +38,11 @@ from nls.graph import FactorGraph
 from nls.incremental.arrivals import Arrivals
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.beginnings import New
+from nls.incremental.decision import Decision
 from nls.incremental.growing_system import GrowingSystem
 from nls.incremental.window import Window
 from nls.linear.updatable import updatable_class
+from nls.robust import Robustified
 from nls.sparse.threads import single_thread
 from nls.values import Values
 
@@ -62,6 +64,8 @@ class Incremental:
         others stays, linearized where it left (`nls.incremental.marginal`).
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
         same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
+
+    decide_every : `decide` which loop closures to believe whenever so many have come; a pose graph's alone.
 
     Attributes
     ----------
@@ -85,13 +89,17 @@ class Incremental:
     """
 
     def __init__(
-        self, tol: float = 1e-3, lag: int | None = None, landmarks: Literal["leave", "stay"] = "leave"
+        self,
+        tol: float = 1e-3,
+        lag: int | None = None,
+        landmarks: Literal["leave", "stay"] = "leave",
+        decide_every: int | None = None,
     ) -> None:
         self.tol = check_between("tol", tol, 0, 1, "a number between 0 and 1, such as 1e-3")
         self.gap = 0.0
         self.passes = self.batch_solutions = 0
         self._system = GrowingSystem()
-        self._window = Window(lag, landmarks)
+        self._window, self._decision = Window(lag, landmarks), Decision(decide_every, lag)
         self._arrivals = Arrivals(self._system.variables, self._window)
         self._places: list[tuple[Factor, Factor, GrowingBatch, slice]] = []  # given, the part of it, where it is
         self._undecided: list[Factor] = []  # absolute measurements that are too few to let the gauge go
@@ -126,6 +134,8 @@ class Incremental:
         else:
             self._undecided = []
         self._leave()
+        if self._decision.is_due(factors):
+            self.decide()
 
     def _leave(self) -> None:
         """Marginalize what is older than the window."""
@@ -142,6 +152,39 @@ class Incremental:
             self._places.append((prior, prior, *self._system.enter(prior)))
             self._system.catch_up()
         self._arrivals.reach()
+
+    def decide(self) -> Robustified:
+        """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.
+
+        Returns
+        -------
+        Robustified
+            What was decided, of which closures, and the doubts; `rejected` lists what was taken out.
+
+        Raises
+        ------
+        GraphError
+            No pose graph, or one without closures.
+        """
+        count = len(self._places)
+        pairs = [*((given, factor) for given, factor, _, _ in self._places), *self._decision.rejected]
+        keeps = self._decision.decide([self._bound_model(factor) for _, factor in pairs], self.values)
+        latest = self._decision.latest
+        assert latest is not None
+        parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
+        self._decision.rejected = [(g, f if not keep.any() else f[~keep]) for g, f, keep in parts if not keep.all()]
+        dropped = {id(batch): np.zeros(len(batch), dtype=bool) for batch in self._system.batches}
+        for (_, _, batch, rows), keep in zip(self._places, keeps[:count], strict=True):
+            dropped[id(batch)][rows] = ~keep
+        self._system.drop([dropped[id(batch)] for batch in self._system.batches])
+        self._forget(dropped)
+        for given, factor, keep in parts[count:]:
+            if keep.any():
+                again = factor if keep.all() else factor[keep]
+                self._places.append((given, again, *self._system.enter(again)))
+        self._system.put(latest.result.values)
+        self.settle()
+        return latest
 
     def _forget(self, dropped: dict[int, Mask]) -> None:
         """Measurements (n,) of some batches are dropped."""
@@ -233,7 +276,8 @@ class Incremental:
         UnderconstrainedError
             Something is free without them; they stay.
         """
-        if not any(factor is given for given in (*self.pending, *(place[0] for place in self._places))):
+        used = [place[0] for place in (*self._places, *self._decision.rejected)]
+        if not any(factor is given for given in (*self.pending, *used)):
             raise GraphError(f"Incremental.remove: {factor!r:.80} is not in the estimate", factor.keys, factor.name)
         system, gap = self._system.mark(), self.gap
         weights = [(batch, rows, batch.silence(rows)) for given, _, batch, rows in self._places if given is factor]
@@ -248,6 +292,7 @@ class Incremental:
             raise
         self._places = [place for place in self._places if place[0] is not factor]
         self._undecided = [given for given in self._undecided if given is not factor]
+        self._decision.rejected = [part for part in self._decision.rejected if part[0] is not factor]
         self._arrivals.drop(factor)
 
     @property
@@ -266,10 +311,16 @@ class Incremental:
     @property
     def graph(self) -> FactorGraph:
         """The measurements that are in the estimate."""
-        models: list[Model] = [
-            f.bind(*(self._system.variables[k.kind].manifold for k in f.keys)) for _, f, _, _ in self._places
-        ]
-        return FactorGraph(joined(models))
+        return FactorGraph(joined([self._bound_model(factor) for _, factor, _, _ in self._places]))
+
+    def _bound_model(self, factor: Factor) -> Model:
+        """A factor in the spaces of its variables."""
+        return factor.bind(*(self._system.variables[keys.kind].manifold for keys in factor.keys))
+
+    @property
+    def rejected(self) -> tuple[Factor, ...]:
+        """Loop closures that the last decision took out."""
+        return tuple(factor for _, factor in self._decision.rejected)
 
     @property
     def left(self) -> Values:

@@ -1,0 +1,62 @@
+"""Which loop closures to believe, decided anew from all that have come: `nls.gnc` beside a growing estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from factors.base import Factor, Model
+from factors.joined import grouped, joined
+from models.algebra import Mask
+from models.errors import OptionError
+from models.options import check_whole
+from nls.graph import FactorGraph
+from nls.robust import Robustified, gnc
+from nls.values import Values
+
+__all__ = ["Decision"]
+
+
+class Decision:
+    """When closures are judged, and which were rejected the last time.
+
+    Parameters
+    ----------
+    every : after so many new closures; never by itself where it is None.
+    lag : of the smoother.
+
+    Attributes
+    ----------
+    rejected : factors as they were given, and the part of each that is not believed.
+    latest : the whole answer of the last time.
+    """
+
+    def __init__(self, every: int | None, lag: int | None) -> None:
+        if every is not None:
+            check_whole("Incremental: decide_every", every, 1, "a whole number of closures of at least 1, or None")
+            if lag is not None:
+                raise OptionError(
+                    "Incremental: decide_every", every, "None with a lag: closures are judged along the whole path"
+                )
+        self.every = every
+        self.rejected: list[tuple[Factor, Factor]] = []
+        self.latest: Robustified | None = None
+        self._new = 0
+
+    def is_due(self, factors: Sequence[Factor]) -> bool:
+        """Whether enough closures have come, with those among some factors."""
+        for factor in factors:
+            if factor.relative and len(factor.keys) == 2 and factor.keys[0].kind == factor.keys[1].kind:
+                self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
+        return self.every is not None and self._new >= self.every
+
+    def decide(self, models: Sequence[Model], values: Values) -> list[Mask]:
+        """Which measurements (n,) of all that have come are believed."""
+        self._new = 0
+        self.latest = gnc(FactorGraph(joined(models)), values)
+        kept: dict[int, Mask] = {}
+        for group, weights in zip(grouped(models), self.latest.weights, strict=True):
+            ends = np.cumsum([len(model.factor) for model in group])
+            kept |= {id(model): part > 0 for model, part in zip(group, np.split(weights, ends[:-1]), strict=True)}
+        return [kept[id(model)] for model in models]
