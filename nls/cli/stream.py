@@ -22,10 +22,14 @@ import numpy as np
 
 import nls
 from factors.robust import kernel_from_text
+from models import LieGroup
 from nls.cli.outputs import input_name, refuse_unwritable
 from nls.incremental.steps import Arrived, steps
+from nls.io import foreign
 from nls.io.files import GZIP, read_bytes, read_stream, write_bytes
+from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
+from nls.io.report import LoadReport
 from nls.values import Stack
 
 __all__ = ["stream"]
@@ -142,6 +146,13 @@ class _Reader:
                 "priors (EDGE_PRIOR_SE2, EDGE_SE3_PRIOR)",
                 self.name,
             )
+        form = foreign(block, self.name)[0] if self.dialect == "auto" else self.dialect
+        if form == "bal":
+            raise nls.GraphFileError("is bundle adjustment (bal), whose cameras are in no order of time", self.name)
+        if form == "pyfg":
+            graph, values, report = read_pyfg(block, self.name, self.options.convention)
+            yield from self._arriving(graph, values, report)
+            return
         if not self._begun:
             self._vertices += b"".join(VERTEX.findall(block))
         data = self._parameters + FIX.sub(b"\n", VERTEX.sub(b"\n", block))
@@ -152,27 +163,32 @@ class _Reader:
         how = self.options.convention, self.dialect, self.options.repair_information
         graph, values, report = read_graph(data, self.name, *how, before, start=False)
         self.dialect = report.format
+        yield from self._arriving(graph, values, report)
+
+    def _arriving(
+        self, graph: nls.FactorGraph, values: nls.Values, report: LoadReport
+    ) -> Iterator[tuple[Arrived, nls.Values]]:
+        """The measurements of a graph that was read, step by step."""
         for note in report.warnings:
             warnings.warn(f"{self.name}: {note}", nls.GraphWarning, stacklevel=2)
         if self.options.robust:
             graph = graph.robust(kernel_from_text(self.options.robust))
-        lines = [source.lines for source in report.sources]
-        for arrived in steps(graph.factors, lines) if graph.factors else ():
-            yield arrived, values if self._begun else self._beginning(arrived, values)
+        kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
+        for arrived in steps(graph.factors, [source.lines for source in report.sources], kind) if graph.factors else ():
+            yield arrived, _spaces(values) if self._begun else self._beginning(arrived, values)
             self._begun = True
 
     def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
         """The first pose of a stream: as its vertex has it, otherwise in the origin."""
         kind = arrived.pose.kind
         first = min(int(keys.numbers.min()) for f in arrived.factors for keys in f.keys if keys.kind == kind)
-        space = values.stack(kind).manifold
-        X = space.identity(1)
+        given = values.stack(kind)
         if self._vertices:
-            given = read_graph(self._vertices, self.name, "g2o", self.dialect)[1].stacks.get(kind)
-            if given is not None and first in given.numbers:
-                X = given.X[given.numbers == first]
-        others = [stack for stack in values.stacks.values() if stack.kind != kind]
-        return nls.Values.of([*others, Stack(kind, space, X, np.array([first]))])
+            given = read_graph(self._vertices, self.name, "g2o", self.dialect)[1].stacks.get(kind, given)
+        here = given.numbers == first
+        X = given.X[here] if here.any() else given.manifold.identity(1)
+        others = [stack for stack in _spaces(values).stacks.values() if stack.kind != kind]
+        return nls.Values.of([*others, Stack(kind, given.manifold, X, np.array([first]))])
 
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
@@ -181,6 +197,11 @@ class _Reader:
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
+
+
+def _spaces(values: nls.Values) -> nls.Values:
+    """No values, of the same kinds: the measurements say where they are."""
+    return nls.Values.of([Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in values.stacks.values()])
 
 
 def _begun(options: argparse.Namespace) -> Session:

@@ -29,7 +29,6 @@ class Decision:
     Attributes
     ----------
     rejected : factors as they were given, and the part of each that is not believed.
-    latest : the whole answer of the last time.
     """
 
     def __init__(self, every: int | None, lag: int | None) -> None:
@@ -41,7 +40,6 @@ class Decision:
                 )
         self.every = every
         self.rejected: list[tuple[Factor, Factor]] = []
-        self.latest: Robustified | None = None
         self._new = 0
 
     def is_due(self, factors: Sequence[Factor]) -> bool:
@@ -51,12 +49,12 @@ class Decision:
                 self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
         return self.every is not None and self._new >= self.every
 
-    def decide(self, models: Sequence[Model], values: Values) -> list[Mask]:
-        """Which measurements (n,) of all that have come are believed."""
+    def judge(self, models: Sequence[Model], values: Values) -> tuple[Robustified, list[Mask]]:
+        """The choice among all that have come, and which measurements (n,) of each factor are believed."""
         self._new = 0
-        self.latest = gnc(FactorGraph(joined(models)), values)
+        decided = gnc(FactorGraph(joined(models)), values)
         kept: dict[int, Mask] = {}
-        for group, weights in zip(grouped(models), self.latest.weights, strict=True):
+        for group, weights in zip(grouped(models), decided.weights, strict=True):
             ends = np.cumsum([len(model.factor) for model in group])
             kept |= {id(model): part > 0 for model, part in zip(group, np.split(weights, ends[:-1]), strict=True)}
-        return [kept[id(model)] for model in models]
+        return decided, [kept[id(model)] for model in models]

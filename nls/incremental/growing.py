@@ -129,6 +129,6 @@ class Variables:
         """Put all at X (n, size), moved by tangent steps (n, d)."""
         self.X[...] = self.manifold.retract(X, dx)
 
-    def stack(self) -> Stack:
-        """A copy of the estimate."""
-        return Stack(self.kind, self.manifold, self.X.copy(order="F"), self.numbers.copy())
+    def stack(self, rows: slice | Mask = slice(None)) -> Stack:
+        """A copy of the estimate, or of some of it (n,)."""
+        return Stack(self.kind, self.manifold, self.X[rows].copy(order="F"), self.numbers[rows].copy())

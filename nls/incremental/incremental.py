@@ -61,7 +61,7 @@ class Incremental:
     ----------
     tol : chi2 stays within this part of its minimum; of 1 where chi2 is less.
     lag : how many poses are kept, the newest; all where it is None. What the measurements of an older one say of the
-        others stays, linearized where it left (`nls.incremental.marginal`).
+        others stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
         same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
 
@@ -142,11 +142,14 @@ class Incremental:
         gone = self._window.leaving(self._system.variables, self._system.batches)
         if not gone:
             return
-        for kind, mask in gone.items():
-            self._window.leave(self._system.variables[kind], mask)
         self.gap += self._system.catch_up()
-        batches = self._system.batches
-        rows, prior = self._system.marginalize(gone)
+        batches, variables = self._system.batches, self._system.variables
+        stacks = [variables[kind].stack(mask) for kind, mask in gone.items()]
+        try:
+            rows, prior = self._system.marginalize(gone)
+        except UnderconstrainedError:
+            return  # not determined yet: it stays for another step
+        self._window.leave(stacks)
         self._forget(dict(zip(map(id, batches), rows, strict=True)))
         if prior is not None:
             self._places.append((prior, prior, *self._system.enter(prior)))
@@ -168,9 +171,7 @@ class Incremental:
         """
         count = len(self._places)
         pairs = [*((given, factor) for given, factor, _, _ in self._places), *self._decision.rejected]
-        keeps = self._decision.decide([self._bound_model(factor) for _, factor in pairs], self.values)
-        latest = self._decision.latest
-        assert latest is not None
+        decided, keeps = self._decision.judge([self._bound_model(factor) for _, factor in pairs], self.values)
         parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
         self._decision.rejected = [(g, f if not keep.any() else f[~keep]) for g, f, keep in parts if not keep.all()]
         dropped = {id(batch): np.zeros(len(batch), dtype=bool) for batch in self._system.batches}
@@ -182,9 +183,9 @@ class Incremental:
             if keep.any():
                 again = factor if keep.all() else factor[keep]
                 self._places.append((given, again, *self._system.enter(again)))
-        self._system.put(latest.result.values)
+        self._system.put(decided.result.values)
         self.settle()
-        return latest
+        return decided
 
     def _forget(self, dropped: dict[int, Mask]) -> None:
         """Measurements (n,) of some batches are dropped."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -76,9 +76,10 @@ class Window:
                 old[kind] = _measured(v, measured, old) & ~_measured(v, measured, new)
         return {kind: mask for kind, mask in old.items() if mask.any()}
 
-    def leave(self, v: Variables, rows: Mask) -> None:
-        """Remember some variables (n,) of a kind where they are."""
-        self._left.setdefault(v.kind, {}).update(zip(v.numbers[rows].tolist(), v.X[rows], strict=True))
+    def leave(self, stacks: Iterable[Stack]) -> None:
+        """Remember variables that leave."""
+        for stack in stacks:
+            self._left.setdefault(stack.kind, {}).update(zip(stack.numbers.tolist(), stack.X, strict=True))
 
     def left(self, variables: dict[str, Variables]) -> Values:
         """Variables that left, but for those that came back."""

@@ -25,6 +25,7 @@ __all__ = [
     "DIALECTS",
     "LoadReport",
     "Source",
+    "foreign",
     "load",
     "load_stream",
     "read_kitti",
@@ -157,7 +158,7 @@ def _parsed(
     """The graph of the bytes of a file, without its warnings; parameters and errors as for `load`."""
     reason = "as asked for"
     if dialect == "auto":
-        dialect, reason = _foreign(data, path)
+        dialect, reason = foreign(data, path)
     if dialect in ("bal", "pyfg") and repair_information:
         raise no_information(path, dialect)
     if dialect == "bal":
@@ -175,7 +176,7 @@ def _parsed(
     return graph, values, report
 
 
-def _foreign(data: bytes, path: str) -> tuple[str, str]:
+def foreign(data: bytes, path: str) -> tuple[str, str]:
     """The formats that are no list of tagged lines with ids, ``bal`` and ``pyfg``, and why; else ``auto``."""
     if path.lower().removesuffix(".gz").endswith(".pyfg"):
         return "pyfg", "by its name"

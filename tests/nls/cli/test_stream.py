@@ -75,6 +75,16 @@ def test_lines_that_come_one_by_one_are_answered_one_by_one(ring: Path) -> None:
         vehicle.stdin.close()
 
 
+def test_a_log_of_ranges_in_pyfg(data: Path) -> None:
+    steps, complaint, status = run(data / "range-only" / "plaza2.pyfg.gz")
+    assert (complaint, status) == ("", 0)
+    graph, values, _ = nls.load(data / "range-only" / "plaza2.pyfg.gz")
+    best = graph.optimize(nls.initialize(graph, values)[0]).chi2_final
+    assert 0 <= steps[-1]["chi2"] - best <= steps[-1]["gap"]
+    assert any("waiting" in step for step in steps)
+    assert "waiting" not in steps[-1]
+
+
 @pytest.mark.parametrize("options", [[], ["--lag", "20"]], ids=["all", "lag"])
 def test_killed_between_two_steps_it_ends_the_same(ring: Path, tmp_path: Path, options: list[str]) -> None:
     expected, *_ = run(ring, *options)
@@ -118,6 +128,7 @@ def test_what_comes_behind_the_window_is_counted(tmp_path: Path) -> None:
         ("VERTEX_SE2 0 0 0 0\n", [], "has no measurement: nothing to stream"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0\n", [], "stdin>:2: "),
         ("FIX 0\nFIX 3\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", [], "holds 2 poses by FIX"),
+        ("1 1 1\n0 0 0 0\n", [], "is bundle adjustment (bal)"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--lag", "0"], "lag"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--tol", "-1"], "tol"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--robust", "huger:1"], "huger"),
