@@ -202,7 +202,7 @@ def main() -> int:
         "",
         *head,
         f"- rounds: {options.rounds}, a fresh process for every run, interleaved; medians; processor time, one thread",
-        "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, factorization by QR",
+        "- iSAM2: GTSAM's wheel with its relinearization threshold and skip, by Cholesky, or QR where that fails",
         f"- above: chi2 above the batch minimum at every {CHECK}th step; beyond its gap: how often by more than the",
         "  smoother's own bound",
         "",
