@@ -90,16 +90,18 @@ def stream(options: argparse.Namespace) -> int:
 def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str, Any]:
     """What is printed of a step."""
     smoother = session.smoother
-    waits = [repr(key) for key in smoother.waiting]
     facts = {
         "step": session.step,
         "variable": repr(arrived.pose),
-        "estimate": None if repr(arrived.pose) in waits else smoother[arrived.pose].tolist(),
+        "estimate": smoother[arrived.pose].tolist() if arrived.pose in smoother else None,
         "chi2": smoother.chi2,
         "gap": smoother.gap,
         "milliseconds": round(milliseconds, 3),
     }
-    more = {"waiting": waits, "behind": sum(len(factor) for factor in smoother.behind)}
+    more = {
+        "waiting": [repr(key) for key in smoother.waiting],
+        "behind": sum(len(factor) for factor in smoother.behind),
+    }
     return facts | {key: value for key, value in more.items() if value}
 
 

@@ -301,6 +301,11 @@ class Incremental:
         """A copy of the estimate."""
         return self._system.values
 
+    def __contains__(self, key: Keys) -> bool:
+        """Whether a variable is in the estimate: it does not wait, and has not left."""
+        variables = self._system.variables.get(key.kind)
+        return variables is not None and bool(variables.known(key).all())
+
     def __getitem__(self, keys: Keys) -> Array:
         """The estimate of a variable, or of several of a kind."""
         variables = self._system.variables.get(keys.kind)
