@@ -36,7 +36,7 @@ __all__ = ["stream"]
 
 HEAD = b"checkpoint of nls stream, version 1\n"
 EVERY = 100  # steps from one checkpoint to the next
-AT_ONCE = 1 << 20  # bytes of a pipe, at most
+AT_ONCE, LONGEST = 1 << 20, 1 << 22  # bytes of a pipe, and of a line, at most
 PARAMETERS, VERTEX, FIX = (
     re.compile(rb"^[ \t]*" + tag + rb"[^\n]*(?:\n|\Z)", re.MULTILINE) for tag in (rb"PARAMS_", rb"VERTEX", rb"FIX\b")
 )
@@ -122,6 +122,8 @@ def _blocks(options: argparse.Namespace) -> Iterator[bytes]:
         lines, newline, rest = (rest + block).rpartition(b"\n")
         if newline:
             yield lines + newline
+        if len(rest) > LONGEST:
+            raise nls.GraphFileError(f"has a line of more than {LONGEST:,} bytes: this is no graph", name)
     if rest:
         yield rest
 
