@@ -85,12 +85,12 @@ class GrowingBatch:
         self._linearized, self._sparse = min(self._linearized, n), None
 
     def touches(self, of: dict[str, Mask]) -> Mask:
-        """Which measurements (n,) are about some of the variables, by kind."""
+        """Which measurements (n,) are about some of the variables, by kind; of an opaque factor all or none."""
         touched = np.zeros(len(self), dtype=bool)
         for v, index in zip(self.variables, self._index, strict=True):
             if v.kind in of:
                 touched |= of[v.kind][index.rows]
-        return touched
+        return np.full(len(self), touched.any()) if self.factor.opaque else touched
 
     def rows_of(self, variables: Variables) -> Iterator[Index]:
         """The variable (n,) of every measurement, for every slot of a kind."""

@@ -18,7 +18,7 @@ from models.algebra import Array, Mask
 from nls.gauge import choose_gauge
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.growing import Variables
-from nls.incremental.marginal import marginalized
+from nls.incremental.marginal import prior_left
 from nls.incremental.preconditioner import Preconditioner
 from nls.linear import best_decomposition
 from nls.linear.singular import SingularSystemError
@@ -141,14 +141,14 @@ class GrowingSystem:
         rows = [batch.touches(gone) for batch in self.batches]
         factors = [batch.model(mask).factor for batch, mask in zip(self.batches, rows, strict=True) if mask.any()]
         leaving = [self.variables[kind].keys(mask) for kind, mask in gone.items()]
-        priors, _ = marginalized(factors, self.values, leaving)
+        prior = prior_left(factors, self.values, leaving)
         self.drop(rows)
         for kind, mask in gone.items():
             self.variables[kind].drop(mask)
         places = {kind: np.cumsum(~mask) - 1 for kind, mask in gone.items()}
         for batch in self.batches:
             batch.renumber(places)
-        return rows, priors[0] if priors else None
+        return rows, prior
 
     def renew(self) -> None:
         """Make the preconditioner anew before the next step."""

@@ -30,7 +30,7 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Stack, Values
 
-__all__ = ["MarginalPrior", "marginalized", "numbers_of", "without"]
+__all__ = ["MarginalPrior", "marginalized", "numbers_of", "prior_left", "without"]
 
 RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 
@@ -129,6 +129,18 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
     ([MarginalPrior(p1)], array([3.]), array([[0.2]]))
     """
     touching, untouched = _split(factors, leaving)
+    prior = prior_left(touching, values, leaving)
+    return untouched + ([] if prior is None else [prior]), without(values, leaving)
+
+
+def prior_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> MarginalPrior | None:
+    """What measurements that all touch some variables say of their other ones; None where that is nothing.
+
+    Raises
+    ------
+    UnderconstrainedError
+        The measurements do not determine what leaves; named.
+    """
     near = {kind: numbers_of(touching, kind) for kind in values.stacks}
     near_values = Values.of(
         _masked(stack, np.isin(stack.numbers, near[stack.kind])) for stack in values.stacks.values()
@@ -153,20 +165,18 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
             [variables[k] for k in np.flatnonzero(goes)],
         )
     stays = [variables[k] for k in order if not goes[k]]
-    left = without(values, leaving)
     rows = triangle[e:-1] if len(triangle) == dense.shape[1] else triangle[e:]  # the last is the constant alone
-    if stays and len(rows):
-        unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
-        prior = MarginalPrior(
-            stays,
-            [near_values[key] for key in stays],
-            rows[:, e:-1],
-            rows[:, -1],
-            relative=all(factor.relative for factor in touching),
-            unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
-        )
-        untouched.append(prior)
-    return untouched, left
+    if not stays or not len(rows):
+        return None
+    unmoved = {keys.kind for f in touching for slot, keys in enumerate(f.keys) if slot in f.unmoved}
+    return MarginalPrior(
+        stays,
+        [near_values[key] for key in stays],
+        rows[:, e:-1],
+        rows[:, -1],
+        relative=all(factor.relative for factor in touching),
+        unmoved=tuple(slot for slot, key in enumerate(stays) if key.kind in unmoved),
+    )
 
 
 def _split(factors: Sequence[Factor], leaving: Sequence[Keys]) -> tuple[list[Factor], list[Factor]]:

@@ -9,7 +9,7 @@ import pytest
 
 import nls
 import sim
-from factors import Between, BetweenSensors, Huber, Isotropic, Landmark, Position, Prior, Range
+from factors import Between, BetweenSensors, Factor, Huber, Isotropic, Landmark, Position, Prior, Range
 from models import SE2, R
 from models.errors import GraphError, OptionError
 from nls import Incremental, Values, kinds
@@ -114,6 +114,22 @@ def test_the_place_of_a_sensor_stays() -> None:
     assert kept(smoother) == [27, 28, 29, 30]
     assert kept(smoother, "s") == [0]
     np.testing.assert_allclose(smoother[s[0]], mount, atol=0.005)
+
+
+def test_what_a_function_measures_leaves_as_a_whole() -> None:
+    def climb(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        assert len(a) == 2  # it knows both its measurements, and not one of them
+        return (b - a)[:, 1:2] - [[0.3], [0.5]]
+
+    smoother = Incremental(1e-9, lag=4)
+    walk(smoother, 0, 3)
+    smoother.update(Factor.from_function(climb, [x[[0, 2]], x[[1, 3]]], 1, Isotropic(0.1), relative=True))
+    before, full = smoother[x[3]], smoother.chi2
+    assert [factor.name for factor in smoother.graph.factors].count("climb") == 1
+    walk(smoother, 3, 4)  # x0 leaves, and the rows of x2 and x3 with it
+    assert [factor.name for factor in smoother.graph.factors if factor.opaque] == []
+    np.testing.assert_allclose(smoother[x[3]], before, atol=1e-6)
+    assert full > smoother.chi2
 
 
 def test_it_pickles_within_its_window_and_takes_positions() -> None:
