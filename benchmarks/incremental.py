@@ -66,9 +66,8 @@ def drive(name: str, out: str) -> None:
     graph.pattern(values)  # bound, as GTSAM's factors are when they are read
     arriving = list(steps(graph.factors, kind=kind))
     smoother = nls.Incremental(TOL)
-    spaces = {nls.kinds(k)[0]: (s.manifold, s.X[:0], s.numbers[:0]) for k, s in values.stacks.items()}
     first = nls.Keys(kind, values.stack(kind).numbers.min())
-    smoother.update([], nls.Values(spaces).extended(first, values[first][None]))
+    smoother.update([], values.spaces().extended(first, values[first][None]))
     seconds, gaps, offs, kept = [], [], [], {}
     for n, step in enumerate(arriving):
         began = process_time()
@@ -84,7 +83,7 @@ def drive(name: str, out: str) -> None:
             if name in LOGS:
                 best = smoother.graph.optimize(smoother.values).chi2_final
                 offs.append(((smoother.chi2 - best) / max(best, 1.0), smoother.chi2 - best))
-    np.savez(out, seconds=seconds, gaps=gaps, offs=offs, waiting=len(smoother.waiting), **kept)
+    np.savez(out, seconds=seconds, gaps=gaps, offs=offs, **kept)
 
 
 def above(graph: Any, values: Any, kept: dict[int, Array]) -> Array:

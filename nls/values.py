@@ -216,6 +216,10 @@ class Values:
         steps = [s.manifold.local(s.manifold.identity(len(s)), s.X).reshape(-1) for s in stacks]
         return np.concatenate(steps) if steps else np.zeros(0)
 
+    def spaces(self) -> Values:
+        """No values, of the same kinds."""
+        return Values.of(Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in self.stacks.values())
+
     def copy(self) -> Values:
         """An independent copy."""
         return self.replaced({name: stack.X.copy(order="F") for name, stack in self.stacks.items()})

@@ -18,8 +18,6 @@ from itertools import chain, dropwhile
 from time import perf_counter
 from typing import Any, cast
 
-import numpy as np
-
 import nls
 from factors.robust import kernel_from_text
 from models import LieGroup
@@ -30,7 +28,6 @@ from nls.io.files import GZIP, read_bytes, read_stream, write_bytes
 from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
-from nls.values import Stack
 
 __all__ = ["stream"]
 
@@ -179,7 +176,7 @@ class _Reader:
             graph = graph.robust(kernel_from_text(self.options.robust))
         kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
         for arrived in steps(graph.factors, [source.lines for source in report.sources], kind) if graph.factors else ():
-            yield arrived, _spaces(values) if self._begun else self._beginning(arrived, values)
+            yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
 
     def _beginning(self, arrived: Arrived, values: nls.Values) -> nls.Values:
@@ -191,8 +188,7 @@ class _Reader:
             given = read_graph(self._vertices, self.name, "g2o", self.dialect)[1].stacks.get(kind, given)
         here = given.numbers == first
         X = given.X[here] if here.any() else given.manifold.identity(1)
-        others = [stack for stack in _spaces(values).stacks.values() if stack.kind != kind]
-        return nls.Values.of([*others, Stack(kind, given.manifold, X, np.array([first]))])
+        return values.spaces().extended(nls.Keys(kind, first), X)
 
     def digest(self, line: int) -> str:
         """Of all lines up to one."""
@@ -201,11 +197,6 @@ class _Reader:
         del self._lines[:count]
         self._hashed = line
         return self._hash.hexdigest()
-
-
-def _spaces(values: nls.Values) -> nls.Values:
-    """No values, of the same kinds: the measurements say where they are."""
-    return nls.Values.of([Stack(s.kind, s.manifold, s.X[:0], s.numbers[:0]) for s in values.stacks.values()])
 
 
 def _begun(options: argparse.Namespace) -> Session:

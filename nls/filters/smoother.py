@@ -10,7 +10,7 @@ from factors.keys import Keys
 from models.algebra import Array
 from nls.filters.base import POSE, Filter, Step
 from nls.incremental import Incremental
-from nls.values import Stack, Values
+from nls.values import Values
 
 __all__ = ["Smoother"]
 
@@ -65,12 +65,8 @@ class Smoother(Filter):
     def start(self, step: Step, values: Values) -> None:
         self.smoother, self.latest = self._new(), step.pose
         self._kind = next((kind for kind in values.stacks if kind != POSE), None)
-        pose = values.stack(POSE).manifold
-        spaces = [Stack(POSE, pose, values[step.pose][None], step.pose.numbers)]
-        if self._kind is not None:
-            landmarks = values.stack(self._kind)
-            spaces.append(Stack(self._kind, landmarks.manifold, landmarks.X[:0], landmarks.numbers[:0]))
-        self.smoother.update([*step.motion, *step.observations], Values.of(spaces))
+        beginning = values.spaces().extended(step.pose, values[step.pose][None])
+        self.smoother.update([*step.motion, *step.observations], beginning)
 
     def step(self, step: Step) -> None:
         self.latest = step.pose

@@ -12,6 +12,7 @@ from models.algebra import Mask
 from models.errors import OptionError
 from models.options import check_whole
 from nls.graph import FactorGraph
+from nls.posegraph import says_poses
 from nls.robust import Robustified, gnc
 from nls.values import Values
 
@@ -45,7 +46,7 @@ class Decision:
     def is_due(self, factors: Sequence[Factor]) -> bool:
         """Whether enough closures have come, with those among some factors."""
         for factor in factors:
-            if factor.relative and len(factor.keys) == 2 and factor.keys[0].kind == factor.keys[1].kind:
+            if says_poses(factor) and factor.keys[0].kind == factor.keys[1].kind:
                 self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
         return self.every is not None and self._new >= self.every
 

@@ -37,7 +37,7 @@ from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.incremental.arrivals import Arrivals
 from nls.incremental.batch import GrowingBatch
-from nls.incremental.beginnings import New
+from nls.incremental.beginnings import New, part
 from nls.incremental.decision import Decision
 from nls.incremental.growing_system import GrowingSystem
 from nls.incremental.window import Window
@@ -173,15 +173,14 @@ class Incremental:
         pairs = [*((given, factor) for given, factor, _, _ in self._places), *self._decision.rejected]
         decided, keeps = self._decision.judge([self._bound_model(factor) for _, factor in pairs], self.values)
         parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
-        self._decision.rejected = [(g, f if not keep.any() else f[~keep]) for g, f, keep in parts if not keep.all()]
+        self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
         dropped = {id(batch): np.zeros(len(batch), dtype=bool) for batch in self._system.batches}
         for (_, _, batch, rows), keep in zip(self._places, keeps[:count], strict=True):
             dropped[id(batch)][rows] = ~keep
         self._system.drop([dropped[id(batch)] for batch in self._system.batches])
         self._forget(dropped)
         for given, factor, keep in parts[count:]:
-            if keep.any():
-                again = factor if keep.all() else factor[keep]
+            if (again := part(factor, keep)) is not None:
                 self._places.append((given, again, *self._system.enter(again)))
         self._system.put(decided.result.values)
         self.settle()
@@ -192,9 +191,8 @@ class Incremental:
         places = []
         for given, factor, batch, rows in self._places:
             gone = dropped[id(batch)]
-            if not gone[rows].all():
+            if (kept := part(factor, ~gone[rows])) is not None:
                 begin = int(np.count_nonzero(~gone[: rows.start]))
-                kept = factor[~gone[rows]] if gone[rows].any() else factor
                 places.append((given, kept, batch, slice(begin, begin + len(kept))))
         self._places = places
 
@@ -242,11 +240,11 @@ class Incremental:
     def settle(self) -> None:
         """Move to the optimum, within the tolerance."""
         last = 0.0
-        for part in (1.0, *(SETTLED,) * PASSES):
+        for share in (1.0, *(SETTLED,) * PASSES):
             self.passes += 1
             dx, fall = self._system.step(self._allowed(SETTLED) / HONEST)
             self.gap = self._bound(fall, last)
-            if self.gap <= self._allowed(part):
+            if self.gap <= self._allowed(share):
                 return
             if not self._system.move(dx):
                 break

@@ -46,6 +46,8 @@ class Window:
 
     def reached(self, factor: Factor) -> Factor | None:
         """The measurements of a factor that are about no pose that left; the others are `behind`."""
+        if self.lag is None:
+            return factor
         for slot, keys in enumerate(factor.keys):
             if slot in factor.unmoved:
                 self._sensors.add(keys.kind)
@@ -69,8 +71,7 @@ class Window:
         if not any(mask.any() for mask in old.values()) or self.landmarks == "stay":
             return {kind: mask for kind, mask in old.items() if mask.any()}
         new = {kind: ~mask for kind, mask in old.items()}
-        measured = [batch for batch in batches if any(v.kind in old for v in batch.variables)]
-        measured = [batch for batch in measured if not isinstance(batch.factor, MarginalPrior)]
+        measured = [batch for batch in batches if not isinstance(batch.factor, MarginalPrior)]
         for kind, v in variables.items():
             if kind not in old and kind not in self._sensors:
                 old[kind] = _measured(v, measured, old) & ~_measured(v, measured, new)

@@ -111,7 +111,7 @@ def by_number(text: Text, lines: list[Lines], noun: str) -> tuple[Numbers, Index
     again = np.flatnonzero(ids[order][1:] == ids[order][:-1])
     if len(again):
         k, first = order[again[0] + 1], order[again[0]]
-        raise text.error(f"{noun} {ids[k]} was given before, on line {at[first] + 1 + text.before}", int(at[k]))
+        raise text.error(f"{noun} {ids[k]} was given before, on line {text.first_number + at[first]}", int(at[k]))
     return ids[order], order
 
 

@@ -101,7 +101,7 @@ def read_graph(
             for mine in roles.kinds_of(block):
                 factor = _factor(text, block, mine, noises, offsets, roles, format, convention, group, report)
                 bound.append((factor, block))
-                report.sources.append(Source(path, block.at[mine] + 1 + before))
+                report.sources.append(Source(path, text.first_number + block.at[mine]))
     graph = FactorGraph([factor for factor, _ in bound])
     if len(roles.vertex_ids):
         values = _vertex_values(vertices, roles, group)
@@ -167,8 +167,8 @@ def _matrices(text: Text, block: Lines, format: Format, repair: bool, report: Lo
     if repair:
         M, changed = repaired(M)
         if changed.any():
-            count, tag, line = int(changed.sum()), block.record.tag.decode(), block.at[np.argmax(changed)] + 1
-            line += text.before
+            count, tag = int(changed.sum()), block.record.tag.decode()
+            line = text.first_number + block.at[np.argmax(changed)]
             matrices, were, noun = ("matrices", "were", "ones") if count > 1 else ("matrix", "was", "one")
             report.warn(
                 f"{count} information {matrices} of {tag} had negative eigenvalues, first on line {line}, and {were} "

@@ -88,10 +88,11 @@ class Text:
     ----------
     starts, ends : (T,) where every token begins and ends, counted with `PAD` bytes in front of the data.
     first : (lines + 1,) index of the first token of every line.
+    first_number : number of the first line in the file, counted from 1.
     """
 
     def __init__(self, data: bytes, path: str = "<text>", before: int = 0) -> None:
-        self.path, self.before = path, before
+        self.path, self.first_number = path, before + 1
         self._bytes = b"\n".rjust(PAD) + data + b"\n".ljust(SHORT)  # first words are compared up to SHORT behind
         self._marks = self._bytes.translate(MARKS)
         marks = np.frombuffer(self._marks, dtype=np.uint8)
@@ -122,7 +123,7 @@ class Text:
         start = self.line(line)[:READ]
         if character := strange(start):
             message += f"; the line has a {character}, expected a blank or nothing in its place"
-        return GraphFileError(message, self.path, line + 1 + self.before, _quoted(printable(start.strip())), advice)
+        return GraphFileError(message, self.path, self.first_number + line, _quoted(printable(start.strip())), advice)
 
     @cached_property
     def tags(self) -> dict[bytes, Index]:
