@@ -29,7 +29,7 @@ from nls.values import Values
 
 __all__ = ["GrowingSystem"]
 
-ROUGHLY, SOLVED = 0.1, 0.01  # of the fall: where more is to do anyway, and where the fall is the bound
+ROUGHLY = 0.1  # of the fall of a step, where another one follows anyway
 OLD = 20.0  # times what F says of the rest of a fall: an old F has said a twelfth of it
 AGED = 20  # iterations beyond the first of every solution, after which the preconditioner is made anew
 ITERATIONS = 60
@@ -53,6 +53,7 @@ class GrowingSystem:
         self._entered: list[int] = []  # measurements of every batch that are in it
         self._age = 0
         self._held = False
+        self._part = 1.0  # of the last step
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the factor, which is made anew."""
@@ -169,8 +170,8 @@ class GrowingSystem:
         r = _sum([At @ batch.b for At, batch in zip(columns, self.batches, strict=True)], F.n)
         z = F.solve(r)
         rz, d, fall = float(r @ z), z, 0.0
-        if not rz > 0:
-            return dx, 0.0  # at the minimum to the last digit
+        if OLD * rz <= enough:
+            return dx, OLD * max(rz, 0.0)
         for iteration in range(ITERATIONS):
             q = _sum([At @ (A @ d) for A, At in zip(rows, columns, strict=True)], F.n)
             alpha = rz / float(d @ q)
@@ -181,7 +182,7 @@ class GrowingSystem:
             before, rz = rz, float(r @ z)
             self.iterations += 1
             self._age += iteration > 0
-            if rz <= (ROUGHLY if fall > enough else SOLVED) * max(fall, enough):
+            if OLD * rz <= enough - fall or (fall > enough and rz <= ROUGHLY * fall):
                 break
             d = z + (rz / before) * d
         return dx, fall + OLD * rz
@@ -189,12 +190,14 @@ class GrowingSystem:
     def move(self, dx: Array) -> bool:
         """Move all variables by the whole step, or the first half of halves that lowers chi2; whether one does."""
         chi2, begin = self.chi2, {kind: v.X.copy() for kind, v in self.variables.items()}
-        for part in (*0.5 ** np.arange(HALVES), 0.0):
+        first = min(2 * self._part, 1.0)  # of a step like the last one
+        for part in (*first * 0.5 ** np.arange(HALVES), 0.0):
             for kind, v in self.variables.items():
                 v.move(begin[kind], part * dx[v.columns[:, None] + np.arange(v.manifold.dim)])
             for batch in self.batches:
                 batch.linearize()
             if self.chi2 < chi2:
+                self._part = part
                 return True
         return False
 
