@@ -193,6 +193,16 @@ def test_it_is_saved_and_goes_on() -> None:
     np.testing.assert_allclose(*(smoother.values[x] for smoother in smoothers), atol=1e-2)
 
 
+def test_memory_grows_with_the_measurements() -> None:
+    world = sim.ring(np.random.default_rng(6), laps=4, per_lap=100)
+    smoother, sizes = Incremental(), []
+    for k, step in enumerate(steps(world.graph.factors)):
+        smoother.update(step.factors, first(world.start) if k == 0 else None)
+        if k in (99, 398):
+            sizes.append(len(pickle.dumps(smoother)) / len(smoother.graph))
+    assert sizes[1] < 2 * sizes[0]  # bytes a measurement; arrays that grow have up to twice the room
+
+
 def test_a_wrong_closure_is_taken_out() -> None:
     world = sim.ring(np.random.default_rng(3), laps=2, per_lap=20)
     wrong = Between(x[3], x[15], [5.0, 0, 1], Isotropic(0.05))
