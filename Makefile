@@ -1,7 +1,7 @@
 # What each target runs; change it here.
 PYTHON ?= python3
 DEMO = .venv/bin/python -m sim sphere --out demo && \
-       .venv/bin/nls solve demo/graph.g2o --plot demo/solved.png -o demo/solved.g2o
+       .venv/bin/nls solve demo --plot demo/solved.png -o demo/solved.g2o
 BENCHMARK = for script in pinv marginals schur scaling bundle; do .venv/bin/python benchmarks/$$script.py --quick --out build/benchmarks; done
 EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
 

@@ -21,6 +21,7 @@ from sim.cli_estimators import SCENE_FILES, Files, add_compare, add_estimators, 
 from sim.estimators import SCENES
 from sim.mission import Mission
 from sim.monte_carlo import FailedRunsError, sentence
+from sim.native_files import HOLD, native_files
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
 from sim.worlds.hauv_floor import hauv_floor
@@ -38,9 +39,9 @@ MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f f
 RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
 MADE: dict[str, Callable[..., Any]] = {**WORLDS, **MISSIONS, **RIGS, **SCENES}
 WRITTEN = {
-    "world": "graph.g2o, truth.g2o",
-    "mission": "a mission (CSV files, for nls solve)",
-    "rig": "rig.png, rig.json (before and after)",
+    "world": "graph.npz, truth.npz, graph.g2o, truth.g2o",
+    "mission": "a mission (CSV files, for nls solve), graph.npz, truth.npz",
+    "rig": "graph.npz, truth.npz, rig.png, rig.json (before and after)",
     "scene": SCENE_FILES,
 }
 EXAMPLES = """examples:
@@ -126,7 +127,7 @@ def rows(world: World) -> list[tuple[str, str]]:
         ("world", f"{world.name}, seed {world.seed}"),
         ("poses", f"{world.poses} in {world.truth.stack('x').manifold}"),
         ("edges", f"{len(world.graph)}: {len(odometry)} odometry, {len(closures)} loop closures"),
-        ("chi2 at start", f"{world.graph.chi2(world.start):.6g} (convention log; files are read as g2o unless told)"),
+        ("chi2 at start", f"{world.graph.chi2(world.start):.6g} (convention log)"),
         ("chi2 at truth", f"{world.graph.chi2(world.truth):.6g}, expected {world.rows} (rows of A)"),
         ("dof", f"{world.dof}: the expected chi2 at the optimum"),
         ("start error", f"{position_error(world.start, world.truth):.4g} m (RMSE of positions, first pose aligned)"),
@@ -153,8 +154,9 @@ def simulated(world: World | Mission | Rig, out: str | None) -> tuple[list[tuple
         return mission_rows(world), lambda: mission_folder(world, str(out))
     if isinstance(world, Rig):
         result = calibrated(world)
-        holds = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n"
-        return calibration_rows(world, result), lambda: (calibration_files(world, result), holds)
+        holds = "rig.png: the raw start and the optimum.\nrig.json: errors before and after, m and rad.\n" + HOLD
+        files = calibration_files
+        return calibration_rows(world, result), lambda: ({**files(world, result), **native_files(world)}, holds)
     return rows(world), lambda: graph_files(world)
 
 
@@ -164,18 +166,18 @@ def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
 
     files = mission_files(mission.graph, mission.sonar, mission.offset, mission.truth)
     refuse_mixed(out, files)
-    return files, "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n"
+    return {**files, **native_files(mission)}, (
+        "A mission folder, as nls solve reads it: one CSV file a sensor, units in the names of the columns.\n" + HOLD
+    )
 
 
 def graph_files(world: World) -> tuple[dict[str, bytes], str]:
-    """Two graphs, with the start and with the truth."""
+    """The graph with the start and with the truth, in two formats."""
     from nls.io import rendered
 
     values = {"graph.g2o": world.start, "truth.g2o": world.truth}
-    return {name: rendered(name, world.graph, estimate)[0] for name, estimate in values.items()}, (
-        "graph.g2o: the measurements, and the chained odometry as the start.\n"
-        "truth.g2o: the same measurements, and the true poses.\n"
-    )
+    text = {name: rendered(name, world.graph, estimate)[0] for name, estimate in values.items()}
+    return {**native_files(world), **text}, HOLD + "graph.g2o, truth.g2o: the same for other programs.\n"
 
 
 def write(folder: str, files: Files, description: str, table: str, call: str) -> list[str]:

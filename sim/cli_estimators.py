@@ -18,9 +18,10 @@ from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, errors, estimator, followed, of_seed, tracked
 from sim.landmark_world import LandmarkWorld
 from sim.monte_carlo import FailedRunsError, runs, sentence
+from sim.native_files import HOLD, native_files
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
-SCENE_FILES = "estimate.png (four pictures), estimate.json"
+SCENE_FILES = "graph.npz, truth.npz, estimate.png (four pictures), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
     "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
     "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
@@ -160,9 +161,9 @@ def _single(
 
         figure = estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}")
         report = {**request, "estimator": name, "method": track.method, **statistics}
-        return _pictured("estimate", figure, report), (
+        return {**_pictured("estimate", figure, report), **native_files(world)}, (
             "estimate.png: the map, sigmas of vehicle and landmarks, errors within 3 sigma.\n"
-            "estimate.json: options and errors, m.\n"
+            "estimate.json: options and errors, m.\n" + HOLD
         )
 
     return [*head, *rows], files, world.description

@@ -23,8 +23,9 @@ from factors.robust import kernel_from_text
 from models import LieGroup
 from nls.cli.outputs import input_name, refuse_unwritable
 from nls.incremental.steps import Arrived, steps
-from nls.io import foreign
-from nls.io.files import GZIP, read_bytes, read_stream, write_bytes
+from nls.io import NATIVE, foreign
+from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
+from nls.io.native.native import read_native
 from nls.io.pyfg import read_pyfg
 from nls.io.read import read_graph
 from nls.io.report import LoadReport
@@ -105,14 +106,14 @@ def _facts(session: Session, arrived: Arrived, milliseconds: float) -> dict[str,
 def _blocks(options: argparse.Namespace) -> Iterator[bytes]:
     """Whole lines as they come: a file at once, of a pipe what is there."""
     if options.file != "-":
-        yield read_bytes(options.file)
+        yield read_bytes(options.file, archive=True)
         return
     name = input_name(options.file)
     if sys.stdin is None:
         raise nls.GraphFileError("cannot be read: standard input is closed", name)
     pipe = cast(BufferedReader, sys.stdin.buffer)
-    if pipe.peek(2)[:2] == GZIP:
-        yield read_stream(pipe, name)
+    if pipe.peek(2)[:2] in (GZIP, ZIP[:2]) or pipe.peek(1)[:1] == b"{":  # no lines
+        yield read_stream(pipe, name, archive=True)
         return
     rest = b""
     for block in iter(partial(pipe.read1, AT_ONCE), b""):
@@ -137,17 +138,15 @@ class _Reader:
 
     def steps(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
         """The measurements of a block as they arrive, and what is said of their variables."""
+        form = foreign(block, self.name)[0] if self.dialect == "auto" else self.dialect
+        if form in NATIVE:
+            yield from self._native(block)
+            return
         before, self.before = self.before, self.before + block.count(b"\n")
         if self.options.checkpoint is not None:
             self._lines += block.splitlines(keepends=True)
         self._fixed.update(word for line in FIX.findall(block) for word in line.split()[1:])
-        if len(self._fixed) > 1:
-            raise nls.GraphFileError(
-                f"holds {len(self._fixed)} poses by FIX; a stream holds the one it begins with, so give the others "
-                "priors (EDGE_PRIOR_SE2, EDGE_SE3_PRIOR)",
-                self.name,
-            )
-        form = foreign(block, self.name)[0] if self.dialect == "auto" else self.dialect
+        self._refuse_held(len(self._fixed))
         if form == "bal":
             raise nls.GraphFileError("is bundle adjustment (bal), whose cameras are in no order of time", self.name)
         if form == "pyfg":
@@ -166,6 +165,21 @@ class _Reader:
         self.dialect = report.format
         yield from self._arriving(graph, values, report)
 
+    def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
+        """The steps of a native file, in the order of their newest poses."""
+        graph, values, report = read_native(block, self.name)
+        self._refuse_held(len({repr(key) for keys in graph.fixed for key in keys}))
+        self._hash.update(block)
+        report.sources.clear()  # it has no lines
+        yield from self._arriving(graph, values, report)
+
+    def _refuse_held(self, count: int) -> None:
+        """Refuse a file that holds several variables."""
+        if count > 1:
+            raise nls.GraphFileError(
+                f"holds {count} variables; a stream holds the pose it begins with, so give the others priors", self.name
+            )
+
     def _arriving(
         self, graph: nls.FactorGraph, values: nls.Values, report: LoadReport
     ) -> Iterator[tuple[Arrived, nls.Values]]:
@@ -175,7 +189,8 @@ class _Reader:
         if self.options.robust:
             graph = graph.robust(kernel_from_text(self.options.robust))
         kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
-        for arrived in steps(graph.factors, [source.lines for source in report.sources], kind) if graph.factors else ():
+        lines = [source.lines for source in report.sources] or None
+        for arrived in steps(graph.factors, lines, kind) if graph.factors else ():
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True
 

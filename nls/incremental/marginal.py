@@ -45,7 +45,7 @@ class MarginalPrior(Factor):
     keys : the variables, one each.
     X0 : per variable the value (size,) where it was linearized.
     A : (m, D) whitened rows over the tangent steps from X0, side by side.
-    b : (m,) whitened right-hand side.
+    z : (m,) whitened right-hand side c.
     relative, unmoved : as the measurements were, see `Factor`.
 
     Notes
@@ -73,11 +73,11 @@ class MarginalPrior(Factor):
         keys: Sequence[Keys],
         X0: Sequence[Array],
         A: Array,
-        b: Array,
+        z: Array,
         relative: bool = False,
         unmoved: tuple[int, ...] = (),
     ) -> None:
-        super().__init__(keys, b, Isotropic(1.0))
+        super().__init__(keys, z, Isotropic(1.0))
         self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), tuple(X0), A, relative, unmoved
 
     def sizes(self) -> tuple[int, ...]:

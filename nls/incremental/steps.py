@@ -17,7 +17,12 @@ __all__ = ["Arrived", "steps"]
 
 @dataclass(frozen=True)
 class Arrived:
-    """What arrives at once: the measurements with the same newest pose, and the line of the last of them."""
+    """What arrives at once: the measurements with the same newest pose.
+
+    Attributes
+    ----------
+    line : of the last of them in the file; the number of the step, counted from 1, where there are no lines.
+    """
 
     pose: Keys
     factors: list[Factor]
@@ -63,10 +68,11 @@ def steps(factors: Sequence[Factor], lines: Sequence[Index] | None = None, kind:
     before = np.maximum.accumulate(np.where(newest >= 0, np.arange(len(newest)), -1))
     newest = newest[np.where(before >= 0, before, np.argmax(newest >= 0))]
     begins = np.flatnonzero(np.diff(newest, prepend=newest[0] - 1))
-    for number, run in zip(newest[begins].tolist(), np.split(order, begins[1:]), strict=True):
+    runs = zip(newest[begins].tolist(), np.split(order, begins[1:]), strict=True)
+    for step, (number, run) in enumerate(runs, 1):
         arrived = [(k, row[run[of[run] == k]]) for k in np.unique(of[run]).tolist()]
         parts = [factors[k] if len(rows) == len(factors[k]) else factors[k][rows] for k, rows in arrived]
-        yield Arrived(Keys(kind, number), parts, int(at[run].max()))
+        yield Arrived(Keys(kind, number), parts, step if lines is None else int(at[run].max()))
 
 
 def _newest(factor: Factor, kind: str) -> Index:

@@ -12,7 +12,8 @@ from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
-from nls.io.files import read_bytes, read_stream, write_bytes
+from nls.io.files import ZIP, graph_file, read_bytes, read_stream, write_bytes
+from nls.io.native.types import register
 from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
@@ -30,13 +31,16 @@ __all__ = [
     "load_stream",
     "read_kitti",
     "read_tum",
+    "register",
     "rendered",
     "save",
     "write_kitti",
     "write_tum",
 ]
 
-DIALECTS = ("auto", *FORMATS, "pyfg", "bal")
+NATIVE = ("npz", "json")
+DIALECTS = ("auto", *FORMATS, "pyfg", "bal", *NATIVE)
+OBJECT = re.compile(rb"\s*\{")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
 POSE = re.compile(rb"VERTEX_SE[23]\S*[ \t]+\S+[ \t]+(\S*)")  # its second word
 NAME = re.compile(rb"[A-Za-z]+[0-9]+")
@@ -53,10 +57,12 @@ def load(
 
     Parameters
     ----------
-    path : the file, or the folder of a mission: its track, sonar contacts and truth as CSV files.
+    path : the file, or the folder of a mission: its track, sonar contacts and truth as CSV files; or one without these
+        that holds ``graph.npz`` or ``graph.g2o``.
     convention : residual of pose measurements, see `factors.conventions`.
     dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
-        `nls.io.dialects`), ``pyfg`` or ``bal``. Files whose lines have several readings must be named.
+        `nls.io.dialects`), ``pyfg``, ``bal``, or the library's own ``npz`` and ``json``, which states the convention of
+        every factor. Files whose lines have several readings must be named.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones (with
         a warning) instead of refusing the file; for the dialects g2o and toro.
     elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see
@@ -114,7 +120,7 @@ def load_stream(
     _refuse_elevation(elevation, name)
     with stage("read file"):
         try:
-            data = read_stream(file, name)
+            data = read_stream(file, name, archive=True)
         except OSError as error:
             raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
     return _warned(name, _parsed(data, name, convention, dialect, repair_information))
@@ -131,6 +137,7 @@ def _read(
     path: str | Path, convention: str, dialect: str, repair_information: bool, elevation: str | None
 ) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph of a file or folder, without its warnings; parameters and errors as for `load`."""
+    path = graph_file(path)
     if isinstance(path, str | os.PathLike) and os.path.isdir(path):
         from nls.io.mission import read_mission
 
@@ -142,7 +149,7 @@ def _read(
         return read_mission(path, "hinge" if elevation is None else elevation)
     _refuse_elevation(elevation, path)
     with stage("read file"):
-        data = read_bytes(path)
+        data = read_bytes(path, archive=True)
     return _parsed(data, str(path), convention, dialect, repair_information)
 
 
@@ -159,9 +166,13 @@ def _parsed(
     reason = "as asked for"
     if dialect == "auto":
         dialect, reason = foreign(data, path)
-    if dialect in ("bal", "pyfg") and repair_information:
+    if dialect in ("bal", "pyfg", *NATIVE) and repair_information:
         raise no_information(path, dialect)
-    if dialect == "bal":
+    if dialect in NATIVE:
+        from nls.io.native.native import read_native
+
+        graph, values, report = read_native(data, path)
+    elif dialect == "bal":
         from nls.io.bal import read_bal
 
         graph, values, report = read_bal(data, path)
@@ -177,7 +188,11 @@ def _parsed(
 
 
 def foreign(data: bytes, path: str) -> tuple[str, str]:
-    """The formats that are no list of tagged lines with ids, ``bal`` and ``pyfg``, and why; else ``auto``."""
+    """The formats that are no list of tagged lines with ids, and why; else ``auto``."""
+    if data.startswith(ZIP):
+        return "npz", "an archive of arrays"
+    if OBJECT.match(data):
+        return "json", "a JSON object"
     if path.lower().removesuffix(".gz").endswith(".pyfg"):
         return "pyfg", "by its name"
     first = POSE.search(data, 0, 1 << 16)
@@ -202,7 +217,8 @@ def save(
     report : the report the graph was read with: its times are kept. For a file of the same format the numbers of the
         lines and the ids of parameters stay as they were, and unused lines are appended (otherwise a warning counts
         them: another format may read them as its own).
-    dialect : as for `load`; when omitted by the name: ``.g2o``, ``.toro``, ``.isam``, ``.pyfg`` or ``.bal``.
+    dialect : as for `load`; when omitted by the name: ``.npz`` and ``.json`` hold every graph bit for bit, ``.g2o``,
+        ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for.
 
     Raises
     ------
@@ -237,6 +253,10 @@ def rendered(
         from nls.io.pyfg import pyfg_text
 
         return pyfg_text(path, graph, values, report), notes
+    if dialect in NATIVE:
+        from nls.io.native.native import native_bytes
+
+        return native_bytes(path, graph, values, report, dialect), notes
     from nls.io.write import graph_text
 
     data, more = graph_text(path, graph, values, report, FORMATS[dialect])

@@ -21,13 +21,14 @@ import numpy as np
 from models.errors import GraphFileError, OptionError, ResourceLimitError
 from nls.linear.limits import default_limit, gigabytes
 
-__all__ = ["descriptor", "names_folder", "new_folder", "read_bytes", "write_bytes", "write_folder"]
+__all__ = ["descriptor", "graph_file", "names_folder", "new_folder", "read_bytes", "write_bytes", "write_folder"]
 
 CHUNK = 1 << 20
 PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
 SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
 WORD = 1 << 22  # bytes of one word
 GZIP = b"\x1f\x8b"
+ZIP = b"PK\x03\x04"
 CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
 BETWEEN = re.compile(rb"[\x00-\x20,]")  # words
 COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
@@ -35,7 +36,7 @@ OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
 BLANK = 0x20  # the largest byte that is one
 
 
-def read_bytes(path: str | Path, limit: float | None = None) -> bytes:
+def read_bytes(path: str | Path, limit: float | None = None, archive: bool = False) -> bytes:
     """Content of a text file, unpacked where it is gzip-compressed, without a byte-order mark.
 
     Lines end in a newline or a carriage return, or both; where one ends in a carriage return alone, all end in newlines
@@ -45,6 +46,7 @@ def read_bytes(path: str | Path, limit: float | None = None) -> bytes:
     ----------
     path : a file, a pipe or a device.
     limit : of the memory that reading takes, bytes; half of the machine's when omitted.
+    archive : whether it may be an archive of arrays instead, whose bytes stay as they are.
 
     Raises
     ------
@@ -59,14 +61,14 @@ def read_bytes(path: str | Path, limit: float | None = None) -> bytes:
     try:
         with open(path, "rb") as file:
             _Pieces(f"{name}: has", limit).refuse_above(os.fstat(file.fileno()).st_size)
-            return read_stream(file, name, limit)
+            return read_stream(file, name, limit, archive)
     except IsADirectoryError as error:
         raise GraphFileError("is a folder; expected a file", name) from error
     except OSError as error:
         raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
 
 
-def read_stream(file: BinaryIO, name: str, limit: float | None = None) -> bytes:
+def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: bool = False) -> bytes:
     """The content of an open file or pipe; the name is for messages, the rest as for `read_bytes`.
 
     Raises
@@ -76,9 +78,11 @@ def read_stream(file: BinaryIO, name: str, limit: float | None = None) -> bytes:
     """
     first = file.read(CHUNK)
     if first[:2] != GZIP:
-        return _content(chain([first], iter(partial(file.read, CHUNK), b"")), _Pieces(f"{name}: has", limit), name)
+        return _content(
+            chain([first], iter(partial(file.read, CHUNK), b"")), _Pieces(f"{name}: has", limit), name, archive
+        )
     try:
-        return _content(_unpacked(first, file, name), _Pieces(f"{name}: unpacks to", limit), name)
+        return _content(_unpacked(first, file, name), _Pieces(f"{name}: unpacks to", limit), name, archive)
     except EOFError as error:
         raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
     except zlib.error as error:
@@ -116,9 +120,13 @@ def _unpacked(packed: bytes, file: BinaryIO, name: str) -> Iterator[bytes]:
             raise GraphFileError(f"is complete as a gzip file, and {count:,} bytes{more} that are no gzip follow", name)
 
 
-def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str) -> bytes:
-    """The text of a file."""
+def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str, archive: bool) -> bytes:
+    """The text of a file, or the bytes of an archive."""
     first = next(chunks, b"")
+    if archive and first.startswith(ZIP):
+        for chunk in chain([first], chunks):
+            pieces.add_binary(chunk)
+        return b"".join(pieces.chunks)
     if first[:4] in (b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"):
         raise GraphFileError("is UTF-32 text; save it as UTF-8 or ASCII", name)
     if first[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -180,6 +188,17 @@ class _Pieces:
             self.words += sum(map(_words, self.chunks[self.counted :]))
             self.counted = len(self.chunks)
             self.refuse_above(self.size, self.words)
+
+    def add_binary(self, chunk: bytes) -> None:
+        """One more chunk of something that is no text.
+
+        Raises
+        ------
+        ResourceLimitError
+        """
+        self.chunks.append(chunk)
+        self.size += len(chunk)
+        self.refuse_above(self.size)
 
     def _refuse_idle(self, idle: int, allowed: int) -> None:
         """Refuse more bytes of blanks, commas and comments than are allowed beside the content."""
@@ -264,6 +283,15 @@ def descriptor(name: str) -> int | None:
             return None
         name = os.path.join(folder, os.readlink(name))
     return None
+
+
+def graph_file(path: str | Path) -> str | Path:
+    """The file ``graph.npz`` or ``graph.g2o`` of a folder without tables; otherwise the path itself."""
+    if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not any(Path(path).glob("*.csv*")):
+        for name in ("graph.npz", "graph.g2o"):
+            if (file := Path(path, name)).is_file():
+                return str(file)
+    return path
 
 
 def names_folder(name: str) -> bool:

@@ -66,11 +66,12 @@ def test_files_read_back(name: str, tmp_path: Path, capsys: pytest.CaptureFixtur
         np.testing.assert_array_equal(values[x], expected[x])
         assert len(graph) == len(world.graph)
         assert graph.chi2(values) == pytest.approx(world.graph.chi2(expected), rel=1e-9)
-    graph, start, _ = load(folder / "graph.g2o")
+    graph, start, _ = load(folder)
+    assert graph.chi2(start) == world.graph.chi2(world.start)
     result = graph.optimize(start)
     assert result.converged
     assert sim.position_error(result.values, world.truth) < sim.position_error(world.start, world.truth)
-    readme = made_again(folder, ["graph.g2o", "truth.g2o"], tmp_path / "again")
+    readme = made_again(folder, ["graph.g2o", "graph.npz", "truth.g2o", "truth.npz"], tmp_path / "again")
     assert "seed 3" in readme
     assert f"{world.poses} in" in readme
 
@@ -129,7 +130,9 @@ def test_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert sorted(report[name]) == ["extrinsic_m", "extrinsic_rad", "points", "poses"]
         assert report["extrinsic"][name] == values[s[0]].tolist()
     assert report["extrinsic"]["truth"] == rig.truth[s[0]].tolist()
-    assert "each seen from 5 poses" in made_again(folder, ["rig.json", "rig.png"], tmp_path / "again")
+    assert "each seen from 5 poses" in made_again(
+        folder, ["graph.npz", "rig.json", "rig.png", "truth.npz"], tmp_path / "again"
+    )
 
 
 def test_one_line_for_a_mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,7 @@ def test_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = json.loads((folder / "estimate.json").read_text())
     assert {key: report[key] for key in found} == found
     assert report["options"]["azimuth"] == "absolute"
-    made_again(folder, ["estimate.json", "estimate.png"], tmp_path / "again")
+    made_again(folder, ["estimate.json", "estimate.png", "graph.npz", "truth.npz"], tmp_path / "again")
 
 
 @pytest.mark.usefixtures("threads")

@@ -15,7 +15,7 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
 
-README = "README.txt"  # for people: nothing in it is missed
+NOT_MISSED = ("README.txt", "graph.npz", "truth.npz")  # for people, and the same graph in one file
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
     "sonar.csv, both or none of these two"
@@ -53,7 +53,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     note_comments(report, sum(table.comments for table in tables.values()))
     if tabular := [name for name in other_files if ".csv" in name.lower()]:
         report.warn(f"no file of a mission, not read: {_listed(tabular)}; expected names: {_listed(list(COLUMNS))}")
-    if ignored_files := [name for name in other_files if name not in tabular and name != README]:
+    if ignored_files := [name for name in other_files if name not in tabular and name not in NOT_MISSED]:
         report.notes.append(f"not read: {_listed(ignored_files)}")
     return tables, report
 

@@ -32,7 +32,7 @@ FILES = {
     "empty": "",
     "b.bal": "1 1 1\n0 0 10.5 -3\n0 0 0 0 0 0 500 0 0\n0.1 0.2 -5\n",
     "log.csv": "a,b\n1,2\n",
-    "alone/graph.g2o": PLANE,
+    "alone/survey.g2o": PLANE,
 }
 REFUSED = r"""
 solve => the following arguments are required: FILE
@@ -60,7 +60,7 @@ explain nan.g2o => nan.g2o:6: .*nan
 {solve|info} lines.txt => name the dialect
 info {a.pyfg|t.tum} --repair-information => --repair-information: True is not .* (a.pyfg|t.tum) is in the format
 solve graph.g2o --elevation free => no folder of a mission
-solve alone => is a folder, but no mission: (.|\n)*-> read the file in it: .*alone/graph.g2o$
+solve alone => is a folder, but no mission: (.|\n)*-> read the file in it: .*alone/survey.g2o$
 solve log.csv => -> give the folder, if the table belongs to a mission
 
 solve graph.g2o {-o|--json|--covariance} nowhere/out.g2o => 'nowhere/out.g2o' .* a file in a folder that exists
@@ -74,7 +74,7 @@ solve graph.g2o {-o|--covariance|--plot} - => '-' is not possible; .* only --jso
 {convert graph.g2o|solve graph.g2o -o} '' => '' is not possible; expected the name of a file
 solve graph.g2o -o out.isam => such as g2o: isam files hold measurements only
 {convert graph.g2o|solve graph.g2o -o} out.graph => or --to FORMAT; \*\.graph may be toro or graph
-{convert graph.g2o|solve graph.g2o -o} out.kity => \.toro, \.isam, \.pyfg, \.bal, \.tum, \.kitti, or --to FORMAT
+{convert graph.g2o|solve graph.g2o -o} out.kity => \.toro, \.isam, \.pyfg, \.bal, \.npz, .*\.kitti, or --to FORMAT
 {solve|explain} graph.g2o --json graph.g2o => another name: this is the input
 solve graph.g2o {--covariance graph.g2o|--json hard.png|--plot soft.png} => another name: this is the input
 plot graph.g2o {hard|soft}.png => another name: this is the input

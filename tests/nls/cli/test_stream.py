@@ -129,7 +129,7 @@ def test_what_comes_behind_the_window_is_counted(tmp_path: Path) -> None:
         ("", [], "is empty|no measurement"),
         ("VERTEX_SE2 0 0 0 0\n", [], "has no measurement: nothing to stream"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0\n", [], "stdin>:2: "),
-        ("FIX 0\nFIX 3\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", [], "holds 2 poses by FIX"),
+        ("FIX 0\nFIX 3\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", [], "holds 2 variables"),
         ("x" * 6_000_000, [], "has a line of more than 4,194,304 bytes"),
         ("1 1 1\n0 0 0 0\n", [], "is bundle adjustment (bal)"),
         ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", ["--lag", "0"], "lag"),

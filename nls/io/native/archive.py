@@ -1,0 +1,77 @@
+"""Named arrays in one ``.npz`` file: as `numpy.savez` writes them, read without pickles and within bounds."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from io import BytesIO
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
+
+from models.errors import GraphFileError, ResourceLimitError
+from nls.io.text import printable
+
+__all__ = ["archived", "arrays_of"]
+
+Arrays = dict[str, npt.NDArray[np.generic]]
+RATIO, SLACK = 64, 1 << 20  # that an archive may unpack to: so many times its bytes, and more
+EPOCH = (1980, 1, 1, 0, 0, 0)  # of every array: the same graph is the same file
+KINDS = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_, "U": np.str_}
+DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
+
+
+def archived(arrays: Arrays) -> bytes:
+    """The bytes of a file of these arrays."""
+    out = BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            content = BytesIO()
+            npy.write_array(content, np.asarray(array), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), content.getvalue())
+    return out.getvalue()
+
+
+def arrays_of(data: bytes, path: str) -> Arrays:
+    """The arrays of a file.
+
+    Raises
+    ------
+    GraphFileError
+        It is damaged, or holds something else than numbers and text.
+    ResourceLimitError
+        It claims to unpack to far more than its size.
+    """
+    try:
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            claimed = sum(info.file_size for info in archive.infolist())
+            if claimed > RATIO * len(data) + SLACK:
+                raise ResourceLimitError(
+                    f"{path}: claims to unpack to {claimed:,} bytes, the limit for its {len(data):,} is "
+                    f"{RATIO * len(data) + SLACK:,}",
+                    claimed,
+                    RATIO * len(data) + SLACK,
+                )
+            return {i.filename.removesuffix(".npy"): _array(archive.read(i), i.filename) for i in archive.infolist()}
+    except DAMAGES as error:
+        raise GraphFileError(f"is a damaged npz file: {printable(str(error).encode(), 200)}", path) from error
+
+
+def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
+    """One array, of its header and exactly the numbers that the header says."""
+    file = BytesIO(content)
+    version = npy.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"{name!r:.60} has version {version} of its header, expected 1.0 or 2.0")
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, columns_first, dtype = read(file)
+    if dtype.kind not in KINDS:
+        raise ValueError(f"{name!r:.60} holds {dtype}, expected numbers or text")
+    count, rest = 1, content[file.tell() :]
+    for length in shape:
+        count *= length
+    if count * dtype.itemsize != len(rest):
+        raise ValueError(f"{name!r:.60} says {count} numbers of {dtype}, and has {len(rest)} bytes")
+    array = np.frombuffer(rest, dtype) if rest else np.zeros(0, dtype)
+    return array.reshape(shape, order="F" if columns_first else "C").astype(KINDS[dtype.kind], order="K")

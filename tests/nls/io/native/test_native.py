@@ -1,0 +1,332 @@
+"""Native files: every graph bit for bit, in both forms; what is damaged is refused in a sentence, and runs nothing."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import factors
+import nls
+import nls.io
+import sim
+from factors import Between, Cauchy, Diagonal, Factor, Huber, Isotropic, Noise, Position, Prior, RangeAzimuth
+from factors.keys import Keys
+from models import SE2, SE3, R
+from models.errors import GraphError, GraphFileError, LeadlineError, OptionError
+from nls import FactorGraph, Values, kinds
+from nls.incremental.marginal import marginalized
+from nls.io.native.archive import archived
+from tests.factors.samples import Sample, full_noise
+from tests.factors.samples_sonar import ELIMINATING_SAMPLES
+from tests.factors.test_conformity import SAMPLES, situation
+
+FORMS = "npz", "json"
+x, l = kinds("x", "l")
+HERE = Path(__file__).parent / "files"
+Change = Callable[[dict[str, Any]], None]
+
+
+def same(graph: FactorGraph, values: Values, other: FactorGraph, its: Values) -> None:
+    """Two graphs at two values have the same rows, to the bit."""
+    mine, theirs = graph.linearize(values), other.linearize(its)
+    assert np.array_equal(mine.b, theirs.b)
+    assert mine.chi2 == theirs.chi2
+    assert np.array_equal(mine.A.data, theirs.A.data)
+    assert np.array_equal(mine.A.indices, theirs.A.indices)
+    assert [f.kernel for f in graph.factors] == [f.kernel for f in other.factors]
+    assert [f.convention for f in graph.factors] == [f.convention for f in other.factors]
+
+
+def again(path: Path, graph: FactorGraph, values: Values) -> tuple[FactorGraph, Values]:
+    nls.save(path, graph, values)
+    return nls.load(path)[:2]
+
+
+def small() -> tuple[FactorGraph, Values]:
+    """Two poses and a landmark, one pose held; what the committed files hold."""
+    noise = Diagonal(x=[0.1, 0.3], y=0.2, yaw=0.05)
+    odometry = Between(x[[0, 1]], x[[1, 2]], [[1, 0, 0.1], [1, 0, 1 / 3]], noise, "g2o").robust(Cauchy(2.0))
+    place = Position(x[2], [2.0, 0.1], Isotropic(0.5), offset=[0.1, 0.0])
+    values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0.1], [2, 0.1, 0.4]], [0, 1, 2]), l: (R(2), np.zeros((0, 2)))})
+    return FactorGraph([odometry, place], [x[0]]), values
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("sample", [s for s in (*SAMPLES, *ELIMINATING_SAMPLES) if "function" not in s.name], ids=str)
+def test_every_factor_is_the_same_to_the_bit(sample: Sample, form: str, tmp_path: Path) -> None:
+    X, z = situation(sample, "truth", 3, 0)
+    factor, values = sample.factor(z, full_noise(3, sample.dim, 0)), sample.values(X)
+    graph = FactorGraph([factor, factor.robust(Huber(1.5)), factor[[2, 0]]])
+    same(graph, values, *again(tmp_path / f"sample.{form}", graph, values))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("make", [sim.ring, sim.sphere, sim.hauv_floor, sim.hauv_hull, sim.rig, sim.subsea, sim.lines])
+def test_every_world_has_the_same_optimum(make: Callable[..., Any], form: str, tmp_path: Path) -> None:
+    small = {"legs": 2, "levels": 2, "per_leg": 8, "per_level": 8, "rings": 6, "points": 60, "per_lap": 30}
+    options = {name: n for name, n in small.items() if name in inspect.signature(make).parameters}
+    world = make(np.random.default_rng(3), **options)
+    graph, values = again(tmp_path / f"world.{form}", world.graph, world.start)
+    mine, theirs = world.graph.optimize(world.start), graph.optimize(values)
+    assert (mine.chi2_final, mine.iterations) == (theirs.chi2_final, theirs.iterations)
+    for kind, stack in mine.values.stacks.items():
+        assert np.array_equal(stack.X, theirs.values.stack(kind).X)
+
+
+def test_every_public_file_is_the_same(data: Path, tmp_path: Path) -> None:
+    for path in sorted(data.glob("pose-graphs-*/*.g2o")):
+        if path.stat().st_size < 1 << 20:
+            graph, values, _ = nls.load(path)
+            same(graph, values, *again(tmp_path / "public.npz", graph, values))
+
+
+def test_every_class_of_factors_noise_and_kernels_has_a_name() -> None:
+    for name, thing in vars(factors).items():
+        if inspect.isclass(thing) and not inspect.isabstract(thing) and issubclass(thing, Noise | factors.Kernel):
+            arguments = {"Robust": (Isotropic(2.0), Huber(1.0)), "Isotropic": (2.0,), "Diagonal": ([0.1, 0.2, 0.3],)}
+            made = thing(*arguments.get(name, (np.eye(3),) if issubclass(thing, Noise) else (1.5,)))
+            noise = made if isinstance(made, Noise) else factors.Robust(Isotropic(1.0), made)
+            graph, values = FactorGraph([Prior(x[0], [0.1, 0.2, 0.3], noise)]), Values({x: (SE2, [[0, 0, 0]])})
+            read = nls.io.load_stream(_stream(graph, values), "memory")[0]
+            assert type(read.factors[0].noise) is type(noise)
+            same(graph, values, read, values)
+
+
+def _stream(graph: FactorGraph, values: Values) -> io.BytesIO:
+    return io.BytesIO(nls.io.rendered("memory.npz", graph, values)[0])
+
+
+def test_what_a_window_left_is_kept(tmp_path: Path) -> None:
+    world = sim.subsea(np.random.default_rng(1), laps=1)
+    left, values = marginalized(world.graph.factors, world.start, [x[:20]])
+    same(FactorGraph(left), values, *again(tmp_path / "window.json", FactorGraph(left), values))
+
+
+def test_fixed_variables_and_times_are_kept(tmp_path: Path) -> None:
+    graph, values = small()
+    report = nls.LoadReport("log", "mission", "2-D", "log", vertex_times={"x": np.array([0.5, 1.5, 2.5])})
+    for form in FORMS:
+        nls.save(tmp_path / f"small.{form}", graph, values, report)
+        read, its, notes = nls.load(tmp_path / f"small.{form}")
+        assert read.fixed == [x[[0]]]
+        assert its.stacks.keys() == values.stacks.keys()
+        assert notes.vertex_times["x"].tolist() == [0.5, 1.5, 2.5]
+        assert (notes.format, notes.dimension, notes.convention) == (form, "2-D", "g2o, log")
+        assert read.optimize(its).chi2_final == graph.optimize(values).chi2_final
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_files_of_version_1_are_read(form: str) -> None:
+    graph, values = small()
+    read, its, _ = nls.load(HERE / f"version-1.{form}")
+    same(graph, values, read, its)
+
+
+def test_numpy_alone_opens_an_archive(tmp_path: Path) -> None:
+    graph, values = small()
+    nls.save(tmp_path / "small.npz", graph, values)
+    with np.load(tmp_path / "small.npz", allow_pickle=False) as arrays:
+        assert np.array_equal(arrays["factors.0.z"], graph.factors[0].z)
+        assert np.array_equal(arrays["values.x.X"], values[x])
+        assert json.loads(str(arrays["structure"]))["factors"]["1"]["type"] == "Position"
+
+
+class Gauge(Prior):
+    """A factor of a user's."""
+
+
+class Forgetful(Prior):
+    """A factor that keeps a number its constructor does not take."""
+
+    def __init__(self, key: Keys, z: npt.ArrayLike, noise: Noise) -> None:
+        super().__init__(key, z, noise)
+        self.secret = float(np.sum(z))
+
+    secret = 0.0
+
+
+def test_a_class_of_the_users_is_held_by_its_name(tmp_path: Path) -> None:
+    values = Values({x: (R(1), [[0.0]])})
+    graph = FactorGraph([Gauge(x[0], [[1.0]], Isotropic(0.5))])
+    with pytest.raises(GraphError, match="Gauge is no class that a native file holds; name a factor class with"):
+        nls.save(tmp_path / "gauge.npz", graph, values)
+    nls.io.register("Tide gauge")(Gauge)
+    nls.io.register("Tide gauge")(Gauge)
+    read, its = again(tmp_path / "gauge.json", graph, values)
+    same(graph, values, read, its)
+    assert type(read.factors[0]) is Gauge
+    with pytest.raises(OptionError, match="another name"):
+        nls.io.register("Between")(Gauge)
+    with pytest.raises(OptionError, match="a factor class"):
+        nls.io.register("Function")(len)  # type: ignore[type-var]
+    nls.io.register("Forgetful")(Forgetful)
+    forgetful = Forgetful(x[0], [[1.0]], Isotropic(0.5))
+    forgetful.secret = 7.0
+    with pytest.raises(GraphError, match="would be read without its secret"):
+        nls.save(tmp_path / "gauge.npz", FactorGraph([forgetful]), values)
+
+
+def test_functions_are_refused_by_name(tmp_path: Path) -> None:
+    def steep(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return X
+
+    graph = FactorGraph([Factor.from_function(steep, x[0], 1)])
+    with pytest.raises(GraphError, match=r"steep\(x0\) is made of a function, and a file holds no code"):
+        nls.save(tmp_path / "function.npz", graph, Values({x: (R(1), [[0.0]])}))
+
+
+def _json(change: Change) -> bytes:
+    """The file of `small` as JSON, changed."""
+    plain = json.loads(nls.io.rendered("small.json", *small())[0])
+    change(plain)
+    return json.dumps(plain).encode()
+
+
+def _factor(**changes: Any) -> Change:
+    return lambda plain: plain["factors"]["0"].update(changes)
+
+
+def _values(**changes: Any) -> Change:
+    return lambda plain: plain["values"]["x"].update(changes)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda plain: plain.update(version=2), "has version 2, this library reads 1"),
+        (lambda plain: plain.update(format="other"), "does not say that its format is 'leadline graph'"),
+        (lambda plain: plain.pop("factors"), "its factors are missing"),
+        (_factor(type="os.system"), "factor 0 .os.system.: 'os.system' is no class of this library"),
+        (_factor(type="Betwen"), "did you mean"),
+        (_factor(type="Huber"), "Huber cannot be made of i, j, z, noise, convention"),
+        (_factor(z="1"), "z is not an array of numbers|expected"),
+        (_factor(z=[[1, 2]]), "expected"),
+        (_factor(z=[[float("nan"), 0, 0]] * 2), "NaN is no finite number"),
+        (_factor(noise=3), "expected a noise model"),
+        (_factor(noise={"type": "Diagonal", "x": [-0.1], "y": [0.1], "yaw": [0.1]}), "sigma of x"),
+        (_factor(i={"kind": "x"}), "expected a thing with a type, or a kind and its numbers"),
+        (_factor(i={"kind": "x", "numbers": [0.5, 1.5]}), "whole numbers"),
+        (_factor(i={"kind": 3, "numbers": [0, 1]}), "expected the name of a kind"),
+        (_factor(limit=3), "Between cannot be made of .*limit"),
+        (_factor(convention="nobody"), "convention"),
+        (_factor(z={"array": "values.x.X"}), "the array 'values.x.X' is missing"),
+        (_factor(z={"shape": [0, 10**15]}), "expected the shape of an array without numbers"),
+        (_values(space="SE5"), "'SE5' is no space of this library"),
+        (_values(space="R(99999999)"), "is no space"),
+        (_values(numbers=[0, 0, 1]), "x0 is given twice"),
+        (_values(X=[[0, 0]]), "values of 'x'"),
+        (_values(times=[1, 2, 3]), "expected a time for each"),
+        (lambda plain: plain["fixed"].update(x=[77]), "fixed: x77"),
+        (lambda plain: plain["values"].update({"../x": plain["values"]["x"]}), "kind '../x'"),
+    ],
+)
+def test_what_cannot_be_right_is_named(change: Change, sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.json"
+    path.write_bytes(_json(change))
+    with pytest.raises(GraphFileError, match=sentence) as caught:
+        nls.load(path)
+    assert str(caught.value).startswith(f"{path}")
+    assert "\n" not in str(caught.value)
+
+
+def _archive(**arrays: npt.NDArray[Any]) -> bytes:
+    return archived(arrays)
+
+
+def test_archives_that_are_something_else(tmp_path: Path) -> None:
+    good = nls.io.rendered("small.npz", *small())[0]
+    with zipfile.ZipFile(io.BytesIO(good)) as archive:
+        names = archive.namelist()
+    objects, huge, bomb = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.savez(objects, structure=np.array([print], dtype=object))
+    header = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(
+        117
+    )
+    with zipfile.ZipFile(huge, "w") as archive:
+        archive.writestr("structure.npy", header + b"\n")
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("structure.npy", bytes(1 << 28))
+    cases = [
+        (good[: len(good) // 2], "is a damaged npz file"),
+        (objects.getvalue(), "holds object, expected numbers or text"),
+        (huge.getvalue(), "says 1000000000000 numbers of float64, and has 0 bytes"),
+        (bomb.getvalue(), "claims to unpack to 268,435,456 bytes"),
+        (_archive(z=np.zeros(3)), "has no text 'structure'"),
+        (_archive(structure=np.array("{")), "is no JSON"),
+        (_archive(structure=np.array("[" * 5000)), "is no JSON|recursion|brackets"),
+    ]
+    assert names[0] == "structure.npy"
+    for data, sentence in cases:
+        path = tmp_path / "wrong.npz"
+        path.write_bytes(data)
+        with pytest.raises(LeadlineError, match=sentence):
+            nls.load(path)
+
+
+def test_two_hundred_damaged_files_are_refused_or_the_same(tmp_path: Path) -> None:
+    """Bytes changed, cut, doubled: one sentence each, or a graph; nothing else, and no file appears."""
+    rng, refused = np.random.default_rng(0), list[str]()
+    files = [(form, nls.io.rendered(f"small.{form}", *small())[0]) for form in FORMS]
+    for k in range(200):
+        form, data = files[k % 2]
+        damaged = bytearray(data)
+        for _ in range(1 + k % 7):
+            at = int(rng.integers(len(damaged)))
+            match k % 3:
+                case 0:
+                    damaged[at] = int(rng.integers(256))
+                case 1:
+                    del damaged[at : at + int(rng.integers(1, 30))]
+                case 2:
+                    damaged[at:at] = damaged[at : at + int(rng.integers(1, 30))]
+        path = tmp_path / f"damaged.{form}"
+        path.write_bytes(bytes(damaged))
+        try:
+            nls.load(path, dialect=form)
+        except LeadlineError as error:
+            refused.append(str(error))
+    assert len(refused) > 150
+    assert all("\n" not in sentence and len(sentence) < 1000 for sentence in refused)
+    assert {p.name for p in tmp_path.iterdir()} == {f"damaged.{form}" for form in FORMS}
+
+
+def test_an_archive_that_claims_much_takes_little_memory(tmp_path: Path) -> None:
+    bomb = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("structure.npy", bytes(1 << 29))
+    command = f"import nls; nls.load({str(bomb)!r})"
+    limit = 1 << 30
+    done = subprocess.run(
+        [sys.executable, "-c", command],
+        capture_output=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_DATA, (limit, limit)),
+    )
+    assert b"claims to unpack to" in done.stderr
+
+
+def test_a_sonar_on_a_pose_in_space_by_hand(tmp_path: Path) -> None:
+    """The text that a person reads."""
+    graph = FactorGraph([RangeAzimuth(x[0], l[7], [5.0, 0.25], Diagonal(range=0.01, azimuth=0.005))])
+    path = tmp_path / "contact.json"
+    nls.save(path, graph, Values({x: (SE3, SE3.identity()), l: (R(3), [[5.0, 0, 0]], [7])}))
+    assert json.loads(path.read_text())["factors"]["0"] == {
+        "type": "RangeAzimuth",
+        "pose": {"kind": "x", "numbers": [0]},
+        "target": {"kind": "l", "numbers": [7]},
+        "z": [5.0, 0.25],
+        "noise": {"type": "Diagonal", "range": [0.01], "azimuth": [0.005]},
+    }
