@@ -14,7 +14,7 @@ from factors.noise import SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 
-__all__ = ["alike", "grouped", "joined"]
+__all__ = ["alike", "batch_of", "grouped", "joined"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -45,7 +45,7 @@ def joined(models: Sequence[Model]) -> list[Factor]:
     >>> whole, whole.z.ravel()
     (Range(x[0, 1, 1], l[0, 0, 1]), array([5., 4., 3.]))
     """
-    return [group[0].factor if len(group) == 1 else _batch_of(group) for group in grouped(models)]
+    return [group[0].factor if len(group) == 1 else batch_of(group) for group in grouped(models)]
 
 
 def grouped(models: Sequence[Model]) -> list[list[Model]]:
@@ -84,7 +84,8 @@ def _equal(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _batch_of(group: list[Model]) -> Factor:
+def batch_of(group: Sequence[Model]) -> Factor:
+    """The batch of bound factors of one kind."""
     whole, kernel = copy(group[0].factor), group[0].factor.kernel
     whole.keys = tuple(_rows([m.factor.keys[slot] for m in group], group) for slot in range(len(whole.keys)))
     whole._z = np.concatenate([model.z for model in group])
@@ -96,7 +97,7 @@ def _batch_of(group: list[Model]) -> Factor:
     return whole
 
 
-def _rows(parts: Sequence[Any], group: list[Model]) -> Any:
+def _rows(parts: Sequence[Any], group: Sequence[Model]) -> Any:
     """Keys or arrays below each other, one row a measurement; what is no such thing is shared by all."""
     if isinstance(parts[0], Keys):
         return Keys(parts[0].kind, np.concatenate([keys.numbers for keys in parts]))
