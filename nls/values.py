@@ -12,6 +12,7 @@ from factors.keys import Keys, Kind
 from models.algebra import Index, Numbers
 from models.errors import GraphError
 from models.manifolds.base import Manifold
+from nls.html_table import html_table
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model
@@ -266,6 +267,19 @@ class Values:
 
     def __repr__(self) -> str:
         return "Values(" + ", ".join(f"{s.kind}: {len(s)} x {s.manifold}" for s in self.stacks.values()) + ")"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (s.kind, str(len(s)), str(s.manifold), ", ".join(s.manifold.components), _shown(s, 0), _shown(s, -1))
+            for s in self.stacks.values()
+        ]
+        heads = ("kind", "variables", "space", "components", "the first", "the last")
+        return html_table(f"{len(self)} variables, {self.dim} degrees of freedom", heads, rows)
+
+
+def _shown(stack: Stack, k: int) -> str:
+    """An element of a stack with four digits."""
+    return np.array2string(np.asarray(stack.X[k]), precision=4, suppress_small=True) if len(stack) else ""
 
 
 def _keys(key: object) -> Keys:

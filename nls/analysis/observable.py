@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from math import degrees
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.manifolds.measured import unit
+from nls.html_table import html_table
 
 if TYPE_CHECKING:
     from factors.keys import Keys
@@ -136,10 +136,8 @@ class Observability:
         return "\n".join([self._head(), *(line.rstrip() for line in lines), *self._notes()])
 
     def _repr_html_(self) -> str:
-        cells = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in self._rows())
-        head = "".join(f"<th>{name}</th>" for name in ("", "one sigma", "all else known", "compared"))
-        notes = "".join(f"<li>{escape(note)}</li>" for note in self._notes())
-        return f"<p>{escape(self._head())}</p><table><tr>{head}</tr>{cells}</table><ul>{notes}</ul>"
+        heads = ("", "one sigma", "all else known", "compared")
+        return html_table(self._head(), heads, self._rows(), self._notes())
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON knows it: None for a sigma or correlation that does not exist; m and rad."""

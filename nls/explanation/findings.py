@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from html import escape
 from typing import Any
 
 from factors.keys import Keys
@@ -219,6 +220,9 @@ class Explanation:
         from nls.explanation.words import report
 
         return report(self, shell)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.report())}</pre>"
 
     def record(self) -> dict[str, Any]:
         """Everything for programs: numbers, texts, lists and dictionaries of these; m and rad."""

@@ -6,10 +6,14 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from models.advice import Advice, listed
+from nls.html_table import html_table
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 
 __all__ = ["Attempt", "Iteration", "Result"]
+
+
+HEADS = ("iteration", "chi2", "max|dx|", "seconds")
 
 
 @dataclass(frozen=True)
@@ -155,28 +159,36 @@ class Result:
     def __repr__(self) -> str:
         return f"Result({self.status.name}, chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g})"
 
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        """Number, chi2, update and seconds of every iteration."""
+        return [
+            (str(i.number), f"{i.chi2:.6g}", f"{i.update:.3e}" if i.number else "", f"{sum(i.seconds.values()):.4f}")
+            for i in self.history
+        ]
+
     @property
     def steps(self) -> list[str]:
         """Lines: chi2, update and seconds of every iteration."""
-        lines = ["iteration          chi2    max|dx|   seconds"]
-        for iteration in self.history:
-            update = "" if iteration.number == 0 else f"{iteration.update:.3e}"
-            lines.append(
-                f"{iteration.number:9d}  {iteration.chi2:12.6g}  {update:>9}  {sum(iteration.seconds.values()):8.4f}"
-            )
-        return lines
+        rows = [HEADS, *self._rows()]
+        return [f"{number:>9}  {chi2:>12}  {update:>9}  {seconds:>8}" for number, chi2, update, seconds in rows]
+
+    def _repr_html_(self) -> str:
+        return html_table(f"{self.status.name}: {self.ending}", HEADS, self._rows(), [*self.remarks, *self._facts()])
 
     def __str__(self) -> str:
-        lines = [*self.steps, *self.remarks, f"{self.status.name}: {self.ending}"]
-        lines.append(
+        return "\n".join([*self.steps, *self.remarks, f"{self.status.name}: {self.ending}", *self._facts()])
+
+    def _facts(self) -> list[str]:
+        """Lines: chi2 and how it was reached, what is free, what is doubtful."""
+        lines = [
             f"chi2 {self.chi2_initial:.6g} -> {self.chi2_final:.6g}, {self.dof} degrees of freedom"
             + (f" (ratio {self.chi2_final / self.dof:.3g}, 1 expected)" if self.dof > 0 and not self.robust else "")
             + f"; {self.method}, {self.linear_solver}; gauge: {self.gauge}"
-        )
+        ]
         if (rises := self.rises) and not self.attempts:
             lines.append(f"chi2 rose in {rises} of {self.iterations} steps; LevenbergMarquardt() takes none that do")
         if self.underconstrained:
             lines.append(f"free, left where the start had them: {'; '.join(self.underconstrained)}")
         if self.doubt:
             lines += [self.doubt, *(f"  -> {words}" for words in listed(self.advice))]
-        return "\n".join(lines)
+        return lines

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import GraphWarning, UnderconstrainedError
+from nls.io.files import write_bytes
 from nls.plot.report.data import Rejected, ReportData
 from nls.plot.report.markup import Html, joined, tag
 from nls.plot.report.sections import SECTIONS
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["report"]
+__all__ = ["Page", "report"]
 
 LINKS = {
     "maps": "Map",
@@ -37,6 +39,20 @@ LINKS = {
     "provenance": "Source",
     "time": "Time",
 }
+
+
+class Page(str):
+    """HTML of a whole page; a notebook shows it."""
+
+    __slots__ = ()
+
+    def save(self, path: str | Path) -> None:
+        """Write the page to a file, whole or not at all."""
+        write_bytes(path, self.encode())
+
+    def _repr_html_(self) -> str:
+        frame = "width: 100%; height: 40em; border: 0"  # a frame of its own: its style is for a whole page
+        return tag("iframe", srcdoc=self, style=frame)
 
 
 def report(
@@ -55,7 +71,7 @@ def report(
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, Figure] | None = None,
     shell: bool = False,
-) -> str:
+) -> Page:
     """A solution on one page of HTML, with everything in it: no network and no scripts.
 
     The same arguments give the same bytes, but for `seconds`.
@@ -79,8 +95,8 @@ def report(
 
     Returns
     -------
-    str
-        Of a file, or of ``IPython.display.HTML``.
+    Page
+        The text of a file; `Page.save` writes it, and a notebook shows it.
 
     Raises
     ------
@@ -131,7 +147,7 @@ def report(
         )
 
 
-def _document(title: str, body: Sequence[Html]) -> str:
+def _document(title: str, body: Sequence[Html]) -> Page:
     head = [
         tag("meta", charset="utf-8"),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
@@ -140,4 +156,4 @@ def _document(title: str, body: Sequence[Html]) -> str:
     ]
     inside = tag("div", joined(body, "\n"), class_="leadline")
     page = tag("html", tag("head", joined(head, "\n")), tag("body", inside), lang="en")
-    return f"<!DOCTYPE html>\n{page}\n"
+    return Page(f"<!DOCTYPE html>\n{page}\n")
