@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from factors.base import Factor, Model
     from models.algebra import Array
 
-__all__ = ["Stack", "Values"]
+__all__ = ["Stack", "Values", "refuse_other"]
 
 
 class Stack:
@@ -275,6 +275,19 @@ class Values:
         ]
         heads = ("kind", "variables", "space", "components", "the first", "the last")
         return html_table(f"{len(self)} variables, {self.dim} degrees of freedom", heads, rows)
+
+
+def refuse_other(function: str, graph: object, values: object) -> None:
+    """Refuse what is no graph and its values.
+
+    Raises
+    ------
+    GraphError
+        Says so where the two are swapped.
+    """
+    if not hasattr(graph, "factors") or not isinstance(values, Values):
+        swapped = "; swap them" if isinstance(graph, Values) and hasattr(values, "factors") else ""
+        raise GraphError(f"{function}: expected a graph and its values, got {graph!r:.40} and {values!r:.40}{swapped}")
 
 
 def _shown(stack: Stack, k: int) -> str:

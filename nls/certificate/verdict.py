@@ -16,7 +16,7 @@ from nls.certificate.staircase import placed, staircase
 from nls.graph import FactorGraph
 from nls.sparse.threads import single_thread
 from nls.starts.chordal import chordal
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = ["Certificate", "certify"]
 
@@ -148,6 +148,7 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
     >>> certificate.verdict, round(certificate.cost, 4), bool(certificate.eigenvalues[2] > 1)
     ('certified', 4.008, True)
     """
+    refuse_other("certify", graph, values)
     problem = certifiable(graph, values)
     M_given = problem.matrices(problem.graph.stack(values))
     optimum = newton(problem, M_given)

@@ -26,7 +26,7 @@ from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_v
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
@@ -83,8 +83,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     >>> explanation.rank, explanation.suspects[0].factor
     (9, 'Between(x0, x2)')
     """
-    if not isinstance(graph, FactorGraph) or not isinstance(values, Values):
-        raise GraphError(f"explain: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
+    refuse_other("explain", graph, values)
     if not len(graph):
         raise GraphError("the graph has no factors: nothing to explain")
     whole = graph.pattern(values)

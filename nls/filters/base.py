@@ -29,7 +29,7 @@ from models.errors import GraphError
 from nls.filters.consistency import nees
 from nls.metrics import TrajectoryError, ate
 from nls.sparse.threads import single_thread
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from models.algebra import Index
@@ -258,6 +258,7 @@ class Filter(Abstract):
         UnderconstrainedError
             A first pose or a landmark that the measurements of its step do not determine.
         """
+        refuse_other(f"{type(self).__name__}.run", graph, values)
         cut, kind = steps(graph, values), landmark_kind(graph)
         values = Values.of(values.stack(name) for name in (POSE, kind) if name is not None)
         X, P, seconds = [], [], []

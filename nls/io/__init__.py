@@ -20,7 +20,7 @@ from nls.io.text import printable
 from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
 from nls.io.unused_lines import left_out
 from nls.stages import stage
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = [
     "DIALECTS",
@@ -229,6 +229,8 @@ def save(
     OptionError
         No such dialect; none, and a name that says none, such as ``.graph``, which may mean TORO or covariances.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise OptionError("path", path, "the name of a file first, then the graph and its values")
     data, notes = rendered(path, graph, values, report, dialect)
     write_bytes(path, data)
     for note in notes:
@@ -243,6 +245,7 @@ def rendered(
     dialect: str | None = None,
 ) -> tuple[bytes, list[str]]:
     """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
+    refuse_other("save", graph, values)
     dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), DIALECTS[1:])
     notes = left_out(report, dialect)
     if dialect == "bal":

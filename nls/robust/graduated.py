@@ -53,7 +53,7 @@ from nls.robust.preselection import Preselection
 from nls.robust.truncated_least_squares import Truncated
 from nls.robust.verdict import Doubt
 from nls.sparse.threads import single_thread
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = ["Rejected", "Robustified", "gnc"]
 
@@ -179,8 +179,7 @@ def gnc(
     >>> [rejected.factor for rejected in estimate.rejected], estimate.result.converged
     (['Between(x3, x20)', 'Between(x7, x52)'], True)
     """
-    if not isinstance(graph, FactorGraph) or not isinstance(values, Values):
-        raise GraphError(f"gnc: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
+    refuse_other("gnc", graph, values)
     if not isinstance(loss, str) or loss not in LOSSES:
         raise OptionError("loss", loss, "one of " + ", ".join(LOSSES))
     check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.99")

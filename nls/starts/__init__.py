@@ -19,7 +19,7 @@ from nls.starts.elevation import first_sighting, search_elevation
 from nls.starts.incremental import incremental, sees_points
 from nls.starts.landmarks import locate_points
 from nls.starts.rig import rig
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = [
     "STARTS",
@@ -41,6 +41,7 @@ def odometry(graph: FactorGraph, values: Values) -> Values:
 
     A track in which the two take turns it does not chain; `incremental` does.
     """
+    refuse_other("odometry", graph, values)
     poses = dead_reckoning(graph, chain(graph, values))
     return search_elevation(graph, locate_points(graph, poses))
 
@@ -102,6 +103,7 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     >>> name, chi2["file"]
     ('chordal', 1.0)
     """
+    refuse_other("initialize", graph, values)
     if method not in ("auto", *STARTS):
         raise OptionError("init", method, "one of auto, " + ", ".join(STARTS))
     pattern = graph.pattern(values)

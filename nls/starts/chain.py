@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nls.graph import FactorGraph
 from nls.posegraph import pose_graphs
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = ["chain", "spanning_tree"]
 
@@ -47,6 +47,7 @@ def spanning_tree(graph: FactorGraph, values: Values) -> Values:
     Parameters and result as for `chain`. Loop closures shorten the way, so errors of odometry add up over fewer steps;
     a wrong closure bends everything behind it.
     """
+    refuse_other("spanning_tree", graph, values)
     for poses in pose_graphs(graph, values):
         values = poses.replaced(values, poses.along(poses.tree(poses.pairs()), poses.stack(values)))
     return values

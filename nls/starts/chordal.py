@@ -23,7 +23,7 @@ from nls.linear.laplacian import Laplacian
 from nls.linear.singular import SingularSystemError
 from nls.posegraph import PoseGraph, pose_graphs
 from nls.sparse.elimination import Eliminations
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = ["chordal"]
 
@@ -63,6 +63,7 @@ def chordal(graph: FactorGraph, values: Values) -> Values:
     >>> chordal(FactorGraph([square]), Values({x: (SE2, SE2.identity(4))}))[x[1:4]].round(6).tolist()
     [[1.0, 0.0, 1.570796], [1.0, 1.0, -3.141593], [-0.0, 1.0, -1.570796]]
     """
+    refuse_other("chordal", graph, values)
     eliminations = graph.pattern(values).eliminations  # the optimization goes on with the one that is made here
     for poses in pose_graphs(graph, values):
         if poses.group in (SE2, SE3):

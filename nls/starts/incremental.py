@@ -35,7 +35,7 @@ from nls.starts.dead_reckoning import dead_reckoning
 from nls.starts.elevation import search_elevation
 from nls.starts.landmarks import locate_points
 from nls.starts.parts import Masks, Parts, put_back
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 __all__ = ["incremental", "sees_points"]
 
@@ -88,6 +88,7 @@ def incremental(graph: FactorGraph, values: Values, stage_size: int | None = Non
     >>> incremental(FactorGraph([walk, sightings]), start, stage_size=1)[x[2]].round(2)
     array([2.03, 0.  , 0.03])
     """
+    refuse_other("incremental", graph, values)
     if stage_size is not None:
         check_whole("stage_size", stage_size, 1, "a number of poses, at least 1")
     growth, left = _Growth(graph, values, stage_size), 1.0

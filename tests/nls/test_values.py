@@ -7,7 +7,7 @@ import pytest
 
 from factors import Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
-from nls import GraphError, Values, kinds
+from nls import GraphError, OptionError, Values, kinds
 from tests.nls.graphs import ODD, walk
 
 x, l = kinds("x", "l")
@@ -152,3 +152,21 @@ def test_a_kind_is_added_to_values_that_are_there() -> None:
     assert list(values.stacks) == ["x", "l", "o", "q"]
     with pytest.raises(GraphError, match=r"Add start values with `Values\.add`"):
         values[kinds("p")[0][0]] = [1.0]
+
+
+def test_a_graph_and_its_values_that_are_swapped_are_named() -> None:
+    from nls import FactorGraph, certify, explain, gnc, initialize, save
+    from nls.filters.ekf import EKF
+    from nls.plot import report
+    from nls.starts import chordal, incremental, odometry, spanning_tree
+
+    graph = FactorGraph([Between(x[0], x[1], [1, 0, 0], Isotropic(1.0))])
+    values = Values({x: (SE2, np.zeros((2, 3)))})
+    functions = [certify, explain, gnc, initialize, EKF().run, chordal, incremental, odometry, spanning_tree]
+    for call in (*functions, lambda g, v: save("a.g2o", g, v), lambda g, v: report(g, v, None)):  # type: ignore[arg-type]
+        with pytest.raises(GraphError, match=r"expected a graph and its values, got .*; swap them"):
+            call(values, graph)  # type: ignore[arg-type, operator]
+        with pytest.raises(GraphError, match="expected a graph and its values, got"):
+            call(graph, None)  # type: ignore[arg-type, operator]
+    with pytest.raises(OptionError, match="the name of a file first, then the graph and its values"):
+        save(graph, values, "a.g2o")  # type: ignore[arg-type]

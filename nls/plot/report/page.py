@@ -14,6 +14,7 @@ from nls.plot.report.markup import Html, joined, tag
 from nls.plot.report.sections import SECTIONS
 from nls.plot.report.style import STYLE
 from nls.plot.report.verdict import key_figures, verdict
+from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.optimizers import Result
-    from nls.values import Values
 
 __all__ = ["Page", "report"]
 
@@ -113,6 +113,7 @@ def report(
     >>> page[:15], "two laps" in page, "<script" in page
     ('<!DOCTYPE html>', True, False)
     """
+    refuse_other("report", graph, start)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraphWarning)  # they were given when it was solved
         final = start if result.values is None else result.values
