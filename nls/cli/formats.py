@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = ["refuse_unwritable_graph", "rendered"]
 
-TRAJECTORIES = ("tum", "kitti")
+TRAJECTORIES = ("tum", "kitti")  # which are read, too
 
 
 def formats() -> tuple[str, ...]:
     """Everything that can be written, by name."""
-    from nls.io import DIALECTS
+    from nls.io import DIALECTS, POSES_ONLY
 
-    return (*DIALECTS[1:], *TRAJECTORIES)
+    return (*DIALECTS[1:], *POSES_ONLY)
 
 
 def output_format(path: str, named: str | None) -> str:
-    """The format of an output: as named, else by the suffix, as for `nls.save` and with the trajectories.
+    """The format of an output: as named, else by the suffix, as for `nls.save`.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def output_format(path: str, named: str | None) -> str:
     """
     from nls.io.dialects import SUFFIXES, format_of
 
-    return format_of(path, named, SUFFIXES | {f".{name}": name for name in TRAJECTORIES}, "--to FORMAT")
+    return format_of(path, named, SUFFIXES, "--to FORMAT")
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
@@ -67,15 +67,11 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
     from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
-    from nls.io.unused_lines import left_out
 
-    if form in TRAJECTORIES:
-        data, notes = _trajectory(path, form, graph, values, report)
-        return data, notes + left_out(report, form)
-    if report.format == "mission":
+    if report.format == "mission" and form not in (*io.POSES_ONLY, *io.NATIVE):
         raise GraphError(
             f"{path}: a mission cannot be written as {form}, which has no lines for its steps and contacts; "
-            "--to tum or --to kitti writes its poses"
+            "npz and json hold it, and tum or kitti its poses"
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
@@ -113,34 +109,3 @@ def _renamed(graph: FactorGraph, values: Values, form: str) -> Iterator[tuple[Fa
         yield graph, values, changes
     except GraphError as error:
         raise GraphError("; ".join([str(error), *changes]), error.keys, error.factor) from error
-
-
-def _trajectory(
-    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport
-) -> tuple[bytes, list[str]]:
-    """Poses in the order of their times or numbers."""
-    import numpy as np
-
-    from models import SE2, SE3
-    from models.errors import GraphError
-    from models.listing import several
-    from nls.io.trajectory import kitti_text, tum_text
-
-    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
-    if len(poses) != 1:
-        names = ", ".join(stack.kind for stack in poses) or "none"
-        raise GraphError(f"{path}: a trajectory file holds the poses of one kind, this graph has {names}")
-    (stack,) = poses
-    timed = stack.kind in report.vertex_times
-    times = report.vertex_times[stack.kind] if timed else stack.numbers.astype(float)
-    order = np.argsort(times, kind="stable")
-    X = np.array(stack.X)[order]
-    data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
-    notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]
-    if timed and form == "kitti":
-        notes.append("a kitti file holds no times")
-    if left := len(values) - len(stack):
-        notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
-    if len(graph):
-        notes.append(f"a trajectory file holds no measurements: {several(len(graph), 'measurement')} left out")
-    return data, notes

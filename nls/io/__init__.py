@@ -10,6 +10,7 @@ from typing import BinaryIO
 
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
+from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
 from nls.io.files import ZIP, graph_file, read_bytes, read_stream, write_bytes
@@ -17,7 +18,7 @@ from nls.io.native.types import register
 from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
-from nls.io.trajectory import read_kitti, read_tum, write_kitti, write_tum
+from nls.io.trajectory import read_kitti, read_tum, trajectory_text, write_kitti, write_tum
 from nls.io.unused_lines import left_out
 from nls.stages import stage
 from nls.values import Values, refuse_other
@@ -39,6 +40,7 @@ __all__ = [
 ]
 
 NATIVE = ("npz", "json")
+POSES_ONLY = ("tum", "kitti", "csv")  # estimates without measurements, which are written alone
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal", *NATIVE)
 OBJECT = re.compile(rb"\s*\{")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -218,7 +220,8 @@ def save(
         lines and the ids of parameters stay as they were, and unused lines are appended (otherwise a warning counts
         them: another format may read them as its own).
     dialect : as for `load`; when omitted by the name: ``.npz`` and ``.json`` hold every graph bit for bit, ``.g2o``,
-        ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for.
+        ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for; ``.tum`` and ``.kitti`` hold the poses
+        alone, and ``.csv`` the values as a table.
 
     Raises
     ------
@@ -233,6 +236,8 @@ def save(
         raise OptionError("path", path, "the name of a file first, then the graph and its values")
     data, notes = rendered(path, graph, values, report, dialect)
     write_bytes(path, data)
+    if format_of(path, dialect, SUFFIXES, "the dialect named") in POSES_ONLY:
+        return  # nobody expects more of them
     for note in notes:
         warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
 
@@ -246,7 +251,7 @@ def rendered(
 ) -> tuple[bytes, list[str]]:
     """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
     refuse_other("save", graph, values)
-    dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), DIALECTS[1:])
+    dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), (*DIALECTS[1:], *POSES_ONLY))
     notes = left_out(report, dialect)
     if dialect == "bal":
         from nls.io.bal import bal_text
@@ -256,6 +261,16 @@ def rendered(
         from nls.io.pyfg import pyfg_text
 
         return pyfg_text(path, graph, values, report), notes
+    if dialect in ("tum", "kitti"):
+        data, more = trajectory_text(path, dialect, graph, values, report)
+        return data, notes + more
+    if dialect == "csv":
+        from nls.io.table import values_table
+
+        left = (
+            [f"a csv file holds no measurements: {several(len(graph), 'measurement')} left out"] if len(graph) else []
+        )
+        return values_table(values, report), notes + left
     if dialect in NATIVE:
         from nls.io.native.native import native_bytes
 

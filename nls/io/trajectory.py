@@ -18,14 +18,26 @@ import numpy.typing as npt
 from models import SE2, SE3
 from models.algebra import Array
 from models.errors import GraphError
+from models.listing import several
 from models.manifolds.so3 import quaternion_from_matrix, rotation3
+from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
 from nls.io.unused_lines import note_comments
 from nls.values import Values
 
-__all__ = ["kitti_text", "lifted", "load_trajectory", "read_kitti", "read_tum", "tum_text", "write_kitti", "write_tum"]
+__all__ = [
+    "kitti_text",
+    "lifted",
+    "load_trajectory",
+    "read_kitti",
+    "read_tum",
+    "trajectory_text",
+    "tum_text",
+    "write_kitti",
+    "write_tum",
+]
 
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
 
@@ -186,3 +198,28 @@ def _some(path: str | Path, poses: npt.ArrayLike) -> Array:
 
 def _text(table: Array) -> bytes:
     return "".join(" ".join(map(repr, row)) + "\n" for row in table.tolist()).encode()
+
+
+def trajectory_text(
+    path: str | Path, form: str, graph: FactorGraph, values: Values, report: LoadReport | None
+) -> tuple[bytes, list[str]]:
+    """Poses in the order of their times or numbers."""
+    poses = [stack for stack in values.stacks.values() if stack.manifold in (SE2, SE3)]
+    if len(poses) != 1:
+        names = ", ".join(stack.kind for stack in poses) or "none"
+        raise GraphError(f"{path}: a trajectory file holds the poses of one kind, this graph has {names}")
+    (stack,) = poses
+    known = {} if report is None else report.vertex_times
+    timed = stack.kind in known
+    times = known[stack.kind] if timed else stack.numbers.astype(float)
+    order = np.argsort(times, kind="stable")
+    X = np.array(stack.X)[order]
+    data = tum_text(path, times[order], X) if form == "tum" else kitti_text(path, X)
+    notes = [] if timed or form == "kitti" else ["the file has no times: the numbers of the poses stand for them"]
+    if timed and form == "kitti":
+        notes.append("a kitti file holds no times")
+    if left := len(values) - len(stack):
+        notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
+    if len(graph):
+        notes.append(f"a trajectory file holds no measurements: {several(len(graph), 'measurement')} left out")
+    return data, notes

@@ -74,7 +74,7 @@ solve graph.g2o {-o|--covariance|--plot} - => '-' is not possible; .* only --jso
 {convert graph.g2o|solve graph.g2o -o} '' => '' is not possible; expected the name of a file
 solve graph.g2o -o out.isam => such as g2o: isam files hold measurements only
 {convert graph.g2o|solve graph.g2o -o} out.graph => or --to FORMAT; \*\.graph may be toro or graph
-{convert graph.g2o|solve graph.g2o -o} out.kity => \.toro, \.isam, \.pyfg, \.bal, \.npz, .*\.kitti, or --to FORMAT
+{convert graph.g2o|solve graph.g2o -o} out.kity => \.toro, \.isam, \.pyfg, \.bal, \.npz, .*\.csv, or --to FORMAT
 {solve|explain} graph.g2o --json graph.g2o => another name: this is the input
 solve graph.g2o {--covariance graph.g2o|--json hard.png|--plot soft.png} => another name: this is the input
 plot graph.g2o {hard|soft}.png => another name: this is the input
@@ -115,7 +115,7 @@ solve m --repair-information => the format mission, which has no information mat
 solve m --robust {Nothing|}=cauchy:1 => no type, or one of those in the graph: XYH, ZPR, Pos
 solve m --robust XYH=dcs => robust: 'dcs' is not possible
 {solve m --covariance|solve m --json|info m --json|explain m --json} m/zpr.csv => another name: this is the input
-convert m a.g2o => a.g2o: a mission cannot be written as g2o, which has no lines .*; --to tum .*writes its poses$
+convert m a.g2o => a.g2o: a mission cannot be written as g2o, which has no lines .*; npz and json hold it, and tum or kitti its poses$
 {solve damaged|info damaged|plot damaged a.png} => damaged/contacts.csv:2: 'nan' is not a number
 """
 

@@ -1,0 +1,99 @@
+"""A graph that is built measurement by measurement: what adding and the first solve cost, beside GTSAM's wheel.
+
+    python benchmarks/one_by_one.py [--edges 100000] [--rounds 3] [--gtsam PYTHON] [--out DIR]
+
+A simulated city; the start is the chordal one, the same for all, and all take Gauss-Newton. Every run is a process of
+its own with one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from time import process_time
+
+import numpy as np
+from pinv import ONE_THREAD, PROCESSOR_TIME, RESULTS, machine, write_page
+
+SIGMAS = (0.05, 0.05, 0.01)
+TITLES = {"batch": "ours, one batch", "single": "ours, one by one", "gtsam": "GTSAM from Python, one by one"}
+HEAD = "| way | add, s | first solve, s | chi2 |"
+
+
+def prepare(edges: int, path: Path) -> int:
+    """Write the measurements and the start of a city; how many."""
+    import sim
+    from nls.starts import chordal
+
+    world = sim.manhattan(np.random.default_rng(0), n_poses=round(edges / 1.6))
+    factors = world.graph.factors
+    i, j = (np.concatenate([factor.keys[slot].numbers for factor in factors]) for slot in (0, 1))
+    z = np.concatenate([factor.z for factor in factors])
+    X = chordal(world.graph, world.start).stack("x").X
+    np.savez(path, i=i, j=j, z=z, X=X, sigmas=SIGMAS)
+    return len(z)
+
+
+def run(way: str, path: str) -> None:
+    """Build, solve, print: seconds of adding, seconds of the first solve, chi2."""
+    import nls
+    from factors import Between, Diagonal
+    from models import SE2
+
+    with np.load(path) as file:
+        i, j, z, X = (file[name] for name in ("i", "j", "z", "X"))
+    (x,) = nls.kinds("x")
+    noise, graph = Diagonal(SIGMAS), nls.FactorGraph(fixed=[x[0]])
+    numbers = list(zip(i.tolist(), j.tolist(), z.tolist(), strict=True))
+    began = process_time()
+    if way == "batch":
+        graph.add(Between(x[i], x[j], z, noise))
+    else:
+        for a, b, step in numbers:
+            graph.add(Between(x[a], x[b], step, noise))
+    added = process_time()
+    result = graph.optimize(nls.Values({x: (SE2, X)}), nls.GaussNewton())
+    print(added - began, process_time() - added, result.chi2_final)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--edges", type=int, default=100_000, help="measurements, about (default 100,000)")
+    parser.add_argument("--rounds", type=int, default=3, help="runs of each, interleaved (default 3)")
+    parser.add_argument("--gtsam", metavar="PYTHON", help="an interpreter that has GTSAM's wheel")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="for one_by_one.md")
+    parser.add_argument("--run", nargs=2, metavar=("WAY", "FILE"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.run:
+        run(*options.run)
+        return 0
+    head = machine()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "city.npz"
+        count = prepare(options.edges, path)
+        commands = {way: [sys.executable, __file__, "--run", way, str(path)] for way in ("batch", "single")}
+        if options.gtsam:
+            script = Path(__file__).parent / "peers" / "one_by_one.py"
+            commands["gtsam"] = [options.gtsam, "-P", str(script), str(path)]
+        rows: dict[str, list[list[float]]] = {way: [] for way in commands}
+        for _ in range(options.rounds):
+            for way, command in commands.items():
+                out = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD)
+                rows[way].append([float(word) for word in out.stdout.split()[-3:]])
+    lines = ["# One by one", "", *head, PROCESSOR_TIME, f"- {count:,} measurements between poses of the plane"]
+    lines += ["", HEAD, "|:--|--:|--:|--:|"]
+    for way, runs in rows.items():
+        add, solve, chi2 = (median(column) for column in zip(*runs, strict=True))
+        lines.append(f"| {TITLES[way]} | {add:.2f} | {solve:.2f} | {chi2:.6g} |")
+    lines += ["", "The first solve of single measurements joins them; the next one takes as long as that of a batch."]
+    write_page(lines, options.out / "one_by_one.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
