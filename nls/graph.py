@@ -20,8 +20,8 @@ from nls.linear.underconstrained import directions, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
-from nls.singles import Singles
 from nls.sparse.pattern import Pattern, measured_rows
+from nls.sparse.singles import Singles
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
 from nls.values import Values

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from factors.keys import Keys, Kind
 from models.algebra import Index, Numbers
 from models.errors import GraphError
+from models.html_table import html_table
 from models.manifolds.base import Manifold
-from nls.html_table import html_table
 
 if TYPE_CHECKING:
     from factors.base import Factor, Model

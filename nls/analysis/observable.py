@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from models.algebra import Array, Mask
 from models.finite import finite_or_none
+from models.html_table import html_table
 from models.manifolds.measured import unit
-from nls.html_table import html_table
 
 if TYPE_CHECKING:
     from factors.keys import Keys

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from models.advice import Advice, listed
-from nls.html_table import html_table
+from models.html_table import html_table
 from nls.optimizers.thresholds import Status
 from nls.values import Values
 

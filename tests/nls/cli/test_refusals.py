@@ -107,7 +107,7 @@ solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certif
 solve ray.g2o --certify => ^nls: certify: Bearing\(x0, l20\)
 
 solve m -o m => output folder: 'm' is not possible; expected another folder than that of the mission
-solve m -o {m/zpr.csv|m/zpr.csv/in|-|''} => output folder: '.*' is not possible; expected a folder, or the name of one
+solve m -o {m/zpr.csv|m/zpr.csv/in|-|''} => output folder: '.*' is not possible; expected a folder
 solve m -o out.g2o => a folder: the solution of a mission is several files
 solve m --to g2o => --to: 'g2o' is not possible; expected nothing
 solve m --dialect g2o => dialect: 'g2o' is not possible; expected auto: m is a folder
@@ -115,7 +115,7 @@ solve m --repair-information => the format mission, which has no information mat
 solve m --robust {Nothing|}=cauchy:1 => no type, or one of those in the graph: XYH, ZPR, Pos
 solve m --robust XYH=dcs => robust: 'dcs' is not possible
 {solve m --covariance|solve m --json|info m --json|explain m --json} m/zpr.csv => another name: this is the input
-convert m a.g2o => a.g2o: a mission cannot be written as g2o, which has no lines .*; npz and json hold it, and tum or kitti its poses$
+convert m a.g2o => a.g2o: a mission cannot be written as g2o, which .*; npz and json hold it, and tum or kitti its poses$
 {solve damaged|info damaged|plot damaged a.png} => damaged/contacts.csv:2: 'nan' is not a number
 """
 

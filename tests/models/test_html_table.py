@@ -11,8 +11,8 @@ import pytest
 import nls
 import sim
 from models import SE2, R
+from models.html_table import html_table
 from nls import Values, kinds
-from nls.html_table import html_table
 from nls.plot.report import report
 
 x, l = kinds("x", "l")

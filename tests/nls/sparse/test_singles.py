@@ -13,7 +13,7 @@ from factors import Between, Diagonal, Factor, Huber, Isotropic, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
-from nls.singles import MANY
+from nls.sparse.singles import MANY
 
 (x,) = kinds("x")
 NOISE = Diagonal(x=0.03, y=0.03, yaw=0.01)
