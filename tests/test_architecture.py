@@ -37,7 +37,7 @@ CIRCLES = [  # files that import each other; none may be added
     {"factors.base", "factors.function"},  # `Factor.from_function` makes one of its subclasses
 ]
 ENGINE = (*FLOOR, "covariance")
-FACTORS_FOR_ENGINE = {"base", "noise", "keys", "prior", "check", "robust"}
+FACTORS_FOR_ENGINE = {"base", "check", "joined", "keys", "noise", "prior", "robust"}
 ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
 ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act

@@ -115,7 +115,7 @@ solve m --repair-information => the format mission, which has no information mat
 solve m --robust {Nothing|}=cauchy:1 => no type, or one of those in the graph: XYH, ZPR, Pos
 solve m --robust XYH=dcs => robust: 'dcs' is not possible
 {solve m --covariance|solve m --json|info m --json|explain m --json} m/zpr.csv => another name: this is the input
-convert m a.g2o => a.g2o: a mission cannot be written as g2o, which .*; npz and json hold it, and tum or kitti its poses$
+convert m a.g2o => a.g2o: a mission cannot be written as g2o, .*; npz and json hold it, and tum or kitti its poses$
 {solve damaged|info damaged|plot damaged a.png} => damaged/contacts.csv:2: 'nan' is not a number
 """
 
