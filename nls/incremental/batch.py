@@ -45,7 +45,7 @@ class GrowingBatch:
         self._A, self._columns = Growing(np.zeros((0, m, D))), Growing(np.zeros((0, m, D), dtype=np.int32))
         self._b, self._cost = Growing(np.zeros((0, m))), Growing(np.zeros(0))
         self._linearized = 0
-        self._sparse: sp.csr_array | None = None
+        self._sparse: tuple[sp.csr_array, sp.csc_array] | None = None
 
     def __len__(self) -> int:
         return len(self._z)
@@ -175,13 +175,14 @@ class GrowingBatch:
         """(n m,) errors."""
         return np.asarray(self._b.rows.reshape(-1))
 
-    def A(self, width: int) -> sp.csr_array:
-        """(n m, width) rows of A; they follow what is linearized later."""
+    def A(self, width: int) -> tuple[sp.csr_array, sp.csc_array]:
+        """(n m, width) rows of A, and A'; they follow what is linearized later."""
         if self._sparse is None:
             n, m, D = self._A.rows.shape
             indptr = np.arange(0, n * m * D + 1, D, dtype=np.int32)
             data, columns = self._A.rows.reshape(-1), self._columns.rows.reshape(-1)
-            self._sparse = sp.csr_array((data, columns, indptr), shape=(n * m, width))
+            A = sp.csr_array((data, columns, indptr), shape=(n * m, width))
+            self._sparse = A, A.T
         return self._sparse
 
     def new_rows(self, begin: int) -> tuple[Array, npt.NDArray[np.int32]]:

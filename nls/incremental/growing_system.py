@@ -165,15 +165,14 @@ class GrowingSystem:
         self.catch_up()
         F = self._refreshed()
         rows = [batch.A(F.width) for batch in self.batches]
-        columns = [A.T for A in rows]
         dx = np.zeros(F.width)
-        r = _sum([At @ batch.b for At, batch in zip(columns, self.batches, strict=True)], F.n)
+        r = _sum([At @ batch.b for (_, At), batch in zip(rows, self.batches, strict=True)], F.n)
         z = F.solve(r)
         rz, d, fall = float(r @ z), z, 0.0
         if OLD * rz <= enough:
             return dx, OLD * max(rz, 0.0)
         for iteration in range(ITERATIONS):
-            q = _sum([At @ (A @ d) for A, At in zip(rows, columns, strict=True)], F.n)
+            q = _sum([At @ (A @ d) for A, At in rows], F.n)
             alpha = rz / float(d @ q)
             dx += alpha * d
             r -= alpha * q
