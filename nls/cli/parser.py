@@ -12,7 +12,7 @@ from models.options import did_you_mean
 __all__ = ["parser"]
 
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
-FILE = "graph file, folder of a mission, or '-' for standard input; all but folders may be gzip-compressed"
+FILE = "graph file, folder of a mission or of a graph.npz or graph.g2o, or '-': standard input; files may be gzipped"
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
 ALONE = "thresholds that are not given are off then"
 EXAMPLES = """examples:
@@ -30,6 +30,7 @@ EXAMPLES = """examples:
   nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
+  nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
