@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from copy import copy
 from typing import Any
 
@@ -14,7 +14,7 @@ from factors.noise import SqrtInformation, square
 from factors.robust import Robust
 from models.algebra import Array
 
-__all__ = ["alike", "batch_of", "grouped", "joined"]
+__all__ = ["alike", "batch_of", "grouped", "joined", "sort_of"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -50,38 +50,31 @@ def joined(models: Sequence[Model]) -> list[Factor]:
 
 def grouped(models: Sequence[Model]) -> list[list[Model]]:
     """Bound factors that `joined` makes one of each."""
-    groups: list[list[Model]] = []
+    groups: dict[Hashable, list[Model]] = {}
     for model in models:
-        group = next((group for group in groups if alike(group[0], model)), None)
-        if group is None:
-            groups.append([model])
-        else:
-            group.append(model)
-    return groups
+        groups.setdefault((model.manifolds, sort_of(model.factor)), []).append(model)
+    return list(groups.values())
 
 
 def alike(a: Model, b: Model) -> bool:
     """Whether two batches may be one."""
-    f, g = a.factor, b.factor
-    if type(f) is not type(g) or a.manifolds != b.manifolds or f.kernel != g.kernel:
-        return False
-    mine, other = ({k: v for k, v in vars(h).items() if k not in OWN} for h in (f, g))
-    return (
-        [k.kind for k in f.keys] == [k.kind for k in g.keys]
-        and mine.keys() == other.keys()
-        and all(
-            type(mine[name]) is type(other[name]) if name in f.per_measurement else _equal(mine[name], other[name])
-            for name in mine
-        )
-    )
+    return a.manifolds == b.manifolds and sort_of(a.factor) == sort_of(b.factor)
 
 
-def _equal(a: Any, b: Any) -> bool:
-    if a is b:
-        return True
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        return type(a) is type(b) and np.array_equal(a, b)
-    return bool(a == b)
+def sort_of(factor: Factor) -> Hashable:
+    """All that batches have in common that may be one."""
+    per = factor.per_measurement
+    own = [(k, type(v) if k in per else _hashable(v)) for k, v in vars(factor).items() if k not in OWN]
+    return type(factor), factor.kernel, tuple([keys.kind for keys in factor.keys]), tuple(own)
+
+
+def _hashable(value: Any) -> Hashable:
+    """Equal for equal values."""
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    if isinstance(value, tuple | list):
+        return tuple(map(_hashable, value))
+    return value if isinstance(value, Hashable) else id(value)
 
 
 def batch_of(group: Sequence[Model]) -> Factor:
