@@ -64,3 +64,7 @@ __all__ = [
     "check_jacobians",
     "sonar_factors",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -276,7 +276,7 @@ class Factor(Traits, Abstract):
 
         Parameters
         ----------
-        residual : called as ``residual(X_1, X_2, ...)`` with one stack (n, size_k) per slot; returns (n, dim).
+        residual : called as ``residual(X_1, ...)`` with stacks (n, size_k), one row per measurement; returns (n, dim).
         keys : the variables, one `Keys` per argument.
         dim : numbers per residual.
         noise : noise of the residual; unit variance when omitted.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +12,8 @@ from factors.base import Factor, Model
 from factors.differences import EPS, FIRST, SAFE, derivative, sizes
 from factors.noise import square, whiten
 from models.algebra import Array
-from models.errors import GraphWarning, JacobianError
+from models.errors import GraphError, GraphWarning, JacobianError
+from models.listing import several
 
 __all__ = ["check_jacobians"]
 
@@ -27,26 +29,35 @@ class Gatherer(Protocol):
     def gather(self, factor: Factor) -> tuple[Model, tuple[Array, ...]]: ...
 
 
-def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> float:
-    """Compare every A of a factor with minus the derivative of b by differences, `factors.differences`.
+class Graph(Protocol):
+    """What `check_jacobians` needs of a graph."""
+
+    @property
+    def factors(self) -> Sequence[Factor]: ...
+
+
+def check_jacobians(factor: Factor | Graph, values: Gatherer, rtol: float = 1e-6) -> float:
+    """Compare every A of a factor, or of all of a graph, with minus the derivative of b, `factors.differences`.
 
     Parameters
     ----------
-    factor : the factor, any batch.
+    factor : a factor, any batch; or a graph.
     values : the point to check at; choose one with non-zero residuals.
     rtol : largest disagreement allowed, relative to the largest entry of its column and measurement.
 
     Returns
     -------
     float
-        The largest relative disagreement, beyond the uncertainty of the differences: exactly 0.0 where they agree in
-        every digit a difference has, as analytic Jacobians usually do.
+        The largest relative disagreement of all factors, beyond the uncertainty of the differences: exactly 0.0 where
+        they agree in every digit a difference has, as analytic Jacobians usually do.
 
     Raises
     ------
     JacobianError
         With the worst entry, both values, and the likely cause (sign, transpose, transposed rotation, degrees, factor
-        of 2).
+        of 2); of a graph that of the factor that disagrees most.
+    GraphError
+        Neither a factor nor a graph.
 
     Warns
     -----
@@ -58,12 +69,36 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
     --------
     >>> from factors import Between, Isotropic, check_jacobians
     >>> from models import SE2
-    >>> from nls import Values, kinds
+    >>> from nls import FactorGraph, Values, kinds
     >>> (x,) = kinds("x")
     >>> values = Values({x: (SE2, [[0, 0, 0.3], [1, 2, -0.5]])})
-    >>> check_jacobians(Between(x[0], x[1], [1, 1, 1], Isotropic(0.1)), values) < 1e-8
-    True
+    >>> step = Between(x[0], x[1], [1, 1, 1], Isotropic(0.1))
+    >>> check_jacobians(step, values) < 1e-8, check_jacobians(FactorGraph([step]), values) < 1e-8
+    (True, True)
     """
+    if isinstance(factor, Factor):
+        return _check_factor(factor, values, rtol)
+    if not hasattr(factor, "factors"):
+        raise GraphError(f"check_jacobians: expected a factor or a graph, got {factor!r:.60}")
+    largest, errors = 0.0, []
+    for member in factor.factors:
+        try:
+            largest = max(largest, _check_factor(member, values, rtol))
+        except JacobianError as error:
+            errors.append(error)
+    if not errors:
+        return largest
+    worst = max(errors, key=lambda error: error.deviation)
+    if len(errors) > 1:
+        others = f"the worst of {several(len(errors), 'factor')} that disagree, of {len(factor.factors)}"
+        worst = JacobianError(
+            f"{worst.message}; {others}", worst.factor, worst.entry, worst.analytic, worst.numeric, worst.deviation
+        )
+    raise worst
+
+
+def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
+    """The largest relative disagreement of one factor; errors and warnings as those of `check_jacobians`."""
     model, X = values.gather(factor)
     A, b = model.linearize(*X)
     h = factor.predict(model.manifolds, *X)[0]
@@ -101,6 +136,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
                 (slot, n, row, d),
                 analytic,
                 difference,
+                deviation,
             )
         worst = max(worst, deviation)
         error = np.where(np.isfinite(error), error, np.inf).max(axis=1, keepdims=True)
@@ -116,7 +152,7 @@ def check_jacobians(factor: Factor, values: Gatherer, rtol: float = 1e-6) -> flo
                 f"{factor.describe(n)}: component {manifold.components[d]} of {factor.keys[slot][[n]]}: the central "
                 f"difference {doubt} do not show; check at other values, or with the variable in another unit",
                 GraphWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
     return worst
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import inf, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -83,9 +83,7 @@ class ElevationHinge(Elevation):
     Raises
     ------
     OptionError
-        A limit that is no elevation.
-    NoiseModelError
-        At evaluation: a softness not above 0.
+        A limit that is no elevation; a softness that is not above 0.
     SingularGeometryError
         At evaluation: a target on the z axis of the sonar.
 
@@ -121,7 +119,8 @@ class ElevationHinge(Elevation):
         softness: float = pi / 180,
         offset: npt.ArrayLike | Keys | None = None,
     ) -> None:
-        super().__init__(pose, target, 0.0, Isotropic(softness), offset)
+        sigma = check_between("ElevationHinge: softness", softness, 0, inf, "an elevation above 0, rad")
+        super().__init__(pose, target, 0.0, Isotropic(sigma), offset)
         self.limit = check_between("ElevationHinge: limit", limit, 0, pi / 2, "half an aperture in (0, pi / 2), rad")
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:

@@ -23,6 +23,7 @@ __all__ = ["FunctionFactor"]
 
 
 BY_VALUE = {"cloudpickle", "dill"}  # where one is loaded, it may be the one that pickles, and takes any function
+SCALARS = (IndexError, TypeError, ValueError)  # of X[2], math.cos(X[0]), `x, y, yaw = X` where X is a stack
 
 
 class _Alone(pickle.Pickler):
@@ -103,6 +104,12 @@ class FunctionFactor(Factor):
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         (h,) = self._call(lambda *X: [self.residual(*X)], *X)
+        if h.shape != (expected := (len(X[0]), self.dim)):
+            raise EvaluationError(
+                f"{self!r}: your function returned shape {h.shape}, expected {expected}{_stacks(X)}",
+                self.name,
+                self.keys,
+            )
         return h, None if self.jacobians is None else self._call(self.jacobians, *X)
 
     def _call(self, function: Callable[..., Sequence[Array]], *X: Array) -> tuple[Array, ...]:
@@ -112,6 +119,13 @@ class FunctionFactor(Factor):
         except LeadlineError:
             raise  # it says its own name: a singular geometry, for example, is a place to avoid
         except Exception as error:  # broad: the function is the user's and may raise anything; it is named and chained
+            hint = _stacks(X) if isinstance(error, SCALARS) else ""
             raise EvaluationError(
-                f"{self!r}: your function raised {type(error).__name__}: {error}", "from_function", self.keys
+                f"{self!r}: your function raised {type(error).__name__}: {error}{hint}", "from_function", self.keys
             ) from error
+
+
+def _stacks(X: tuple[Array, ...]) -> str:
+    """What a function for one measurement has to know."""
+    shapes = ", ".join(str(stack.shape) for stack in X)
+    return f". Your function gets stacks (n, size), one row per measurement, here {shapes}: take X[:, 0], not X[0]"

@@ -5,6 +5,8 @@ r"""Noise models: from what the user knows (sigmas, covariance, information) to 
 Any W with W'W = Sigma^-1 gives the same step and the same chi2. Ours is the upper Cholesky factor of the information
 (for a covariance L L' = Sigma, the inverse of L). A semi-definite information is legal: it says nothing in some
 directions, and W has rows of zeros there. A negative one is refused, with the measurement it belongs to.
+
+Numbers are checked when a noise is made. How many measurements and components there are is known when it is bound.
 """
 
 from __future__ import annotations
@@ -17,9 +19,10 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from factors.definite import NOTHING, cholesky, diagonal, once_if_equal, positive_definite
 from factors.slices import rows
 from models.abstract import Abstract
-from models.algebra import Array, Index, Mask, apply, product
+from models.algebra import Array, Index, apply, product
 from models.errors import GraphError, NoiseModelError
 from models.finite import first_not_finite
 
@@ -27,9 +30,8 @@ __all__ = ["Covariance", "Diagonal", "Information", "Isotropic", "Noise", "SqrtI
 
 # Matrices are scaled to a diagonal of ones before they are judged, so that units do not decide.
 NEGATIVE = 1e-10  # an eigenvalue below -1e-10 is no rounding of numbers written with ten digits
-BLOCK = 1 << 11  # matrices factorized together: they stay in the cache
+SHOWN = 9  # numbers of an array that `repr` shows one by one
 SQUARABLE = 1e150  # a whitened error beyond this has no finite chi2, a weight below its inverse no information
-NOTHING = 1e-14  # an eigenvalue or squared pivot below 1e-14 is rounding of 0: no information in that direction
 ALIASES = {"theta": "yaw", "heading": "yaw", "h": "yaw", "depth": "z", "rx": "roll", "ry": "pitch", "rz": "yaw"}
 
 
@@ -92,14 +94,32 @@ class Isotropic(Noise):
     Parameters
     ----------
     sigma : float or (n,) array, in the unit of the measurement; 1 for an unweighted problem.
+
+    Attributes
+    ----------
+    sigma : (1,) or (n,) array, as given.
+
+    Raises
+    ------
+    NoiseModelError
+        A sigma that is not above 0; names the measurement.
+
+    Examples
+    --------
+    >>> Isotropic(0.1), Isotropic([0.1, 0.3, 0.2])
+    (Isotropic(0.1), Isotropic([0.1, 0.3, 0.2]))
     """
 
     def __init__(self, sigma: npt.ArrayLike = 1.0) -> None:
         self.sigma = np.atleast_1d(_numbers(sigma, "sigma", 1))
+        _check_positive(self.sigma[:, None])
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
-        sigma = np.broadcast_to(_shared_or_each(self.sigma, n, "sigma")[:, None], (len(self.sigma), len(names)))
-        return _inverse_sigmas(sigma, names)
+        sigma = _shared_or_each(self.sigma, n, "sigma")[:, None]
+        return 1.0 / np.broadcast_to(sigma, (len(sigma), len(names)))
+
+    def __repr__(self) -> str:
+        return f"Isotropic({_shown(self.sigma)})"
 
 
 class Diagonal(Noise):
@@ -110,8 +130,21 @@ class Diagonal(Noise):
     sigmas : (m,) shared, or (n, m), in the order of the measurement's components.
     **named : the same by component name, each a float or (n,): ``Diagonal(x=0.1, y=0.1, yaw=0.02)``.
 
+    Attributes
+    ----------
+    sigmas : (1, m) or (n, m) array; None where they were given by name.
+    named : (1,) or (n,) array by component name, without aliases; empty where they were given in order.
+
+    Raises
+    ------
+    NoiseModelError
+        A sigma that is not above 0; names the component and the measurement.
+
     Examples
     --------
+    >>> noise = Diagonal(x=0.1, y=[0.2, 0.3], theta=0.02)
+    >>> noise, noise.named["y"]
+    (Diagonal(x=0.1, y=[0.2, 0.3], yaw=0.02), array([0.2, 0.3]))
     >>> Diagonal(yaw=0.5, x=0.1, y=0.2).sqrt_information(1, ("x", "y", "yaw"))
     array([[10.,  5.,  2.]])
     """
@@ -123,6 +156,10 @@ class Diagonal(Noise):
         self.named = {ALIASES.get(k, k): np.atleast_1d(_numbers(v, f"sigma of {k}", 1)) for k, v in named.items()}
         if len(self.named) != len(named):
             raise NoiseModelError(f"Diagonal: {list(named)} name one component twice")
+        if self.sigmas is not None:
+            _check_positive(self.sigmas)
+        for name, sigma in self.named.items():
+            _check_positive(sigma[:, None], (name,))
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         if self.sigmas is not None:
@@ -131,17 +168,22 @@ class Diagonal(Noise):
                 raise NoiseModelError(
                     f"Diagonal: {sigmas.shape[1]} sigmas for a measurement of {len(names)} components {names}"
                 )
-            return _inverse_sigmas(sigmas, names)
+            return 1.0 / sigmas
         if set(self.named) != set(names):
             raise NoiseModelError(
                 f"Diagonal: sigmas are given for {sorted(self.named)}, the measurement's components are {list(names)}"
             )
         columns = [_shared_or_each(self.named[name], n, f"sigma of {name}") for name in names]
-        return _inverse_sigmas(np.stack(np.broadcast_arrays(*columns), axis=-1), names)
+        return 1.0 / np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+    def __repr__(self) -> str:
+        if self.sigmas is not None:
+            return f"Diagonal({_shown(self.sigmas)})"
+        return f"Diagonal({', '.join(f'{name}={_shown(sigma)}' for name, sigma in self.named.items())})"
 
 
 class _Matrix(Noise):
-    """A full symmetric matrix, (m, m) shared or (n, m, m)."""
+    """A full matrix, (m, m) shared or (n, m, m)."""
 
     def __init__(self, matrix: npt.ArrayLike) -> None:
         kind = type(self).__name__
@@ -157,36 +199,67 @@ class _Matrix(Noise):
             raise NoiseModelError(
                 f"{kind}: {M.shape[-1]} x {M.shape[-1]}, the measurement has {len(names)} components {names}", kind
             )
-        return _once_if_equal(M)
+        return once_if_equal(M)
 
-    def _symmetric(self, n: int, names: tuple[str, ...]) -> Array:
-        M, kind = self._checked(n, names), type(self).__name__
-        if (M == M.mT).all():
-            return M
-        skewness = np.abs(M - M.mT).max(axis=(-2, -1))
-        bad = skewness > 1e-9 * np.abs(M).max(axis=(-2, -1))
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise NoiseModelError(
-                f"{kind} of measurement {k} is not symmetric: {M[k].tolist()}", kind, k, float(skewness[k])
-            )
-        return M
+    def __repr__(self) -> str:
+        M, kind = self.matrix, type(self).__name__
+        if M.size <= SHOWN:
+            return f"{kind}({_shown(M)})"
+        shape = " x ".join(map(str, M.shape if len(M) > 1 else M.shape[1:]))
+        return f"{kind}({shape}, diagonal {_range(np.diagonal(M, axis1=1, axis2=2))})"
 
 
-class Covariance(_Matrix):
-    """Covariance Sigma, (m, m) shared or (n, m, m); must be positive definite."""
+class _Symmetric(_Matrix):
+    """A covariance or an information, checked when it is made."""
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def __init__(self, matrix: npt.ArrayLike) -> None:
+        super().__init__(matrix)
+        M, kind = once_if_equal(self.matrix), type(self).__name__
+        if not (M == M.mT).all():
+            skewness = np.abs(M - M.mT).max(axis=(-2, -1))
+            bad = skewness > 1e-9 * np.abs(M).max(axis=(-2, -1))
+            if bad.any():
+                k = int(np.argmax(bad))
+                raise NoiseModelError(
+                    f"{kind} of measurement {k} is not symmetric: {M[k].tolist()}", kind, k, float(skewness[k])
+                )
+        if not positive_definite(M):
+            self._whitener(M)  # which raises where it has to
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
-        Sigma = self._symmetric(n, names)
-        if (variances := _diagonal(Sigma)) is not None:
-            return _inverse_sigmas(np.sqrt(np.where(variances > 0, variances, np.nan)), names, "Covariance", variances)
-        L, bad = _cholesky(Sigma)
+        return self._whitener(self._checked(n, names))
+
+    @abstractmethod
+    def _whitener(self, M: Array) -> Array:
+        """W of these symmetric matrices (k, m, m); raises `NoiseModelError` for one that is not (semi-)definite."""
+
+
+class Covariance(_Symmetric):
+    """Covariance Sigma, (m, m) shared or (n, m, m); must be positive definite.
+
+    Raises
+    ------
+    NoiseModelError
+        A matrix that is not symmetric or not positive definite; names the measurement.
+
+    Examples
+    --------
+    >>> Covariance([[0.04, 0.01], [0.01, 0.09]])
+    Covariance([[0.04, 0.01], [0.01, 0.09]])
+    """
+
+    def _whitener(self, M: Array) -> Array:
+        if (variances := diagonal(M)) is not None:
+            _check_positive(variances, quantity="Covariance")
+            return np.asarray(1.0 / np.sqrt(variances))
+        L, bad = cholesky(M)
         if bad.any():
             k = int(np.argmax(bad))
-            smallest = float(np.linalg.eigvalsh(Sigma[k])[0])
+            smallest = float(np.linalg.eigvalsh(M[k])[0])
             raise NoiseModelError(
                 f"Covariance of measurement {k} is not positive definite beyond rounding (smallest eigenvalue "
-                f"{smallest:.6g}): {Sigma[k].tolist()}",
+                f"{smallest:.6g}): {M[k].tolist()}",
                 "covariance",
                 k,
                 smallest,
@@ -194,18 +267,23 @@ class Covariance(_Matrix):
         return np.asarray(np.linalg.inv(L))
 
 
-class Information(_Matrix):
-    """Information Omega = Sigma^-1, (m, m) shared or (n, m, m); semi-definite is legal, negative is not."""
+class Information(_Symmetric):
+    """Information Omega = Sigma^-1, (m, m) shared or (n, m, m); semi-definite is legal, negative is not.
 
-    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
-        Omega = self._symmetric(n, names)
-        if (weights := _diagonal(Omega)) is not None and (weights >= 0).all():
+    Raises
+    ------
+    NoiseModelError
+        A matrix that is not symmetric or has a negative eigenvalue; names the measurement.
+    """
+
+    def _whitener(self, M: Array) -> Array:
+        if (weights := diagonal(M)) is not None and (weights >= 0).all():
             return np.sqrt(weights)
-        L, bad = _cholesky(Omega)
+        L, bad = cholesky(M)
         W = L.mT
         if bad.any():
             W = np.ascontiguousarray(W)
-            W[bad] = self._semi_definite(Omega[bad], np.flatnonzero(bad))
+            W[bad] = self._semi_definite(M[bad], np.flatnonzero(bad))
         return W
 
     def _semi_definite(self, Omega: Array, index: Index) -> Array:
@@ -287,50 +365,33 @@ def _shared_or_each(array: Array, n: int, name: str) -> Array:
     return array
 
 
-def _inverse_sigmas(
-    sigmas: Array, names: tuple[str, ...], quantity: str = "sigma", shown: Array | None = None
-) -> Array:
-    bad = ~(sigmas > 0)
-    if bad.any():
-        k, j = (int(i) for i in np.argwhere(bad)[0])
-        value = float((sigmas if shown is None else shown)[k, j])
-        raise NoiseModelError(
-            f"{quantity} of {names[j]}, measurement {k}, is {value:g}, expected > 0", quantity, k, value
-        )
-    return np.asarray(1.0 / sigmas)
+def _check_positive(sigmas: Array, names: tuple[str, ...] = (), quantity: str = "sigma") -> None:
+    """Refuse standard deviations or variances (k, m) that are not above 0, by the name or number of the component."""
+    if (sigmas > 0).all():
+        return
+    k, j = (int(i) for i in np.argwhere(~(sigmas > 0))[0])
+    name = names[j] if names else f"component {j}"
+    place = f"{name}, measurement {k}," if names or sigmas.shape[1] > 1 else f"measurement {k}"
+    value = float(sigmas[k, j])
+    raise NoiseModelError(f"{quantity} of {place} is {value:g}, expected > 0", quantity, k, value)
 
 
-def _once_if_equal(M: Array) -> Array:
-    """M[:1] where all matrices of the batch are the same: whitening then is one product."""
-    return M[:1] if len(M) > 1 and (M[-1] == M[0]).all() and (M == M[0]).all() else M
+def _shown(array: Array) -> str:
+    """The numbers of an array, or of many how many there are and their range; one for all without brackets around it.
 
-
-def _diagonal(M: Array) -> Array | None:
-    """The diagonals (k, m) when no matrix of the stack has another entry."""
-    off = ~np.eye(M.shape[-1], dtype=bool)
-    return None if np.any(M, axis=0)[off].any() else np.asarray(np.diagonal(M, axis1=1, axis2=2))
-
-
-def _cholesky(M: Array) -> tuple[Array, Mask]:
-    """Lower L with L L' = M for a stack (n, m, m), and which of them are not positive definite.
-
-    Over many matrices at a time, components first: 1 ms for 5,000 6x6 matrices, `numpy.linalg.cholesky` pays per
-    matrix and refuses the stack when one fails.
+    Examples
+    --------
+    >>> _shown(np.array([0.1])), _shown(np.array([[0.1, 0.2]])), _shown(np.linspace(0.1, 0.3, 500))
+    ('0.1', '[0.1, 0.2]', '500 of them, 0.1 to 0.3')
     """
-    L, bad = np.zeros((*M.shape[1:], len(M))), np.zeros(len(M), dtype=bool)
-    for begin in range(0, len(M), BLOCK):
-        block = slice(begin, begin + BLOCK)
-        _factorize(np.ascontiguousarray(M[block].transpose(1, 2, 0)), L[..., block], bad[block])
-    return L.transpose(2, 0, 1), bad
+    if array.size > SHOWN:
+        return f"{' x '.join(map(str, array.shape))} of them, {_range(array)}"
+    numbers = array[0] if len(array) == 1 else array
+    text = np.array2string(numbers, separator=", ", formatter={"float_kind": "{:.6g}".format}, max_line_width=1000)
+    return " ".join(text.split())
 
 
-def _factorize(C: Array, L: Array, bad: Mask) -> None:
-    """Fill L with the factors of the matrices C, both (m, m, n), and bad (n,), column by column."""
-    S = np.zeros(C.shape)  # sum of L_k L_k' over the columns k < j
-    for j in range(len(C)):
-        pivot = C[j, j] - S[j, j]
-        poor = ~(pivot > NOTHING * np.abs(C[j, j]))  # of its own diagonal: units may differ by any factor
-        bad |= poor
-        L[j, j] = np.sqrt(np.where(poor, 1.0, pivot))
-        L_j = np.divide(C[j + 1 :, j] - S[j + 1 :, j], L[j, j], out=L[j + 1 :, j])
-        S[j + 1 :, j + 1 :] += L_j[:, None] * L_j
+def _range(array: Array) -> str:
+    """``0.1 to 0.3``; one number where all are the same."""
+    low, high = f"{array.min():.6g}", f"{array.max():.6g}"
+    return low if low == high else f"{low} to {high}"

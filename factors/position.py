@@ -35,7 +35,8 @@ class Position(Factor):
     Raises
     ------
     GraphError
-        Spaces or shapes that do not fit; a component the world does not have.
+        Spaces or shapes that do not fit: fewer numbers than coordinates without `components`; a component the world
+        does not have.
 
     Notes
     -----
@@ -78,10 +79,26 @@ class Position(Factor):
         group = pose_group(self, manifolds[0], "; a point is measured by a Prior")
         world = R(group.point_dim)
         check_offset(self, self.offset, world)
+        if self.components is None:
+            self._refuse_some_coordinates(group, world)
         names = world.components if self.components is None else self.components
         if not names or not set(names) <= set(world.components) or len(set(names)) < len(names):
             raise GraphError(f"{self!r}: components {names} of {world.components}", self.keys, self.name)
         return Measured(*names)
+
+    def _refuse_some_coordinates(self, group: LieGroup, world: Manifold) -> None:
+        """Fewer numbers than coordinates and no names for them."""
+        n, shape = len(self), self.z.shape
+        one_number = not shape or (shape == (n,) and n not in (2, world.dim))
+        count = 1 if one_number else shape[-1]
+        if count < world.dim:
+            names = world.components[:2] if count == 2 else world.components[-1:]
+            raise GraphError(
+                f"{self!r}: z has shape {shape}; a position in {group} has {world.dim} coordinates, "
+                f"{', '.join(world.components)}. Name those that are measured: components={names}",
+                self.keys,
+                self.name,
+            )
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         group = manifolds[0]

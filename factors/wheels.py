@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 import numpy.typing as npt
 
@@ -13,8 +11,8 @@ from factors.noise import Noise
 from models import SE2, Manifold, Measured
 from models.algebra import Array, components, pack
 from models.errors import GraphError
-from models.options import check_between
 from models.vehicles import wheel_travel
+from models.vehicles.differential_drive import check_base
 
 __all__ = ["Wheels"]
 
@@ -65,7 +63,7 @@ class Wheels(Factor):
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, base: float) -> None:
         super().__init__([i, j], z, noise)
-        self.base = check_between("Wheels: base", base, 0, inf, "the distance of the wheels, m, above 0")
+        self.base = check_base("Wheels: base", base)
         if self._z.ndim not in (1, 2) or self._z.shape[-1] not in (2, 3):
             raise GraphError(
                 f"{self!r}: z has shape {self._z.shape}, expected (n, 2): travel of the right and of the left wheel",

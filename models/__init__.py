@@ -4,3 +4,7 @@ from models.algebra import wrap
 from models.manifolds import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, Measured, R, euler
 
 __all__ = ["LINE", "SE2", "SE3", "SO2", "SO3", "LieGroup", "Manifold", "Measured", "R", "euler", "wrap"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -131,7 +131,16 @@ class EvaluationError(LeadlineError, ArithmeticError):
 
 
 class JacobianError(EvaluationError):
-    """An analytic derivative that disagrees with central differences; carries the worst entry and both values."""
+    """An analytic derivative that disagrees with central differences.
+
+    Parameters
+    ----------
+    message : the factor, the entry and both values.
+    factor : the kind of factor.
+    entry : the worst one, (slot, measurement, row, column).
+    analytic, numeric : both values of it.
+    deviation : how much they differ, relative to the largest entry of the column.
+    """
 
     def __init__(
         self,
@@ -140,8 +149,9 @@ class JacobianError(EvaluationError):
         entry: tuple[int, ...] = (),
         analytic: float = float("nan"),
         numeric: float = float("nan"),
+        deviation: float = float("nan"),
     ) -> None:
-        self.entry, self.analytic, self.numeric = entry, analytic, numeric
+        self.entry, self.analytic, self.numeric, self.deviation = entry, analytic, numeric, deviation
         super().__init__(message, factor)
 
 

@@ -48,10 +48,11 @@ _MODULE = {name: module for module, names in _WHERE.items() for name in names.sp
 
 if not TYPE_CHECKING:
     __getattr__ = importer("sim", _MODULE)
+    del importer, TYPE_CHECKING  # no names for users
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)
 
 
 __all__ = [

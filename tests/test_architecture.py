@@ -205,6 +205,16 @@ def undocumented(module: ModuleType) -> Iterator[str]:
                     yield f"{module.__name__}.{name}.{member}"
 
 
+def test_tab_completion_shows_the_public_names() -> None:
+    """No modules of a package, and nothing that its file needs for itself."""
+    for package in (models, factors, nls, sim):
+        assert {name for name in dir(package) if not name.startswith("__")} == set(package.__all__)
+    for package in (nls, sim):
+        assert {
+            name for name in ("importer", "TYPE_CHECKING", "Any", "import_module") if hasattr(package, name)
+        } == set()
+
+
 def test_public_names_exist_and_are_documented() -> None:
     packages = (models, factors, nls, sim)
     assert all(package.__all__ and package.__doc__ for package in packages)

@@ -16,6 +16,7 @@ from models.abstract import Abstract
 from models.algebra import Array, apply
 from models.errors import GraphError, OptionError
 from models.finite import first_not_finite
+from models.manifolds.rigid import homogeneous
 
 __all__ = ["LieGroup", "Manifold"]
 
@@ -193,6 +194,21 @@ class LieGroup(Manifold):
         """Rotation matrix of X, (..., k, k) with k = point_dim, body to world."""
         raise GraphError(f"{self.name} has no rotation matrix")
 
+    def matrix(self, X: npt.ArrayLike) -> Array:
+        """Matrix of X: [[R, t], [0, 1]] (..., k+1, k+1) of a pose, R (..., k, k) of a rotation, k = point_dim.
+
+        Examples
+        --------
+        >>> from models import SE2
+        >>> SE2.matrix([5.0, 6.0, np.pi / 2]).round(6)
+        array([[ 0., -1.,  5.],
+               [ 1.,  0.,  6.],
+               [ 0.,  0.,  1.]])
+        """
+        X = np.asarray(X, dtype=float)
+        R, t = self.rotation(X), self.position(X)
+        return homogeneous(R, t) if t.shape[-1] else R
+
     def act(self, X: npt.ArrayLike, p: npt.ArrayLike) -> Array:
         """Points p (..., point_dim) of the body frame in world coordinates, R p + t, meters."""
         X = np.asarray(X, dtype=float)
@@ -207,6 +223,29 @@ class LieGroup(Manifold):
     def local(self, X: Array, Y: Array) -> Array:
         """Log(X^-1 Y)."""
         return self.log(self.between(X, Y))
+
+    def interpolate(self, X: npt.ArrayLike, Y: npt.ArrayLike, t: npt.ArrayLike) -> Array:
+        """X Exp(t Log(X^-1 Y)): from X at t = 0 to Y at t = 1 with a constant velocity, along the shorter turn.
+
+        Parameters
+        ----------
+        X, Y : (size,) or (n, size) elements.
+        t : one number, or (n,); below 0 and above 1 it extrapolates.
+
+        Returns
+        -------
+        (size,) or (n, size) array.
+
+        Examples
+        --------
+        >>> from models import SE2
+        >>> SE2.interpolate([0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.25, 1.0])
+        array([[0. , 0. , 0. ],
+               [0.5, 0. , 0. ],
+               [2. , 0. , 0. ]])
+        """
+        X, Y = np.asarray(X, dtype=float), np.asarray(Y, dtype=float)
+        return self.retract(X, np.asarray(t, dtype=float)[..., None] * self.local(X, Y))
 
 
 def block_triangular(A: Array, B: Array, C: Array) -> Array:

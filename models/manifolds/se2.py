@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from models.algebra import Array, components, matrix, pack, sinc, stumpff, wrap
 from models.manifolds.base import LieGroup
-from models.manifolds.so2 import rotation2
+from models.manifolds.rigid import rigid_parts
+from models.manifolds.so2 import angle2, rotation2
 
 __all__ = ["SE2"]
 
@@ -37,6 +38,22 @@ class PosesOfThePlane(LieGroup):
 
     name, dim, size, components, point_dim = "SE2", 3, 3, ("x", "y", "yaw"), 2
     body_axes = True
+
+    def from_matrix(self, T: npt.ArrayLike) -> Array:
+        """Poses (3,) or (n, 3) of homogeneous matrices (3, 3) or (n, 3, 3), body to world; `matrix` is the inverse.
+
+        Raises
+        ------
+        GraphError
+            No such matrices; a matrix that is no rigid motion, by more than 0.001 in an entry of R'R.
+
+        Examples
+        --------
+        >>> SE2.from_matrix([[0, -1, 5], [1, 0, 6], [0, 0, 1]]).round(6)
+        array([5.      , 6.      , 1.570796])
+        """
+        R, t = rigid_parts("SE2.from_matrix", T, 2)
+        return pack([t[..., 0], t[..., 1], angle2(R)])
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         rho1, rho2, theta = components(delta)

@@ -19,11 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, apply, components, dot, matrix, product, skew, stumpff
+from models.errors import GraphError
+from models.finite import finite
 from models.manifolds.base import LieGroup, block_triangular
+from models.manifolds.rigid import rigid_parts
 from models.manifolds.so3 import (
     IDENTITY,
     SO3,
     not_unit,
+    quaternion_from_matrix,
     quaternion_product,
     quaternion_vector,
     quaternion_vector_jl,
@@ -62,6 +66,59 @@ class PosesOfSpace(LieGroup):
     name, dim, size, point_dim = "SE3", 6, 7, 3
     components = ("x", "y", "z", "roll", "pitch", "yaw")
     body_axes = True
+
+    def from_matrix(self, T: npt.ArrayLike) -> Array:
+        """Poses (7,) or (n, 7) of homogeneous matrices (4, 4) or (n, 4, 4), body to world; `matrix` is the inverse.
+
+        Raises
+        ------
+        GraphError
+            No such matrices; a matrix that is no rigid motion, by more than 0.001 in an entry of R'R.
+
+        Examples
+        --------
+        >>> SE3.from_matrix([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]).round(6)
+        array([5.      , 6.      , 7.      , 0.      , 0.      , 0.707107, 0.707107])
+        """
+        R, t = rigid_parts("SE3.from_matrix", T, 3)
+        return join(t, quaternion_from_matrix(R))
+
+    def from_rpy(
+        self,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        z: npt.ArrayLike,
+        roll: npt.ArrayLike,
+        pitch: npt.ArrayLike,
+        yaw: npt.ArrayLike,
+    ) -> Array:
+        """Poses (7,), or (n, 7) where some of the numbers are (n,): R = Rz(yaw) Ry(pitch) Rx(roll), m and rad.
+
+        `models.euler.from_se3` is the inverse.
+
+        Raises
+        ------
+        GraphError
+            Arrays of different lengths; a number that is not finite.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> SE3.from_rpy(1, 2, [3, 4], 0, 0, np.radians(90)).round(6)
+        array([[1.      , 2.      , 3.      , 0.      , 0.      , 0.707107, 0.707107],
+               [1.      , 2.      , 4.      , 0.      , 0.      , 0.707107, 0.707107]])
+        """
+        from models.manifolds import euler  # which builds on this file
+
+        names = ("roll", "pitch", "yaw", "x", "y", "z")
+        given = zip(names, (roll, pitch, yaw, x, y, z), strict=True)
+        numbers = [finite("SE3.from_rpy", name, value) for name, value in given]
+        try:
+            state = np.stack(np.broadcast_arrays(*numbers), axis=-1)
+        except ValueError as error:
+            shapes = ", ".join(f"{name} {number.shape}" for name, number in zip(names, numbers, strict=True))
+            raise GraphError(f"SE3.from_rpy: the shapes differ: {shapes}; give one number, or n, of each") from error
+        return euler.to_se3(state)
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         delta = np.asarray(delta, dtype=float)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from models.algebra import Array, matrix, wrap
 from models.manifolds.base import LieGroup
+from models.manifolds.rigid import rotation_parts
 
 __all__ = ["SO2"]
 
@@ -17,11 +18,31 @@ def rotation2(theta: Array) -> Array:
     return matrix([[c, -s], [s, c]])
 
 
+def angle2(R: Array) -> Array:
+    """The angle (...) of the rotation nearest to R (..., 2, 2), rad."""
+    return wrap(np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]))
+
+
 class RotationsOfThePlane(LieGroup):
     """SO(2): the angle is its own logarithm; only the wrap to [-pi, pi) makes it a circle."""
 
     name, dim, size, components, point_dim = "SO2", 1, 1, ("yaw",), 2
     flat = True
+
+    def from_matrix(self, R: npt.ArrayLike) -> Array:
+        """Angles (1,) or (n, 1) of rotation matrices (2, 2) or (n, 2, 2); `matrix` is the inverse.
+
+        Raises
+        ------
+        GraphError
+            No such matrices; a matrix that is no rotation, by more than 0.001 in an entry of R'R.
+
+        Examples
+        --------
+        >>> SO2.from_matrix([[0, -1], [1, 0]]).round(6)
+        array([1.570796])
+        """
+        return angle2(rotation_parts("SO2.from_matrix", R, 2))[..., None]
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         return wrap(np.array(delta, dtype=float))

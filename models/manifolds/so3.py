@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from models.algebra import TINY, Array, arrangement, components, dot, matrix, pack, product, skew, stumpff
 from models.manifolds.base import LieGroup
+from models.manifolds.rigid import rotation_parts
 
 __all__ = ["SO3", "quaternion_from_matrix", "rotation3"]
 
@@ -115,6 +116,21 @@ class RotationsOfSpace(LieGroup):
 
     name, dim, size, components, point_dim = "SO3", 3, 4, ("roll", "pitch", "yaw"), 3
     body_axes = True
+
+    def from_matrix(self, R: npt.ArrayLike) -> Array:
+        """Unit quaternions (4,) or (n, 4), w >= 0, of rotation matrices (3, 3) or (n, 3, 3); `matrix` is the inverse.
+
+        Raises
+        ------
+        GraphError
+            No such matrices; a matrix that is no rotation, by more than 0.001 in an entry of R'R.
+
+        Examples
+        --------
+        >>> SO3.from_matrix([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).round(6)
+        array([0.      , 0.      , 0.707107, 0.707107])
+        """
+        return quaternion_from_matrix(rotation_parts("SO3.from_matrix", R, 3))
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         w = np.asarray(delta, dtype=float)

@@ -16,10 +16,13 @@ and Automation 17(3), 2001; the derivatives are written out here.
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, components, matrix, pack
+from models.options import check_between
 
 __all__ = ["ackermann"]
 
@@ -41,6 +44,11 @@ def ackermann(
     twist : (n, 3) velocity ahead and to the left, m/s, and rate of turn, rad/s.
     F_u : (n, 3, 2) its derivative by u.
 
+    Raises
+    ------
+    OptionError
+        A wheelbase that is not above 0.
+
     Examples
     --------
     A car of 2.83 m that steers by 0.2 rad, seen from its front bumper:
@@ -50,7 +58,8 @@ def ackermann(
     array([[1.9284, 0.5415, 0.1433]])
     """
     speed, alpha = components(u)
-    L, H, (a, b) = wheelbase, encoder, at
+    L = check_between("ackermann: wheelbase", wheelbase, 0, inf, "the distance of the axles, m, above 0")
+    H, (a, b) = encoder, at
     tan = np.tan(alpha)
     D, q = 1 - H * tan / L, 1 + tan * tan
     v = speed / D

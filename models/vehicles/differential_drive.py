@@ -27,11 +27,14 @@ the motion; the derivatives are for increments X Exp(delta), and the slip is add
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array, components, matrix, pack
 from models.manifolds.se2 import SE2
+from models.options import check_between
 
 __all__ = ["differential_drive", "travel_sigmas", "wheel_travel"]
 
@@ -50,12 +53,18 @@ def differential_drive(X: Array, u: npt.ArrayLike, base: float) -> tuple[Array, 
     X_j : (n, 3) poses after the step.
     F_X, F_u : (n, 3, 3) and (n, 3, 2), from increments of X and of u to increments of X_j.
 
+    Raises
+    ------
+    OptionError
+        A base that is not above 0.
+
     Examples
     --------
     >>> import numpy as np
     >>> differential_drive(np.array([[1.0, 2.0, np.pi / 2]]), [[1.1, 0.9]], base=0.5)[0].round(4)
     array([[0.8013, 2.9801, 1.9708]])
     """
+    base = check_base("differential_drive: base", base)
     right, left = components(u)
     ds, h = (right + left) / 2, (right - left) / (2 * base)
     c, s, k = np.cos(h), np.sin(h), ds / (2 * base)
@@ -77,6 +86,11 @@ def wheel_travel(X_i: Array, X_j: Array, base: float) -> tuple[Array, tuple[Arra
     h : (n, 3) travel of the right and of the left wheel, and across, along y, m.
     H_i, H_j : (n, 3, 3).
 
+    Raises
+    ------
+    OptionError
+        A base that is not above 0.
+
     Examples
     --------
     >>> import numpy as np
@@ -84,6 +98,7 @@ def wheel_travel(X_i: Array, X_j: Array, base: float) -> tuple[Array, tuple[Arra
     >>> wheel_travel(X[:1], X[1:], base=0.5)[0].round(3) + 0.0
     array([[1.1, 0.9, 0. ]])
     """
+    base = check_base("wheel_travel: base", base)
     dx, dy, dth = components(SE2.between(X_i, X_j))
     h, b = dth / 2, base / 2
     c, s = np.cos(h), np.sin(h)
@@ -91,6 +106,17 @@ def wheel_travel(X_i: Array, X_j: Array, base: float) -> tuple[Array, tuple[Arra
     H_i = matrix([[-c, -s, lat / 2 - b], [-c, -s, lat / 2 + b], [s, -c, -ds / 2]])
     H_j = matrix([[c, -s, lat / 2 + b], [c, -s, lat / 2 - b], [s, c, -ds / 2]])
     return pack([ds + base * h, ds - base * h, lat]), (H_i, H_j)
+
+
+def check_base(option: str, base: float) -> float:
+    """The distance of two wheels, m.
+
+    Raises
+    ------
+    OptionError
+        No number above 0.
+    """
+    return check_between(option, base, 0, inf, "the distance of the wheels, m, above 0")
 
 
 def travel_sigmas(u: npt.ArrayLike, right: float, left: float, lateral: float) -> Array:

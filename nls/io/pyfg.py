@@ -269,11 +269,12 @@ def _factor(text: Text, tag: Tag, batch: Batch, values: Values, convention: str)
     z = table[:, :size] if size > 1 else table[:, 0]
     if tag.factor is Range and (below := z < 0).any():
         raise text.error("a range is at least 0 m", int(lines[np.argmax(below)]))
-    factor = tag.factor(*keys, z, Covariance(Sigma), **options)
     try:
+        factor = tag.factor(*keys, z, Covariance(Sigma), **options)
         values.gather(factor)
     except NoiseModelError as error:
-        raise text.error(str(error).split(": ", 1)[1], int(lines[error.index])) from error
+        message = str(error).split(": ", 1)[1] if error.keys else str(error)  # without the name of the factor
+        raise text.error(message, int(lines[error.index])) from error
     except GraphError as error:
         raise text.error(str(error), int(lines[0])) from error
     return factor

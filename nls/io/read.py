@@ -209,7 +209,7 @@ def _factor(
         spaces = {"point": R(group.point_dim)}
         factor.bind(*(spaces.get(slot, group) for slot in record.slots))
     except NoiseModelError as error:
-        message = str(error).split(": ", 1)[-1]
+        message = str(error).split(": ", 1)[1] if error.keys else str(error)  # without the name of the factor
         advice = [Advice("repair")] if error.matrix == "information" else []  # has a negative eigenvalue
         raise text.error(message, int(at[error.index]), advice) from error
     except GraphError as error:

@@ -25,7 +25,7 @@ from models.sensors.singular import CLOSE
 from nls.graph import FactorGraph
 from nls.values import Stack, Values
 
-__all__ = ["AHEAD", "Pairs", "covariance", "on_vehicle", "sightings"]
+__all__ = ["AHEAD", "Pairs", "covariance", "sightings"]
 Columns = list[npt.NDArray[Any]]
 AHEAD = np.array([0.0, 0.0, 0.0, -0.5, -0.5, -0.5, 0.5])  # axes x ahead, y right, z down in those of a camera
 

@@ -10,7 +10,8 @@ sums over all their measurements, from sensors at s_i:
 and l = c + M^-1 v. The first subtracts squared ranges, |l - s_i|^2 = r_i^2, from their mean, which leaves a linear
 system; the second is the point nearest to all rays. Where M says nothing in some direction (ranges from fewer than
 three places not in line, in space four not in one plane; rays that are parallel), or where the value given fits the
-measurements better, the value given stays. So do fixed points.
+measurements better, the value given stays. So do fixed points. The pixels of a camera are directions, too. A point that
+would be behind a camera that saw it is left where it was: no image of it exists there.
 
 Source: W. Murphy, W. Hereman, "Determination of a position in three dimensions using trilateration and approximate
 distances", Colorado School of Mines, 1995 (the squared ranges).
@@ -20,9 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from factors.mount import named_singularity
 from factors.sighting import Sighting
 from models import LieGroup
 from models.algebra import Array, Index, Mask, Numbers, apply
@@ -53,12 +56,20 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : every `Sighting` that locates its target or says its range or its direction is used, equally weighted.
-    values : every variable.
+    graph : every `Sighting` of points that locates its target, or says its range or its direction as the pixels of a
+        `Projection` do, is used, equally weighted. Ranges and directions of one point are not combined. All other
+        factors are passed over: sightings of poses; `RangeAzimuth` and `Elevation`, for which `search_elevation` and
+        `rig` are the starts; priors of points, and lines.
+    values : every variable; poses and variable offsets are taken as they are.
 
     Returns
     -------
     Values
+
+    Raises
+    ------
+    SingularGeometryError
+        A pixel without a ray; names the measurement.
 
     Examples
     --------
@@ -110,10 +121,14 @@ def _located(stack: Stack, sightings: list[Sightings], graph: FactorGraph) -> Ar
         X[point[rows]] = at[rows]
         todo[point] = False
     for measured, system, misfit in ((_distances, _ranges, _range_misfit), (_directions, _rays, _ray_misfit)):
-        views = [(s.point, s.group.position(s.S), z) for s in sightings if (z := measured(s)) is not None]
+        views = [
+            (s.point, s.group.position(s.S), z, np.full(len(z), s.factor.states("rays")))
+            for s in sightings
+            if (z := measured(s)) is not None
+        ]
         if views:
-            point, s, z = (np.concatenate(column) for column in zip(*views, strict=True))
-            todo &= ~_solve(X, todo, point, s, z, system, misfit)
+            point, s, z, camera = (np.concatenate(column) for column in zip(*views, strict=True))
+            todo &= ~_solve(X, todo, point, s, z, system, partial(misfit, camera=camera))
     return X
 
 
@@ -153,15 +168,18 @@ def _rays(u: Array, direction: Array) -> tuple[Array, Array]:
     return across, apply(across, u)
 
 
-def _range_misfit(p: Array, r: Array) -> Array:
+def _range_misfit(p: Array, r: Array, camera: Mask) -> Array:
     """(|p| - r)^2."""
     return np.asarray(np.square(np.linalg.norm(p, axis=1) - r))
 
 
-def _ray_misfit(p: Array, direction: Array) -> Array:
-    """1 - cos of the angle between the ray and where the point is; 2 for a point behind, 1 for one at the sensor."""
-    length = np.linalg.norm(p, axis=1)
-    return np.asarray(1 - np.sum(p * direction, axis=1) / np.where(length > 0, length, 1.0))
+def _ray_misfit(p: Array, direction: Array, camera: Mask) -> Array:
+    """1 - cos of the angle between the ray and where the point is; 2 for a point behind, 1 for one at the sensor.
+
+    Infinite for a point behind a camera.
+    """
+    length, along = np.linalg.norm(p, axis=1), np.sum(p * direction, axis=1)
+    return np.where(camera & (along <= 0), np.inf, 1 - along / np.where(length > 0, length, 1.0))
 
 
 def _distances(sighting: Sightings) -> Array | None:
@@ -171,7 +189,11 @@ def _distances(sighting: Sightings) -> Array | None:
 
 def _directions(sighting: Sightings) -> Array | None:
     """Unit vectors (m, d) to the points, in world axes."""
-    unit = sighting.factor.directions(sighting.z)
+    factor, z = sighting.factor, sighting.z
+    if (unit := factor.directions(z)) is None and factor.states("rays"):
+        with named_singularity(factor):
+            rays = factor.rays(z)
+        unit = None if rays is None else rays[0]
     return None if unit is None else apply(sighting.group.rotation(sighting.S), unit)
 
 

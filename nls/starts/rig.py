@@ -17,17 +17,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from factors.bearing import Bearing
 from factors.keys import Keys
-from factors.noise import Isotropic
 from models import SE3
 from models.algebra import Array, Mask
 from models.alignment import align
 from models.alignment import three_points as from_three
 from models.errors import SingularGeometryError
-from models.sensors import SingularAt, direction
+from models.sensors import SingularAt
 from nls.graph import FactorGraph
-from nls.starts.camera_sonar import AHEAD, Pairs, on_vehicle, sightings
+from nls.starts.camera_sonar import Pairs, sightings
 from nls.starts.landmarks import locate_points
 from nls.starts.mounting import at_the_camera, turned_to_azimuths, unknown_mountings, where_ranges_say
 from nls.values import Values
@@ -179,12 +177,5 @@ def _fixed(graph: FactorGraph, values: Values, kind: str) -> Mask:
 
 def _from_rays(pairs: Pairs, values: Values, known: Mask) -> Values:
     """The points that are not known where the rays of their pixels meet, or where they were."""
-    bearings = FactorGraph()
-    for factor in pairs.factors:
-        alone = ~known[pairs.points.index(factor.keys[1])]
-        model, X = values.gather(factor)
-        if alone.any() and (rays := factor.rays(model.z)) is not None:  # of which no pixel is without one: see `Pairs`
-            (pose, target, *_), O = factor.keys, on_vehicle(factor, X)[alone]
-            z, _ = direction(rays[0][alone][:, [2, 0, 1]])  # no ray is along the z axis of `AHEAD`, without an azimuth
-            bearings.add(Bearing(pose[alone], target[alone], z, Isotropic(1.0), SE3.compose(O, AHEAD)))
-    return locate_points(bearings, values) if len(bearings) else values
+    views = [(factor, ~known[pairs.points.index(factor.keys[1])]) for factor in pairs.factors]
+    return locate_points(FactorGraph([factor[alone] for factor, alone in views if alone.any()]), values)

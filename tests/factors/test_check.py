@@ -5,12 +5,13 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import pytest
 
 from factors import Diagonal, Factor, Isotropic, Noise, SqrtInformation, check_jacobians
 from models import SE2, SE3, R
 from models.algebra import Array, skew
-from models.errors import JacobianError
-from nls import Values, kinds
+from models.errors import GraphError, JacobianError
+from nls import FactorGraph, Values, kinds
 from tests.combinations import for_all
 from tests.factors.evaluated import refused
 
@@ -58,3 +59,23 @@ def test_check_jacobians_names_a_rotation_among_other_blocks() -> None:
     )
     assert check_jacobians(right, PLANE) < 1e-6
     refused(lambda: check_jacobians(wrong, PLANE), JacobianError, "; likely.*: a rotation in it is transposed$")
+
+
+def test_check_jacobians_of_a_graph_names_the_worst_factor() -> None:
+    def scaled(by: float) -> Factor:
+        def jacobians(X: Array) -> list[Array]:
+            return [by * SE2.world_axes(X)]
+
+        return Factor.from_function(np.array, x[0:3], 3, Isotropic(0.1), jacobians)
+
+    right, slightly, badly = scaled(1.0), scaled(1.01), scaled(3.0)
+    assert check_jacobians(FactorGraph([right, right]), PLANE) == max(check_jacobians(right, PLANE), 0.0) < 1e-6
+    assert check_jacobians(FactorGraph([right, slightly]), PLANE, rtol=0.1) == check_jacobians(slightly, PLANE, 0.1) > 0
+    assert check_jacobians(FactorGraph(), PLANE) == 0.0
+    one = refused(lambda: check_jacobians(FactorGraph([right, slightly]), PLANE), JacobianError, "^array.*e-[0-9]+$")
+    graph = FactorGraph([slightly, badly, right])
+    caught = refused(lambda: check_jacobians(graph, PLANE), JacobianError, "; the worst of 2 factors .*, of 3$")
+    alone = refused(lambda: check_jacobians(badly, PLANE), JacobianError, "analytic")
+    assert str(caught).startswith(str(alone))
+    assert (one.deviation, caught.deviation) == (pytest.approx(0.0099, abs=1e-4), pytest.approx(2 / 3, abs=1e-4))
+    refused(lambda: check_jacobians(PLANE, PLANE), GraphError, "expected a factor or a graph, got Values")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factors import Between, Covariance, Diagonal, Information, Isotropic, Noise, Prior, SqrtInformation
+from factors import Between, Covariance, Diagonal, Huber, Information, Isotropic, Noise, Prior, Robust, SqrtInformation
 from factors.noise import whiten
 from models import SE2, SE3, R
 from models.errors import GraphError, NoiseModelError
@@ -152,17 +152,11 @@ def whitened(noise: Noise, n: int = 2, names: tuple[str, ...] = ("x", "y")) -> A
 def test_negative_information_names_its_measurement() -> None:
     Omega = np.tile(GOOD, (4, 1, 1))
     Omega[2] = [[1.0, 2.0], [2.0, 1.0]]
-    noise, values = Information(Omega), Values({x: (R(2), np.zeros((9, 2)))})
     named = "measurement 2 has the negative eigenvalue -1: .*1 such"
-    alone = refused(lambda: whitened(noise, 4), NoiseModelError, named)
-    bound = refused(
-        lambda: values.gather(Prior(x[5:9], np.zeros((4, 2)), noise)), NoiseModelError, r"Prior\(x7\): .*" + named
-    )
-    assert bound.keys == (x[5:9],)
-    for caught in (alone, bound):
-        assert (caught.matrix, caught.index) == ("information", 2)
-        assert caught.value == pytest.approx(-1.0)
-    refused(lambda: whitened(Information(np.diag([4.0, -4.0])), 1), NoiseModelError, "0 has the negative eigenvalue -4")
+    caught = refused(lambda: Information(Omega), NoiseModelError, named)
+    assert (caught.matrix, caught.index) == ("information", 2)
+    assert caught.value == pytest.approx(-1.0)
+    refused(lambda: Information(np.diag([4.0, -4.0])), NoiseModelError, "0 has the negative eigenvalue -4")
 
 
 GOOD = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -170,15 +164,16 @@ GOOD = np.array([[2.0, 0.5], [0.5, 1.0]])
 
 def test_matrices_that_are_no_noise_name_their_measurement() -> None:
     skew = [GOOD, [[2.0, 0.5], [0.4, 1.0]]]
-    for noise, named, index, value in (
-        (Covariance([GOOD, [[1.0, 2.0], [2.0, 1.0]]]), "Covariance of measurement 1", 1, -1.0),
-        (Covariance([GOOD, np.ones((2, 2))]), "Covariance of measurement 1", 1, 0.0),
-        (Covariance(np.diag([1.0, 0.0])), "Covariance of y, measurement 0, is 0,", 0, 0.0),
-        (Covariance(np.diag([1.0, -2.0])), "Covariance of y, measurement 0, is -2,", 0, -2.0),
-        (Covariance(skew), "Covariance of measurement 1 is not symmetric", 1, 0.1),
-        (Information(skew), "Information of measurement 1 is not symmetric", 1, 0.1),
+    for kind, matrix, named, index, value in (
+        (Covariance, [GOOD, [[1.0, 2.0], [2.0, 1.0]]], "Covariance of measurement 1", 1, -1.0),
+        (Covariance, [GOOD, np.ones((2, 2))], "Covariance of measurement 1", 1, 0.0),
+        (Covariance, np.diag([1.0, 0.0]), "Covariance of component 1, measurement 0, is 0,", 0, 0.0),
+        (Covariance, np.diag([1.0, -2.0]), "Covariance of component 1, measurement 0, is -2,", 0, -2.0),
+        (Covariance, [[-0.1]], "Covariance of measurement 0 is -0.1,", 0, -0.1),
+        (Covariance, skew, "Covariance of measurement 1 is not symmetric", 1, 0.1),
+        (Information, skew, "Information of measurement 1 is not symmetric", 1, 0.1),
     ):
-        caught = refused(lambda noise=noise: whitened(noise), NoiseModelError, named)
+        caught = refused(lambda kind=kind, matrix=matrix: kind(matrix), NoiseModelError, named)
         assert caught.index == index
         assert caught.value == pytest.approx(value, abs=1e-12)
     whitened(SqrtInformation([[2.0, 0.5], [0.0, 1.0]]))
@@ -208,16 +203,45 @@ def test_numbers_must_be_finite_and_the_measurement_is_named(bad: float) -> None
 
 @for_all(bad=[0.0, -0.1])
 def test_sigmas_must_be_positive(bad: float) -> None:
-    for noise, name, k in (
-        (Isotropic(bad), "x", 0),
-        (Isotropic([0.1, bad]), "x", 1),
-        (Diagonal([0.1, bad, 0.1]), "y", 0),
-        (Diagonal([[0.1, 0.1, 0.1], [0.1, 0.1, bad]]), "yaw", 1),
-        (Diagonal(x=0.1, yaw=0.1, y=[0.1, bad]), "y", 1),
+    for make, place, k in (
+        (lambda: Isotropic(bad), "measurement 0", 0),
+        (lambda: Isotropic([0.1, bad]), "measurement 1", 1),
+        (lambda: Diagonal([0.1, bad, 0.1]), "component 1, measurement 0,", 0),
+        (lambda: Diagonal([[0.1, 0.1, 0.1], [0.1, 0.1, bad]]), "component 2, measurement 1,", 1),
+        (lambda: Diagonal(x=0.1, yaw=0.1, y=[0.1, bad]), "y, measurement 1,", 1),
+        (lambda: Diagonal(theta=bad), "yaw, measurement 0,", 0),
     ):
-        named = rf"sigma of {name}, measurement {k}, is {bad:g},"
-        caught = refused(lambda noise=noise: whitened(noise, 2, PLANE), NoiseModelError, named)
+        caught = refused(make, NoiseModelError, rf"^sigma of {place} is {bad:g}, expected > 0$")
         assert (caught.index, caught.value) == (k, bad)
+
+
+def test_a_noise_shows_its_numbers() -> None:
+    many, eye = np.linspace(0.1, 0.3, 500), np.eye(6)
+    assert list(map(repr, (
+        Isotropic(0.1),
+        Isotropic(many),
+        Diagonal([0.1, 1e-05, 1 / 3]),
+        Diagonal(x=0.1, theta=many, y=[0.1, 0.2]),
+        Diagonal(np.full((500, 3), 0.2)),
+        Covariance([[4.0, 1.0], [1.0, 9.0]]),
+        Covariance(eye),
+        Information(many[:, None, None] * eye),
+        SqrtInformation([[2.0]]),
+        Robust(Diagonal(x=0.1, y=0.2), Huber(1.345)),
+    ))) == [
+        "Isotropic(0.1)",
+        "Isotropic(500 of them, 0.1 to 0.3)",
+        "Diagonal([0.1, 1e-05, 0.333333])",
+        "Diagonal(x=0.1, yaw=500 of them, 0.1 to 0.3, y=[0.1, 0.2])",
+        "Diagonal(500 x 3 of them, 0.2)",
+        "Covariance([[4, 1], [1, 9]])",
+        "Covariance(6 x 6, diagonal 1)",
+        "Information(500 x 6 x 6, diagonal 0.1 to 0.3)",
+        "SqrtInformation([[2]])",
+        "Robust(Diagonal(x=0.1, y=0.2), Huber(1.345))",
+    ]  # fmt: skip
+    assert Diagonal(x=0.1, theta=0.2).named["yaw"] == 0.2
+    assert repr(Prior(x[0], [0.0], Isotropic(0.1))) == "Prior(x0)", "messages name a factor without its numbers"
 
 
 def test_noise_of_the_wrong_shape() -> None:

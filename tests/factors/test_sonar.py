@@ -65,7 +65,7 @@ def contacts_of(X: Array, L: Array) -> Array:
         (lambda: ElevationHinge(x[0], l[0], "a"), OptionError, "limit: 'a'"),
         (lambda: ElevationHinge(x[0], l[0], np.array([0.1, 0.2])), OptionError, "limit: array"),
         (lambda: XYH(x[0], x[1], [1, 2, 3], UNIT, form=["levelled"]), OptionError, "form: "),
-        (lambda: ElevationHinge(x[0], l[0], 0.1, softness=0.0), NoiseModelError, r"ElevationHinge\(x0, l0\)"),
+        (lambda: ElevationHinge(x[0], l[0], 0.1, softness=0.0), OptionError, "ElevationHinge: softness: 0.0"),
         (lambda: RangeAzimuth(o[0], l[0], [1.0, 0.0], UNIT), GraphError, "RangeAzimuth: o0 is in SE2, .* SE3"),
         (lambda: Elevation(o[0], l[0], 1.0, UNIT), GraphError, "Elevation: o0 is in SE2, .* SE3"),
         (lambda: RangeAzimuth(x[0], o[0], [1.0, 0.0], UNIT), GraphError, r"o0 is in SE2; .* R\(3\) or SE3"),

@@ -10,7 +10,7 @@ import pytest
 from models import SE2
 from models.algebra import Array
 from models.dead_reckoning import integrate_plane
-from models.errors import GraphError
+from models.errors import GraphError, OptionError
 from models.vehicles import ackermann
 from tests.models.differences import difference
 
@@ -31,6 +31,12 @@ def test_on_a_circle_every_point_turns_about_the_same_center() -> None:
     u = np.random.default_rng(1).uniform([-3.0, -0.6], [6.0, 0.6], size=(20, 2))
     found = ackermann(u, **TRUCK)[1]
     np.testing.assert_allclose(found, difference(lambda v: ackermann(v, **TRUCK)[0], u), atol=1e-8)
+
+
+def test_a_wheelbase_is_above_zero() -> None:
+    for wheelbase in (0.0, -2.83, float("nan"), "long"):
+        with pytest.raises(OptionError, match=r"^ackermann: wheelbase: .* the distance of the axles, m, above 0$"):
+            ackermann([[2.0, 0.2]], wheelbase=wheelbase)
 
 
 def samples(rng: np.random.Generator, n: int = 200) -> tuple[Array, Array, Array]:

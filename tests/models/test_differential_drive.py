@@ -5,9 +5,11 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
+import pytest
 
 from models import SE2, R
 from models.algebra import Array
+from models.errors import OptionError
 from models.vehicles import differential_drive, travel_sigmas, wheel_travel
 from tests.models.differences import on_group
 
@@ -57,3 +59,14 @@ def test_derivatives_are_central_differences() -> None:
         assert np.abs(h[:, 2]).max() > 0.05
         same(H_X, on_group(SE2, lambda X, Y=Y: wheel_travel(X, Y, BASE)[0], X), atol=2e-8)
         same(H_Y, on_group(SE2, lambda Y, X=X: wheel_travel(X, Y, BASE)[0], Y), atol=2e-8)
+
+
+def test_a_base_is_above_zero() -> None:
+    X, u = drives(1)
+    for base in (0.0, -0.5, float("nan"), "wide"):
+        for name, call in (
+            ("differential_drive", lambda base=base: differential_drive(X, u, base)),
+            ("wheel_travel", lambda base=base: wheel_travel(X, X, base)),
+        ):
+            with pytest.raises(OptionError, match=rf"^{name}: base: .* the distance of the wheels, m, above 0$"):
+                call()

@@ -254,7 +254,9 @@ def _sigmas(factor: Factor, names: tuple[str, ...]) -> Array:
         return np.broadcast_to(noise.sigmas, shape)
     if isinstance(noise, Diagonal):
         return np.stack([np.broadcast_to(noise.named[name], shape[0]) for name in names], axis=1)
-    raise _no_file(factor, f"its noise is {noise!r}; files hold standard deviations, Diagonal or Isotropic")
+    raise _no_file(
+        factor, f"its noise is {type(noise).__name__}; files hold standard deviations, Diagonal or Isotropic"
+    )
 
 
 def _sonar(sonar: ImagingSonar, mount: Array) -> Rows:

@@ -7,11 +7,25 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from factors import Bearing, BearingRange, Between, Information, Isotropic, Landmark, Range, Sighting
+from factors import (
+    Bearing,
+    BearingRange,
+    Between,
+    Elevation,
+    Information,
+    Isotropic,
+    Landmark,
+    Prior,
+    Projection,
+    Range,
+    RangeAzimuth,
+    Sighting,
+)
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, Manifold, Measured, R
 from models.algebra import Array
-from models.sensors import direction, distance
+from models.errors import SingularGeometryError
+from models.sensors import Camera, direction, distance
 from nls import FactorGraph, Values, initialize, kinds
 from nls.starts import STARTS, locate_points
 from tests.nls.graphs import moved, walk
@@ -90,6 +104,73 @@ def test_exact_measurements_give_exact_points(kind: type[Sighting]) -> None:
             assert found[l] == pytest.approx(truth[l], abs=1e-9)
             assert np.array_equal(found[x], truth[x])
             assert np.array_equal(found[o], truth[o])
+
+
+LENS = Camera(focal=(600.0, 500.0), center=(640.0, 480.0), distortion=(-0.3, 0.0, 0.0, 0.0))
+
+
+def filmed(offset: str | None = None) -> tuple[Values, FactorGraph]:
+    """Five points ahead of three cameras side by side, one point more seen by the first alone."""
+    O = SE3.identity() if offset is None else SE3.exp([[0.2, 0.1, -0.3, 0.2, -0.1, 0.3]])
+    C = SE3.exp(np.array([[k, 0.1 * k, 0, 0, -0.2 * k, 0.1] for k in range(3)], dtype=float))
+    rng = np.random.default_rng(4)
+    L = rng.uniform([-1, -1, 4], [2, 1, 8], size=(6, 3))
+    values = Values({x: (SE3, SE3.compose(C, SE3.inverse(O))), l: (R(3), L), o: (SE3, O)})
+    i, j = np.repeat(np.arange(3), 6), np.tile(np.arange(6), 3)
+    i, j = i[(j < 5) | (i == 0)], j[(j < 5) | (i == 0)]
+    pixels = LENS.project(SE3.act(SE3.inverse(C[i]), L[j]))[0]
+    mounted = o[np.zeros(len(i), dtype=int)] if offset == "variable" else None if offset is None else O
+    return values, FactorGraph([Projection(x[i], l[j], pixels, ONE, LENS, mounted)])
+
+
+@pytest.mark.parametrize("offset", [None, "fixed", "variable"])
+def test_pixels_of_two_or_more_poses_place_a_point(offset: str | None) -> None:
+    truth, graph = filmed(offset)
+    start = forgotten(truth).replaced({"l": np.full((6, 3), 30.0)})
+    located = locate_points(graph, start)
+    assert located[l[0:5]] == pytest.approx(truth[l[0:5]], abs=1e-9)
+    assert located[l[5]].tolist() == [30.0] * 3  # on one ray
+    assert graph.chi2(located) < graph.chi2(start)
+    pair = graph.factors[0][np.isin(graph.factors[0].keys[0].numbers, [0, 2])]
+    assert locate_points(FactorGraph([pair]), start)[l[0:5]] == pytest.approx(truth[l[0:5]], abs=1e-9)
+
+
+def test_pixels_and_bearings_of_a_point_are_directions_alike() -> None:
+    truth, graph = filmed()
+    pixel = graph.factors[0][[0]]
+    bearing = exact(Bearing, truth, x[2], l[0])
+    start = truth.replaced({"l": np.full((6, 3), 30.0)})
+    assert locate_points(FactorGraph([pixel, bearing]), start)[l[0]] == pytest.approx(truth[l[0]], abs=1e-9)
+    assert locate_points(FactorGraph([bearing]), start)[l[0]].tolist() == [30.0] * 3
+
+
+def test_a_point_is_never_put_behind_a_camera_that_saw_it() -> None:
+    """The rays of two pixels meet behind both: there is no image of it there, and the value given has one."""
+    values = Values({x: (SE3, [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]), l: (R(3), [[0.5, 0.0, 9.0]])})
+    diverging = Projection(x[[0, 1]], l[0], [[-0.1, 0.0], [0.1, 0.0]], ONE)
+    assert locate_points(FactorGraph([diverging]), values)[l[0]].tolist() == [0.5, 0.0, 9.0]
+    behind = values.replaced({"l": np.array([[0.5, 0.0, -9.0]])})
+    meeting = Projection(x[[0, 1]], l[0], [[0.1, 0.0], [-0.1, 0.0]], ONE)
+    assert locate_points(FactorGraph([meeting]), behind)[l[0]] == pytest.approx([0.5, 0.0, 5.0])
+
+
+def test_a_pixel_without_a_ray_is_named() -> None:
+    values, _ = filmed()
+    pixels = Projection(x[[0, 1]], l[2], [[640.0, 480.0], [1500.0, 480.0]], ONE, LENS)
+    with pytest.raises(SingularGeometryError, match=r"^Projection\(x1, l2\): .*pixel .* has no ray"):
+        locate_points(FactorGraph([pixels]), values)
+
+
+def test_sightings_that_place_no_point_are_passed_over() -> None:
+    truth, _ = filmed()
+    n = np.arange(3)
+    others = FactorGraph([
+        exact(RangeAzimuth, truth, x[n], l[np.zeros(3, dtype=int)]),
+        exact(Elevation, truth, x[n], l[np.zeros(3, dtype=int)]),
+        Range(x[0], x[1], 1.0, ONE),
+        Prior(l[1], [1.0, 2.0, 3.0], ONE),
+    ])  # fmt: skip
+    assert np.array_equal(locate_points(others, forgotten(truth))[l], forgotten(truth)[l])
 
 
 @pytest.mark.parametrize("kind", [Landmark, BearingRange], ids=lambda kind: kind.__name__)
