@@ -1,5 +1,10 @@
 """Factors: one measurement kind per file; noise, measurement and spaces bound into whitened Jacobians and errors."""
 
+from typing import TYPE_CHECKING
+
+if not TYPE_CHECKING:  # mypy would take it for a circle
+    import nls.lazy  # noqa: F401  refuses packages of other programs that shadow `models`, and imports nothing
+
 from factors.base import Factor
 from factors.bearing import Bearing
 from factors.bearing_range import BearingRange

@@ -3,7 +3,7 @@
 Everything is imported when it is first used, so that ``import nls`` costs nothing and a program pays for what it needs.
 """
 
-from nls.lazy import importer
+from nls.lazy import importer, refuse_shadows
 
 TYPE_CHECKING = False  # to a type checker always true; the import of typing takes as long as all others of a start
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 __version__ = "0.1.0"
+
+refuse_shadows()  # here and nowhere later: an error of one of their names would not say whose package it is
 
 _WHERE = {
     "factors.keys": "Keys Kind kinds",
