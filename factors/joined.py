@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from factors.base import Factor, Model
-from factors.keys import Keys
-from factors.noise import SqrtInformation, square
+from factors.noise import Noise, SqrtInformation, square
 from factors.robust import Robust
+from factors.slices import below
 from models.algebra import Array
 
-__all__ = ["alike", "batch_of", "grouped", "joined", "sort_of"]
+__all__ = ["alike", "batch_of", "grouped", "joined", "joined_noise", "sort_of"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -45,7 +45,7 @@ def joined(models: Sequence[Model]) -> list[Factor]:
     >>> whole, whole.z.ravel()
     (Range(x[0, 1, 1], l[0, 0, 1]), array([5., 4., 3.]))
     """
-    return [group[0].factor if len(group) == 1 else batch_of(group) for group in grouped(models)]
+    return [group[0].factor if len(group) == 1 else _bound_batch(group) for group in grouped(models)]
 
 
 def grouped(models: Sequence[Model]) -> list[list[Model]]:
@@ -77,31 +77,54 @@ def _hashable(value: Any) -> Hashable:
     return value if isinstance(value, Hashable) else id(value)
 
 
-def batch_of(group: Sequence[Model]) -> Factor:
-    """The batch of bound factors of one kind."""
-    whole, kernel = copy(group[0].factor), group[0].factor.kernel
-    whole.keys = tuple(_rows([m.factor.keys[slot] for m in group], group) for slot in range(len(whole.keys)))
-    whole._z = np.concatenate([model.z for model in group])
+def _bound_batch(group: Sequence[Model]) -> Factor:
+    """The batch of bound factors of one sort."""
+    factors = [model.factor for model in group]
+    noise = joined_noise([factor.noise for factor in factors], [len(factor) for factor in factors])
+    if noise is None:
+        kernel, whiteners = factors[0].kernel, [square(model.W) for model in group]
+        rows = [np.broadcast_to(W, (len(f), *W.shape[1:])) for W, f in zip(whiteners, factors, strict=True)]
+        noise = SqrtInformation(np.concatenate(rows))
+        noise = noise if kernel is None else Robust(noise, kernel)
+    return batch_of(factors, [model.z for model in group], noise)
+
+
+def batch_of(factors: Sequence[Factor], z: Sequence[Array], noise: Noise) -> Factor:
+    """The batch of factors of one sort, see `sort_of`, with their measurements z (n, size) and the noise of all."""
+    whole, counts = copy(factors[0]), [len(factor) for factor in factors]
+    whole.keys = tuple(below(keys, counts) for keys in zip(*(factor.keys for factor in factors), strict=True))
+    whole._z, whole._noise, whole._model = np.concatenate(z), noise, None
     whole._z.setflags(write=False)
-    noise = SqrtInformation(np.concatenate([_square(model) for model in group]))
-    whole._noise = noise if kernel is None else Robust(noise, kernel)
     for name in whole.per_measurement:
-        setattr(whole, name, _rows([getattr(model.factor, name) for model in group], group))
+        setattr(whole, name, below([getattr(factor, name) for factor in factors], counts))
     return whole
 
 
-def _rows(parts: Sequence[Any], group: Sequence[Model]) -> Any:
-    """Keys or arrays below each other, one row a measurement; what is no such thing is shared by all."""
-    if isinstance(parts[0], Keys):
-        return Keys(parts[0].kind, np.concatenate([keys.numbers for keys in parts]))
-    if isinstance(parts[0], np.ndarray):
-        counts = [len(model.z) for model in group]
-        stacks = [array if array.ndim > 1 else array[None] for array in parts]
-        return np.concatenate([np.broadcast_to(p, (n, *p.shape[1:])) for p, n in zip(stacks, counts, strict=True)])
-    return parts[0]
+def joined_noise(noises: Sequence[Noise], counts: Sequence[int]) -> Noise | None:
+    """The noise of batches of so many measurements; None where they are not of one type and shape.
+
+    Examples
+    --------
+    >>> from factors import Isotropic
+    >>> joined_noise([Isotropic(0.1), Isotropic([0.2, 0.3])], [1, 2]), joined_noise([Isotropic(0.1)] * 2, [1, 1])
+    (Isotropic([0.1, 0.2, 0.3]), Isotropic(0.1))
+    """
+    first = noises[0]
+    if len({id(noise) for noise in noises}) > 1 and len({_form(noise) for noise in noises}) > 1:
+        return None
+    whole = copy(first)
+    for name, value in vars(first).items():
+        parts = [vars(noise)[name] for noise in noises]
+        setattr(whole, name, joined_noise(parts, counts) if isinstance(value, Noise) else below(parts, counts))
+    return whole
 
 
-def _square(model: Model) -> Array:
-    """The whiteners (n, m, m) of a batch."""
-    W = square(model.W)
-    return np.broadcast_to(W, (len(model.z), *W.shape[1:]))
+def _form(value: Any) -> Hashable:
+    """Types, names, and the shapes of what a measurement has."""
+    if isinstance(value, np.ndarray):
+        return value.shape[1:]
+    if isinstance(value, Noise):
+        return type(value), _form(vars(value))
+    if isinstance(value, dict):
+        return tuple((name, _form(item)) for name, item in value.items())
+    return _hashable(value)

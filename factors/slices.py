@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,34 @@ def rows(value: Any, index: Index, n: int) -> Any:
     if isinstance(value, dict):
         return {name: rows(item, index, n) for name, item in value.items()}
     return value
+
+
+def below(parts: Sequence[Any], counts: Sequence[int]) -> Any:
+    """The inverse of `rows`: keys and arrays of several batches of so many measurements, one row a measurement.
+
+    Rows that are all equal are one that all share; what is neither keys nor array is that of the first.
+
+    Examples
+    --------
+    >>> below([np.array([0.1]), np.array([0.2, 0.3])], [1, 2]), below([np.array([0.1]), np.array([0.1])], [1, 2])
+    (array([0.1, 0.2, 0.3]), array([0.1]))
+    """
+    first = parts[0]
+    if isinstance(first, Keys):
+        return Keys(first.kind, np.concatenate([keys.numbers for keys in parts]))
+    if isinstance(first, tuple):
+        return tuple(below(items, counts) for items in zip(*parts, strict=True))
+    if isinstance(first, dict):
+        return {name: below([part[name] for part in parts], counts) for name in first}
+    if not isinstance(first, np.ndarray):
+        return first
+    stacks = [p if len(p) in (1, n) else p[None] for p, n in zip(parts, counts, strict=True)]
+    if all(len(stack) == 1 for stack in stacks):
+        together = np.concatenate(stacks)
+        if (together == together[0]).all():
+            return together[:1]
+    full = [s if len(s) == n else np.broadcast_to(s, (n, *s.shape[1:])) for s, n in zip(stacks, counts, strict=True)]
+    return np.concatenate(full)
 
 
 def one_each(z: Array, n: int, sizes: tuple[int, ...]) -> bool | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-from factors.base import Factor, Model
-from factors.joined import batch_of, grouped
+from factors.base import Factor
+from factors.joined import batch_of, joined, joined_noise, sort_of
 from nls.values import Values
 
 __all__ = ["Singles"]
@@ -33,13 +33,16 @@ class Singles:
         if len(fresh) < MANY:
             return list(factors)
         parts = {id(factor): [factor] for factor in fresh} | {id(batch): rows for batch, rows in self._made}
-        models = [_bound(factor, values) for factor in factors if id(factor) in parts]
+        groups: dict[Hashable, list[Factor]] = {}
+        for factor in factors:
+            if id(factor) in parts:
+                groups.setdefault(sort_of(factor), []).append(factor)
         batches: dict[int, list[Factor]] = {}  # in the place of a factor
-        for group in grouped(models):
-            rows = [row for model in group for row in parts[id(model.factor)]]
+        for group in groups.values():
+            rows = [row for factor in group for row in parts[id(factor)]]
             if len(group) > 1 and len(rows) >= MANY:
-                batch = batch_of(group)
-                batches |= {id(model.factor): [] for model in group} | {id(group[0].factor): [batch]}
+                batch = _batch(group, values)
+                batches |= {id(factor): [] for factor in group} | {id(group[0]): [batch]}
                 self._made.append((batch, rows))
         self._made = [made for made in self._made if id(made[0]) not in batches]
         return [new for factor in factors for new in batches.get(id(factor), [factor])]
@@ -56,5 +59,13 @@ class Singles:
         return None
 
 
-def _bound(factor: Factor, values: Values) -> Model:
-    return factor.bind(*(values.stack(keys.kind).manifold for keys in factor.keys))
+def _batch(group: Sequence[Factor], values: Values) -> Factor:
+    """Factors of one sort as one; bound one by one only where their noises differ in type."""
+    noise = joined_noise([factor.noise for factor in group], [len(factor) for factor in group])
+    sizes = {factor.z.size // len(factor) for factor in group}
+    if noise is None or len(sizes) > 1:
+        (batch,) = joined(
+            [factor.bind(*(values.stack(keys.kind).manifold for keys in factor.keys)) for factor in group]
+        )
+        return batch
+    return batch_of(group, [factor.z.reshape(len(factor), -1) for factor in group], noise)

@@ -215,13 +215,13 @@ def test_suffixes(tmp_path: Path) -> None:
     graph, values, _ = read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     with pytest.raises(OptionError, match=r"or the dialect named; \*\.graph may be toro or graph"):
         save(tmp_path / "out.graph", graph, values)
-    for name in ("out", "out.txt", "out.tum", "out.unknown.gz"):
+    for name in ("out", "out.txt", "out.unknown.gz"):
         with pytest.raises(OptionError, match=r"\.g2o, \.toro, \.isam, \.pyfg, \.bal"):
             save(tmp_path / name, graph, values)
     assert list(tmp_path.iterdir()) == []
     save(tmp_path / "out.toro.gz", graph, values)
     assert load(tmp_path / "out.toro.gz")[2].format == "toro"
-    for wrong in ("auto", "kitti"):
+    for wrong in ("auto", "svg"):
         with pytest.raises(OptionError, match=f"dialect: '{wrong}' is not possible; expected one of g2o, toro"):
             save(tmp_path / "out", graph, values, dialect=wrong)
     save(tmp_path / "out.graph", graph, values, dialect="toro")
