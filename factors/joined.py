@@ -122,7 +122,8 @@ def joined_noise(noises: Sequence[Noise], counts: Sequence[int]) -> Noise | None
 def _form(value: Any) -> Hashable:
     """Types, names, and the shapes of what a measurement has."""
     if isinstance(value, np.ndarray):
-        return value.shape[1:]
+        trailing: tuple[int, ...] = value.shape[1:]
+        return trailing
     if isinstance(value, Noise):
         return type(value), _form(vars(value))
     if isinstance(value, dict):
