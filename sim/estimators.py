@@ -16,7 +16,7 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array
 from models.errors import GraphWarning, LeadlineError, OptionError
-from nls import Marginals
+from nls import Marginals, initialize
 from nls.filters.base import POSE, Filter, Step, Track, landmark_kind
 from nls.filters.consistency import nees, regular
 from nls.filters.ekf import EKF
@@ -89,7 +89,7 @@ def _named(name: str) -> Iterator[None]:
 
 
 def batch(world: LandmarkWorld) -> Track:
-    """The graph solved at once.
+    """The graph solved at once, from the best start that `nls.initialize` finds.
 
     Warns
     -----
@@ -97,7 +97,8 @@ def batch(world: LandmarkWorld) -> Track:
         It did not converge.
     """
     began = perf_counter()
-    result = world.graph.optimize(world.start, gauge="none")
+    start, *_ = initialize(world.graph, world.start)
+    result = world.graph.optimize(start, gauge="none")
     if not result.converged:
         warnings.warn(f"batch: {result.status.value}: {result.reason}", GraphWarning, stacklevel=2)
     marginals = Marginals(world.graph, result.values, gauge="none")

@@ -51,7 +51,7 @@ def test_a_graph_costs_less_than_a_filter_and_grows_slower() -> None:
     assert (ekf.name, ekf.landmarks, ekf.poses, ekf.stopped) == ("ekf", [100, 400], [46, 121], "")
     assert batch.landmarks == [100, 400]
     assert batch.total == pytest.approx([46 * batch.step[0], 121 * batch.step[1]])
-    assert batch.total[1] < ekf.total[1] / 3
+    assert batch.total[1] < ekf.total[1] / 2  # with the search for a start
     assert batch.law("total") < ekf.law("total")
     assert 60 * ekf.step[1] < ekf.total[1] < 200 * ekf.step[1]
 
