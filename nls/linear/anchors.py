@@ -5,8 +5,8 @@ their rows of N form an invertible matrix C N. A prior on each of them gives
 
     S = (A'A + C'C)^-1 = S_0 + N M' + M N'
 
-with some M for every strength of the priors, S_0 the pseudo-inverse of A'A. What no free direction moves, J N = 0, keeps its covariance
-J S J' = J S_0 J'; and S is a generalized inverse of A'A: residuals stay what they are.
+with some M for every strength of the priors, S_0 the pseudo-inverse of A'A. What no free direction moves, J N = 0,
+keeps its covariance, J S J' = J S_0 J'. S is a generalized inverse of A'A: residuals stay what they are.
 """
 
 from __future__ import annotations
