@@ -64,11 +64,11 @@ class Undetermined:
         texts = [f"{keys[[k]]!r}: {', '.join(names[c] for c in np.flatnonzero(free[k]))}" for k in members]
         rows = np.unique(columns[free])
         k = len(np.unique(self.N[rows].indices))
-        pronoun, verb = ("it", "has") if len(members) == 1 else ("them", "have")
+        several = len(members) > 1
+        moves = f"{'1 free direction moves' if k == 1 else f'{k} free directions move'} {'them' if several else 'it'}"
         return UnderconstrainedError(
-            f"{some(texts, 6, '; ', ' variables')}: the measurements leave {pronoun} free in "
-            f"{'1 direction' if k == 1 else f'{k} directions'}, so {pronoun.replace('them', 'they')} {verb} no "
-            "covariance. Ask for the other variables by number, or add what is missing",
+            f"{some(texts, 6, '; ', ' variables')}: not determined. {moves}, so {'they have' if several else 'it has'} "
+            "no covariance. Ask for the other variables by number, or add what is missing",
             list(keys[members]),
             k,
             texts,
