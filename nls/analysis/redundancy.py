@@ -245,6 +245,7 @@ def _optimum_without(graph: FactorGraph, values: Values, group: ClosureGroup) ->
         ]
         optimum = min(results, key=lambda result: result.chi2_final).values
         marginals = Marginals(subgraph, optimum)
+        Sigma = np.concatenate([marginals.all(Kind(kind), view="position") for kind in group.kinds])
     except UnderconstrainedError:
         return None
-    return optimum, np.concatenate([marginals.all(Kind(kind), view="position") for kind in group.kinds])
+    return optimum, Sigma

@@ -91,20 +91,18 @@ class Solved:
 
         Notes say which these are, and where there are no covariances (None), why.
         """
-        from nls.covariance import Marginals
-
         graph, free = self.graph, l[[]]
         if not self.result.converged:
             self.report.notes.append("the files have no sigmas: this is no optimum")
             return graph, None, free
         try:
-            return graph, Marginals(graph, self.values, self.solver, self.gauge), free
+            return graph, self._marginals(graph), free
         except UnderconstrainedError as error:
             why = error
         if self.contacts:
             graph, free = held_free(graph, self.values)
         try:
-            marginals = Marginals(graph, self.values, self.solver, self.gauge) if len(free) else None
+            marginals = self._marginals(graph) if len(free) else None
         except UnderconstrainedError as error:
             marginals, why = None, error
         if marginals is None:
@@ -115,6 +113,15 @@ class Solved:
             "from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
         )
         return graph, marginals, free
+
+    def _marginals(self, graph: FactorGraph) -> Marginals:
+        """Covariances of all variables; UnderconstrainedError where one has none."""
+        from nls.covariance import Marginals
+
+        marginals = Marginals(graph, self.values, self.solver, self.gauge)
+        if marginals.underconstrained is not None:
+            raise marginals.underconstrained
+        return marginals
 
     @property
     def marginals(self) -> Marginals | None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from models.algebra import Array, Index
 from models.errors import GraphError, ResourceLimitError
@@ -53,7 +54,12 @@ class FreePart:
 
 
 def free_part(
-    held: Pattern, free: Pattern, factorization: Factorization, values: Values, memory_limit: float
+    held: Pattern,
+    free: Pattern,
+    factorization: Factorization,
+    values: Values,
+    memory_limit: float,
+    others: sp.csr_array | None = None,
 ) -> FreePart:
     """The basis of the gauge and Sigma_held times it.
 
@@ -63,6 +69,7 @@ def free_part(
     factorization : of A'A of `held`.
     values : the linearization point.
     memory_limit : bytes of the dense columns.
+    others : (n, q) directions that stay free with the gauge held, which belong to the null space, too.
 
     Raises
     ------
@@ -72,10 +79,11 @@ def free_part(
         There are so many components that the columns would not fit.
     """
     gauge, complement = gauge_columns(held, free)
-    needed = 6 * 8.0 * free.n * len(gauge)
+    count = len(gauge) + (0 if others is None else others.shape[1])
+    needed = 6 * 8.0 * free.n * count
     if needed > memory_limit:
         raise ResourceLimitError(
-            f"gauge 'free': {len(gauge)} free directions of {free.n} unknowns need {needed / 1e9:.1f} GB, the limit is "
+            f"gauge 'free': {count} free directions of {free.n} unknowns need {needed / 1e9:.1f} GB, the limit is "
             f"{memory_limit / 1e9:.1f} GB; use gauge 'first'",
             needed,
             memory_limit,
@@ -90,8 +98,12 @@ def free_part(
             "gauge 'free': the variable held to compute it is no free direction of the measurements: a factor says "
             "relative=True and is not"
         ) from error
+    if others is not None:
+        directions = np.pad(directions, ((0, 0), (0, others.shape[1])))
+        directions[complement, len(gauge) :] = others.toarray()
+        directions = np.linalg.qr(directions)[0]
     of_all = np.flatnonzero(np.repeat(~free.held, free.dims))
-    Q, B = np.zeros((2, int(free.dims.sum()), len(gauge)))
+    Q, B = np.zeros((2, int(free.dims.sum()), count))
     Q[of_all] = directions
     B[of_all[complement]] = factorization.solve(Q[of_all[complement]])
     return FreePart(Q, B)

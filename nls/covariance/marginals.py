@@ -18,13 +18,13 @@ from factors.keys import Keys, Kind
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
+from nls.covariance.determined import Undetermined, anchored_factorization, used_components
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
-from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -41,7 +41,7 @@ class Marginals:
 
     Parameters
     ----------
-    graph : the factors; A'A must be of full rank once the gauge is held.
+    graph : the factors. What they leave free once the gauge is held has no covariance; all else has.
     values : where it is linearized. Factors with a robust kernel count with their weight there, as in the last step of
         the optimizer: an outlier that was switched off adds no information.
     linear_solver : its factorization of A'A is used; a solver that keeps none (QR, the dense ones) and none at all mean
@@ -58,7 +58,7 @@ class Marginals:
     Raises
     ------
     UnderconstrainedError
-        The measurements leave something free: named, with cures.
+        The measurements leave every variable free: named, with cures.
     OptionError
         A linear solver that does not factorize A'A itself.
 
@@ -72,6 +72,11 @@ class Marginals:
       *body* that is at the origin of the world: it grows with the distance from the origin.
 
     Vectors, and rotations of the plane, have one frame only and need none. See the theory page on covariances.
+
+    With N a basis of the free directions, A N = 0, the covariance of y = J delta exists when J N = 0. So a variable
+    whose rows of N are zero keeps its covariance, whatever else is free. A pose of which only the heading is free keeps
+    the covariance of its position, ``view="position"``. All else is refused by name. Of directions that move several
+    variables 96 are looked for; where more are free the graph is refused as a whole.
 
     Examples
     --------
@@ -87,6 +92,20 @@ class Marginals:
     ((3, 3), (2, 2))
     >>> marginals.all(x, frame="body").shape
     (40, 3, 3)
+
+    One range leaves a landmark free; the poses are determined all the same:
+
+    >>> from factors import Isotropic, Range
+    >>> from models import R
+    >>> from nls import FactorGraph, Values
+    >>> (l,) = kinds("l")
+    >>> graph = FactorGraph([*world.graph.factors, Range(x[3], l[0], [5.0], Isotropic(0.1))])
+    >>> poses = world.truth.stack("x")
+    >>> marginals = Marginals(graph, Values({x: (poses.manifold, poses.X), l: (R(2), [[9.0, 9.0]])}))
+    >>> marginals.status(l), marginals.covariance(x[10], frame="world").shape
+    (['free'], (3, 3))
+    >>> marginals.underconstrained.components
+    ('l0: x, y',)
     """
 
     def __init__(
@@ -109,25 +128,35 @@ class Marginals:
         self.values, self.memory_limit = values.copy(), memory_limit
         fixed = fixed_variables(graph.fixed, values)
         decided = choose_gauge(gauge, graph.pattern(values), values, fixed)
-        pattern = self._pattern = decided.pattern.holding(decided.held)
+        pattern = decided.pattern.holding(decided.held)
         system = LinearSystem.at(pattern, values)
+        undetermined: Undetermined | None = None
         try:
             self._factorization = factorize(system, linear_solver)
-        except SingularSystemError as error:
-            raise underconstrained(system) from error
+        except SingularSystemError:
+            pattern, self._factorization, undetermined = anchored_factorization(pattern, values, linear_solver)
+        self._pattern, self._undetermined = pattern, undetermined
         self.gauge = decided.description
         self._free: FreePart | None = None
         if decided.free:
-            self._free = free_part(
-                pattern, decided.pattern.holding(decided.fixed), self._factorization, values, memory_limit
-            )
+            unheld = decided.pattern.holding(decided.fixed)
+            others = None if undetermined is None else undetermined.N
+            self._free = free_part(pattern, unheld, self._factorization, values, memory_limit, others)
         zero = decided.fixed if decided.free else decided.held
+        moved = np.zeros(len(fixed), dtype=bool)
+        if undetermined is not None:
+            moved[pattern.column_owner()[0][undetermined.moved]] = True
         self._status = np.select(
-            [fixed, decided.fixed, zero], ["fixed", "unmeasured", "gauge"], "estimated"
+            [fixed, decided.fixed, zero, moved], ["fixed", "unmeasured", "gauge", "free"], "estimated"
         )  # the first that holds
         self._first = np.cumsum(pattern.dims) - pattern.dims  # column of every variable, held or not
         self._column = np.full(int(pattern.dims.sum()), -1)  # column of A of each of these
         self._column[pattern.expand(np.ones(pattern.n)) > 0] = np.arange(pattern.n)
+
+    @property
+    def underconstrained(self) -> UnderconstrainedError | None:
+        """The error that names all that the measurements leave free; None where every variable is determined."""
+        return None if self._undetermined is None else self._undetermined.error
 
     def covariance(self, keys: Keys, frame: str | None = None, view: str | None = None) -> Array:
         """Covariance (d, d) of one variable, or (n, d, d) of each of several.
@@ -148,7 +177,7 @@ class Marginals:
         OptionError
             A pose without a frame; a view the variable does not have.
         UnderconstrainedError
-            A variable no measurement touches: it has no covariance.
+            A variable no measurement touches, or that the measurements leave free: it has no covariance.
         SingularGeometryError
             Euler angles at gimbal lock.
         """
@@ -169,6 +198,11 @@ class Marginals:
         ----------
         kind : ``x``.
         frame, view : as in `covariance`.
+
+        Raises
+        ------
+        UnderconstrainedError
+            One of them has no covariance, see `status`.
         """
         if not isinstance(kind, Kind):
             raise GraphError(f"Marginals.all: expected a kind such as x, got {kind!r:.60}; covariance takes variables")
@@ -190,6 +224,8 @@ class Marginals:
             The dense matrix would need more than the memory limit.
         GraphError
             No variable is given, or one twice.
+        UnderconstrainedError
+            One of them has no covariance, see `status`.
         """
         batches = [keys] if isinstance(keys, Keys) else list(keys)
         shown = [self._axes(batch, frame, view) for batch in batches]
@@ -217,7 +253,8 @@ class Marginals:
     def status(self, kind: Kind | str) -> list[str]:
         """What is known of every variable of a kind, in the order of the values.
 
-        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has no covariance.
+        ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: no measurement touches it,
+        ``free``: the measurements leave it free in some direction. These two have no covariance.
         """
         name = kind.name if isinstance(kind, Kind) else kind
         size, start = len(self.values.stack(name)), self._pattern.offsets[name]
@@ -267,19 +304,26 @@ class Marginals:
         return (Sigma + Sigma.T) / 2
 
     def _columns(self, keys: Keys) -> Index:
-        """Columns (n, d) of variables among those of all variables; refuses what no measurement touches."""
+        """Columns (n, d) of variables among those of all variables."""
         stack = self.values.stack(keys.kind)
         variables = self._pattern.offsets[keys.kind] + stack.index(keys)
-        self._measured(keys, variables)
         return np.asarray(self._first[variables][:, None] + np.arange(stack.manifold.dim))
 
     def _axes(self, keys: Keys, frame: str | None, view: str | None) -> tuple[Array | None, tuple[str, ...]]:
+        """As `nls.covariance.frames.axes`; refuses what is not determined."""
         if not isinstance(keys, Keys):
             raise GraphError(f"Marginals: {keys!r:.60} names no variable; expected x[0], x[[1, 2]], or all(x) for all")
         stack = self.values.stack(keys.kind)
         variables = stack.index(keys)
         self._measured(keys, self._pattern.offsets[keys.kind] + variables)
-        return axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
+        J, names = axes(keys, stack.manifold, np.asarray(stack.X[variables]), frame, view)
+        if self._undetermined is not None:
+            columns = self._column[self._columns(keys)]
+            used = used_components(J, columns.shape)
+            refusal = self._undetermined.refusal(keys, columns, used, stack.manifold.components)
+            if refusal is not None:
+                raise refusal
+        return J, names
 
     def _measured(self, keys: Keys, variables: Index) -> None:
         unmeasured = self._status[variables] == "unmeasured"

@@ -91,7 +91,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     idle = ~touched & ~fixed
     gauge = choose_gauge("first", whole, values, fixed | idle)
     pattern = whole.holding(gauge.held)
-    free = freedom(graph.factors, pattern, values)
+    free = freedom(pattern, values)
     findings = doubts.switched_off(graph, values) + doubts.turns(graph, values)
     findings += _unmeasured(pattern, idle) + named_directions(free, pattern, values)
     findings += separate_parts(pattern, gauge) + causes.beyond_all_others(graph, whole)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.sparse as sp
 
-from nls.linear import factorize
+from nls.linear import default_solver, factorize
 from nls.linear.singular import SingularSystemError
-from nls.linear.underconstrained import underconstrained
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from models.algebra import Array, Index
     from nls.system import LinearSystem
 
 __all__ = ["spy"]
@@ -24,11 +24,14 @@ INK, FILL = "#0b4f6c", "#e07a2f"
 
 
 def spy(system: LinearSystem) -> Figure:
-    """A, H and R of a linear system side by side; fill-in of R is orange.
+    """A, H = A'A and R of a linear system side by side; fill-in of R is orange.
+
+    Where something is free, H = A'A has no R. The third picture is then that of H + D, D the diagonal of H (1 where it
+    is 0), which has the numbers of R in the same places; its title says so.
 
     Parameters
     ----------
-    system : a `LinearSystem` of full rank, ``graph.linearize(values)``.
+    system : any `LinearSystem`, ``graph.linearize(values)``.
 
     Returns
     -------
@@ -36,19 +39,16 @@ def spy(system: LinearSystem) -> Figure:
 
     Raises
     ------
-    UnderconstrainedError
-        There is no R: something is free. Fix a variable or add a prior.
+    EvaluationError
+        Squares of weights or Jacobians overflow.
     """
     from matplotlib.figure import Figure
 
-    try:
-        R, permutation = factorize(system).upper()
-    except SingularSystemError as error:
-        raise underconstrained(system) from error
-    R.eliminate_zeros()  # CHOLMOD pads its supernodes
     H = system.H.copy()
     H.eliminate_zeros()
-    ordered = sp.csc_array(H[permutation][:, permutation])
+    R, permutation, D = _triangle(system)
+    R.eliminate_zeros()  # CHOLMOD pads its supernodes
+    ordered = sp.csc_array((H if D is None else H + sp.diags_array(D))[permutation][:, permutation])
 
     figure = Figure(figsize=(13, 4.8), layout="constrained")
     axes = figure.subplots(1, 3)
@@ -59,7 +59,8 @@ def spy(system: LinearSystem) -> Figure:
     _dots(axes[2], sp.coo_array(R), FILL)
     _dots(axes[2], sp.coo_array(sp.triu(ordered)), INK)
     fill = R.nnz - sp.triu(ordered).nnz
-    axes[2].set_title(f"R, reordered: {R.nnz} numbers, {max(fill, 0)} of them fill-in")
+    of_damped = "of H + D, as something is free" if D is not None else "reordered"
+    axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in")
 
     names, first = _variables(system)
     _name(axes[0].set_xticks, axes[0].set_xticklabels, names, first)
@@ -76,6 +77,16 @@ def spy(system: LinearSystem) -> Figure:
     return figure
 
 
+def _triangle(system: LinearSystem) -> tuple[sp.csc_array, Index, Array | None]:
+    """R and its order p, H[p][:, p] = R'R, and None; those of H + diag(D) where H is singular, and D (n,)."""
+    try:
+        return *factorize(system).upper(), None
+    except SingularSystemError:
+        squares = np.square(system.column_norms)
+        D = np.where(squares > 0, squares, 1.0)
+        return *default_solver().analyze(system.pattern).factorize(system, D).upper(), D
+
+
 def _variables(system: LinearSystem) -> tuple[list[str], list[int]]:
     variable, component = system.pattern.column_owner()
     first = np.flatnonzero(component == 0)
@@ -90,10 +101,10 @@ def _name(set_ticks: object, set_labels: object, names: list[str], first: list[i
 
 
 def _dots(axes: Axes, M: sp.coo_array, color: str) -> None:
-    size = float(np.clip(200 / max(M.shape), 0.3, 7))
+    size = float(np.clip(200 / max(*M.shape, 1), 0.3, 7))
     axes.plot(M.col, M.row, "s", color=color, markersize=size, markeredgewidth=0)
-    axes.set_xlim(-0.5, M.shape[1] - 0.5)
-    axes.set_ylim(M.shape[0] - 0.5, -0.5)
+    axes.set_xlim(-0.5, max(M.shape[1], 1) - 0.5)
+    axes.set_ylim(max(M.shape[0], 1) - 0.5, -0.5)
     if M.shape[0] == M.shape[1]:
         axes.set_aspect("equal")
     axes.xaxis.tick_top()

@@ -99,7 +99,7 @@ def held(graph: FactorGraph, values: Values) -> Pattern:
 
 def judged(graph: FactorGraph, values: Values) -> Checked | None:
     """Every measurement against all others; what is free is held by anchors, where that can be."""
-    return freedom(graph.factors, held(graph, values), values).checked
+    return freedom(held(graph, values), values).checked
 
 
 def checked(graph: FactorGraph, values: Values) -> Checked:

@@ -136,7 +136,10 @@ def covariances(data: ReportData) -> Html | None:
     inside: list[Html] = []
     if isinstance(marginals, UnderconstrainedError):
         inside.append(_note(f"There are no covariances: {marginals}"))
-    elif marginals is not None and not data.pictures:
+        marginals = None
+    if marginals is not None and marginals.underconstrained is not None:
+        inside.append(_note(f"Some variables have no covariance: {marginals.underconstrained}"))
+    if marginals is not None and not data.pictures:
         most = max(len(stack) for stack in marginals.values.stacks.values())
         figure = ellipses(marginals, scale=visible_scale(marginals), every=-(-most // DRAWN))
         if figure.axes[0].has_data():

@@ -15,7 +15,6 @@ from models.algebra import Array
 from nls import EvaluationError, FactorGraph, UnderconstrainedError, Values
 from nls.linear import SOLVERS
 from nls.linear.null_space import null_space, single_directions
-from nls.plot.sparsity import spy
 from tests.combinations import for_all
 from tests.nls.graphs import GROUPS, Seen, in_frame, l, moved, p, pose_graph, walk, x
 
@@ -244,7 +243,7 @@ def test_a_jacobian_that_vanishes_is_not_called_no_measurement() -> None:
     assert actions(error) == ["factors", "drop", "fix", "measure", "start", "damp", "truncate"]
 
 
-def test_a_linear_system_says_what_is_free_when_it_is_solved_or_drawn() -> None:
+def test_a_linear_system_says_what_is_free_when_it_is_solved() -> None:
     sample = pose_graph(SE2, anchored=False)
     system = sample.graph.linearize(sample.values)
     for solver in REFUSING:
@@ -252,8 +251,6 @@ def test_a_linear_system_says_what_is_free_when_it_is_solved_or_drawn() -> None:
             nls.gauss_newton_step(system, SOLVERS[solver]())
         assert (caught.value.nullity, caught.value.values) == (3, None), solver
     assert np.isfinite(nls.gauss_newton_step(system, SOLVERS["pinv"]())).all()
-    with pytest.raises(UnderconstrainedError, match="all 8 variables joined to x0"):
-        spy(system)
 
 
 @pytest.mark.filterwarnings("ignore:overflow")

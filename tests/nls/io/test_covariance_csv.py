@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models import SE2, SE3
+from factors import Isotropic, Range
+from models import SE2, SE3, R
 from models.errors import GraphFileError, OptionError
 from nls import GraphWarning, Marginals, Values
 from nls.io.covariance_csv import write_covariances
@@ -70,6 +71,19 @@ def test_what_has_no_covariance_has_no_numbers(tmp_path: Path) -> None:
     assert rows[0]["status"] == "unmeasured"
     assert {cell for name, cell in rows[0].items() if name.startswith("world")} == {""}
     assert float(rows[1]["world_x_x"]) == marginals.covariance(x[0:8], "world")[0, 0, 0]
+
+
+def test_what_is_free_has_no_numbers_and_the_others_have(tmp_path: Path) -> None:
+    """A landmark with one range to it."""
+    sample = pose_graph(SE2)
+    sample.graph.add(Range(x[3], l[0], [5.0], Isotropic(0.1)))
+    values = Values({x: (SE2, sample.values[x]), l: (R(2), [[4.0, 3.0]])})
+    marginals = Marginals(sample.graph, values)
+    write_covariances(tmp_path / "out.csv", marginals)
+    *poses, landmark = table(tmp_path / "out.csv")
+    assert (landmark["kind"], landmark["status"], landmark["world_x_x"]) == ("l", "free", "")
+    assert [row["status"] for row in poses] == ["estimated"] * 8
+    assert [float(row["world_y_y"]) for row in poses] == marginals.covariance(x[0:8], "world")[:, 1, 1].tolist()
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 
 from factors import Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
-from models.errors import UnderconstrainedError
 from nls import FactorGraph, Values
 from nls.plot import before_after, convergence, spy, trajectory
 from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x
@@ -119,10 +118,31 @@ def test_spy_counts_every_number() -> None:
     assert "x0" not in [label.get_text() for label in figure.axes[0].get_xticklabels()]
 
 
-def test_there_is_no_R_of_a_singular_system() -> None:
-    sample = pose_graph(SE2, anchored=False)
-    with pytest.raises(UnderconstrainedError, match="3 directions free"):
-        spy(sample.graph.linearize(sample.values))
+@pytest.mark.parametrize("case", ["free gauge", "untouched", "all fixed", "no factors"])
+def test_spy_draws_any_system(case: str) -> None:
+    """Where something is free H + D has numbers where R would have them."""
+    sample = pose_graph(SE2, anchored=case != "free gauge")
+    graph, values = sample.graph, sample.values
+    if case == "untouched":
+        values = Values({x: (SE2, np.vstack([values[x], np.zeros((2, 3))]))})
+    if case == "all fixed":
+        graph.fix(x[0:8])
+    if case == "no factors":
+        graph = FactorGraph()
+    system = graph.linearize(values)
+    figure = spy(system)
+    drawn(figure)
+    title = figure.axes[2].get_title()
+    anchored = pose_graph(SE2)
+    numbers, fill = re.findall(r"\d+", spy(anchored.graph.linearize(anchored.values)).axes[2].get_title())
+    expected = {
+        "free gauge": f"R, of H + D, as something is free: {numbers} numbers, {fill} of them fill-in",
+        "untouched": f"R, of H + D, as something is free: {int(numbers) + 6} numbers, {fill} of them fill-in",
+        "all fixed": "R, reordered: 0 numbers, 0 of them fill-in",
+        "no factors": "R, of H + D, as something is free: 24 numbers, 0 of them fill-in",
+    }
+    assert title == expected[case]
+    assert len(figure.axes[1].get_lines()[0].get_xdata()) == np.count_nonzero(system.H.toarray())  # type: ignore[arg-type]
 
 
 def run(code: str) -> str:

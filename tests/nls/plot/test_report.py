@@ -11,16 +11,17 @@ import pytest
 from matplotlib.figure import Figure
 
 import nls
-from factors import Between, Cauchy, Diagonal
+from factors import Between, Cauchy, Diagonal, Isotropic, Range
 from models import SE2, SE3, SO3, LieGroup, R
 from models.errors import UnderconstrainedError
+from nls import Values
 from nls.plot import report
 from nls.plot.report.bars import across
 from nls.plot.report.markup import Html
 from nls.plot.report.pictures import SMALL, picture
 from nls.plot.report.style import STYLE
 from nls.plot.report.verdict import number
-from tests.nls.graphs import mixed, pose_graph, x
+from tests.nls.graphs import l, mixed, pose_graph, x
 from tests.nls.plot.html_page import Page, undrawn
 
 EVIL = "<script>alert('x')</script> & \"$x$.g2o"
@@ -131,6 +132,17 @@ def test_a_wrong_closure_is_named_and_red(monkeypatch: pytest.MonkeyPatch) -> No
     np.testing.assert_allclose(drawn[1], result.values[x][[10, 30], :2])
     assert len(drawn) == 2  # before, after
     assert "red: what does not fit the others" in page.text
+
+
+def test_covariances_beside_something_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    undrawn(monkeypatch)
+    sample = pose_graph(SE2)
+    sample.graph.add(Range(x[3], l[0], [5.0], Isotropic(0.1)))
+    values = Values({x: (SE2, sample.values[x]), l: (R(2), [[4.0, 3.0]])})
+    result = sample.graph.optimize(values, nls.LevenbergMarquardt())
+    page = Page(report(sample.graph, values, result))
+    assert "Some variables have no covariance: the measurements leave 1 direction free: l0: x, y" in page.text
+    assert "95 %" in [image["alt"][-4:] for image in page.images]
 
 
 def test_what_is_free_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

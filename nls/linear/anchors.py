@@ -1,0 +1,156 @@
+r"""Anchors that hold what the measurements leave free, and nothing else.
+
+With N (n, k) a basis of the null space of A, k unknowns (the pivots of a QR decomposition of N') are chosen so that
+their rows of N form an invertible matrix C N. A prior on each of them gives
+
+    S = (A'A + C'C)^-1 = S_0 + N M' + M N'
+
+with some M for every strength of the priors, S_0 the pseudo-inverse of A'A. What no free direction moves, J N = 0,
+keeps its covariance, J S J' = J S_0 J'. S is a generalized inverse of A'A: residuals stay what they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from factors.keys import Keys
+from factors.noise import Isotropic
+from factors.prior import Prior
+from models.algebra import Array, Index
+from nls.linear.null_space import null_space, separated, single_directions
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
+from nls.values import Values
+
+__all__ = ["ROUNDS", "FreeDirections", "column_lengths"]
+
+ROUNDING = 1e-14  # of the longest column of the variable: a column this short is zero
+ROUNDS = 8  # of at most 12 directions that move several variables; those of single variables are collected all at once
+
+
+def column_lengths(system: LinearSystem) -> Array:
+    """Lengths (n,) of the columns of A, 0 for what is rounding beside the longest column of its variable."""
+    owner, _ = system.pattern.column_owner()
+    largest = np.zeros(len(system.pattern.dims))
+    np.maximum.at(largest, owner, system.column_norms)
+    return np.where(system.column_norms > ROUNDING * largest[owner], system.column_norms, 0.0)
+
+
+class FreeDirections:
+    """Directions in which no measurement reacts, collected round by round, and the unknowns that hold them.
+
+    Parameters
+    ----------
+    lengths : (n,) from `column_lengths`. A column of zeros is a free direction.
+
+    Attributes
+    ----------
+    singles : (n, q) directions of one variable each, in units of the unknowns.
+    combinations : (n, r) directions that move several.
+    anchors : (q + r,) columns that are held.
+    norms : (n,) lengths of the columns of A; 1 where a column is zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Isotropic, Prior
+    >>> from models import R
+    >>> from nls import FactorGraph, Values, factorize, kinds
+    >>> (l,) = kinds("l")
+    >>> graph = FactorGraph([Prior(l[0], [1.0, 2.0], Isotropic(0.5), components=["x"])])
+    >>> values = Values({l: (R(2), [[1.0, 2.0]])})
+    >>> system = graph.linearize(values)
+    >>> free = FreeDirections(column_lengths(system))
+    >>> free.count, free.anchors.tolist()
+    (1, [1])
+    >>> held = LinearSystem.at(free.held(system.pattern, values), values)
+    >>> factorize(held).solve(np.eye(2)).diagonal().tolist()
+    [0.25, 1.0]
+    """
+
+    def __init__(self, lengths: Array) -> None:
+        zero, n = np.flatnonzero(lengths == 0), len(lengths)
+        self.norms = np.where(lengths == 0, 1.0, lengths)
+        self.singles = sp.csc_array((np.ones(len(zero)), zero, np.arange(len(zero) + 1)), (n, len(zero)))
+        self.combinations = np.zeros((n, 0))
+        self.anchors: Index = zero
+        self._first = True
+
+    @property
+    def count(self) -> int:
+        """How many directions there are."""
+        return len(self.anchors)
+
+    def collect(self, system: LinearSystem) -> bool:
+        """Add the free directions of a singular system that has the priors of `held`; False where it has none.
+
+        Up to 12 directions of several variables are added at a time.
+        """
+        directions, single = _null(system, self._first)
+        if not directions.shape[1] and not single.shape[1]:
+            return False
+        self.anchors = np.concatenate([self.anchors, _pivots(directions, single, self.norms)])
+        self.singles = sp.csc_array(sp.hstack([self.singles, sp.diags_array(1 / self.norms) @ single]))
+        self.combinations = np.concatenate([self.combinations, directions], axis=1)
+        if not self._first:  # twelve of more are mixtures; all of them come apart
+            nobody = sp.csc_array((len(self.norms), 0))
+            self.combinations = separated(self.combinations, nobody, self.norms)
+        self._first = False
+        return True
+
+    def held(self, pattern: Pattern, values: Values) -> Pattern:
+        """The pattern with a prior on every anchor, as strong as the measurements that touch it."""
+        if not self.count:
+            return pattern
+        owner, component = pattern.column_owner()
+        start = np.array([*pattern.offsets.values()])
+        kind = np.searchsorted(start, owner[self.anchors], side="right") - 1
+        priors = []
+        for k, (name, manifold) in enumerate(pattern.manifolds.items()):
+            for c, label in enumerate(manifold.components):
+                members = self.anchors[(kind == k) & (component[self.anchors] == c)]
+                if len(members):
+                    rows = owner[members] - pattern.offsets[name]
+                    keys = Keys(name, pattern.numbers[name][rows])
+                    noise = Isotropic(1 / self.norms[members])
+                    priors.append(Prior(keys, values.stack(name).X[rows], noise, components=(label,)))
+        factors = [batch.model.factor for batch in pattern.batches]
+        return Pattern([*factors, *priors], values).holding(pattern.held)
+
+
+def _null(system: LinearSystem, first: bool) -> tuple[Array, sp.csc_array]:
+    """Free directions of several variables (n, r), and of single ones (n, q), columns of A scaled to length 1."""
+    N, norms = null_space(system), system.balanced.column_norms
+    single = single_directions(system.balanced) if first else sp.csc_array((len(norms), 0))
+    directions = separated(N, single, norms) if N.shape[1] else N
+    single = sp.csc_array(sp.diags_array(system.column_norms / norms) @ single)
+    return directions, sp.csc_array(single @ sp.diags_array(1 / np.sqrt(single.power(2).sum(axis=0))))
+
+
+def _pivots(directions: Array, single: sp.csc_array, norms: Array) -> Index:
+    """As many unknowns as directions, which hold all of these when they are held: N[pivots] is invertible.
+
+    Those of single variables S first; then those of N - S S[pivots]^-1 N[pivots], which leave the first ones alone.
+    """
+    from scipy.linalg import qr
+
+    out: list[Index] = [np.zeros(0, dtype=np.intp)]
+    remainder = directions * norms[:, None]
+    for begin, end in _runs(single):
+        rows = single.indices[single.indptr[begin] : single.indptr[begin + 1]]
+        S = single[rows][:, begin:end].toarray()
+        pivots = qr(S.T, mode="r", pivoting=True)[1][: end - begin]
+        remainder[rows] -= S @ np.linalg.solve(S[pivots], remainder[rows[pivots]])
+        remainder[rows[pivots]] = 0.0  # but for rounding
+        out.append(rows[pivots])
+    if directions.shape[1]:
+        out.append(qr(remainder.T, mode="r", pivoting=True)[1][: directions.shape[1]])
+    return np.concatenate(out).astype(np.intp)
+
+
+def _runs(single: sp.csc_array) -> list[tuple[int, int]]:
+    """Directions (begin, end) of one variable, which follow each other."""
+    first = single.indices[single.indptr[:-1]]
+    ends = [*np.flatnonzero(first[1:] != first[:-1]) + 1, len(first)] if len(first) else []
+    return list(zip([0, *ends], ends, strict=False))

@@ -1,0 +1,271 @@
+"""Covariances where something is free: of what is determined, against dense projections; the rest refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import nls
+from factors import Between, Cauchy, Diagonal, Factor, Isotropic, Prior, Range, Robust
+from models import SE2, SE3, R
+from models.algebra import Array, Mask
+from models.errors import UnderconstrainedError
+from nls import FactorGraph, Keys, Marginals, Values
+from nls.covariance import marginals as module
+from nls.linear.anchors import FreeDirections, column_lengths
+from nls.system import LinearSystem
+from tests.nls.graphs import Sample, between, l, pose_graph, x
+from tests.nls.solving import make
+
+
+def projected(graph: FactorGraph, values: Values) -> tuple[Array, Mask]:
+    """The pseudo-inverse of A'A from the singular values of A, and which rows its null space leaves alone."""
+    A = graph.linearize(values).A.toarray()
+    _, s, Vt = np.linalg.svd(A)
+    rank = int((s > 1e-9 * s[0]).sum())
+    V, N = Vt[:rank].T, Vt[rank:].T
+    return (V / np.square(s[:rank])) @ V.T, np.abs(N).max(axis=1, initial=0.0) < 1e-9
+
+
+def landmark_with_one_range() -> Sample:
+    """An anchored trajectory; l0 with one range to it, l1 with three."""
+    sample = pose_graph(SE2)
+    L = np.array([[4.0, 3.0], [2.0, -5.0]])
+    graph = FactorGraph(sample.graph.factors)
+    for k, poses in ((0, [3]), (1, [0, 4, 7])):
+        z = np.linalg.norm(L[k] - sample.truth[x[poses]][:, :2], axis=1)
+        graph.add(Range(x[poses], l[k], z, Isotropic(0.1)))
+    values = Values({x: (SE2, sample.values[x]), l: (R(2), L)})
+    return Sample(graph, values, values)
+
+
+def two_components() -> Sample:
+    """An anchored trajectory x0 ... x7, and one of its own, x50 ... x57."""
+    first, other = pose_graph(SE2, seed=5), pose_graph(SE2, seed=6, anchored=False)
+    graph = FactorGraph(first.graph.factors)
+    for f in between(other):
+        i, j = f.keys
+        graph.add(Between(x[i.numbers + 50], x[j.numbers + 50], f.z, f.noise))
+    values = Values({x: (SE2, np.concatenate([first.values[x], other.values[x]]), [*range(8), *range(50, 58)])})
+    return Sample(graph, values, values)
+
+
+def pose_with_free_yaw() -> Sample:
+    """A pose in space known but for its yaw, x0, and one known in all, x1."""
+    X = SE3.exp(np.array([[1.0, 2.0, 3.0, 0, 0, 0], [0.5, 0, 1, 0.2, -0.1, 0.7]]))
+    names = tuple(name for name in SE3.components if name != "yaw")
+    five = Prior(x[0], X[:1], Diagonal([0.1, 0.2, 0.3, 0.01, 0.02]), components=names)
+    every = Prior(x[1], X[1:], Diagonal([0.1, 0.1, 0.2, 0.03, 0.02, 0.01]))
+    values = Values({x: (SE3, X)})
+    return Sample(FactorGraph([five, every]), values, values)
+
+
+def close(covariance: Array, expected: Array) -> None:
+    np.testing.assert_allclose(covariance, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    assert np.array_equal(covariance, covariance.mT)
+
+
+@pytest.mark.parametrize("solver", ["cholesky", "lu", "schur"])
+def test_a_landmark_with_one_range(solver: str) -> None:
+    sample = landmark_with_one_range()
+    pinv, determined = projected(sample.graph, sample.values)
+    assert determined.tolist() == [True] * 24 + [False] * 2 + [True] * 2
+    marginals = Marginals(sample.graph, sample.values, make(solver))
+    assert marginals.status(x) == ["estimated"] * 8
+    assert marginals.status(l) == ["free", "estimated"]
+    close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
+    close(marginals.covariance(x[3], "body"), pinv[9:12, 9:12])
+    close(marginals.covariance(l[1]), pinv[26:, 26:])
+    joint = marginals.joint([x[3], l[1]], "body")
+    rows = [9, 10, 11, 26, 27]
+    close(joint.matrix, pinv[np.ix_(rows, rows)])
+    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    for ask in (
+        lambda: marginals.covariance(l[0]),
+        lambda: marginals.covariance(l[[1, 0]], view="position"),
+        lambda: marginals.joint([x[3], l[0]], "body"),
+        lambda: marginals.all(l),
+    ):
+        with pytest.raises(
+            UnderconstrainedError, match=r"l0: x, y: not determined. 1 free direction moves it"
+        ) as caught:
+            ask()
+        assert caught.value.keys == (l[0],)
+        assert caught.value.nullity == 1
+        assert caught.value.components == ("l0: x, y",)
+    assert marginals.underconstrained is not None
+    assert marginals.underconstrained.keys == (l[0],)
+
+
+def test_the_graph_without_the_free_landmark_has_the_same_covariances() -> None:
+    sample = landmark_with_one_range()
+    fewer = Values({x: (SE2, sample.values[x]), l: (R(2), sample.values[l[[1]]], [1])})
+    graph = FactorGraph([f for f in sample.graph.factors if l[0] not in f.keys])
+    expected, marginals = Marginals(graph, fewer), Marginals(sample.graph, sample.values)
+    assert expected.underconstrained is None
+    np.testing.assert_allclose(marginals.all(x, "world"), expected.all(x, "world"), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(marginals.covariance(l[1]), expected.covariance(l[1]), rtol=1e-9)
+
+
+def test_a_component_that_is_free() -> None:
+    sample = two_components()
+    pinv, determined = projected(sample.graph, sample.values)
+    assert determined.tolist() == [True] * 24 + [False] * 24
+    marginals = Marginals(sample.graph, sample.values, gauge="none")
+    assert marginals.status(x) == ["estimated"] * 8 + ["free"] * 8
+    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    close(marginals.covariance(x[[5, 2]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (15, 6)]))
+    with pytest.raises(
+        UnderconstrainedError, match=r"x50: x, y, yaw; x57: x, y, yaw: .* 3 free directions move them"
+    ) as caught:
+        marginals.covariance(x[[2, 50, 57]], "world")
+    assert caught.value.keys == (x[50], x[57])
+    assert caught.value.nullity == 3
+    held = Marginals(sample.graph, sample.values)  # one of its poses held: all is determined
+    assert held.underconstrained is None
+    close(held.covariance(x[5], "body"), pinv[15:18, 15:18])
+
+
+def test_a_component_of_which_only_the_yaw_is_measured() -> None:
+    """The prior keeps it from being held: it may go anywhere and not turn."""
+    sample = two_components()
+    sample.graph.add(Prior(x[50], sample.values[x[50]], Isotropic(0.1), components=["yaw"]))
+    pinv, determined = projected(sample.graph, sample.values)
+    marginals = Marginals(sample.graph, sample.values)
+    assert marginals.gauge == "fixed by the graph itself"
+    assert marginals.status(x) == ["estimated"] * 8 + ["free"] * 8
+    assert determined[24:].reshape(8, 3).tolist() == [[False, False, True]] * 8
+    close(marginals.covariance(x[0:8], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
+    with pytest.raises(UnderconstrainedError, match=r"x51: x, y: not determined. 2 free directions"):
+        marginals.covariance(x[51], "body")
+
+
+def test_a_pose_whose_yaw_is_free_has_a_position() -> None:
+    sample = pose_with_free_yaw()
+    pinv, determined = projected(sample.graph, sample.values)
+    assert determined.tolist() == [True] * 5 + [False] + [True] * 6
+    marginals = Marginals(sample.graph, sample.values)
+    assert marginals.status(x) == ["free", "estimated"]
+    Rot = SE3.rotation(sample.values[x])
+    close(marginals.covariance(x[0], view="position"), Rot[0] @ pinv[:3, :3] @ Rot[0].T)
+    np.testing.assert_allclose(np.diag(marginals.covariance(x[0], view="position")), [0.01, 0.04, 0.09], rtol=1e-12)
+    close(marginals.covariance(x[1], "body"), pinv[6:, 6:])
+    G = np.zeros((6, 12))
+    G[:3, :3], G[3:, 6:9] = Rot
+    close(marginals.joint(x[[0, 1]], view="position").matrix, G @ pinv @ G.T)
+    close(marginals.all(x, view="position")[0], Rot[0] @ pinv[:3, :3] @ Rot[0].T)
+    for frame, view in (("body", None), ("world", None), (None, "euler")):
+        with pytest.raises(UnderconstrainedError, match="x0: yaw: not determined"):
+            marginals.covariance(x[0], frame, view)
+
+
+def test_the_free_gauge_beside_something_free_is_the_pseudo_inverse() -> None:
+    sample = landmark_with_one_range()
+    graph = FactorGraph([f for f in sample.graph.factors if not isinstance(f, Prior)])
+    pinv, _ = projected(graph, sample.values)
+    marginals = Marginals(graph, sample.values, gauge="free")
+    assert marginals.status(x) == ["estimated"] * 8
+    close(marginals.joint(x[0:8], "body").matrix, pinv[:24, :24])
+    close(marginals.all(x, "body"), np.array([pinv[k : k + 3, k : k + 3] for k in range(0, 24, 3)]))
+    with pytest.raises(UnderconstrainedError, match="l0: x, y"):
+        marginals.covariance(l[0])
+
+
+def test_many_variables_of_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = landmark_with_one_range()
+    pinv, _ = projected(sample.graph, sample.values)
+    monkeypatch.setattr(module, "ONE_BLOCK", 4)
+    marginals = Marginals(sample.graph, sample.values)
+    close(marginals.covariance(x[[3, 5]], "body"), np.array([pinv[k : k + 3, k : k + 3] for k in (9, 15)]))
+    assert "_diagonal" in vars(marginals)
+    with pytest.raises(UnderconstrainedError, match="l0: x, y"):
+        marginals.covariance(l[[0, 1]])
+
+
+def test_fixed_untouched_and_free_variables_side_by_side() -> None:
+    sample = landmark_with_one_range()
+    sample.graph.fix(x[0])
+    values = Values({x: (SE2, sample.values[x]), l: (R(2), np.vstack([sample.values[l], [[1.0, 1.0]]]))})
+    with pytest.warns(nls.GraphWarning, match="l2: no measurement touches it"):
+        marginals = Marginals(sample.graph, values)
+    assert marginals.status(l) == ["free", "estimated", "unmeasured"]
+    assert not marginals.covariance(x[0], "body").any()
+    pinv, _ = projected(sample.graph, values)
+    close(marginals.covariance(x[3], "body"), pinv[6:9, 6:9])  # x0 has no columns
+    with pytest.raises(UnderconstrainedError, match="l2: no measurement touches it"):
+        marginals.covariance(l[2])
+    alone = Marginals(sample.graph, values, gauge="none")  # nothing is held: a column of zeros
+    assert alone.status(l) == ["free", "estimated", "free"]
+    with pytest.raises(UnderconstrainedError, match=r"l2: x, y: .* 2 free directions"):
+        alone.covariance(l[2])
+
+
+def test_a_graph_without_a_determined_variable_is_refused() -> None:
+    sample = pose_graph(SE2, anchored=False)
+    with pytest.raises(UnderconstrainedError, match="3 directions free"):
+        Marginals(sample.graph, sample.values, gauge="none")
+
+
+def test_a_rejected_measurement_determines_nothing_new() -> None:
+    """A robust kernel counts with its weight beside something free, too."""
+    sample = landmark_with_one_range()
+    noise = Robust(Isotropic(0.1), Cauchy(1.0))
+    sample.graph.add(Prior(x[6], SE2.compose(sample.values[x[6]], [0.5, 0.3, 0.1]), noise))
+    pinv, _ = projected(sample.graph, sample.values)
+    close(Marginals(sample.graph, sample.values).covariance(x[6], "body"), pinv[18:21, 18:21])
+
+
+def test_the_covariance_does_not_depend_on_the_strength_of_the_anchors() -> None:
+    sample = landmark_with_one_range()
+    system = sample.graph.linearize(sample.values)
+    free = FreeDirections(column_lengths(system))
+    assert free.collect(system)
+    assert (free.count, system.cols[free.anchors[0]][:2]) == (1, "l0")
+    inverses = []
+    for strength in (1.0, 30.0):
+        free.norms = strength * free.norms
+        held = LinearSystem.at(free.held(system.pattern, sample.values), sample.values)
+        assert not free.collect(held)
+        inverse = np.linalg.inv((held.A.T @ held.A).toarray())
+        inverses.append((inverse + inverse.T) / 2)
+    rows = [k for k, name in enumerate(system.cols) if not name.startswith("l0")]
+    close(inverses[0][np.ix_(rows, rows)], inverses[1][np.ix_(rows, rows)])
+    assert np.abs(inverses[0] - inverses[1]).max() > 1e-3
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_random_graphs_of_points_against_the_projection(seed: int) -> None:
+    """Priors, distances and differences: which variables are determined, and their covariances."""
+
+    def distance(a: Array, b: Array) -> Array:
+        return 3.0 - np.linalg.norm(b - a, axis=1, keepdims=True)
+
+    rng = np.random.default_rng(seed)
+    n, components = 5, [["x"], ["y"], ["x", "y"]]
+    graph = FactorGraph()
+    for _ in range(rng.integers(1, 4)):
+        names = components[rng.integers(3)]
+        graph.add(Prior(l[int(rng.integers(n))], rng.normal(size=2), Isotropic(rng.uniform(0.1, 2)), components=names))
+    for _ in range(rng.integers(1, 6)):
+        i, j = rng.choice(n, 2, replace=False)
+        graph.add(Factor.from_function(distance, [l[int(i)], l[int(j)]], 1, Isotropic(rng.uniform(0.1, 2))))
+        if rng.random() < 0.5:
+            graph.add(Between(l[int(i)], l[int(j)], rng.normal(size=2), Isotropic(rng.uniform(0.1, 2))))
+    values = Values({l: (R(2), 3 * rng.normal(size=(n, 2)))})
+    pinv, rows = projected(graph, values)
+    determined = rows.reshape(n, 2).all(axis=1)
+    if not determined.any():
+        with pytest.raises(UnderconstrainedError):
+            Marginals(graph, values, gauge="none")
+        return
+    marginals = Marginals(graph, values, gauge="none")
+    assert np.array_equal(np.array(marginals.status(l)) == "estimated", determined)
+    keys = Keys("l", np.flatnonzero(determined))
+    at = (2 * keys.numbers[:, None] + np.arange(2)).reshape(-1)
+    np.testing.assert_allclose(marginals.joint(keys).matrix, pinv[np.ix_(at, at)], rtol=1e-6, atol=1e-9)
+    for k in np.flatnonzero(~determined).tolist():
+        with pytest.raises(UnderconstrainedError, match=f"^l{k}: "):
+            marginals.covariance(l[k])
