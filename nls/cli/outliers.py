@@ -55,6 +55,8 @@ def record(choice: Robustified) -> dict[str, Any]:
     """For programs."""
     return {
         "doubted": choice.doubted,
+        "probability": choice.probability,
+        "expected_by_chance": choice.expected_by_chance,
         "sigma0": choice.sigma0,
         "sigma0_between_neighbors": choice.local,
         "strain": choice.strain,

@@ -26,7 +26,7 @@ from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
 from nls.system import LinearSystem
-from nls.values import Values
+from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -116,8 +116,7 @@ class Marginals:
         gauge: str = "first",
         memory_limit: float = 4e9,
     ) -> None:
-        if not hasattr(graph, "pattern") or not isinstance(values, Values):
-            raise GraphError(f"Marginals: expected a graph and its values, got {graph!r:.40} and {values!r:.40}")
+        refuse_other("Marginals", graph, values)
         if not len(graph):
             raise GraphError("the graph has no factors: nothing has a covariance")
         if not isinstance(linear_solver, LinearSolver | None):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["sentence", "together", "unverified"]
+__all__ = ["rejections", "sentence", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -223,6 +223,15 @@ def unverified(factors: Sequence[str], redundancy: float, meters: float, sigmas:
     """A group of closures that nothing verifies, with its redundancy and how far the map moves without it."""
     motion = f"the map moves {meters:.3g} m ({sigmas:.2g} sigmas)" if isfinite(meters) else "the graph falls apart"
     return f"{some(factors, 1)}: redundancy {redundancy:.2f}, {motion} without it"
+
+
+def rejections(count: int, doubted: int, by_chance: float, probability: float, sigma0: float) -> str:
+    """How many measurements were rejected, and how many right ones are at a threshold of this probability."""
+    times = f"{sigma0:.3g}"
+    scaled = "" if times == "1" else f" at {times} times the stated sigmas"
+    right = "less than one right measurement is" if by_chance < 1 else f"about {by_chance:.0f} right ones are"
+    by_chance_at = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
+    return f"{count} of {doubted} doubted measurements rejected{scaled}; {by_chance_at}"
 
 
 def _repeated(f: Finding) -> str:

@@ -52,7 +52,10 @@ def backends() -> dict[str, str]:
     """
     report = {name: solver.missing() or "available" for name, solver in SOLVERS.items()}
     report["default"] = default_solver().name
-    report["openmp"] = (
-        "kept to one thread during factorizations" if openmp_capped() else "not found: nothing is done about it"
-    )
+    if openmp_capped():
+        report["openmp"] = "CHOLMOD runs on one thread during a factorization"
+    elif Cholesky.missing() is None:
+        report["openmp"] = "no GNU OpenMP library is loaded; the number of CHOLMOD's threads is left as it is"
+    else:
+        report["openmp"] = "not used, as CHOLMOD is missing"
     return report

@@ -78,6 +78,7 @@ class Robustified:
     rejected : the others by name, the worst first.
     doubted : how many measurements could have been rejected.
     sigma0 : by what the stated sigmas were multiplied for the threshold.
+    probability : with which a right measurement is kept, if its sigmas are right.
     local : sigma0 as neighboring closures show it, without any estimate; nan where nothing was preselected.
     doubts : why the choice may be wrong; empty where nothing speaks against it.
     """
@@ -88,6 +89,7 @@ class Robustified:
     rejected: tuple[Rejected, ...]
     doubted: int
     sigma0: float
+    probability: float
     local: float = field(default=float("nan"))
     doubts: tuple[Doubt, ...] = ()
 
@@ -99,6 +101,14 @@ class Robustified:
         wrong closures that was accepted does not show.
         """
         return float(np.sqrt(self.result.chi2_final / max(self.result.dof, 1))) / self.local
+
+    @property
+    def expected_by_chance(self) -> float:
+        """How many right measurements are rejected on average, if their sigmas are right: n (1 - p).
+
+        n is unknown. It is estimated from the kept ones, which are n p.
+        """
+        return (self.doubted - len(self.rejected)) * (1 - self.probability) / self.probability
 
     @cached_property
     def unverified(self) -> tuple[Unverified, ...]:
@@ -116,12 +126,10 @@ class Robustified:
         return f"Robustified({len(self.rejected)} of {self.doubted} rejected, {self.result!r})"
 
     def report(self, most: int = 10) -> list[str]:
-        """Lines: how many were rejected at which threshold, doubts, unverified groups, and the first rejected ones."""
-        from nls.explanation.words import unverified
+        """Lines: how many were rejected, how many by chance, doubts, unverified groups, and the first rejected ones."""
+        from nls.explanation.words import rejections, unverified
 
-        counted = f"{len(self.rejected)} of {self.doubted} doubted measurements rejected"
-        times = f"{self.sigma0:.3g}"
-        lines = [counted if times == "1" else f"{counted}, by {times} times the stated sigmas"]
+        lines = [rejections(len(self.rejected), self.doubted, self.expected_by_chance, self.probability, self.sigma0)]
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
         for g in self.unverified:
             lines.append(f"accepted, not verified: {unverified(g.names, g.redundancy, g.meters, g.sigmas)}")
@@ -206,7 +214,7 @@ def gnc(
     rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))
     weights = [m.astype(float) for m in choice.inliers]
     sigma0 = float(np.sqrt(variance))
-    return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, local, tuple(doubts))
+    return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, probability, local, tuple(doubts))
 
 
 def _loop_closures(graph: FactorGraph, values: Values) -> list[Mask]:

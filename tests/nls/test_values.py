@@ -155,14 +155,14 @@ def test_a_kind_is_added_to_values_that_are_there() -> None:
 
 
 def test_a_graph_and_its_values_that_are_swapped_are_named() -> None:
-    from nls import FactorGraph, certify, explain, gnc, initialize, save
+    from nls import FactorGraph, Marginals, certify, explain, gnc, initialize, save
     from nls.filters.ekf import EKF
     from nls.plot import report
     from nls.starts import chordal, incremental, odometry, spanning_tree
 
     graph = FactorGraph([Between(x[0], x[1], [1, 0, 0], Isotropic(1.0))])
     values = Values({x: (SE2, np.zeros((2, 3)))})
-    functions = [certify, explain, gnc, initialize, EKF().run, chordal, incremental, odometry, spanning_tree]
+    functions = [Marginals, certify, explain, gnc, initialize, EKF().run, chordal, incremental, odometry, spanning_tree]
     for call in (*functions, lambda g, v: save("a.g2o", g, v), lambda g, v: report(g, v, None)):  # type: ignore[arg-type]
         with pytest.raises(GraphError, match=r"expected a graph and its values, got .*; swap them"):
             call(values, graph)  # type: ignore[arg-type, operator]

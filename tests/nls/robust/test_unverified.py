@@ -26,7 +26,7 @@ def carried() -> Robustified:
     masks = [np.zeros(1, dtype=bool), np.ones(119, dtype=bool), np.arange(11) > 0]
     graph = FactorGraph([alone, world.graph.factors[0], mixed]).only(masks)
     result = graph.optimize(world.start)
-    return Robustified(result, graph, [mask.astype(float) for mask in masks], (), 12, 1.0)
+    return Robustified(result, graph, [mask.astype(float) for mask in masks], (), 12, 1.0, 0.99)
 
 
 def test_the_choice_its_report_and_its_record_have_the_group(carried: Robustified) -> None:
