@@ -76,6 +76,14 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "info": "see the sigmas that a dialect would mean: nls info --dialect NAME FILE",
     "read file": "read the file in it: {0}",
     "mission": "give the folder, if the table belongs to a mission; its tables: docs/how-to/read-your-own-log.md",
+    "renumber": (
+        "give the variables whose numbers clash new numbers",
+        "nls.save(..., renumber=True)",
+        "--renumber",
+    ),
+    "native": "write a file that ends in .npz or .json, which holds every graph with its names",
+    "register": "write a factor class and name it with nls.io.register: files that end in .npz and .json then hold it",
+    "pyfg": "write a file that ends in .pyfg, which has a line for a range",
     "repair": ("take the nearest matrix", "repair_information=True", "--repair-information"),
 }
 

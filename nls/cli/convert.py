@@ -12,14 +12,17 @@ def convert(options: argparse.Namespace) -> int:
     from models.listing import several
     from nls.cli.formats import output_format, read, rendered
     from nls.io.files import write_bytes
+    from nls.io.renumbering import check_renumber
 
     refuse_unwritable(options.output)
     form = output_format(options.output, options.to)
+    if options.renumber:
+        check_renumber(form)
     graph, values, report = read(options)
     if form != report.format:
         refuse_loss(options, f"{form} files do not hold all that {report.format} files do")
     options.phase.now(f"while writing {options.output}")
-    data, notes = rendered(options.output, form, graph, values, report)
+    data, notes = rendered(options.output, form, graph, values, report, options.renumber)
     write_bytes(options.output, data)
     options.phase.written.append(options.output)
     holds = f"{several(len(values), 'variable')}, {several(len(graph), 'measurement')}"

@@ -62,8 +62,10 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     return nls.FactorGraph(), *load_trajectory(options.file, form, options.convention)
 
 
-def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> tuple[bytes, list[str]]:
-    """The bytes of a file in a format, and remarks about what it does not hold."""
+def rendered(
+    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
+) -> tuple[bytes, list[str]]:
+    """The bytes of a file in a format, and remarks about what it does not hold; ``renumber`` as for `nls.save`."""
     from models.errors import GraphError
     from nls import io
     from nls.io.dialects import FORMATS
@@ -75,12 +77,14 @@ def rendered(path: str, form: str, graph: FactorGraph, values: Values, report: L
         )
     if form not in FORMATS:
         return io.rendered(path, graph, values, report, form)
-    with _renamed(graph, values, form) as (graph, values, changes):
+    with _renamed(graph, values, renumber) as (graph, values, changes):
         data, notes = io.rendered(path, graph, values, report, form)
     return data, changes + notes
 
 
-def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport) -> None:
+def refuse_unwritable_graph(
+    path: str, form: str, graph: FactorGraph, values: Values, report: LoadReport, renumber: bool = False
+) -> None:
     """Refuse what `rendered` refuses; for graph text files without their text.
 
     Raises
@@ -93,19 +97,25 @@ def refuse_unwritable_graph(path: str, form: str, graph: FactorGraph, values: Va
     if form not in FORMATS:
         rendered(path, form, graph, values, report)
         return
-    with _renamed(graph, values, form) as (graph, values, _):
+    with _renamed(graph, values, renumber) as (graph, values, _):
         refuse_unwritable_graph(path, graph, values, report, FORMATS[form])
 
 
 @contextmanager
-def _renamed(graph: FactorGraph, values: Values, form: str) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
+def _renamed(graph: FactorGraph, values: Values, renumber: bool) -> Iterator[tuple[FactorGraph, Values, list[str]]]:
     """Under the names that graph text files know; errors inside say so, as they name variables like that."""
     from models.errors import GraphError
-    from nls.io.dialects import FORMATS
     from nls.io.kind_names import with_known_kinds
+    from nls.io.renumbering import renumbered
 
-    graph, values, changes = with_known_kinds(graph, values, FORMATS[form].apart)
+    before = values.stacks
+    graph, values, changes = with_known_kinds(graph, values)
+    if renumber:
+        names = dict(zip(values.stacks, before, strict=True))
+        graph, values, numbers = renumbered(graph, values, names)
+        changes = changes + numbers
     try:
         yield graph, values, changes
     except GraphError as error:
-        raise GraphError("; ".join([str(error), *changes]), error.keys, error.factor) from error
+        message = "; ".join([error.message, *changes])
+        raise GraphError(message, error.keys, error.factor, error.index, error.advice) from error

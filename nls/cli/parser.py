@@ -14,6 +14,7 @@ __all__ = ["parser"]
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 FILE = "graph file, folder of a mission or of a graph.npz or graph.g2o, or '-': standard input; files may be gzipped"
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
+RENUMBER = "new numbers for variables whose numbers clash in OUT; poses keep theirs, a note has the old names"
 ALONE = "thresholds that are not given are off then"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
@@ -38,6 +39,7 @@ EXAMPLES = """examples:
   nls solve - < survey.g2o                             from a pipe or standard input, also compressed
   nls explain - < survey.g2o
   nls info - < survey.g2o
+  nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls convert - survey.toro < survey.g2o
   nls plot - survey.png < survey.g2o
 
@@ -118,6 +120,7 @@ def parser() -> Parser:
         "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
     )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
+    solve.add_argument("--renumber", action="store_true", help=RENUMBER)
     solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
@@ -159,6 +162,7 @@ def parser() -> Parser:
     convert.add_argument("output", metavar="OUT", help="the file to write")
     convert.add_argument("--to", choices=formats(), help="format of OUT (default: by its suffix)")
     convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
+    convert.add_argument("--renumber", action="store_true", help=RENUMBER)
 
     stream = command("stream", "the optimum at every step, while lines arrive", _stream)
     stream.add_argument(

@@ -51,6 +51,10 @@ def _checked(options: argparse.Namespace) -> Job:
     elif options.output:
         job.form = output_format(options.output, options.to)
         _refuse_output(job)
+    if options.renumber:
+        from nls.io.renumbering import check_renumber
+
+        check_renumber(job.form or ("mission" if mission else "no output"))
     from nls.starts import initialize  # noqa: F401 - counted as an import
 
     clock.lap("imports")
@@ -130,7 +134,7 @@ def _check_graph(job: Job) -> None:
     from nls.cli.formats import refuse_unwritable_graph
 
     if job.form:
-        refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report)
+        refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
     if job.options.certify:
         from nls.certificate.problem import certifiable
 

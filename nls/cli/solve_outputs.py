@@ -43,7 +43,7 @@ def _optimum(job: Job, path: str) -> None:
     from nls.cli.formats import rendered
     from nls.io.files import write_bytes
 
-    data, notes = rendered(path, job.form, job.as_read, job.result.values, job.report)
+    data, notes = rendered(path, job.form, job.as_read, job.result.values, job.report, job.options.renumber)
     write_bytes(path, data)
     job.report.notes += notes
 

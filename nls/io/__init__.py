@@ -209,6 +209,7 @@ def save(
     values: Values,
     report: LoadReport | None = None,
     dialect: str | None = None,
+    renumber: bool = False,
 ) -> None:
     """Write a graph file, replaced whole or not at all.
 
@@ -222,19 +223,23 @@ def save(
     dialect : as for `load`; when omitted by the name: ``.npz`` and ``.json`` hold every graph bit for bit, ``.g2o``,
         ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for; ``.tum`` and ``.kitti`` hold the poses
         alone, and ``.csv`` the values as a table.
+    renumber : for formats in which all vertices share one numbering, such as g2o: variables whose numbers clash get new
+        ones, poses keep theirs. A warning says which variable was which; the file cannot.
 
     Raises
     ------
     GraphError
-        A factor or kind of variable the format has no line for; a variable without a value; mixed conventions.
+        A factor or kind of variable the format has no line for; a variable without a value; mixed conventions; two
+        variables of one number, without `renumber`.
     GraphFileError
         The file cannot be written.
     OptionError
-        No such dialect; none, and a name that says none, such as ``.graph``, which may mean TORO or covariances.
+        No such dialect; none, and a name that says none, such as ``.graph``, which may mean TORO or covariances;
+        `renumber` for a format that needs no new numbers.
     """
     if not isinstance(path, str | os.PathLike):
         raise OptionError("path", path, "the name of a file first, then the graph and its values")
-    data, notes = rendered(path, graph, values, report, dialect)
+    data, notes = rendered(path, graph, values, report, dialect, renumber)
     write_bytes(path, data)
     if format_of(path, dialect, SUFFIXES, "the dialect named") in POSES_ONLY:
         return  # nobody expects more of them
@@ -248,11 +253,18 @@ def rendered(
     values: Values,
     report: LoadReport | None = None,
     dialect: str | None = None,
+    renumber: bool = False,
 ) -> tuple[bytes, list[str]]:
     """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
     refuse_other("save", graph, values)
     dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), (*DIALECTS[1:], *POSES_ONLY))
     notes = left_out(report, dialect)
+    if renumber:
+        from nls.io.renumbering import check_renumber, renumbered
+
+        check_renumber(dialect)
+        graph, values, changes = renumbered(graph, values)
+        notes += changes
     if dialect == "bal":
         from nls.io.bal import bal_text
 

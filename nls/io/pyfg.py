@@ -42,6 +42,7 @@ from nls.graph import FactorGraph
 from nls.io.angles import turns
 from nls.io.misspelt_tags import refuse_misspelt
 from nls.io.records import at_origin, fixed_offsets
+from nls.io.refusals import NATIVE, named, unwritable
 from nls.io.report import LoadReport, Source
 from nls.io.text import NUMBER, Text, printable, rows
 from nls.io.unused_lines import appended, keep_unknown, note_comments
@@ -49,6 +50,7 @@ from nls.io.weights import HALF, covariance, refuse_robust
 from nls.values import Values
 
 __all__ = ["read_pyfg"]
+FILE = "a PyFactorGraph file"
 LONGEST = 40  # characters of a name
 DIGITS = 18  # of the number in a name
 FIRST = re.compile(rb"%s|[A-Za-z]+[0-9]+" % NUMBER.pattern)  # behind a tag: a time or a name
@@ -303,20 +305,23 @@ def pyfg_text(path: str | Path, graph: FactorGraph, values: Values, report: Load
         A factor, space or name the format has no line for; variables held fixed.
     """
     if held := [keys for keys in graph.fixed if len(keys)]:
-        raise GraphError(f"{path}: {held[0]!r} is held fixed, which a PyFactorGraph file has no line for", held)
+        message = f"{path}: {held[0]!r} is held fixed, which {FILE} has no line for"
+        raise GraphError(message, held, advice=[NATIVE])
     known = LoadReport(str(path), "pyfg", "", "") if report is None else report
     factor_times = {id(factor): times for factor, times in known.factor_times}
     space = {stack.manifold for stack in values.stacks.values()} & {SE3, R(3)}
     dialect = SPACE if space else PLANE
     out = []
-    for stack in values.stacks.values():
+    for stack in sorted(values.stacks.values(), key=lambda stack: stack.manifold not in (SE2, SE3)):  # poses first
         name = next((n for n, tag in dialect.items() if tag.factor is None and tag.space is stack.manifold), None)
         if name is None or not (stack.kind.isascii() and stack.kind.isalpha()):
-            raise GraphError(f"{path}: variables {stack.kind} in {stack.manifold} have no line in a PyFactorGraph file")
+            message = f"{path}: variables {stack.kind} in {stack.manifold} have no line in {FILE}"
+            raise GraphError(message, advice=[NATIVE])
         numbers = stack.numbers
         if len(wrong := numbers[(numbers < 0) | (numbers >= 10**DIGITS)]):
             why = "is negative" if wrong[0] < 0 else f"has more than {DIGITS} digits"
-            raise GraphError(f"{path}: {stack.kind}{wrong[0]} is no name of a PyFactorGraph file, the number {why}")
+            message = f"{path}: {stack.kind}{wrong[0]} is no name of {FILE}, the number {why}"
+            raise GraphError(message, advice=[NATIVE])
         times = known.vertex_times.get(stack.kind, np.zeros(len(numbers)))
         if len(times) != len(numbers):
             raise GraphError(f"{path}: the report has {len(times)} times for the {len(numbers)} variables {stack.kind}")
@@ -335,14 +340,14 @@ def _measured(path: str, factor: Factor, values: Values, dialect: dict[str, Tag]
     name = next((n for n, t in dialect.items() if t.factor is type(factor) and t.space.size == model.space.size), None)
     plain = getattr(factor, "components", None) is None and at_origin(fixed_offsets(factor))
     if name is None or not plain or len(factor.keys) != dialect[name].names:
-        raise GraphError(f"{path}: {factor!r} has no line in a PyFactorGraph file", factor.keys, factor.name)
+        raise unwritable(path, factor, FILE, ranges=True)
     d = model.space.dim
     W = square(model.W)
     try:
         refuse_robust(factor)
         Sigma = factor.noise.matrix if isinstance(factor.noise, Covariance) else covariance(factor, W)
     except GraphError as error:
-        raise GraphError(f"{path}: {error}", factor.keys, factor.name) from error
+        raise named(path, factor, error) from error
     if _halved(dialect[name].space, factor.convention):
         Sigma = Sigma * (HALF[:, None] * HALF)
     upper = np.triu_indices(d)

@@ -18,7 +18,7 @@ from factors.between_sensors import BetweenSensors
 from factors.keys import Keys
 from factors.noise import Noise
 from factors.prior import Prior
-from models import SE2, SE3, LieGroup, Manifold, R
+from models import SE3, LieGroup, Manifold, R
 from models.algebra import Array, Index
 from models.manifolds.euler import from_se3, to_se3
 
@@ -207,5 +207,5 @@ def fixed_offsets(factor: Factor) -> list[Array]:
 
 
 def at_origin(offsets: list[Array]) -> bool:
-    """Whether fixed offsets say that the sensors are at the origin of the vehicle: the same as no offset."""
-    return all(bool((np.abs(O) == (SE3 if O.shape[-1] == SE3.size else SE2).identity()).all()) for O in offsets)
+    """Whether fixed offsets, poses or lever arms, say that the sensors are at the origin: the same as no offset."""
+    return all(bool((np.abs(O) == (SE3.identity() if O.shape[-1] == SE3.size else 0.0)).all()) for O in offsets)

@@ -15,12 +15,14 @@ import numpy as np
 from factors.base import Factor
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, R
+from models.advice import Advice
 from models.algebra import Array, Numbers
 from models.errors import GraphError, SingularGeometryError
 from models.listing import several
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.records import KINDS, Format, Record, a_file, at_origin, fixed_offsets
+from nls.io.refusals import NATIVE, named, other_files, unwritable
 from nls.io.report import LoadReport, Statement
 from nls.io.text import rows
 from nls.io.unused_lines import appended
@@ -132,7 +134,8 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
             raise GraphError(
                 f"{path}: variables {kind} in {manifold} have no line in {a_file(format.name)}, which holds poses, "
                 f"points and places of sensors of one dimension: here {expected}; build the graph with these kinds, "
-                "or let `nls convert` rename them, which takes one kind of poses and one of points"
+                "or let `nls convert` rename them, which takes one kind of poses and one of points",
+                advice=[NATIVE],
             )
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in values.stacks.values())])
     unique, times = np.unique(numbers, return_counts=True)
@@ -140,10 +143,10 @@ def _dimension(path: str, values: Values, format: Format) -> LieGroup:
         number = int(unique[np.argmax(times > 1)])
         clash = [Keys(k, number) for k, stack in values.stacks.items() if number in stack.numbers]
         raise GraphError(
-            f"{path}: {clash[0]!r} and {clash[1]!r} have one number, the vertices of {a_file(format.name)} share one "
-            "numbering; give points numbers of their own, such as those of the poses and above: "
-            "`nls convert` does",
+            f"{path}: {clash[0]!r} and {clash[1]!r} have one number; expected numbers of their own, as all vertices of "
+            f"{a_file(format.name)} share one numbering",
             clash,
+            advice=[Advice("renumber"), NATIVE],
         )
     return group
 
@@ -154,7 +157,9 @@ def _fixed(path: str, graph: FactorGraph, values: Values, format: Format) -> np.
     fixed = fixed_variables(graph.fixed, values)
     if fixed.any() and not format.fix:
         held = [keys for keys in graph.fixed if len(keys)]
-        raise GraphError(f"{path}: {held[0]!r} is held fixed, which {a_file(format.name)} has no line for", held)
+        raise GraphError(
+            f"{path}: {held[0]!r} is held fixed, which {a_file(format.name)} has no line for", held, advice=[NATIVE]
+        )
     return fixed
 
 
@@ -164,7 +169,8 @@ def _refuse_conventions(path: str, graph: FactorGraph, values: Values) -> None:
     if len(conventions) > 1:
         raise GraphError(
             f"{path}: a graph file is read with one convention, these factors have {', '.join(sorted(conventions))}; "
-            "give all the same one"
+            "give all the same one",
+            advice=[NATIVE],
         )
 
 
@@ -177,7 +183,9 @@ def _refuse_mounts(path: str, graph: FactorGraph, values: Values) -> None:
     if not np.isin(numbers, np.concatenate([numbers[:0], *used])).all():
         lost = Keys(KINDS["mount"], numbers)[~np.isin(numbers, np.concatenate([numbers[:0], *used]))]
         raise GraphError(
-            f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose", [lost]
+            f"{path}: {lost[[0]]!r} is no offset of any measurement: a file would say it is a pose",
+            [lost],
+            advice=[NATIVE],
         )
 
 
@@ -241,21 +249,22 @@ def _edges(
     if record is None:
         why = ""
         if fixed and _record(factor, model.manifolds, format, []):
-            why = ": its sensor is not at the origin of the vehicle, and no line of this format has an offset"
-        message = f"{path}: {factor!r} cannot be written to {a_file(format.name)}{why}"
-        raise GraphError(message, factor.keys, factor.name)
+            why = "its sensor is not at the origin of the vehicle, and no line of this format has an offset"
+        raise unwritable(path, factor, a_file(format.name), why)
     numbers = None if statement is None else statement.numbers_of(factor, record.tag)
     if numbers is None:
         try:
             measured = record.element.encode(model.z)
             numbers = np.hstack([measured, entries(record, format, factor, model.W, measured)])
         except SingularGeometryError as error:
-            raise GraphError(f"{path}: {factor!r}: {error}", factor.keys, factor.name) from error
+            message = f"{path}: {factor!r}: {error}"
+            raise GraphError(message, factor.keys, factor.name, advice=other_files(factor)) from error
         except GraphError as error:
-            raise GraphError(f"{path}: {error}", factor.keys, factor.name) from error
+            raise named(path, factor, error) from error
     ids = [keys.numbers for keys in factor.keys]
     parameters = np.full((n, record.parameters), -1, dtype=np.int64)
-    offset = [np.broadcast_to(O, (n, group.size)) for O in (fixed or any_ * record.parameters)]
+    stated = fixed if record.used and len(fixed) == record.parameters else any_ * record.parameters
+    offset = [np.broadcast_to(O, (n, group.size)) for O in stated]
     if statement is not None and statement.parameters.shape == parameters.shape:
         parameters = statement.parameters
         offset = offset if record.used else [statement.offsets[:, k] for k in range(record.parameters)]

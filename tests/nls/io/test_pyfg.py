@@ -214,9 +214,9 @@ def test_what_the_format_has_no_line_for(tmp_path: Path) -> None:
         assert not out.exists()
 
     zero = [0.0, 0.0, 0.0]
-    refused(Prior(A[0], zero, Isotropic(1), components=["x"]), r"Prior\(A0\) has no line")
-    refused(Range(A[0], L[0], [1.0], Isotropic(1), offset=[1.0, 0.0, 0.0]), r"Range\(A0, L0\) has no line")
-    refused(Between(L[0], L[1], [0.0, 0.0], Isotropic(1)), "has no line",
+    refused(Prior(A[0], zero, Isotropic(1), components=["x"]), r"Prior\(A0\) cannot be written to a PyFactorGraph file")
+    refused(Range(A[0], L[0], [1.0], Isotropic(1), offset=[1.0, 0.0, 0.0]), r"Range\(A0, L0\) cannot be written")
+    refused(Between(L[0], L[1], [0.0, 0.0], Isotropic(1)), "cannot be written",
             Values({L: (R(2), [[0.0, 0.0], [1.0, 1.0]])}))  # fmt: skip
     refused(Between(A[0], A[1], zero, Information(np.diag([1.0, 1, 0]))), "measures nothing in some direction")
     refused(Between(A[0], A[1], zero, Diagonal([1, 1, 1])).robust(Cauchy(1.0)), "robust")

@@ -163,8 +163,8 @@ def test_a_class_of_the_users_is_held_by_its_name(tmp_path: Path) -> None:
     graph = FactorGraph([Gauge(x[0], [[1.0]], Isotropic(0.5))])
     with pytest.raises(GraphError, match="Gauge is no class that a native file holds; name a factor class with"):
         nls.save(tmp_path / "gauge.npz", graph, values)
-    nls.io.register("Tide gauge")(Gauge)
-    nls.io.register("Tide gauge")(Gauge)
+    nls.io.register("Gauge of a test")(Gauge)
+    nls.io.register("Gauge of a test")(Gauge)
     read, its = again(tmp_path / "gauge.json", graph, values)
     same(graph, values, read, its)
     assert type(read.factors[0]) is Gauge

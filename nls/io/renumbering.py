@@ -1,0 +1,129 @@
+"""New numbers for variables whose numbers clash, for formats in which all vertices share one numbering.
+
+Such a file cannot say the old numbers: readers that are in wide use lose edges over a comment, and stop at a tag that
+they do not know. So the old names are stated in a note, all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from factors.keys import Keys
+from models import SE2, SE3
+from models.algebra import Numbers
+from models.errors import OptionError
+from nls.graph import FactorGraph
+from nls.io.dialects import FORMATS
+from nls.io.kind_names import with_keys
+from nls.io.records import KINDS
+from nls.values import Stack, Values
+
+__all__ = ["check_renumber", "renumbered"]
+
+
+def check_renumber(form: str) -> None:
+    """Refuse new numbers for a file that needs none.
+
+    Raises
+    ------
+    OptionError
+    """
+    shared = [name for name, format in FORMATS.items() if not format.apart]
+    if form not in shared:
+        allowed = (
+            f"an output in one of the formats {', '.join(shared)}, whose vertices share one numbering; leave it out"
+        )
+        raise OptionError("renumber", form, allowed)
+
+
+def renumbered(
+    graph: FactorGraph, values: Values, names: Mapping[str, str] | None = None
+) -> tuple[FactorGraph, Values, list[str]]:
+    """The graph with every number once, and which variable was which, in words.
+
+    Poses keep their numbers. Places of sensors, then points, keep those that no variable before them has; the others
+    get the numbers behind the largest, in the order of the old ones. Where these are too large, they get the first that
+    are free.
+
+    Parameters
+    ----------
+    graph, values : not changed; given back as they are where every number is there once.
+    names : what the kinds were called in the graph of the user, for the words; as they are when omitted.
+
+    Examples
+    --------
+    >>> from factors import Isotropic, Landmark
+    >>> from models import R
+    >>> from nls import kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Landmark(x[0], l[[0, 7, 1]], [[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]], Isotropic(0.1))])
+    >>> values = Values({x: (SE2, [[0, 0, 0], [1, 0, 0]]), l: (R(2), [[1, 0], [2, 0], [3, 0]], [0, 7, 1])})
+    >>> graph, values, notes = renumbered(graph, values)
+    >>> graph.factors, values.stack(l).numbers.tolist(), notes
+    ([Landmark(x[0, 0, 0], l[8, 7, 9])], [8, 7, 9], ['2 variables have new numbers: l8 to l9 were l0 to l1'])
+    """
+    stacks = sorted(values.stacks.values(), key=_rank)
+    used = np.concatenate([np.zeros(0, dtype=np.int64), *(stack.numbers for stack in stacks)])
+    taken: Numbers = used[:0]
+    new: dict[str, Numbers] = {}
+    runs, count = [], 0
+    for stack in stacks:
+        numbers = np.array(stack.numbers)
+        clash = np.flatnonzero(np.isin(numbers, taken))
+        if len(clash):
+            clash = clash[np.argsort(numbers[clash])]
+            numbers[clash] = _free(used, len(clash))
+            used = np.concatenate([used, numbers[clash]])
+            old = (names or {}).get(stack.kind, stack.kind)
+            runs += _runs(stack.kind, numbers[clash], old, stack.numbers[clash])
+            count += len(clash)
+        new[stack.kind] = numbers
+        taken = np.concatenate([taken, numbers])
+    if not count:
+        return graph, values, []
+
+    def key(keys: Keys) -> Keys:
+        return Keys(keys.kind, new[keys.kind][values.stack(keys.kind).index(keys)])
+
+    other = Values({s.kind: (s.manifold, s.X, new[s.kind]) for s in values.stacks.values()})
+    have = "variables have new numbers" if count > 1 else "variable has a new number"
+    return with_keys(graph, key), other, [f"{count} {have}: {', '.join(runs)}"]
+
+
+def _rank(stack: Stack) -> int:
+    """Poses of the vehicle first, then places of sensors, then all others."""
+    return 2 if stack.manifold not in (SE2, SE3) else 1 if stack.kind == KINDS["mount"] else 0
+
+
+def _runs(kind: str, new: Numbers, old_kind: str, old: Numbers) -> list[str]:
+    """Which variables (n,) were which, in words; one phrase where both go on by 1.
+
+    Examples
+    --------
+    >>> _runs("l", np.array([7, 8, 9]), "L", np.array([0, 1, 5]))
+    ['l7 to l8 were L0 to L1', 'l9 was L5']
+    """
+    breaks = np.flatnonzero((np.diff(new) != 1) | (np.diff(old) != 1)) + 1
+    runs = []
+    for run in np.split(np.arange(len(new)), breaks):
+        a, b = run[0], run[-1]
+        several = f"{kind}{new[a]} to {kind}{new[b]} were {old_kind}{old[a]} to {old_kind}{old[b]}"
+        runs.append(several if b > a else f"{kind}{new[a]} was {old_kind}{old[a]}")
+    return runs
+
+
+def _free(numbers: Numbers, count: int) -> Numbers:
+    """So many numbers that nothing has: those after the largest, where they are below 2^63, else the first from 0.
+
+    Examples
+    --------
+    >>> _free(np.array([0, 7]), 2), _free(np.array([0, 2**63 - 1]), 2)
+    (array([8, 9]), array([1, 2]))
+    """
+    largest = int(numbers.max())
+    if largest + count < 2**63:
+        return largest + 1 + np.arange(count)
+    free: Numbers = np.setdiff1d(np.arange(len(numbers) + count), numbers)[:count]
+    return free

@@ -1,0 +1,75 @@
+"""``--renumber``: numbers that clash are refused with the option's name, and new on request; the old ones in a note."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import nls
+from nls import kinds
+from tests.nls.cli.shell import Shell, row, rows
+from tests.nls.io.charted import charted, subsea
+from tests.nls.io.io_files import ISAM_APART_2
+
+x, l = kinds("x", "l")
+
+
+def test_landmarks_go_behind_the_largest_pose_and_the_optimum_is_the_same(shell: Shell) -> None:
+    scene = charted()
+    nls.save("subsea.npz", scene.graph, scene.start)
+    n, m = (len(scene.start.stack(kind)) for kind in (x, l))
+    note = f"{m} variables have new numbers: l{n} to l{n + m - 1} were l0 to l{m - 1}"
+    assert rows(shell("convert subsea.npz subsea.g2o --renumber"), "note") == [note]
+    one, two = (shell.report(f"solve {name} --convention log") for name in ("subsea.npz", "subsea.g2o"))
+    assert two["chi2_final"] == pytest.approx(one["chi2_final"], rel=1e-6)
+    assert note in rows(shell("solve subsea.npz -o solved.g2o --renumber"), "note")
+    shell("solve subsea.npz -o solved.npz")
+    solved, named = (nls.load(name, "log")[1] for name in ("solved.g2o", "solved.npz"))
+    assert solved.stack(l).numbers.tolist() == list(range(n, n + m))
+    assert named.stack(l).numbers.tolist() == list(range(m))
+    assert all(np.array_equal(solved[kind], named[kind]) for kind in (x, l))
+    comments = [line for line in (shell / "solved.g2o").read_text().splitlines() if line.startswith("#")]
+    assert comments == []  # some readers lose a file's edges over one
+
+
+def test_without_the_option_the_refusal_names_it(shell: Shell) -> None:
+    scene = charted()
+    nls.save("subsea.npz", scene.graph, scene.start)
+    for command in ("convert subsea.npz a.g2o", "solve subsea.npz -o a.g2o", "convert subsea.npz a.toro"):
+        problem, renumber, native = shell.refused(command).splitlines()
+        assert "x0 and l0 have one number" in problem
+        assert renumber.endswith("give the variables whose numbers clash new numbers: --renumber")
+        assert ".npz or .json" in native
+    with pytest.raises(nls.GraphError, match=r"x0 and l0 have one number") as caught:
+        nls.save("a.g2o", scene.graph, scene.start)
+    assert "nls.save(..., renumber=True)" in str(caught.value)
+
+
+def test_a_factor_without_a_line_is_refused_with_new_numbers_too(shell: Shell) -> None:
+    scene = subsea()
+    nls.save("subsea.npz", scene.graph, scene.start)
+    problem, native = shell.refused("convert subsea.npz subsea.g2o --renumber").splitlines()
+    assert problem.startswith("nls: subsea.g2o: BearingRange(")
+    assert "cannot be written to a g2o file: no line holds a bearing and its range" in problem
+    assert ".npz or .json" in native
+
+
+def test_formats_that_need_no_new_numbers_refuse_the_option(shell: Shell) -> None:
+    scene = charted()
+    nls.save("subsea.npz", scene.graph, scene.start)
+    for name in ("a.npz", "a.json", "a.pyfg", "a.isam", "a.tum", "a.bal"):
+        assert "--renumber: " in shell.refused(f"convert subsea.npz {name} --renumber")
+    assert "expected an output in one of the formats g2o, toro, graph" in shell.refused("solve subsea.npz --renumber")
+    with pytest.raises(nls.OptionError, match="renumber: 'npz' is not possible"):
+        nls.save("a.npz", scene.graph, scene.start, renumber=True)
+
+
+def test_native_files_keep_the_numbers_that_others_cannot(shell: Shell) -> None:
+    graph, values, _ = nls.load(shell.file(ISAM_APART_2, "a.isam"))
+    shell("convert a.isam a.npz")
+    again, same, _ = nls.load("a.npz")
+    assert same.stack(l).numbers.tolist() == values.stack(l).numbers.tolist() == [0, 1]
+    assert again.chi2(same) == graph.chi2(values)
+    assert (
+        row(shell("convert a.npz b.g2o --renumber"), "note") == "2 variables have new numbers: l3 to l4 were l0 to l1"
+    )
