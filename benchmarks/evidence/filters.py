@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 import sim
 from models import SE2
-from nls import Marginals, Values, kinds
+from nls import Marginals, Values, initialize, kinds
 from nls.filters.base import Filter, Track
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
@@ -62,7 +62,7 @@ def tracked(given: sim.LandmarkWorld, estimator: Filter) -> tuple[Track, Record]
 def batch(given: sim.LandmarkWorld) -> tuple[Values, Record]:
     """The graph solved at once, as `tracked`."""
     began = process_time()
-    values = given.graph.optimize(given.start).values
+    values = given.graph.optimize(initialize(given.graph, given.start)[0]).values
     seconds, last = process_time() - began, x[given.poses - 1]
     P = Marginals(given.graph, values).covariance(last, frame="body")
     e = SE2.local(values[last][None], given.truth[last][None])[0]
