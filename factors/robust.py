@@ -76,7 +76,7 @@ class Kernel(Abstract):
         """d rho / ds (n,), in [0, 1]."""
 
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and self.c == other.c
+        return type(self) is type(other) and vars(self) == vars(other)
 
     def __hash__(self) -> int:
         return hash((type(self), self.c))

@@ -69,9 +69,11 @@ def stream(options: argparse.Namespace) -> int:
     options.phase.now(f"while streaming {name}")
     reader = _Reader(options)
     arrivals = chain.from_iterable(map(reader.steps, _blocks(options)))
-    for k, (arrived, values) in enumerate(dropwhile(lambda arrival: arrival[0].line <= session.line, arrivals)):
-        if k == 0:
+    same = False
+    for arrived, values in dropwhile(lambda arrival: arrival[0].line <= session.line, arrivals):
+        if not same:
             _refuse_other(options, session, reader)
+            same = True
         began = perf_counter()
         session.smoother.update(arrived.factors, values)
         session.step, session.line = session.step + 1, arrived.line
@@ -81,6 +83,8 @@ def stream(options: argparse.Namespace) -> int:
     if not session.step:
         raise nls.GraphFileError("has no measurement: nothing to stream", name)
     if options.checkpoint is not None:
+        if not same:
+            _refuse_other(options, session, reader)
         _save(options, session, reader)
     return 0
 

@@ -25,7 +25,7 @@ from factors.keys import Keys
 from factors.noise import Isotropic
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Mask, Numbers
-from models.errors import UnderconstrainedError
+from models.errors import GraphError, UnderconstrainedError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Stack, Values
@@ -78,12 +78,20 @@ class MarginalPrior(Factor):
         unmoved: tuple[int, ...] = (),
     ) -> None:
         super().__init__(keys, z, Isotropic(1.0))
-        self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), tuple(X0), A, relative, unmoved
+        A, X0 = np.asarray(A, dtype=float), tuple(np.asarray(x0, dtype=float) for x0 in X0)
+        if A.ndim != 2 or len(X0) != len(keys) or not set(unmoved) <= set(range(len(keys))):
+            raise GraphError(f"{self!r}: expected A (m, D), and a value in X0 for each of {len(keys)} variables", keys)
+        self.slots, self.X0, self.A, self.relative, self.unmoved = (None,) * len(keys), X0, A, bool(relative), unmoved
 
     def sizes(self) -> tuple[int, ...]:
         return (len(self.A),)
 
     def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        D, sizes = sum(manifold.dim for manifold in manifolds), [x0.shape for x0 in self.X0]
+        if self.A.shape[1] != D or sizes != [(manifold.size,) for manifold in manifolds]:
+            raise GraphError(
+                f"{self!r}: A has shape {self.A.shape}, X0 has {sizes}; they do not fit {manifolds}", self.keys
+            )
         return R(len(self.A))
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:

@@ -37,19 +37,24 @@ class Singles:
         for factor in factors:
             if id(factor) in parts:
                 groups.setdefault(sort_of(factor), []).append(factor)
-        batches: dict[int, list[Factor]] = {}  # in the place of a factor
+        batches: dict[int, Factor] = {}  # by the identity of its first
+        gone: set[int] = set()
         for group in groups.values():
             rows = [row for factor in group for row in parts[id(factor)]]
             if len(group) > 1 and len(rows) >= MANY:
                 batch = _batch(group, values)
-                batches |= {id(factor): [] for factor in group} | {id(group[0]): [batch]}
+                batches[id(group[0])] = batch
+                gone |= {id(factor) for factor in group}
                 self._made.append((batch, rows))
-        self._made = [made for made in self._made if id(made[0]) not in batches]
-        return [new for factor in factors for new in batches.get(id(factor), [factor])]
+        self._made = [made for made in self._made if id(made[0]) not in gone]
+        rest = [batches.pop(id(factor), None) if id(factor) in gone else factor for factor in factors]
+        return [factor for factor in rest if factor is not None]
 
     def without(self, factors: Sequence[Factor], factor: Factor) -> list[Factor] | None:
         """The factors without one that was given alone; None where it is in none of their batches."""
         for k, (batch, rows) in enumerate(self._made):
+            if not any(f is batch for f in factors):
+                continue
             place = next((k for k, row in enumerate(rows) if row is factor), None)
             if place is not None:
                 rest = batch[np.arange(len(batch)) != place]

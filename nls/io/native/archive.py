@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from io import BytesIO
+from tokenize import TokenError
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ __all__ = ["archived", "arrays_of"]
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 RATIO, SLACK = 64, 1 << 20  # that an archive may unpack to: so many times its bytes, and more
+LARGEST = 0x10FFFF  # number of a character
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every array: the same graph is the same file
 KINDS = {"f": np.float64, "i": np.int64, "u": np.int64, "b": np.bool_, "U": np.str_}
 DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
@@ -45,7 +47,10 @@ def arrays_of(data: bytes, path: str) -> Arrays:
     """
     try:
         with zipfile.ZipFile(BytesIO(data)) as archive:
-            claimed = sum(info.file_size for info in archive.infolist())
+            members = archive.infolist()
+            if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in members):
+                raise ValueError("it is packed in a way that NumPy does not write")
+            claimed = sum(info.file_size for info in members)
             if claimed > RATIO * len(data) + SLACK:
                 raise ResourceLimitError(
                     f"{path}: claims to unpack to {claimed:,} bytes, the limit for its {len(data):,} is "
@@ -53,9 +58,18 @@ def arrays_of(data: bytes, path: str) -> Arrays:
                     claimed,
                     RATIO * len(data) + SLACK,
                 )
-            return {i.filename.removesuffix(".npy"): _array(archive.read(i), i.filename) for i in archive.infolist()}
+            return {i.filename.removesuffix(".npy"): _array(_content(archive, i), i.filename) for i in members}
     except DAMAGES as error:
         raise GraphFileError(f"is a damaged npz file: {printable(str(error).encode(), 200)}", path) from error
+
+
+def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """The bytes of a member, and no more than it claims to have."""
+    with archive.open(member) as file:
+        content = file.read(member.file_size + 1)
+        if len(content) == member.file_size and not file.read(1):  # the end: the sum is checked
+            return content
+    raise ValueError(f"{member.filename!r:.60} has not the size that it claims")
 
 
 def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
@@ -65,13 +79,20 @@ def _array(content: bytes, name: str) -> npt.NDArray[np.generic]:
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"{name!r:.60} has version {version} of its header, expected 1.0 or 2.0")
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, columns_first, dtype = read(file)
+    try:
+        shape, columns_first, dtype = read(file)
+    except (TypeError, MemoryError, SyntaxError, TokenError) as error:
+        raise ValueError(f"the header of {name!r:.60} is damaged") from error
     if dtype.kind not in KINDS:
         raise ValueError(f"{name!r:.60} holds {dtype}, expected numbers or text")
+    if any(type(length) is not int for length in shape):
+        raise ValueError(f"{name!r:.60} has the shape {shape!r:.60}")
     count, rest = 1, content[file.tell() :]
     for length in shape:
         count *= length
     if count * dtype.itemsize != len(rest):
         raise ValueError(f"{name!r:.60} says {count} numbers of {dtype}, and has {len(rest)} bytes")
+    if dtype.kind == "U" and (np.frombuffer(rest, dtype.byteorder.replace("|", "=") + "u4") > LARGEST).any():
+        raise ValueError(f"{name!r:.60} holds numbers that are no characters")
     array = np.frombuffer(rest, dtype) if rest else np.zeros(0, dtype)
     return array.reshape(shape, order="F" if columns_first else "C").astype(KINDS[dtype.kind], order="K")

@@ -19,9 +19,10 @@ from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.io.files import ZIP
 from nls.io.native.archive import archived, arrays_of
-from nls.io.native.structure import decoded, encoded
+from nls.io.native.structure import MISMATCHES, decoded, encoded
 from nls.io.native.text import json_of, plain_of, without_arrays
 from nls.io.report import LoadReport, Source
+from nls.sparse.singles import Singles
 from nls.values import Values
 
 __all__ = ["native_bytes", "read_native"]
@@ -94,9 +95,10 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     else:
         text, form = data.decode("utf-8", "replace"), "json"
     plain = plain_of(text, path, arrays)
-    if not isinstance(plain, Mapping) or plain.get("format") != FORMAT:
+    if not isinstance(plain, Mapping) or not isinstance(plain.get("format"), str) or plain["format"] != FORMAT:
         raise GraphFileError(f"does not say that its format is {FORMAT!r}", path)
-    if (version := plain.get("version")) != VERSION:
+    version = plain.get("version")
+    if type(version) is not int or version != VERSION:
         raise GraphFileError(f"has version {version!r:.20}, this library reads {VERSION}; update it", path)
     for name in ("values", "fixed", "factors"):
         if not isinstance(plain.get(name), Mapping):
@@ -104,6 +106,8 @@ def read_native(data: bytes, path: str) -> tuple[FactorGraph, Values, LoadReport
     report = LoadReport(path, form, "", "", reason=f"it says that it is a {FORMAT}")
     values = _values(plain["values"], path, report)
     factors = [_factor(item, name, values, path) for name, item in plain["factors"].items()]
+    if all(keys.kind in values.stacks for factor in factors for keys in factor.keys):
+        factors = Singles().joined(factors, values)  # as they would be when the graph is evaluated
     fixed = [_checked(path, "fixed", Keys, kind, numbers) for kind, numbers in plain["fixed"].items()]
     _checked(path, "fixed", fixed_variables, fixed, values)
     report.convention = ", ".join(dict.fromkeys(factor.convention for factor in factors))
@@ -133,11 +137,13 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
     for kind, stack in stacks.items():
         if not isinstance(stack, Mapping) or not {"space", "numbers", "X"} <= stack.keys():
             raise GraphFileError(f"values of {kind!r:.30}: expected a space, numbers and X", path)
+        if not all(isinstance(stack[name], np.ndarray) for name in ({"numbers", "X", "times"} & stack.keys())):
+            raise GraphFileError(f"values of {kind!r:.30}: expected arrays of numbers", path)
         if (space := _space(stack["space"])) is None:
             raise GraphFileError(f"values of {kind!r:.30}: {stack['space']!r:.30} is no space of this library", path)
         _checked(path, f"values of {kind!r:.30}", _add, values, kind, space, stack["X"], stack["numbers"])
         if "times" in stack:
-            times = np.asarray(stack["times"])
+            times = stack["times"]
             if times.dtype.kind != "f" or times.shape != (len(values.stack(kind)),) or not np.isfinite(times).all():
                 raise GraphFileError(f"values of {kind!r:.30}: expected a time for each, in s", path)
             report.vertex_times[kind] = times
@@ -145,8 +151,7 @@ def _values(stacks: Mapping[str, Any], path: str, report: LoadReport) -> Values:
 
 
 def _add(values: Values, kind: str, space: Manifold, X: Any, numbers: Any) -> None:
-    X = np.asarray(X, dtype=float)
-    values.add(Kind(kind), space, X if X.size else X.reshape(-1, space.size), numbers)
+    values.add(Kind(kind), space, X.astype(float) if X.size else np.zeros((0, space.size)), numbers)
 
 
 def _factor(item: Any, name: str, values: Values, path: str) -> Factor:
@@ -167,3 +172,5 @@ def _checked(path: str, where: str, make: Any, *arguments: Any) -> Any:
         return make(*arguments)
     except LeadlineError as error:
         raise GraphFileError(f"{where}: {error}", path) from error
+    except MISMATCHES as error:
+        raise GraphFileError(f"{where}: cannot be used: {error}", path) from error

@@ -22,7 +22,7 @@ from factors.noise import Noise
 from models.errors import GraphError, LeadlineError
 from nls.io.native.types import type_name, type_named
 
-__all__ = ["decoded", "encoded"]
+__all__ = ["MISMATCHES", "decoded", "encoded"]
 
 Plain = Any  # None, a truth, a number, a text, an array, or tuples and dictionaries of them
 MISMATCHES = (TypeError, ValueError, AttributeError, IndexError, KeyError, OverflowError)  # of arguments of any kind
@@ -36,6 +36,11 @@ def encoded(thing: Any) -> Plain:
     GraphError
         A class that no file holds, or a factor that would be read as another one.
     """
+    if isinstance(thing, float | np.ndarray):
+        if isinstance(thing, np.ndarray) and thing.dtype.kind not in "fib":
+            raise GraphError(f"an array of {thing.dtype} is not held by a file; expected numbers")
+        if not np.isfinite(thing).all():
+            raise GraphError(f"{thing!r:.60} is not finite, and no file holds it")
     if thing is None or isinstance(thing, bool | int | float | str | np.ndarray):
         return thing
     if isinstance(thing, np.generic):

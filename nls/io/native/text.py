@@ -13,6 +13,7 @@ from models.errors import GraphFileError
 __all__ = ["json_of", "plain_of", "without_arrays"]
 
 DEEPEST = 40  # of brackets in brackets
+LONGEST = 1 << 20  # of an axis of an array without numbers
 
 
 def json_of(plain: Any, depth: int = 0) -> str:
@@ -88,7 +89,7 @@ def _plain(node: Any, arrays: dict[str, Any], depth: int) -> Any:
         raise ValueError(f"more than {DEEPEST} brackets in brackets")
     if isinstance(node, list):
         array = np.array(node)
-        if array.dtype.kind not in "fi":
+        if array.dtype.kind not in "fib":
             raise ValueError(f"expected lists of numbers of one length, got {node!r:.60}")
         return array
     if not isinstance(node, dict):
@@ -99,7 +100,7 @@ def _plain(node: Any, arrays: dict[str, Any], depth: int) -> Any:
         return arrays.pop(node["array"])
     if node.keys() == {"shape"}:
         shape = _plain(node["shape"], arrays, depth + 1)
-        if not isinstance(shape, np.ndarray) or shape.ndim != 1 or np.prod(shape) != 0 or shape.max() > 1000:
+        if not isinstance(shape, np.ndarray) or shape.ndim != 1 or np.prod(shape) != 0 or shape.max() > LONGEST:
             raise ValueError(f"expected the shape of an array without numbers, got {node['shape']!r:.60}")
         return np.zeros(shape)
     if node.keys() == {"tuple"}:

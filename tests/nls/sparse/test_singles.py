@@ -5,11 +5,12 @@ from __future__ import annotations
 import pickle
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import nls
 import sim
-from factors import Between, Diagonal, Factor, Huber, Isotropic, Prior
+from factors import Between, Diagonal, Factor, Huber, Isotropic, Kernel, Prior
 from models import SE2
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
@@ -70,6 +71,37 @@ def test_what_is_added_later_joins_and_every_handle_takes_out_its_own(world: sim
     for k in rest:
         graph.remove(steps[k])
     assert graph.factors == [closures]
+
+
+def test_a_factor_that_is_given_twice_counts_twice() -> None:
+    priors = [Prior(x[k], [k, 0, 0], Isotropic(1.0)) for k in range(MANY)]
+    values = Values({x: (SE2, np.zeros((MANY, 3)))})
+    expected = sum(k * k for k in range(MANY))
+    for factors, chi2 in (([priors[3]] * MANY, 9 * MANY), ([priors[5], *priors], expected + 25)):
+        graph = FactorGraph(factors)
+        assert graph.chi2(values) == chi2
+        assert len(graph) == len(factors)
+        graph.remove(factors[0])
+        assert graph.chi2(values) == chi2 - factors[0].chi2(values)[0]
+
+
+def test_kernels_that_differ_in_any_number_stay_apart() -> None:
+    class Scaled(Kernel):
+        def __init__(self, c: float, part: float) -> None:
+            super().__init__(c)
+            self.part = part
+
+        def rho(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+            return self.part * s
+
+        def weight(self, s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+            return np.full(len(s), self.part)
+
+    parts = [0.25 if k % 2 else 0.75 for k in range(2 * MANY)]
+    factors = [Prior(x[k], [1, 0, 0], Isotropic(1.0)).robust(Scaled(1.0, part)) for k, part in enumerate(parts)]
+    graph = FactorGraph(factors)
+    assert graph.chi2(Values({x: (SE2, np.zeros((2 * MANY, 3)))})) == sum(parts)
+    assert [len(factor) for factor in graph.factors] == [MANY, MANY]
 
 
 def test_functions_stay_alone() -> None:

@@ -179,6 +179,38 @@ def test_a_class_of_the_users_is_held_by_its_name(tmp_path: Path) -> None:
         nls.save(tmp_path / "gauge.npz", FactorGraph([forgetful]), values)
 
 
+@nls.io.register("Level of a test")
+class Level(Prior):
+    """A factor with a number of its own."""
+
+    def __init__(self, key: Keys, z: npt.ArrayLike, noise: Noise, level: object = None) -> None:
+        super().__init__(key, z, noise)
+        self.level = level
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_no_file_holds_is_refused(form: str, tmp_path: Path) -> None:
+    values = Values({x: (R(1), [[0.0]])})
+    for level, sentence in (
+        (np.inf, "inf is not finite"),
+        (np.array([np.nan]), "not finite"),
+        (np.array(["a"]), "array of <U1"),
+    ):
+        with pytest.raises(GraphError, match=sentence):
+            nls.save(tmp_path / f"level.{form}", FactorGraph([Level(x[0], [[1.0]], Isotropic(1.0), level)]), values)
+    for level in (np.array([True, False]), np.zeros((0, 5000)), 0.5, ("a", 3)):
+        graph, _ = again(tmp_path / f"level.{form}", FactorGraph([Level(x[0], [[1.0]], Isotropic(1.0), level)]), values)
+        np.testing.assert_array_equal(vars(graph.factors[0])["level"], level)
+
+
+def test_single_measurements_are_read_as_they_are_evaluated(tmp_path: Path) -> None:
+    world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    singles = FactorGraph([factor[[k]] for factor in world.graph.factors for k in range(len(factor))])
+    graph, values = again(tmp_path / "singles.npz", singles, world.start)
+    assert [len(factor) for factor in graph.factors] == [len(world.graph)]
+    assert nls.gnc(graph, values).result.converged
+
+
 def test_functions_are_refused_by_name(tmp_path: Path) -> None:
     def steep(X: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return X
@@ -229,6 +261,11 @@ def _values(**changes: Any) -> Change:
         (_values(numbers=[0, 0, 1]), "x0 is given twice"),
         (_values(X=[[0, 0]]), "values of 'x'"),
         (_values(times=[1, 2, 3]), "expected a time for each"),
+        (_values(X="abc"), "expected arrays of numbers"),
+        (_values(X={}), "expected arrays of numbers"),
+        (_values(times={"tuple": [[1], [1, 2]]}), "expected arrays of numbers"),
+        (lambda plain: plain.update(version=[1, 2]), "has version array"),
+        (lambda plain: plain.update(format=[1, 2]), "does not say that its format"),
         (lambda plain: plain["fixed"].update(x=[77]), "fixed: x77"),
         (lambda plain: plain["values"].update({"../x": plain["values"]["x"]}), "kind '../x'"),
     ],
@@ -259,11 +296,16 @@ def test_archives_that_are_something_else(tmp_path: Path) -> None:
         archive.writestr("structure.npy", header + b"\n")
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("structure.npy", bytes(1 << 28))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("structure.npy", bytes(1 << 20))
     cases = [
         (good[: len(good) // 2], "is a damaged npz file"),
         (objects.getvalue(), "holds object, expected numbers or text"),
         (huge.getvalue(), "says 1000000000000 numbers of float64, and has 0 bytes"),
         (bomb.getvalue(), "claims to unpack to 268,435,456 bytes"),
+        (packed.getvalue(), "is packed in a way that NumPy does not write"),
+        (good.replace(b"'shape': ()", b"'shape': [ ", 1), "is a damaged npz file"),
         (_archive(z=np.zeros(3)), "has no text 'structure'"),
         (_archive(structure=np.array("{")), "is no JSON"),
         (_archive(structure=np.array("[" * 5000)), "is no JSON|recursion|brackets"),
