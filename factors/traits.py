@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import numpy as np
+
 from models.algebra import Array
 
 __all__ = ["Traits"]
@@ -24,6 +26,25 @@ class Traits:
 
     frame: ClassVar[str] = ""
     opaque: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        """Its variables, as in messages, and its numbers.
+
+        Examples
+        --------
+        >>> from factors import Between, Diagonal
+        >>> from nls import kinds
+        >>> (x,) = kinds("x")
+        >>> print(Between(x[0], x[1], [1.0, 0.0, 0.5], Diagonal(x=0.1, y=0.1, yaw=0.02)))
+        Between(x0, x1): z = [1. , 0. , 0.5], Diagonal(x=0.1, y=0.1, yaw=0.02)
+        """
+        factor: Any = self
+        z = np.array2string(factor.z, precision=6, threshold=12, edgeitems=2, separator=", ")
+        return f"{factor!r}: z = {' '.join(z.split())}, {factor.noise!r}"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """What IPython and Jupyter show."""
+        printer.text(str(self))
 
     def relative_poses(self, model: Any) -> Array | None:
         """Poses (n, size) of the second variable in the first, of odometry and of matches; None of others."""

@@ -304,3 +304,19 @@ def test_check_jacobians_names_the_order_of_columns(group: LieGroup) -> None:
     first = Factor.from_function(group.position, p[0:2], d, jacobians=lambda X: jacobians(X, group.dim - d))
     with pytest.raises(JacobianError, match=r"its columns are in another order \(translation comes first\)"):
         check_jacobians(first, values)
+
+
+def test_a_factor_that_is_printed_shows_its_numbers() -> None:
+    """Messages name the variables alone; print and notebooks show the measurement and its noise as well."""
+    step = Between(x[0], x[1], [1.0, 0.0, 0.5], Diagonal([0.1, 0.1, 0.02]))
+    assert str(step) == f"{step!r}: z = [1. , 0. , 0.5], {step.noise!r}"
+    many = Between(x[:50], x[1:51], np.ones((50, 3)), Diagonal([0.1, 0.1, 0.02]))
+    assert len(str(many)) < 200
+    assert "..." in str(many)
+    printed: list[str] = []
+
+    class Printer:
+        text = staticmethod(printed.append)
+
+    step._repr_pretty_(Printer(), False)
+    assert printed == [str(step)]
