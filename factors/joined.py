@@ -14,7 +14,7 @@ from factors.robust import Robust
 from factors.slices import below
 from models.algebra import Array
 
-__all__ = ["alike", "batch_of", "grouped", "joined", "joined_noise", "sort_of"]
+__all__ = ["alike", "batch_of", "bound_batch", "grouped", "joined", "joined_noise", "sort_of"]
 
 OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its own, or follows from what it has
 
@@ -45,7 +45,7 @@ def joined(models: Sequence[Model]) -> list[Factor]:
     >>> whole, whole.z.ravel()
     (Range(x[0, 1, 1], l[0, 0, 1]), array([5., 4., 3.]))
     """
-    return [group[0].factor if len(group) == 1 else _bound_batch(group) for group in grouped(models)]
+    return [group[0].factor if len(group) == 1 else bound_batch(group) for group in grouped(models)]
 
 
 def grouped(models: Sequence[Model]) -> list[list[Model]]:
@@ -77,7 +77,7 @@ def _hashable(value: Any) -> Hashable:
     return value if isinstance(value, Hashable) else id(value)
 
 
-def _bound_batch(group: Sequence[Model]) -> Factor:
+def bound_batch(group: Sequence[Model]) -> Factor:
     """The batch of bound factors of one sort."""
     factors = [model.factor for model in group]
     noise = joined_noise([factor.noise for factor in factors], [len(factor) for factor in factors])

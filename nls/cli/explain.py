@@ -34,7 +34,7 @@ def explain(options: argparse.Namespace) -> int:
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
         explanation, how = _explained(graph, start, progress)
-        if any(source.lines.any() for source in report.sources):
+        if report.has_lines:
             explanation = explanation.placed(report.place)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")

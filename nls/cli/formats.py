@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["refuse_unwritable_graph", "rendered"]
 
-TRAJECTORIES = ("tum", "kitti")  # which are read, too
-
 
 def formats() -> tuple[str, ...]:
     """Everything that can be written, by name."""
@@ -46,7 +44,7 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     import nls
     from nls.io import load_stream
     from nls.io.dialects import no_information
-    from nls.io.trajectory import load_trajectory
+    from nls.io.trajectory import TRAJECTORIES, load_trajectory
 
     options.phase.doing = f"while reading {options.file}"
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]

@@ -22,6 +22,7 @@ import nls
 from factors.robust import kernel_from_text
 from models import LieGroup
 from nls.cli.outputs import input_name, refuse_unwritable
+from nls.gauge import fixed_variables
 from nls.incremental.steps import Arrived, steps
 from nls.io import NATIVE, foreign
 from nls.io.files import GZIP, ZIP, read_bytes, read_stream, write_bytes
@@ -172,9 +173,8 @@ class _Reader:
     def _native(self, block: bytes) -> Iterator[tuple[Arrived, nls.Values]]:
         """The steps of a native file, in the order of their newest poses."""
         graph, values, report = read_native(block, self.name)
-        self._refuse_held(len({repr(key) for keys in graph.fixed for key in keys}))
+        self._refuse_held(int(fixed_variables(graph.fixed, values).sum()))
         self._hash.update(block)
-        report.sources.clear()  # it has no lines
         yield from self._arriving(graph, values, report)
 
     def _refuse_held(self, count: int) -> None:
@@ -193,7 +193,7 @@ class _Reader:
         if self.options.robust:
             graph = graph.robust(kernel_from_text(self.options.robust))
         kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
-        lines = [source.lines for source in report.sources] or None
+        lines = [source.lines for source in report.sources] if report.has_lines else None
         for arrived in steps(graph.factors, lines, kind) if graph.factors else ():
             yield arrived, values.spaces() if self._begun else self._beginning(arrived, values)
             self._begun = True

@@ -10,7 +10,6 @@ from typing import BinaryIO
 
 from factors.conventions import check_convention
 from models.errors import GraphFileError, GraphWarning, OptionError
-from models.listing import several
 from nls.graph import FactorGraph
 from nls.io.dialects import FORMATS, SUFFIXES, check_dialect, format_of, no_information
 from nls.io.files import ZIP, graph_file, read_bytes, read_stream, write_bytes
@@ -18,8 +17,8 @@ from nls.io.native.types import register
 from nls.io.read import read_graph
 from nls.io.report import LoadReport, Source
 from nls.io.text import printable
-from nls.io.trajectory import read_kitti, read_tum, trajectory_text, write_kitti, write_tum
-from nls.io.unused_lines import left_out
+from nls.io.trajectory import TRAJECTORIES, read_kitti, read_tum, trajectory_text, write_kitti, write_tum
+from nls.io.unused_lines import left_out, measurements_left_out
 from nls.stages import stage
 from nls.values import Values, refuse_other
 
@@ -40,7 +39,7 @@ __all__ = [
 ]
 
 NATIVE = ("npz", "json")
-POSES_ONLY = ("tum", "kitti", "csv")  # estimates without measurements, which are written alone
+POSES_ONLY = (*TRAJECTORIES, "csv")  # estimates without measurements, which are written alone
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal", *NATIVE)
 OBJECT = re.compile(rb"\s*\{")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -273,16 +272,13 @@ def rendered(
         from nls.io.pyfg import pyfg_text
 
         return pyfg_text(path, graph, values, report), notes
-    if dialect in ("tum", "kitti"):
+    if dialect in TRAJECTORIES:
         data, more = trajectory_text(path, dialect, graph, values, report)
         return data, notes + more
     if dialect == "csv":
         from nls.io.table import values_table
 
-        left = (
-            [f"a csv file holds no measurements: {several(len(graph), 'measurement')} left out"] if len(graph) else []
-        )
-        return values_table(values, report), notes + left
+        return values_table(values, report), notes + measurements_left_out("csv", graph)
     if dialect in NATIVE:
         from nls.io.native.native import native_bytes
 

@@ -121,6 +121,11 @@ class LoadReport:
         line = source.lines[measurement]
         return f"{source.path}:{line}" if line else source.path
 
+    @property
+    def has_lines(self) -> bool:
+        """Whether a measurement has a line; those of a native file have none."""
+        return any(source.lines.any() for source in self.sources)
+
     def warn(self, note: str) -> None:
         """A note that deserves a warning."""
         self.notes.append(note)

@@ -24,10 +24,11 @@ from nls.graph import FactorGraph
 from nls.io.files import write_bytes
 from nls.io.plain import plain_table, refuse_late
 from nls.io.report import LoadReport
-from nls.io.unused_lines import note_comments
+from nls.io.unused_lines import measurements_left_out, note_comments
 from nls.values import Values
 
 __all__ = [
+    "TRAJECTORIES",
     "kitti_text",
     "lifted",
     "load_trajectory",
@@ -39,6 +40,7 @@ __all__ = [
     "write_tum",
 ]
 
+TRAJECTORIES = ("tum", "kitti")
 ORTHONORMAL = 1e-3  # files of six digits are off by 1e-6; what is off by more than this is no rotation
 
 
@@ -220,6 +222,4 @@ def trajectory_text(
         notes.append("a kitti file holds no times")
     if left := len(values) - len(stack):
         notes.append(f"a trajectory file holds poses only: {several(left, 'variable')} of other kinds left out")
-    if len(graph):
-        notes.append(f"a trajectory file holds no measurements: {several(len(graph), 'measurement')} left out")
-    return data, notes
+    return data, [*notes, *measurements_left_out("trajectory", graph)]

@@ -9,11 +9,12 @@ import numpy as np
 
 from models.algebra import Index
 from models.listing import several, some
+from nls.graph import FactorGraph
 from nls.io.records import a_file
 from nls.io.report import LoadReport
 from nls.io.text import Text, printable
 
-__all__ = ["appended", "left_out"]
+__all__ = ["appended", "left_out", "measurements_left_out"]
 NAMED = 9  # tags in a sentence
 
 
@@ -41,6 +42,12 @@ def note_comments(report: LoadReport, count: int) -> None:
 def appended(report: LoadReport | None, format: str) -> list[str]:
     """The unused lines a file of this format gets back: another format might read them as its own."""
     return report.ignored if report is not None and report.format == format else []
+
+
+def measurements_left_out(noun: str, graph: FactorGraph) -> list[str]:
+    """What a file of values alone does not hold, in at most one sentence."""
+    count = several(len(graph), "measurement")
+    return [f"a {noun} file holds no measurements: {count} left out"] if len(graph) else []
 
 
 def left_out(report: LoadReport | None, format: str) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 
 from factors.base import Factor
-from factors.joined import batch_of, joined, joined_noise, sort_of
+from factors.joined import batch_of, bound_batch, joined_noise, sort_of
 from nls.values import Values
 
 __all__ = ["Singles"]
@@ -69,8 +69,6 @@ def _batch(group: Sequence[Factor], values: Values) -> Factor:
     noise = joined_noise([factor.noise for factor in group], [len(factor) for factor in group])
     sizes = {factor.z.size // len(factor) for factor in group}
     if noise is None or len(sizes) > 1:
-        (batch,) = joined(
-            [factor.bind(*(values.stack(keys.kind).manifold for keys in factor.keys)) for factor in group]
-        )
-        return batch
+        spaces = [values.stack(keys.kind).manifold for keys in group[0].keys]  # of one sort: of all of them
+        return bound_batch([factor.bind(*spaces) for factor in group])
     return batch_of(group, [factor.z.reshape(len(factor), -1) for factor in group], noise)
