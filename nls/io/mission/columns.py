@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-__all__ = ["COLUMNS"]
+__all__ = ["COLUMNS", "OPTIONAL"]
 
 PLACE = ("x_m", "y_m", "z_m")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
 TILT = ("z_m", "pitch_rad", "roll_rad")
 CONTACT = ("range_m", "azimuth_rad")
+USBL = ("range_m", "bearing_rad", "elevation_rad")
+WHEN = ("time_s", "i")  # a measurement is of a time, or of a pose
+GEODETIC = ("lat_deg", "lon_deg")
+ARM = ("arm_x_m", "arm_y_m", "arm_z_m")
+HOW = ("delay_s", *ARM, "kernel")
 
 
 def suffixed(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -34,6 +39,31 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "dvl_mount": (*PLACE, *ANGLES),
     "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m"),
     "poses": ("i", "time_s"),
+    "origin": GEODETIC,
+    "fixes": (*WHEN, *PLACE, *GEODETIC, *suffixed(PLACE), *HOW),
+    "beacons": ("beacon", *PLACE, *GEODETIC, *suffixed(PLACE)),
+    "ranges": (
+        *(*WHEN, "beacon", "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s"),
+        *("turn_around_s", "ways", *HOW),
+    ),
+    "usbl": (*WHEN, "beacon", *USBL, *suffixed(USBL), *HOW),
+    "ship": ("time_s", *PLACE, *GEODETIC, *ANGLES),
+    "closures": ("i", "j", "time_i_s", "time_j_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
+    "sound-speed": ("z_m", "sound_speed_m_s"),
+    "calibration": ("name", "value", "sigma"),
+}
+OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
+    "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
+    "beacons": ("x_m", "y_m", *GEODETIC),
+    "ranges": (
+        *(*WHEN, "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
+    ),
+    "usbl": (*WHEN, "beacon", *HOW),
+    "ship": ("x_m", "y_m", *GEODETIC),
+    "closures": (
+        *("i", "j", "time_i_s", "time_j_s", "z_m", "roll_rad", "pitch_rad"),
+        *("sigma_z_m", "sigma_roll_rad", "sigma_pitch_rad", "kernel"),
+    ),
 }
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them

@@ -10,7 +10,7 @@ from models.advice import Advice
 from models.errors import GraphFileError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission.columns import COLUMNS, LOG, TRACK
+from nls.io.mission.columns import COLUMNS, LOG, OPTIONAL, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
@@ -48,7 +48,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     _refuse_parts(str(folder), set(files), other_files)
 
     report = MissionReport(str(folder), "mission", "3-D", "log", vertices_given=False, reason="a folder")
-    tables = {name: Table(file, COLUMNS[name]) for name, file in files.items()}
+    tables = {name: Table(file, COLUMNS[name], OPTIONAL.get(name, ())) for name, file in files.items()}
     report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
     note_comments(report, sum(table.comments for table in tables.values()))
     if tabular := [name for name in other_files if ".csv" in name.lower()]:

@@ -13,8 +13,10 @@ from factors.sonar import first_contacts, refuse_search
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
 from models.errors import OptionError
+from models.geodesy import LocalPlane
 from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
+from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.folder import read_tables
 from nls.io.mission.report import MissionReport
@@ -55,6 +57,8 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
         No such treatment of the elevation.
     """
     tables, report = read_tables(folder)
+    report.plane = _plane(tables.get("origin"))
+    calibrations = Calibrations(tables.get("calibration"))
     if "odometry" in tables:
         numbers, factors = _track(tables, report)
     else:
@@ -68,13 +72,31 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
     _compare(report, points)
+    for prior in calibrations.priors(report):
+        graph.add(prior)
     with stage("read start"):
-        return graph, _start(graph, numbers, points, first), report
+        return graph, _start(graph, numbers, points, first, calibrations), report
 
 
-def _start(graph: FactorGraph, numbers: Numbers, points: Numbers, first: tuple[Keys, Array]) -> Values:
+def _plane(origin: Table | None) -> LocalPlane | None:
+    """The local plane at the one row of origin.csv."""
+    if origin is None:
+        return None
+    if len(origin) > 1:
+        raise origin.at(1, "a second origin; a mission has one")
+    lat, lon = origin.measured("lat_deg", "lon_deg")[0].tolist()
+    try:
+        return LocalPlane(lat, lon)
+    except OptionError as error:
+        raise origin.at(0, str(error)) from error
+
+
+def _start(
+    graph: FactorGraph, numbers: Numbers, points: Numbers, first: tuple[Keys, Array], calibrations: Calibrations
+) -> Values:
     """Dead reckoning, moved to where its anchor is by a turn about the vertical and a step in the horizontal."""
     spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {x: (SE3, SE3.identity(len(numbers)), numbers)}
+    spaces |= calibrations.spaces()
     if len(points):
         spaces[l] = (R(3), np.zeros((len(points), 3)), points)
     start = dead_reckoning(graph, Values(spaces))

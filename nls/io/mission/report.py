@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from models.algebra import Array
+from models.geodesy import LocalPlane
 from nls.io.report import LoadReport
 from nls.values import Values
 
@@ -24,8 +25,10 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    plane: LocalPlane | None = None

@@ -29,6 +29,7 @@ LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they ar
     ("time_s", 1e15, "seconds, within 1e15"),
     ("_m_s", 1e9, "meters per second, within 1e9"),
     ("_rad", TURNS, "radians, -2 pi to 2 pi"),
+    ("_deg", 360.0, "degrees, -360 to 360"),
     ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
     ("", LARGEST, "a number within 1e12"),
 )
@@ -41,6 +42,7 @@ class Table(Text):
     ----------
     path : the file, which may be gzip-compressed.
     columns : names of all its columns.
+    optional : those of them that may be left out.
 
     Attributes
     ----------
@@ -66,7 +68,7 @@ class Table(Text):
            [1.  , 2.75]])
     """
 
-    def __init__(self, path: str | Path, columns: Sequence[str]) -> None:
+    def __init__(self, path: str | Path, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
         self._data = read_bytes(path)
         super().__init__(self._data.replace(b",", b" "), str(path))
         self.lines, self.comments = self._split()
@@ -79,7 +81,7 @@ class Table(Text):
         for problem, some in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
-            ("no", [name for name in columns if name not in names]),
+            ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
             if some:
                 raise self.error(f"{problem} column {_quoted(some[0])}; expected {expected}", head)
@@ -125,6 +127,10 @@ class Table(Text):
             raise self.error(f"the first line must name the columns: {expected}", head)
         if len(words) == 1 and (cure := _separators(words[0])):
             raise self.error(f"one column; expected {expected}{cure}", head)
+
+    def has(self, *names: str) -> bool:
+        """Whether the file has all of these columns."""
+        return all(name in self._place for name in names)
 
     def __len__(self) -> int:
         """Rows."""

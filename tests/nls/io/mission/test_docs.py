@@ -35,8 +35,8 @@ def test_the_folder_it_shows_is_solved(tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_every_file_and_column_is_defined_and_no_other() -> None:
     found: dict[str, list[str]] = {}
-    for row in re.findall(r"^\|(.*)\|(.*)\|.*\|$", section().split("A whole mission")[0], re.M):
-        file = re.findall(r"`(\w+)\.csv`", row[0]) or [list(found)[-1] if found else ""]
+    for row in re.findall(r"^\|([^|]*)\|([^|]*)\|.*\|$", section().split("A whole mission")[0], re.M):
+        file = re.findall(r"`([\w-]+)\.csv`", row[0]) or [list(found)[-1] if found else ""]
         found.setdefault(file[0], []).extend(re.findall(r"`(\w+)`", row[1]))
     found.pop("")  # the heads of the tables
     assert found == {name: list(columns) for name, columns in COLUMNS.items()}

@@ -1,0 +1,114 @@
+"""calibration.csv: numbers of the sensors that are not known exactly, each a variable with a prior, or a constant.
+
+One row a number: its name, its value, and its standard deviation; 0 holds it at the value. A name that no measurement
+of the mission uses is an error, so that no row is without effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors import Diagonal, Prior
+from factors.base import Factor
+from factors.keys import Keys, Kind
+from models import Manifold, R
+from models.algebra import Array, Numbers
+from models.options import did_you_mean
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+
+__all__ = ["NAMES", "Calibrations"]
+
+NAMES = {  # of a calibration: what it is
+    "dvl_scale": "scale error of the DVL, a fraction: it reads 1 + this times the velocity",
+    "dvl_yaw_rad": "the axes of the DVL are turned by this from those of dvl_mount.csv, to starboard",
+    "ahrs_clock_s": "times of ahrs.csv are late by this",
+    "fixes_clock_s": "times of fixes.csv are late by this",
+    "usbl_clock_s": "times of usbl.csv are late by this",
+    "ranges_clock_s": "times of ranges.csv are late by this",
+    "declination_rad": "the headings of ahrs.csv are from a north that is this east of true north",
+    "sound_speed_scale": "acoustic ranges are 1 + this times the distance, as of a sound speed that is too high",
+}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A row: its value, its standard deviation (0: held), and where it stands."""
+
+    value: float
+    sigma: float
+    row: int
+
+
+class Calibrations:
+    """The rows of calibration.csv; those that measurements ask for become variables, or constants.
+
+    Parameters
+    ----------
+    table : of the file; None where there is none.
+
+    Raises
+    ------
+    GraphFileError
+        A name that is none or stands there twice; a standard deviation below 0.
+    """
+
+    def __init__(self, table: Table | None) -> None:
+        self._table = table
+        self._rows: dict[str, Calibration] = {}
+        self._used: list[str] = []
+        if table is None:
+            return
+        numbers = table.measured("value", "sigma")
+        for row, name in enumerate(table.text_of("name")):
+            value, sigma = numbers[row].tolist()
+            if name not in NAMES:
+                raise table.at(
+                    row, f"no calibration is called {name!r}{did_you_mean(name, NAMES)}; one of " + ", ".join(NAMES)
+                )
+            if name in self._rows:
+                raise table.at(row, f"{name} was given before, on line {int(table.lines[self._rows[name].row]) + 1}")
+            if sigma < 0:
+                raise table.at(row, f"sigma is {sigma!r}; expected a standard deviation, or 0 to hold the value")
+            self._rows[name] = Calibration(value, sigma, row)
+
+    def variable(self, name: str) -> Keys | None:
+        """The variable of a name, which this marks as used; None where the number is known, see `value`."""
+        if name not in self._rows:
+            return None
+        self._used.append(name)
+        return Kind(name)[0] if self._rows[name].sigma > 0 else None
+
+    def value(self, name: str) -> float:
+        """The value of a name; 0 where there is no row."""
+        return self._rows[name].value if name in self._rows else 0.0
+
+    @property
+    def variables(self) -> dict[str, float]:
+        """Names that are variables and used, with their values, in the order of the file."""
+        return {name: row.value for name, row in self._rows.items() if row.sigma > 0 and name in self._used}
+
+    def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
+        """The variables for `nls.Values`, each number 0 of a kind of its own."""
+        zero = np.zeros(1, dtype=np.int64)
+        return {Kind(name): (R(1), np.array([[value]]), zero) for name, value in self.variables.items()}
+
+    def priors(self, report: MissionReport) -> list[Factor]:
+        """What the file says of each variable; the report gets their lines.
+
+        Raises
+        ------
+        GraphFileError
+            A row that no measurement uses.
+        """
+        if self._table is None:
+            return []
+        for name, calibration in self._rows.items():
+            if name not in self._used:
+                raise self._table.at(
+                    calibration.row, f"no measurement of this mission has a {name}; leave the row out, or add its file"
+                )
+        report.sources += [self._table.source(np.array([self._rows[name].row])) for name in self.variables]
+        return [Prior(Kind(n)[0], [v], Diagonal([self._rows[n].sigma])) for n, v in self.variables.items()]
