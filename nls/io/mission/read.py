@@ -34,13 +34,16 @@ SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is w
 x, l = kinds("x", "l")
 
 
-def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGraph, Values, MissionReport]:
+def read_mission(
+    folder: str | Path, elevation: str = "hinge", anchored: bool = True
+) -> tuple[FactorGraph, Values, MissionReport]:
     """The graph of a mission folder, dead reckoning as its start, and a report; see the page on formats.
 
     Parameters
     ----------
     folder : a folder of CSV files.
     elevation : what is done about the elevation a sonar does not measure, see `factors.sonar_factors`.
+    anchored : whether a pose is held where no file places the mission in the world.
 
     Returns
     -------
@@ -67,7 +70,8 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
         numbers, factors = integrated(tables, report)
     report.truth = _truth(tables, numbers, report)
     graph = FactorGraph(factors)
-    anchors, first = _anchor(tables, numbers, graph, report)
+    report.anchored = "anchor" in tables
+    anchors, first = _anchor(tables, numbers, graph, report, anchored)
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
@@ -190,12 +194,12 @@ def _compare(report: MissionReport, points: Numbers) -> None:
 
 
 def _anchor(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, anchored: bool
 ) -> tuple[list[Factor], tuple[Keys, Array]]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
     Where nobody says so it is the first pose, and its heading only where no compass measures it; with a compass it is
-    the first pose that this one sees.
+    the first pose that this one sees. Where it need not be anchored, nothing holds it.
     """
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
@@ -211,6 +215,8 @@ def _anchor(
     if "x" in report.truth.stacks and anchor in report.truth:
         true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
         z = true if compass is None else np.append(true[:2], z[2])
+    if not anchored:
+        return [], (anchor, z)
     factors, held = _held(anchor, z[None], np.array([ANCHORED])), "x, y and yaw"
     if compass is not None:
         factors, held = factors[:1], "x and y"

@@ -25,10 +25,12 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    anchored : whether a file places the mission in the world.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    anchored: bool = False
     plane: LocalPlane | None = None

@@ -1,0 +1,106 @@
+"""Several missions as one graph: numbers, places, what they share, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from factors import Heading, Position
+from models import euler
+from nls import FactorGraph, GraphFileError, kinds
+from nls.io.mission import write_mission
+from nls.io.mission.dives import DivesReport
+from tests.nls.io.mission.mission_files import TINY, folder, raw
+
+x, l = kinds("x", "l")
+HALF, OVERLAP = 123, 10
+
+
+@pytest.fixture(scope="module")
+def mission() -> sim.Mission:
+    return sim.hauv_floor(np.random.default_rng(1))
+
+
+def written(place: Path, mission: sim.Mission, low: int, high: int, anchors: FactorGraph) -> Path:
+    """Poses low to high of a mission as a dive of its own, numbered from 0."""
+    graph = FactorGraph(anchors.factors)
+    for factor in (mission.odometry, mission.attitude, mission.contacts):
+        poses = [keys.numbers for keys in factor.keys if keys.kind == "x"]
+        inside = np.flatnonzero(np.all([(n >= low) & (n < high) for n in poses], axis=0))
+        graph.add(factor[inside])
+    write_mission(place, graph, mission.sonar, mission.offset)
+    return place
+
+
+@pytest.fixture
+def dives(tmp_path: Path, mission: sim.Mission) -> list[Path]:
+    """The mission as two dives that overlap; the first has the anchor, the second none."""
+    anchor = FactorGraph([f for f in mission.graph.factors if isinstance(f, Position | Heading)])
+    first = written(tmp_path / "first", mission, 0, HALF, anchor)
+    return [first, written(tmp_path / "second", mission, HALF - OVERLAP, mission.poses, FactorGraph())]
+
+
+def test_a_dive_without_anchor_is_where_the_shared_landmarks_are(dives: list[Path], mission: sim.Mission) -> None:
+    graph, values, report = nls.load(dives)
+    assert isinstance(report, DivesReport)
+    assert [(dive.name, dive.first) for dive in report.dives] == [("first", 0), ("second", 1000)]
+    assert len(values.stack("x")) == mission.poses + OVERLAP
+    result = graph.optimize(values)
+    assert result.converged
+    assert 0.9 < result.chi2_final / result.dof < 1.1
+    optimum = result.values
+    truth = mission.truth[x]
+    second = optimum.stack("x").numbers >= 1000
+    poses = np.asarray(optimum.stack("x").X)
+    errors = np.linalg.norm(poses[second][:, :3] - truth[HALF - OVERLAP :, :3], axis=1)
+    assert errors.max() < 0.1  # 53 m of way; with contacts of its own alone it would be anywhere
+    assert np.linalg.norm(poses[~second][:, :3] - truth[:HALF, :3], axis=1).max() < 0.1
+
+
+def test_lines_are_those_of_the_files_of_each_dive(dives: list[Path]) -> None:
+    graph, _, report = nls.load(dives)
+    places = {report.place(k, 0) for k, factor in enumerate(graph.factors) if len(factor)}
+    assert {str(dives[0] / "odometry.csv:2"), str(dives[1] / "odometry.csv:2")} <= places
+    assert len(report.sources) == len(graph.factors)
+
+
+def test_the_order_of_the_dives_does_not_matter(dives: list[Path]) -> None:
+    chi2 = [graph.optimize(values).chi2_final for graph, values, _ in (nls.load(dives), nls.load(dives[::-1]))]
+    assert chi2[0] == pytest.approx(chi2[1], rel=1e-5)
+
+
+def test_dives_that_share_nothing_are_refused_and_those_with_anchors_are_not(tmp_path: Path) -> None:
+    alone = folder(tmp_path / "alone", raw())
+    other = folder(tmp_path / "tiny", TINY)
+    with pytest.raises(GraphFileError, match=r"alone: nothing says where this dive is beside tiny.*anchor\.csv"):
+        nls.load([other, alone])
+    (alone / "anchor.csv").write_text("i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad\n0,5,6,0,0.1,0.1,0.1\n")
+    _, values, _ = nls.load([other, alone])
+    assert euler.from_se3(values[x[100]])[3:5] == pytest.approx([5, 6])
+
+
+def test_refusals(tmp_path: Path) -> None:
+    a, b = folder(tmp_path / "a", TINY), folder(tmp_path / "b", TINY)
+    with pytest.raises(GraphFileError, match="is given twice"):
+        nls.load([a, tmp_path / "b" / ".." / "a"])
+    with pytest.raises(GraphFileError, match="is no folder"):
+        nls.load([a, a / "zpr.csv"])
+    (a / "origin.csv").write_text("lat_deg,lon_deg\n54.1,10.2\n")
+    (b / "origin.csv").write_text("lat_deg,lon_deg\n54.1,10.3\n")
+    with pytest.raises(GraphFileError, match=r"LocalPlane\(54\.1, 10\.3\).*one origin\.csv"):
+        nls.load([a, b])
+    with pytest.raises(nls.OptionError, match="several missions"):
+        nls.load([a])
+
+
+def test_landmarks_are_the_same_and_poses_are_not(tmp_path: Path) -> None:
+    graph, values, _ = nls.load([folder(tmp_path / "a", TINY), folder(tmp_path / "b", TINY)])
+    assert values.stack("x").numbers.tolist() == [0, 1, 2, 3, 10, 11, 12, 13]
+    assert values.stack("l").numbers.tolist() == [11, 12, 14]
+    one = nls.load(tmp_path / "a")
+    optimum = graph.optimize(values)
+    assert optimum.chi2_final == pytest.approx(2 * one[0].optimize(one[1]).chi2_final, rel=1e-6)
