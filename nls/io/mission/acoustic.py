@@ -221,8 +221,8 @@ class Acoustics:
             if not (rows & inside).any():
                 raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the time of {span}")
             self._report.notes.append(
-                f"{table.place(k)}: {int(away.sum())} of {len(table)} rows are left out, this one the first: they are "
-                f"not within the time of {span}"
+                f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within "
+                f"the times of {span}"
             )
         rows = rows & inside
         state = np.column_stack([np.interp(t[rows], t_s, column) for column in np.hstack([rpy, p]).T])

@@ -144,7 +144,7 @@ class Timeline:
     def _outside(self, table: Table, t: Array, away: Mask, rising: Array, numbers: Numbers) -> None:
         """Refuse rows that are not at the time of a pose, or say that they are left out."""
         k = int(np.argmax(away))
-        time = float(t[k][np.abs(rising[_nearest(rising, t[k])] - t[k]) >= SAME][0])
+        time = round(float(t[k][np.abs(rising[_nearest(rising, t[k])] - t[k]) >= SAME][0]), 6)
         span = f"{float(rising[0])!r} to {float(rising[-1])!r} s"
         if not self.open:
             near = int(_nearest(rising, np.array([time]))[0])
@@ -157,8 +157,8 @@ class Timeline:
         if away.all():
             raise table.at(k, f"is at {time!r} s, and no row is within the track, {span}; do the clocks agree?")
         self.report.notes.append(
-            f"{table.place(k)}: {int(away.sum())} of {len(table)} rows are left out, this one the first: they are not "
-            f"within the track, {span}"
+            f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within the "
+            f"track, {span}"
         )
 
     def at(self, numbers: Numbers) -> Array:

@@ -74,7 +74,7 @@ def test_rows_outside_the_log_are_left_out_and_counted(tmp_path: Path) -> None:
     truth = Positioned(tmp_path / "truth", T)
     t, p = np.append([-3.0, 99.0], T), np.vstack([np.zeros((2, 2)), truth.places(T)[:, :2]])
     _, _, report = solved(tmp_path / "m", truth, fixes=csv(FIX, t, p, np.full((6, 2), 0.5)))
-    assert "fixes.csv:2: 2 of 6 rows are left out, this one the first: they are not within the track" in str(report)
+    assert "fixes.csv:2: the first row of 2 that are left out, of 6: not within the track, 0.0" in str(report)
     place = folder(tmp_path / "m", fixes=csv(FIX, t + 1e6, p, np.full((6, 2), 0.5)), files=truth.files)
     assert_refused(2, "no row is within the track, 0.0 to 80.0 s; do the clocks agree?", nls.load, place)
     place = folder(tmp_path / "m", truth.files, fixes=csv(FIX, T + 0.01, p[2:], SIGMAS), poses=truth.poses)
