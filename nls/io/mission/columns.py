@@ -7,6 +7,7 @@ __all__ = ["COLUMNS", "OPTIONAL"]
 PLACE = ("x_m", "y_m", "z_m")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
+UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
 TILT = ("z_m", "pitch_rad", "roll_rad")
 CONTACT = ("range_m", "azimuth_rad")
 USBL = ("range_m", "bearing_rad", "elevation_rad")
@@ -49,21 +50,24 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "usbl": (*WHEN, "beacon", *USBL, *suffixed(USBL), *HOW),
     "ship": ("time_s", *PLACE, *GEODETIC, *ANGLES),
     "closures": ("i", "j", "time_i_s", "time_j_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
+    "dive_closures": ("i", "dive", "j", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
+    "path": ("time_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES))),
+    "motion": ("sigma_walk_m_sqrt_s",),
     "sound-speed": ("z_m", "sound_speed_m_s"),
     "calibration": ("name", "value", "sigma"),
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
     "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
-    "beacons": ("x_m", "y_m", *GEODETIC),
+    "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
     "ranges": (
         *(*WHEN, "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
     ),
     "usbl": (*WHEN, "beacon", *HOW),
     "ship": ("x_m", "y_m", *GEODETIC),
-    "closures": (
-        *("i", "j", "time_i_s", "time_j_s", "z_m", "roll_rad", "pitch_rad"),
-        *("sigma_z_m", "sigma_roll_rad", "sigma_pitch_rad", "kernel"),
-    ),
+    "closures": ("i", "j", "time_i_s", "time_j_s", *UPRIGHT, *suffixed(UPRIGHT), "kernel"),
+    "dive_closures": (*UPRIGHT, *suffixed(UPRIGHT), "kernel"),
+    "path": (*UPRIGHT, *suffixed(UPRIGHT)),
 }
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them
+ALONE = ("path", "motion")  # or one of these

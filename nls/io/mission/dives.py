@@ -18,21 +18,24 @@ from pathlib import Path
 import numpy as np
 
 from factors import Heading
-from factors.keys import Keys, Kind
+from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, euler
 from models.algebra import Array, Numbers
 from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.kind_names import with_keys
+from nls.io.mission.fixes import closures
 from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import add_rows
 from nls.values import Values
 
 __all__ = ["Dive", "DivesReport", "read_dives"]
 
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
 LARGEST = 2**63 - 1
+(x,) = kinds("x")
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,12 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
     graph = FactorGraph()
     for k, (own, _, own_report) in enumerate(dives):
         first = k * stride
-        graph = FactorGraph([*graph.factors, *_renumbered(own, first).factors], [*graph.fixed, *own.fixed])
+        own = _renumbered(own, first)
+        graph = FactorGraph([*graph.factors, *own.factors], [*graph.fixed, *own.fixed])
         _add_report(report, own_report, first, names[k])
     values = _together([(values, k * stride) for k, values in placed.items()])
+    for k in range(len(dives)):
+        _add_closures(graph, report, k, values)
     report.truth = _together([(own_report.truth, k * stride) for k, (_, _, own_report) in enumerate(dives)])
     return graph, values, report
 
@@ -157,6 +163,34 @@ def _add_report(report: DivesReport, own: MissionReport, first: int, name: str) 
         report.notes.append(f"{name}: pose 0 is x{first}, and so on")
     if own.sonar is not None and report.sonar is None:
         report.sonar, report.offset = own.sonar, own.offset
+
+
+def _add_closures(graph: FactorGraph, report: DivesReport, k: int, values: Values) -> None:
+    """Add what poses of a dive saw of poses of others: the rows of its dive_closures.csv.
+
+    Raises
+    ------
+    GraphFileError
+        A dive that is not given, or is the dive itself; a pose that a dive has not.
+    """
+    dive, table = report.dives[k], report.dives[k].report.elsewhere
+    if table is None:
+        return
+    others = {other.name: other.first for other in report.dives if other is not dive}
+    first, poses = np.zeros(len(table), dtype=np.int64), values.stack(x).numbers
+    for row, name in enumerate(table.text_of("dive")):
+        if name not in others:
+            raise table.at(
+                row, f"dive is {name!r}; expected one of the others that are solved with it: {', '.join(others)}"
+            )
+        first[row] = others[name]
+    numbers = [table.integers("i") + dive.first, table.integers("j") + first]
+    for column, poses_of_rows in zip("ij", numbers, strict=True):
+        if (missing := ~np.isin(poses_of_rows, poses)).any():
+            row = int(np.argmax(missing))
+            raise table.at(row, f"{column} is {table.integers(column)[row]}; the track of that dive has no such pose")
+    rows = np.ones(len(table), dtype=bool)
+    add_rows(graph, report, table, rows, closures(table, x[numbers[0]], x[numbers[1]]))
 
 
 # --- where a dive is that no file of its own places -------------------------------------------------------------------

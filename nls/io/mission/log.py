@@ -46,6 +46,7 @@ from nls.io.mission.columns import ANGLES, PLACE
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Times, united
 
 EVERY = 1.0  # s from pose to pose where poses.csv does not say when they are
 MOST = 10_000_000  # such poses: four months, or times that are no seconds
@@ -53,8 +54,12 @@ MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 
 
-def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
+def integrated(
+    tables: dict[str, Table], report: MissionReport, times: Times | None = None
+) -> tuple[Numbers, list[Factor]]:
     """Numbers of the poses, rising in time, and `XYH`, `ZPR` and `Heading` between and at them.
+
+    `times` are those of other files, see `nls.io.mission.timeline`.
 
     Raises
     ------
@@ -65,7 +70,7 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
     valid = _bottom_lock(dvl)
-    numbers, b = _poses(tables, {"dvl.csv": t_v, "ahrs.csv": t_a, "depth.csv": t_z}, t_v[valid], report)
+    numbers, b = _poses(tables, {"dvl.csv": t_v, "ahrs.csv": t_a, "depth.csv": t_z}, t_v[valid], report, times or {})
     rpy = np.unwrap(ahrs.attitude(*ANGLES), axis=0)
     roll, pitch, yaw = (np.interp(b, t_a, angle) for angle in rpy.T)
     depths = depth.measured("z_m")
@@ -178,9 +183,10 @@ def _bottom_lock(dvl: Table) -> Mask:
 
 
 def _poses(
-    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport
+    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport, times: Times
 ) -> tuple[Numbers, Array]:
-    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run.
+    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
+    one at each of the times of other files.
 
     The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
     """
@@ -204,6 +210,7 @@ def _poses(
             report.notes.append(
                 f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
             )
+        b = united(b, end, times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
     if (out := (b < begin) | (b > end)).any():

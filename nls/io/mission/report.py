@@ -12,6 +12,7 @@ from nls.values import Values
 
 if TYPE_CHECKING:
     from models.sensors import ImagingSonar
+    from nls.io.mission.table import Table
 
 __all__ = ["MissionReport"]
 
@@ -25,6 +26,7 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
     anchored : whether a file places the mission in the world.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
@@ -32,5 +34,6 @@ class MissionReport(LoadReport):
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    elsewhere: Table | None = field(default=None, compare=False, repr=False)
     anchored: bool = False
     plane: LocalPlane | None = None

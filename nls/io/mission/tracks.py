@@ -23,9 +23,10 @@ from factors.keys import kinds
 from models import SE3, euler
 from models.algebra import Array, Numbers
 from models.sensors import levelled
-from nls.io.mission.columns import ANGLES, LEVEL, PLACE, TILT, suffixed
+from nls.io.mission.columns import ANGLES, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Times, united
 
 __all__ = ["reckoned", "walking"]
 
@@ -33,64 +34,75 @@ LEVEL_SIGMA = 1e-3  # m and rad, of a depth and a tilt that the file takes to be
 (x,) = kinds("x")
 
 
-def reckoned(path: Table, report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses of path.csv, rising in time, and `XYH` and `ZPR` between and at them.
+def reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, at the times of path.csv and of other files, and `XYH` and `ZPR` between and at them.
+
+    Between two rows the path is straight, and the variance of its step grows evenly.
 
     Raises
     ------
     GraphFileError
         Times that do not rise, one pose, numbers that cannot be.
     """
-    t = path.rising("time_s")
-    if len(t) < 2:
+    path = tables["path"]
+    t_p = path.rising("time_s")
+    if len(t_p) < 2:
         raise path.at(0, "one pose; a track has at least two")
-    absent = [name for name in (*PLACE, *ANGLES) if not path.has(name)]
-    columns = [np.zeros(len(t)) if name in absent else path.attitude(name)[:, 0] for name in (*ANGLES, *PLACE)]
-    X = euler.to_se3(np.column_stack(columns))
+    absent = [name for name in UPRIGHT if not path.has(name)]
     if absent:
         report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0, within 1 mm and 1 mrad")
+    t = united(t_p, float(t_p[-1]), times, tables)
     numbers = np.arange(len(t))
+    row = np.searchsorted(t_p, t)  # the first one that is not before
+    state = {name: np.interp(t, t_p, _column(path, name, 0.0)) for name in (*ANGLES, *PLACE)}
+    part = np.sqrt(np.diff(t) / np.diff(t_p)[row[1:] - 1])[:, None]
+    X = euler.to_se3(np.column_stack([state[name] for name in (*ANGLES, *PLACE)]))
     step, _ = levelled(X[:-1], X[1:])
-    tilt = np.column_stack([columns[[*ANGLES, *PLACE].index(name)] for name in TILT])
-    sigmas = [
-        path.positive(f"sigma_{name}")[:, 0] if path.has(f"sigma_{name}") else np.full(len(t), LEVEL_SIGMA)
-        for name in TILT
-    ]
+    sigmas = np.column_stack([_column(path, f"sigma_{name}", LEVEL_SIGMA)[row] for name in TILT])
     report.vertex_times["x"] = t
-    report.sources += [path.source(numbers[1:]), path.source()]
+    report.sources += [path.source(row[1:]), path.source(row)]
     return numbers, [
-        XYH(x[numbers[:-1]], x[numbers[1:]], step, Diagonal(path.positive(*suffixed(LEVEL))[1:])),
-        ZPR(x[numbers], tilt, Diagonal(np.column_stack(sigmas))),
+        XYH(x[numbers[:-1]], x[numbers[1:]], step, Diagonal(path.positive(*suffixed(LEVEL))[row[1:]] * part)),
+        ZPR(x[numbers], np.column_stack([state[name] for name in TILT]), Diagonal(sigmas)),
     ]
 
 
-def walking(motion: Table, t: Array, report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses at times t (n,), rising, and the random walk between them, their axes those of the world.
+def _column(path: Table, name: str, absent: float) -> Array:
+    """A column (n,) of the path: an angle without turns, a standard deviation above 0; a number where it is absent."""
+    if not path.has(name):
+        return np.full(len(path), absent)
+    if name.startswith("sigma_"):
+        return path.positive(name)[:, 0]
+    column = path.attitude(name)[:, 0]
+    return np.unwrap(column) if name in ANGLES else column
+
+
+def walking(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses at the times of other files, rising, and the random walk between them.
 
     Raises
     ------
     GraphFileError
-        A second row; one time.
+        A second row; fewer than two times.
     """
+    motion = tables["motion"]
     if len(motion) > 1:
         raise motion.at(1, "a second row; expected one")
+    rows = np.concatenate([np.zeros(0), *(rows.ravel() for rows in times.values())])
+    t = united(rows.min(keepdims=True), float(rows.max()), times, tables) if len(rows) else rows
     if len(t) < 2:
         raise motion.at(0, "fewer than two times of fixes or ranges; a track has at least two poses")
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
     walk = density * np.sqrt(np.diff(t))[:, None]
     numbers, turn = np.arange(len(t)), np.full((len(t) - 1, 3), LEVEL_SIGMA)
     report.vertex_times["x"] = t
-    report.sources += [motion.source(np.zeros(len(t) - 1, dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
+    report.sources += [motion.source(np.zeros(len(walk), dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
     report.notes.append(
         f"no sensor measures the motion: {len(t)} poses at the times of the measurements, each within {density:g} m "
         "times the root of the seconds since the one before; the vehicle is taken to head north and level"
     )
-    stay = np.broadcast_to(SE3.identity(), (len(t) - 1, SE3.size))
-    upright = Prior(x[numbers], SE3.identity(), Diagonal([LEVEL_SIGMA] * 3), components=ANGLES_OF_POSE)
+    stay = np.broadcast_to(SE3.identity(), (len(walk), SE3.size))
     return numbers, [
         Between(x[numbers[:-1]], x[numbers[1:]], stay, Diagonal(np.hstack([np.repeat(walk, 3, axis=1), turn]))),
-        upright,
+        Prior(x[numbers], SE3.identity(), Diagonal([LEVEL_SIGMA] * 3), components=("roll", "pitch", "yaw")),
     ]
-
-
-ANGLES_OF_POSE = ("roll", "pitch", "yaw")
