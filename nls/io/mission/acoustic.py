@@ -86,9 +86,10 @@ class Acoustics:
         return out
 
     @property
-    def absolute(self) -> bool:
-        """Whether they say where in the world the vehicle is."""
-        return bool(len(self.ship)) or bool(np.isfinite(self.places[:, :2]).all(axis=1).any())
+    def absolute(self) -> list[str]:
+        """The files among them that say where in the world the vehicle is."""
+        placed = bool(np.isfinite(self.places).all(axis=1).any())
+        return ["beacons.csv"] * placed + ["ship.csv"] * bool(len(self.ship))
 
     def _beacons(self, table: Table | None) -> None:
         """Priors of the beacons: their place, or their depth alone."""
@@ -219,7 +220,7 @@ class Acoustics:
             k = int(np.argmax(away))
             span = f"ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
             if not (rows & inside).any():
-                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the time of {span}")
+                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the times of {span}")
             self._report.notes.append(
                 f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within "
                 f"the times of {span}"

@@ -79,7 +79,9 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
     if "closures" in tables:
         add_closures(graph, report, tables["closures"], timeline)
     acoustics = Acoustics(graph, report, tables, timeline, calibrations, _depths(graph, numbers))
-    anchors, first = _anchor(tables, numbers, graph, report, "fixes" in tables or acoustics.absolute)
+    if "anchor" not in tables:
+        report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
+    anchors, first = _anchor(tables, numbers, graph, report)
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
@@ -215,7 +217,7 @@ def _compare(report: MissionReport, points: Numbers) -> None:
 
 
 def _anchor(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, absolute: bool
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport
 ) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
@@ -228,7 +230,7 @@ def _anchor(
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         report.sources += [table.source()] * 2
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
-    if absolute:
+    if report.world:
         return [], None
     compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
