@@ -18,6 +18,7 @@ from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
 from nls.io.mission.calibration import Calibrations
+from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
@@ -86,10 +87,12 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
     _compare(report, points)
+    with stage("read start"):
+        start = _start(graph, numbers, points, first, calibrations, acoustics)
+    shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
-    with stage("read start"):
-        return graph, _start(graph, numbers, points, first, calibrations, acoustics), report
+    return graph, start, report
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:
