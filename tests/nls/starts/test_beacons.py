@@ -27,10 +27,10 @@ def test_a_beacon_is_where_its_ranges_meet(course: str, wrong: int) -> None:
             assert beacon_of_ranges(p, r) == pytest.approx(beacon, abs=1e-3), beacon
 
 
-def test_on_a_level_course_it_is_below(course: str = "circle") -> None:
+def test_on_a_level_course_it_is_below() -> None:
     above = np.array([30.0, 10.0, -5.0])
-    r = np.linalg.norm(COURSES[course] - above, axis=1)
-    assert beacon_of_ranges(COURSES[course], r) == pytest.approx([30.0, 10.0, 11.0], abs=1e-4)
+    r = np.linalg.norm(COURSES["circle"] - above, axis=1)
+    assert beacon_of_ranges(COURSES["circle"], r) == pytest.approx([30.0, 10.0, 11.0], abs=1e-4)
 
 
 def test_from_one_place_there_is_still_a_start() -> None:
