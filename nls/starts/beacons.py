@@ -6,7 +6,8 @@ With positions p_i, u_i = (p_i - c) in the horizontal and their mean c, the squa
 
 of a beacon of depth z. Without z the r_i themselves stand for rho_i, and the mean of r_i^2 - |l - u_i|^2 is
 (z - p_z)^2, above or below. Along the shorter axis of the track the sums say little; there the mean says how far, to
-one side or the other. All these candidates are improved by least squares with the weights of a Cauchy kernel, and the best one counts.
+one side or the other. All these candidates and their mirror images are improved by least squares with the weights of a
+Cauchy kernel, and the best one counts, of equal ones that below.
 
 Source: E. Olson, J. Leonard, S. Teller, "Robust range-only beacon localization", IEEE J. Oceanic Engineering 31, 2006.
 """
@@ -21,7 +22,7 @@ __all__ = ["beacon_of_ranges"]
 
 PASSES = 30  # of the improvement
 EXACT = 1e-9  # of the longest range: a scatter of rounding
-BETTER = 0.99  # of the misfit: one that is no better keeps the one before it
+BETTER, EVEN = 0.99, 1e-3  # of the misfit: one that is no better keeps the one before it
 
 
 def beacon_of_ranges(p: Array, r: Array, z: float | None = None) -> Array:
@@ -42,18 +43,20 @@ def beacon_of_ranges(p: Array, r: Array, z: float | None = None) -> Array:
     (array([ 40., -20.,  12.]), array([ 40., -20.,  12.]))
     """
     candidates = [_improved(candidate, p, r, z is None) for candidate in _candidates(p, r, z)]
+    candidates += [_improved(_mirrored(candidate, p), p, r, z is None) for candidate in candidates]
+    candidates.sort(key=lambda candidate: -candidate[2])  # those below first
     errors = [np.abs(np.linalg.norm(p - candidate, axis=1) - r) for candidate in candidates]
     scale = max(min(1.4826 * float(np.median(e)) for e in errors), EXACT * float(r.max()))
     best, least = 0, np.inf
     for k, e in enumerate(errors):
         misfit = float(np.log1p(np.square(e / scale)).sum())
-        if misfit < BETTER * least:
+        if misfit < BETTER * least - EVEN:
             best, least = k, misfit
     return candidates[best]
 
 
 def _candidates(p: Array, r: Array, z: float | None) -> list[Array]:
-    """Places (3,) where the beacon may be, those below first."""
+    """Places (3,) where the beacon may be."""
     c = p.mean(axis=0)
     u = p[:, :2] - c[:2]
     drop = np.zeros(len(r)) if z is None else z - p[:, 2]
@@ -72,6 +75,13 @@ def _candidates(p: Array, r: Array, z: float | None) -> list[Array]:
         places += [(side * beside * np.sqrt(0.5), depth + beside * np.sqrt(0.5)) for side in (1, -1)]
     places += [(side * beside, depth) for side in (1, -1)]
     return [np.append(c[:2] + axes @ [across, along[1]], down) for across, down in places]
+
+
+def _mirrored(place: Array, p: Array) -> Array:
+    """A place on the other side of the longer axis of the track, from where ranges nearly fit as well."""
+    c = p[:, :2].mean(axis=0)
+    across = np.linalg.eigh((p[:, :2] - c).T @ (p[:, :2] - c))[1][:, 0]
+    return np.append(place[:2] - 2 * across * (across @ (place[:2] - c)), place[2])
 
 
 def _improved(place: Array, p: Array, r: Array, free: bool) -> Array:

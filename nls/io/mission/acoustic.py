@@ -30,6 +30,7 @@ from nls.io.mission.timeline import Timeline, one_of
 __all__ = ["Acoustics"]
 
 x, b, s = kinds("x", "b", "s")
+MOMENT = 0.5  # s, before and after, over which the ship moves
 SCALE = "sound_speed_scale"
 
 
@@ -47,6 +48,7 @@ class Acoustics:
     numbers : (m,) of the beacons that were measured, rising.
     places : (m, 3) where they are by beacons.csv, nan where it does not say.
     ship : (k, 7) poses of the ship, variables ``s`` that are held.
+    ship_twist : (k, 6) how they move, m/s and rad/s, in their own axes.
 
     Raises
     ------
@@ -68,7 +70,8 @@ class Acoustics:
         self._rows = {t: timeline.poses(name, t) for name in ("ranges", "usbl") if (t := tables.get(name)) is not None}
         beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
         self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
-        self.places, self.ship = np.full((len(self.numbers), 3), np.nan), np.zeros((0, SE3.size))
+        self.places = np.full((len(self.numbers), 3), np.nan)
+        self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
         self._beacons(tables.get("beacons"))
         if ranges is not None:
             self._ranges(ranges, calibrations, depth)
@@ -86,9 +89,10 @@ class Acoustics:
         return out
 
     @property
-    def absolute(self) -> bool:
-        """Whether they say where in the world the vehicle is."""
-        return bool(len(self.ship)) or bool(np.isfinite(self.places[:, :2]).all(axis=1).any())
+    def absolute(self) -> list[str]:
+        """The files among them that say where in the world the vehicle is."""
+        placed = bool(np.isfinite(self.places).all(axis=1).any())
+        return ["beacons.csv"] * placed + ["ship.csv"] * bool(len(self.ship))
 
     def _beacons(self, table: Table | None) -> None:
         """Priors of the beacons: their place, or their depth alone."""
@@ -219,14 +223,20 @@ class Acoustics:
             k = int(np.argmax(away))
             span = f"ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
             if not (rows & inside).any():
-                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the time of {span}")
+                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the times of {span}")
             self._report.notes.append(
                 f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within "
                 f"the times of {span}"
             )
         rows = rows & inside
-        state = np.column_stack([np.interp(t[rows], t_s, column) for column in np.hstack([rpy, p]).T])
-        self.ship = euler.to_se3(state)
+
+        def pose(t: Array) -> Array:
+            return euler.to_se3(np.column_stack([np.interp(t, t_s, column) for column in np.hstack([rpy, p]).T]))
+
+        self.ship = pose(t[rows])
+        before, after = np.maximum(t[rows] - MOMENT, t_s[0]), np.minimum(t[rows] + MOMENT, t_s[-1])
+        step = SE3.local(pose(before), pose(after))
+        self.ship_twist = step / np.maximum(after - before, MOMENT)[:, None]
         return np.cumsum(rows) - 1, rows
 
     def _unused(self) -> None:

@@ -80,7 +80,6 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
     dives = [read_mission(folder, elevation, anchored=False) for folder in folders]
     if not any(report.anchored for _, _, report in dives):
         dives[0] = read_mission(folders[0], elevation)
-        dives[0][2].anchored = True
     _refuse_other_origins([report for _, _, report in dives])
     stride = _stride([values for _, values, _ in dives], str(folders[0]))
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")
@@ -207,6 +206,7 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
         A dive that nothing places.
     """
     placed = {k: values for k, (_, values, report) in enumerate(dives) if report.anchored}
+    placed = placed or {0: dives[0][1]}
     while len(placed) < len(dives):
         world = _together([(values, 0) for values in placed.values()])
         waiting = [k for k in range(len(dives)) if k not in placed]

@@ -18,6 +18,7 @@ from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
 from nls.io.mission.calibration import Calibrations
+from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
@@ -79,17 +80,19 @@ def read_mission(
     if "closures" in tables:
         add_closures(graph, report, tables["closures"], timeline)
     acoustics = Acoustics(graph, report, tables, timeline, calibrations, _depths(graph, numbers))
-    absolute = "fixes" in tables or acoustics.absolute
-    report.anchored = absolute or "anchor" in tables
-    anchors, first = _anchor(tables, numbers, graph, report, absolute, anchored)
+    if "anchor" not in tables:
+        report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
+    anchors, first = _anchor(tables, numbers, graph, report, anchored)
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
     _compare(report, points)
+    with stage("read start"):
+        start = _start(graph, numbers, points, first, calibrations, acoustics)
+    shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
-    with stage("read start"):
-        return graph, _start(graph, numbers, points, first, calibrations, acoustics), report
+    return graph, start, report
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:
@@ -234,12 +237,7 @@ def _compare(report: MissionReport, points: Numbers) -> None:
 
 
 def _anchor(
-    tables: dict[str, Table],
-    numbers: Numbers,
-    graph: FactorGraph,
-    report: MissionReport,
-    absolute: bool,
-    anchored: bool,
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, anchored: bool
 ) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
@@ -253,7 +251,7 @@ def _anchor(
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         report.sources += [table.source()] * 2
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
-    if absolute:
+    if report.world:
         return [], None
     compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"

@@ -27,7 +27,7 @@ class MissionReport(LoadReport):
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
     elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
-    anchored : whether a file places the mission in the world.
+    world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
@@ -35,5 +35,10 @@ class MissionReport(LoadReport):
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
     elsewhere: Table | None = field(default=None, compare=False, repr=False)
-    anchored: bool = False
+    world: list[str] = field(default_factory=list)
     plane: LocalPlane | None = None
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a file places the mission in the world."""
+        return bool(self.world) or "anchor.csv" in self.tags

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 import nls
-from factors import BearingRange, Prior, Range, ScaledRange
+from factors import BearingRange, Prior, Range, ScaledRange, Shifted
 from models import SE3, euler
 from models.sensors import direction
-from nls.io.mission.columns import COLUMNS
+from nls.io.mission.columns import ANGLES, COLUMNS, PLACE
 from tests.nls.io.g2o_files import assert_refused
 from tests.nls.io.mission.mission_files import TINY, folder
 from tests.nls.io.mission.positioned import BEACONS, Positioned, csv
 from tests.nls.io.mission.test_fixes import solved
 
 x, b, s = nls.kinds("x", "b", "s")
+COLUMNS_SHIP = (*ANGLES, *PLACE)
 T = np.arange(2.3, 79.0, 2.5)
 HEARD = np.array([3, 5, 9])[np.arange(len(T)) % 3]
 RANGE = "time_s,beacon,range_m,sigma_range_m"
@@ -173,3 +174,30 @@ def test_files_without_effect_are_noted(tmp_path: Path) -> None:
     )
     assert "sound-speed.csv is not used: nothing in this mission needs it" in report.notes
     assert any("beacons.csv" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("file", ["fixes", "ranges", "usbl"])
+def test_a_late_clock_is_a_variable(file: str, truth: Positioned, tmp_path: Path) -> None:
+    """Times that are late by 0.3 s, of which 0.2 s are known; the track turns little in the 0.1 s that are left."""
+    late = T + 0.3
+    angles = "range_m,bearing_rad,elevation_rad,sigma_range_m,sigma_bearing_rad,sigma_elevation_rad"
+    ship_at = np.array([[0.0, 0.1, 0.2, 90.0, -40.0, 1.0], [0.0, 0.1, 0.6, 180.0, -80.0, 1.0]])
+    frames = euler.to_se3(np.column_stack([np.interp(T, [0.0, 90.0], column) for column in ship_at.T]))
+    sigmas = np.tile([0.02, 0.001, 0.001], (len(T), 1))
+    files = {
+        "fixes": csv("time_s,x_m,y_m,sigma_x_m,sigma_y_m", late, truth.places(T)[:, :2], np.full((len(T), 2), 0.02)),
+        "ranges": csv(RANGE, late, HEARD, truth.ranges(T, HEARD), 0.1 * SIGMA),
+        "usbl": csv(f"time_s,{angles}", late, usbl(frames, truth.places(T)), sigmas),
+    }
+    more = {
+        "ranges": {"beacons": KNOWN},
+        "usbl": {"ship": csv(",".join(["time_s", *COLUMNS_SHIP]), [0.0, 90.0], ship_at)},
+    }
+    calibration = f"name,value,sigma\n{file}_clock_s,0.2,1.0\n"
+    anchor_files: dict[str, str] = {file: files[file], "calibration": calibration, **more.get(file, {})}
+    graph, start, report = nls.load(folder(tmp_path / "m", truth.files, **anchor_files))
+    shifted = [factor for factor in graph.factors if isinstance(factor, Shifted)]
+    assert len(shifted) == 1
+    assert report.place(graph.factors.index(shifted[0]), 0).endswith(f"{file}.csv:2")
+    values = graph.optimize(start).values
+    assert values[nls.Keys(f"{file}_clock_s", 0)] == pytest.approx(0.3, abs=0.01)
