@@ -43,9 +43,7 @@ def test_what_has_no_match_is_counted() -> None:
 
 def test_mistakes() -> None:
     X = np.zeros((3, 3))
-    with pytest.raises(
-        GraphError, match=r"none of 3 poses has a match: their times are 100 to 102 s, those of the tru"
-    ):
+    with pytest.raises(GraphError, match=r"none of 3 poses has a match. Their times are 100 to 102 s, those of the"):
         matched([100, 101, 102], X, [0, 1, 2], X)
     with pytest.raises(GraphError, match=r"times_truth\[2\], .*0.5.*, does not rise over .*1.0"):
         matched([0, 1, 2], X, [0, 1, 0.5], X)
