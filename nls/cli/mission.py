@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors import Position, RangeAzimuth
-from factors.keys import Keys, kinds
+from factors.keys import Kind, kinds
 from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
+from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+from nls.io.mission.results import undetermined
 
 if TYPE_CHECKING:
     from nls.covariance import Marginals
@@ -86,58 +87,37 @@ class Solved:
         return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
 
     @cached_property
-    def determined(self) -> tuple[FactorGraph, Marginals | None, Keys]:
-        """A graph that determines everything, its covariances at the optimum, and the landmarks it had to hold.
-
-        Notes say which these are, and where there are no covariances (None), why.
-        """
-        graph, free = self.graph, l[[]]
-        if not self.result.converged:
-            self.report.notes.append("the files have no sigmas: this is no optimum")
-            return graph, None, free
-        try:
-            return graph, self._marginals(graph), free
-        except UnderconstrainedError as error:
-            why = error
-        if self.contacts:
-            graph, free = held_free(graph, self.values)
-        try:
-            marginals = self._marginals(graph) if len(free) else None
-        except UnderconstrainedError as error:
-            marginals, why = None, error
-        if marginals is None:
-            self.report.notes.append(f"the files have no sigmas: {why}")
-            return self.graph, None, l[[]]
-        self.report.notes.append(
-            f"nothing measures the elevation of {some(list(free))}: no sigmas there, all others are given; a contact "
-            "from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
-        )
-        return graph, marginals, free
-
-    def _marginals(self, graph: FactorGraph) -> Marginals:
-        """Covariances of all variables; UnderconstrainedError where one has none."""
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
         from nls.covariance import Marginals
 
-        marginals = Marginals(graph, self.values, self.solver, self.gauge)
-        if marginals.underconstrained is not None:
-            raise marginals.underconstrained
+        if not self.result.converged:
+            self.report.notes.append("the files have no sigmas: this is no optimum")
+            return None
+        try:
+            marginals = Marginals(self.graph, self.values, self.solver, self.gauge)
+        except UnderconstrainedError as error:
+            self.report.notes.append(f"the files have no sigmas: {error}")
+            return None
+        seen_once = (
+            l[[]] if self.report.sonar is None or l.name not in self.values.stacks else undetermined(marginals, l)
+        )
+        if len(seen_once):
+            self.report.notes.append(
+                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
+                "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+            )
+        kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
+        if free := [key for kind in kinds_of for key in undetermined(marginals, kind)]:
+            cause = marginals.underconstrained
+            reason = "no measurement touches them" if cause is None else str(cause)
+            self.report.notes.append(f"no sigmas of {some(free)}, all others are given: {reason}")
         return marginals
-
-    @property
-    def marginals(self) -> Marginals | None:
-        """Covariances at the optimum; None where there are none."""
-        return self.determined[1]
-
-    @property
-    def free(self) -> Keys:
-        """Landmarks whose elevation nothing measures."""
-        return self.determined[2]
 
     @cached_property
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
-        graph, marginals, free = self.determined
-        return elevations(graph, self.values, marginals is not None, self.solver, self.gauge, free)
+        return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
         """What to write where: functions that take the name of the file, and the names."""

@@ -53,7 +53,7 @@ def _covariance(job: Job, path: str) -> None:
     from nls.io.covariance_csv import write_covariances
 
     if job.solved is not None and job.solved.marginals is not None:
-        write_covariances(path, job.solved.marginals, free=[job.solved.free])
+        write_covariances(path, job.solved.marginals)
     else:
         write_covariances(path, Marginals(job.graph, job.result.values, job.solver, job.options.gauge))
 
