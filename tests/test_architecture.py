@@ -40,9 +40,17 @@ ENGINE = (*FLOOR, "covariance")
 FACTORS_FOR_ENGINE = {"base", "check", "joined", "keys", "noise", "prior", "robust"}
 ALLOWED = {"models": set(), "factors": {"models"}, "nls": {"models", "factors"}, "sim": {"models", "factors", "nls"}}
 SHADOWS = ("factors/__init__.py", "nls.lazy")  # the upward import that refuses shadows; it imports nothing of ours
-ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}}
+ONLY_IN = {"sksparse": {"nls/linear/cholesky.py"}, "sparseqr": {"nls/linear/qr.py"}, "pyproj": {"nls/io/charts/crs.py"}}
 NO_NAMES = {"found", "said", "each", "told", "what", "seen"}  # a name is a noun of the thing or a verb of the act
-SLOW = {"matplotlib", "mpl_toolkits", "tqdm", "threadpoolctl", "sksparse", "sparseqr"}  # to import: only where used
+SLOW = {
+    "matplotlib",
+    "mpl_toolkits",
+    "tqdm",
+    "threadpoolctl",
+    "sksparse",
+    "sparseqr",
+    "pyproj",
+}  # to import: only where used
 SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotation2", "rotation3"}
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}
 

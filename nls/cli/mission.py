@@ -16,18 +16,22 @@ from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.results import undetermined
+from nls.io.mission.calibration import NAMES as CALIBRATIONS
+from nls.io.mission.results import Extra, undetermined
+from nls.metrics import cep, drms2
 
 if TYPE_CHECKING:
+    from models.algebra import Array
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.io.charts import Chart, Projection
     from nls.linear import LinearSolver
     from nls.optimizers import Result
     from nls.values import Values
 
 
 x, l = kinds("x", "l")
-FILES = ("trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png")
 
 
 def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:
@@ -53,6 +57,23 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("output folder", folder, "another folder than that of the mission")
 
 
+def refuse_crs(name: str | None, output: str | None, report: LoadReport) -> Projection | None:
+    """The projection of ``--crs``; None where there is none.
+
+    Raises
+    ------
+    OptionError
+        Where it would have no effect, and as for `nls.io.charts.projection`.
+    """
+    from nls.io.charts import projection
+
+    if name is None:
+        return None
+    if not isinstance(report, MissionReport) or not output:
+        raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
+    return projection(name, report.plane)
+
+
 class Solved:
     """A solved mission: everything that is said of it and written.
 
@@ -60,6 +81,7 @@ class Solved:
     ----------
     graph, dead, result, report : the mission, its dead reckoning, its solution, and what its folder holds.
     solver, gauge : for the covariances.
+    projection : of the coordinates of points and grid; east and north of the origin when omitted.
     """
 
     def __init__(
@@ -70,10 +92,11 @@ class Solved:
         report: MissionReport,
         solver: LinearSolver,
         gauge: str,
+        projection: Projection | None = None,
     ) -> None:
         self.graph, self.dead, self.result, self.report = graph, dead, result, report
         self.solver, self.gauge = solver, gauge
-        self.values = result.values
+        self.values, self.projection = result.values, projection
         self.contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
 
     @cached_property
@@ -121,13 +144,42 @@ class Solved:
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
         """What to write where: functions that take the name of the file, and the names."""
-        writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
-        has_elevations = self.contacts and self.report.sonar is not None
-        return [
-            (write, str(Path(folder, name)))
-            for write, name in zip(writers, FILES, strict=True)
-            if has_elevations or name.startswith("tra")
-        ]
+        stacks, plane = self.values.stacks, self.report.plane
+        if plane is None:
+            self.report.notes.append(
+                "no latitudes, no track.geojson and no track.kml: the mission has no origin.csv, a row lat_deg,lon_deg "
+                "that says where x = y = 0 is"
+            )
+        mapped = bool(self.contacts) and self.report.sonar is not None
+        files = {
+            "trajectory.tum": (self._tum, True),
+            "trajectory.csv": (self._trajectory, True),
+            "map.csv": (self._map, mapped),
+            "beacons.csv": (self._beacons, "b" in stacks),
+            "calibration.csv": (self._calibration, any(name in CALIBRATIONS for name in stacks)),
+            "track.geojson": (self._geojson, plane is not None),
+            "track.kml": (self._kml, plane is not None),
+            "map.ply": (self._ply, mapped or "b" in stacks),
+            "depth.asc": (self._grid, mapped),
+            "track.png": (self._track, True),
+            "landmarks.png": (self._landmarks, mapped),
+            "sonar.png": (self._sonar, mapped),
+        }
+        return [(write, str(Path(folder, name))) for name, (write, there) in files.items() if there]
+
+    @cached_property
+    def chart(self) -> Chart:
+        """Track and map with their covariances."""
+        from nls.io.charts import chart_of
+
+        elevations = self.elevations if self.contacts and self.report.sonar is not None else None
+        return chart_of(self.values, self.marginals, self.report, elevations)
+
+    def _extra(self, p: Array, times: Array | None = None) -> Extra:
+        """Times and coordinates on the Earth of positions (n, 3), as columns of the tables."""
+        from nls.io.charts import extra
+
+        return extra(p, self.report.plane, self.projection, times)
 
     def _tum(self, path: str) -> None:
         from nls.io.trajectory import write_tum
@@ -141,13 +193,53 @@ class Solved:
         from nls.io.files import write_bytes
         from nls.io.mission.results import trajectory_text
 
-        write_bytes(path, trajectory_text(self.values, self.marginals))
+        stack = self.values.stack("x")
+        extra = self._extra(np.asarray(stack.manifold.position(stack.X)), self.report.vertex_times.get("x"))
+        write_bytes(path, trajectory_text(self.values, self.marginals, extra))
 
     def _map(self, path: str) -> None:
         from nls.io.files import write_bytes
         from nls.io.mission.results import map_text
 
-        write_bytes(path, map_text(self.values, self.marginals, self.elevations))
+        extra = self._extra(self.values[l[self.elevations.landmarks]])
+        write_bytes(path, map_text(self.values, self.marginals, self.elevations, extra))
+
+    def _beacons(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import beacons_text
+
+        extra = self._extra(np.asarray(self.values.stack("b").X))
+        write_bytes(path, beacons_text(self.values, self.marginals, extra))
+
+    def _calibration(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import calibration_text
+
+        write_bytes(path, calibration_text(self.values, self.marginals))
+
+    def _geojson(self, path: str) -> None:
+        from nls.io.charts import geojson_text
+        from nls.io.files import write_bytes
+
+        write_bytes(path, geojson_text(self.chart))
+
+    def _kml(self, path: str) -> None:
+        from nls.io.charts import kml_text
+        from nls.io.files import write_bytes
+
+        write_bytes(path, kml_text(self.chart))
+
+    def _ply(self, path: str) -> None:
+        from nls.io.charts import points_text
+        from nls.io.files import write_bytes
+
+        write_bytes(path, points_text(self.chart, self.projection))
+
+    def _grid(self, path: str) -> None:
+        from nls.io.charts import depths_text
+        from nls.io.files import write_bytes
+
+        write_bytes(path, depths_text(self.chart, self.projection))
 
     def _track(self, path: str) -> None:
         from nls.plot.mission import track
@@ -194,6 +286,9 @@ class Solved:
                 "end_error_m": track.end,
                 "ate_rmse_m": track.ate.rmse,
                 "ate_alignment": track.ate.align,
+                "cep50_m": cep(track.ate.errors),
+                "cep95_m": cep(track.ate.errors, 0.95),
+                "drms2_m": drms2(track.ate.errors),
             }
         if self.contacts and "l" in self.report.truth.stacks:
             known = self.report.truth.stack("l").numbers

@@ -128,6 +128,12 @@ def parser() -> Parser:
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
     solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
+    solve.add_argument(
+        "--crs",
+        metavar="CRS",
+        help="of the points and the grid in the folder of a mission: local (default), utm, EPSG:n; others than local "
+        "need origin.csv and pyproj, and add columns to the tables",
+    )
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")

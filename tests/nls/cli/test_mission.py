@@ -20,7 +20,8 @@ from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.io.mission.mission_files import TINY, folder, raw
 
 x, l = nls.kinds("x", "l")
-FILES = ["trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png"]
+TABLES = ["trajectory.tum", "trajectory.csv", "map.csv", "map.ply", "depth.asc"]
+FILES = [*TABLES, "track.png", "landmarks.png", "sonar.png"]
 ONCE = TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n"
 LOST = {  # nothing measures the depth of x2
     "zpr": TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", ""),
@@ -53,6 +54,9 @@ def test_the_table_and_the_report(shell: Shell) -> None:
     assert solution["end_error_m"] == pytest.approx(end, rel=1e-6)
     assert solution["drift_percent"] == pytest.approx(100 * end / mission["distance_m"])
     assert solution["ate_alignment"] == "none"
+    level = np.hypot(*away[:, :2].T)
+    circles = [np.median(level), np.quantile(level, 0.95), 2 * np.sqrt((level**2).mean())]
+    assert [solution[name] for name in ("cep50_m", "cep95_m", "drms2_m")] == pytest.approx(circles, rel=1e-5)
     assert mission["landmark_rmse_m"] == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()), rel=1e-6)
     assert "elevation_sigma_deg" not in mission  # no covariances without files
     assert (mission["anchor"], mission["judge"]) == ("x0", "truth")
@@ -75,7 +79,7 @@ def test_the_files(shell: Shell) -> None:
     out, report = shell / "deep/out", json.loads((shell / "r.json").read_text())
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert report["written"] == [*(f"deep/out/{name}" for name in FILES), "r.json"]
-    assert all((out / name).read_bytes()[:4] == b"\x89PNG" for name in FILES[3:])
+    assert all((out / name).read_bytes()[:4] == b"\x89PNG" for name in FILES[5:])
     graph, values, _ = nls.load("m")
     values = graph.optimize(nls.initialize(graph, values)[0]).values
     marginals = nls.Marginals(graph, values)
@@ -83,7 +87,8 @@ def test_the_files(shell: Shell) -> None:
     times, poses = read_tum(out / "trajectory.tum")
     assert times.tolist() == [10.0, 10.5, 12.0, 12.25]
     assert SE3.local(poses, values[x]) == pytest.approx(np.zeros((4, 6)), abs=1e-9)
-    table = Table(out / "trajectory.csv", TRAJECTORY)
+    table = Table(out / "trajectory.csv", (*TRAJECTORY, "time_s"))
+    assert table.floats("time_s").T.tolist() == [times.tolist()]
     assert table.names[:7] == ["i", "roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m"]
     assert table.integers("i").tolist() == [0, 1, 2, 3]
     assert table.floats(*TRAJECTORY[1:7]) == pytest.approx(euler.from_se3(values[x]), abs=1e-9)
