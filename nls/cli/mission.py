@@ -1,9 +1,8 @@
-"""``nls solve DIR``: what the solution of a mission adds to the table, and the files it is written to."""
+"""``nls solve DIR``: the folder of its outputs, its solution, and what that adds to the table."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,16 +15,14 @@ from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
-from nls.io.mission.calibration import NAMES as CALIBRATIONS
-from nls.io.mission.results import Extra, undetermined
+from nls.io.mission.results import undetermined
 from nls.metrics import cep, drms2
 
 if TYPE_CHECKING:
-    from models.algebra import Array
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io import LoadReport
-    from nls.io.charts import Chart, Projection
+    from nls.io.charts import Projection
     from nls.linear import LinearSolver
     from nls.optimizers import Result
     from nls.values import Values
@@ -57,8 +54,8 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("output folder", folder, "another folder than that of the mission")
 
 
-def refuse_crs(name: str | None, output: str | None, report: LoadReport) -> Projection | None:
-    """The projection of ``--crs``; None where there is none.
+def chosen_projection(name: str, output: str | None, report: LoadReport) -> Projection:
+    """The projection of ``--crs``.
 
     Raises
     ------
@@ -67,8 +64,6 @@ def refuse_crs(name: str | None, output: str | None, report: LoadReport) -> Proj
     """
     from nls.io.charts import projection
 
-    if name is None:
-        return None
     if not isinstance(report, MissionReport) or not output:
         raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
     return projection(name, report.plane)
@@ -141,131 +136,6 @@ class Solved:
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
         return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
-
-    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
-        stacks, plane = self.values.stacks, self.report.plane
-        if plane is None:
-            self.report.notes.append(
-                "no latitudes, no track.geojson and no track.kml: the mission has no origin.csv, a row lat_deg,lon_deg "
-                "that says where x = y = 0 is"
-            )
-        mapped = bool(self.contacts) and self.report.sonar is not None
-        files = {
-            "trajectory.tum": (self._tum, True),
-            "trajectory.csv": (self._trajectory, True),
-            "map.csv": (self._map, mapped),
-            "beacons.csv": (self._beacons, "b" in stacks),
-            "calibration.csv": (self._calibration, any(name in CALIBRATIONS for name in stacks)),
-            "track.geojson": (self._geojson, plane is not None),
-            "track.kml": (self._kml, plane is not None),
-            "map.ply": (self._ply, mapped or "b" in stacks),
-            "depth.asc": (self._grid, mapped),
-            "track.png": (self._track, True),
-            "landmarks.png": (self._landmarks, mapped),
-            "sonar.png": (self._sonar, mapped),
-        }
-        return [(write, str(Path(folder, name))) for name, (write, there) in files.items() if there]
-
-    @cached_property
-    def chart(self) -> Chart:
-        """Track and map with their covariances."""
-        from nls.io.charts import chart_of
-
-        elevations = self.elevations if self.contacts and self.report.sonar is not None else None
-        return chart_of(self.values, self.marginals, self.report, elevations)
-
-    def _extra(self, p: Array, times: Array | None = None) -> Extra:
-        """Times and coordinates on the Earth of positions (n, 3), as columns of the tables."""
-        from nls.io.charts import extra
-
-        return extra(p, self.report.plane, self.projection, times)
-
-    def _tum(self, path: str) -> None:
-        from nls.io.trajectory import write_tum
-
-        stack = self.values.stack("x")
-        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
-        order = np.argsort(times, kind="stable")
-        write_tum(path, times[order], np.asarray(stack.X)[order])
-
-    def _trajectory(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import trajectory_text
-
-        stack = self.values.stack("x")
-        extra = self._extra(np.asarray(stack.manifold.position(stack.X)), self.report.vertex_times.get("x"))
-        write_bytes(path, trajectory_text(self.values, self.marginals, extra))
-
-    def _map(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import map_text
-
-        extra = self._extra(self.values[l[self.elevations.landmarks]])
-        write_bytes(path, map_text(self.values, self.marginals, self.elevations, extra))
-
-    def _beacons(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import beacons_text
-
-        extra = self._extra(np.asarray(self.values.stack("b").X))
-        write_bytes(path, beacons_text(self.values, self.marginals, extra))
-
-    def _calibration(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import calibration_text
-
-        write_bytes(path, calibration_text(self.values, self.marginals))
-
-    def _geojson(self, path: str) -> None:
-        from nls.io.charts import geojson_text
-        from nls.io.files import write_bytes
-
-        write_bytes(path, geojson_text(self.chart))
-
-    def _kml(self, path: str) -> None:
-        from nls.io.charts import kml_text
-        from nls.io.files import write_bytes
-
-        write_bytes(path, kml_text(self.chart))
-
-    def _ply(self, path: str) -> None:
-        from nls.io.charts import points_text
-        from nls.io.files import write_bytes
-
-        write_bytes(path, points_text(self.chart, self.projection))
-
-    def _grid(self, path: str) -> None:
-        from nls.io.charts import depths_text
-        from nls.io.files import write_bytes
-
-        write_bytes(path, depths_text(self.chart, self.projection))
-
-    def _track(self, path: str) -> None:
-        from nls.plot.mission import track
-        from nls.plot.picture import write_picture
-
-        write_picture(path, track(self.values, self.dead, self.report.truth, self.marginals, self.tracks))
-
-    def _landmarks(self, path: str) -> None:
-        from nls.plot.mission import landmark_map
-        from nls.plot.picture import write_picture
-
-        assert self.report.sonar is not None
-        figure = landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
-        write_picture(path, figure)
-
-    def _sonar(self, path: str) -> None:
-        """The fan of the pose with the most contacts."""
-        from nls.plot.picture import write_picture
-        from nls.plot.sonar import arcs
-
-        poses, count = np.unique(self.contacts[0].keys[0].numbers, return_counts=True)
-        pose = x[int(poses[np.argmax(count)])]
-        assert self.report.sonar is not None
-        figure = arcs(self.contacts[0], self.values, pose, self.report.sonar)
-        figure.axes[0].set_title(f"{self.report.sonar.name}: what it saw from {pose!r}", fontsize=9)
-        write_picture(path, figure)
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""

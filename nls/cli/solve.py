@@ -132,9 +132,11 @@ def _chi2_read(job: Job) -> float | None:
 def _check_graph(job: Job) -> None:
     """Refuse before the work what the output cannot hold, or the certificate is not for."""
     from nls.cli.formats import refuse_unwritable_graph
-    from nls.cli.mission import refuse_crs
 
-    job.projection = refuse_crs(job.options.crs, job.options.output, job.report)
+    if job.options.crs is not None:
+        from nls.cli.mission import chosen_projection
+
+        job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
     if job.form:
         refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
     if job.options.certify:

@@ -62,6 +62,7 @@ class Chart:
     track : its poses, in the order of time.
     times : (n,) of them, s; None where they have none.
     points : by kind.
+    bottom : (n, 3) points of the bottom below the vehicle, where it measured its height over it, m.
     plane : where its origin is on the Earth; None where no file says it.
     """
 
@@ -70,6 +71,7 @@ class Chart:
     times: Array | None
     points: tuple[Points, ...]
     plane: LocalPlane | None
+    bottom: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 
     @property
     def way(self) -> Array:
@@ -107,9 +109,19 @@ def chart_of(
     )
     Sigma = _covariances(values, marginals, "x", None)[order]
     track = Points("pose", stack.numbers[order], np.asarray(stack.manifold.position(stack.X))[order], Sigma)
-    return Chart(
-        Path(report.path).name or report.path, track, None if times is None else times[order], points, report.plane
-    )
+    times = None if times is None else times[order]
+    bottom = _bottom(track.p, times, report.soundings)
+    return Chart(Path(report.path).name or report.path, track, times, points, report.plane, bottom)
+
+
+def _bottom(p: Array, times: Array | None, soundings: Array | None) -> Array:
+    """Points (n, 3) at the depth of the vehicle plus its height over the bottom, at the times within the track."""
+    if times is None or soundings is None:
+        return np.zeros((0, 3))
+    t, height = soundings[(soundings[:, 0] >= times[0]) & (soundings[:, 0] <= times[-1])].T
+    below = np.column_stack([np.interp(t, times, axis) for axis in p.T])
+    below[:, 2] += height
+    return below
 
 
 def _covariances(values: Values, marginals: Marginals | None, kind: str, elevations: Elevations | None) -> Array:

@@ -21,16 +21,19 @@ __all__ = ["cloud_text", "ply_text", "points_text"]
 
 def points_text(chart: Chart, projection: Projection | None = None) -> bytes:
     """The points of a chart: north, east and down, or easting, northing and up in a projection of the Earth."""
-    p = np.concatenate([points.p for points in chart.points])
+    kinds_of = [(points.name, points.numbers, points.p) for points in chart.points]
+    if len(chart.bottom):
+        kinds_of.append(("bottom", np.arange(len(chart.bottom)), chart.bottom))
+    p = np.concatenate([place for _, _, place in kinds_of])
     axes = "x north, y east, z down, m"
     if projection is not None and projection.plane is not None:
         axes, p = (
             f"x easting, y northing of {projection.name}, z up, m",
             np.column_stack([projection.east_north(p), -p[:, 2]]),
         )
-    kinds = np.repeat(np.arange(len(chart.points)), [len(points.p) for points in chart.points])
-    names = ", ".join(f"{k} {points.name}" for k, points in enumerate(chart.points))
-    return ply_text(p, kinds, np.concatenate([points.numbers for points in chart.points]), [axes, f"kind: {names}"])
+    kinds = np.repeat(np.arange(len(kinds_of)), [len(place) for _, _, place in kinds_of])
+    names = ", ".join(f"{k} {name}" for k, (name, _, _) in enumerate(kinds_of))
+    return ply_text(p, kinds, np.concatenate([numbers for _, numbers, _ in kinds_of]), [axes, f"kind: {names}"])
 
 
 def cloud_text(path: str | Path, values: Values) -> tuple[bytes, list[str]]:

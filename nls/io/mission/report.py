@@ -25,10 +25,12 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
     truth: Values = field(default_factory=Values)
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
+    soundings: Array | None = field(default=None, compare=False)
     plane: LocalPlane | None = None
