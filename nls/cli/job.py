@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from nls.cli.timing import Clock
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.io.charts import Projection
     from nls.linear import LinearSolver
     from nls.optimizers import Result, Stop
     from nls.robust import Robustified
@@ -27,6 +28,7 @@ class Job:
     ----------
     options, clock, solver, stop : of the command.
     form : format of the output; empty where none is written, or a mission.
+    projection : of the coordinates in the files of a mission; None for local ones.
     as_read, values, report : of the file; without what was rejected.
     graph : under kernels, with kinds held.
     choice : of `nls.gnc`; None where it was not asked for.
@@ -42,6 +44,7 @@ class Job:
     solver: LinearSolver
     stop: Stop
     form: str = ""
+    projection: Projection | None = None
     as_read: FactorGraph = field(init=False)
     values: Values = field(init=False)
     report: LoadReport = field(init=False)

@@ -1,9 +1,8 @@
-"""``nls solve DIR``: what the solution of a mission adds to the table, and the files it is written to."""
+"""``nls solve DIR``: the folder of its outputs, its solution, and what that adds to the table."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,22 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors import Position, RangeAzimuth
-from factors.keys import Keys, kinds
+from factors.keys import Kind, kinds
 from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
+from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+from nls.io.mission.results import undetermined
+from nls.metrics import cep, drms2
 
 if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.io.charts import Projection
     from nls.linear import LinearSolver
     from nls.optimizers import Result
     from nls.values import Values
 
 
 x, l = kinds("x", "l")
-FILES = ("trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png")
 
 
 def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:
@@ -52,6 +54,21 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("output folder", folder, "another folder than that of the mission")
 
 
+def chosen_projection(name: str, output: str | None, report: LoadReport) -> Projection:
+    """The projection of ``--crs``.
+
+    Raises
+    ------
+    OptionError
+        Where it would have no effect, and as for `nls.io.charts.projection`.
+    """
+    from nls.io.charts import projection
+
+    if not isinstance(report, MissionReport) or not output:
+        raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
+    return projection(name, report.plane)
+
+
 class Solved:
     """A solved mission: everything that is said of it and written.
 
@@ -59,6 +76,7 @@ class Solved:
     ----------
     graph, dead, result, report : the mission, its dead reckoning, its solution, and what its folder holds.
     solver, gauge : for the covariances.
+    projection : of the coordinates of points and grid; east and north of the origin when omitted.
     """
 
     def __init__(
@@ -69,10 +87,11 @@ class Solved:
         report: MissionReport,
         solver: LinearSolver,
         gauge: str,
+        projection: Projection | None = None,
     ) -> None:
         self.graph, self.dead, self.result, self.report = graph, dead, result, report
         self.solver, self.gauge = solver, gauge
-        self.values = result.values
+        self.values, self.projection = result.values, projection
         self.contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
 
     @cached_property
@@ -86,131 +105,37 @@ class Solved:
         return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
 
     @cached_property
-    def determined(self) -> tuple[FactorGraph, Marginals | None, Keys]:
-        """A graph that determines everything, its covariances at the optimum, and the landmarks it had to hold.
-
-        Notes say which these are, and where there are no covariances (None), why.
-        """
-        graph, free = self.graph, l[[]]
-        if not self.result.converged:
-            self.report.notes.append("the files have no sigmas: this is no optimum")
-            return graph, None, free
-        try:
-            return graph, self._marginals(graph), free
-        except UnderconstrainedError as error:
-            why = error
-        if self.contacts:
-            graph, free = held_free(graph, self.values)
-        try:
-            marginals = self._marginals(graph) if len(free) else None
-        except UnderconstrainedError as error:
-            marginals, why = None, error
-        if marginals is None:
-            self.report.notes.append(f"the files have no sigmas: {why}")
-            return self.graph, None, l[[]]
-        self.report.notes.append(
-            f"nothing measures the elevation of {some(list(free))}: no sigmas there, all others are given; a contact "
-            "from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
-        )
-        return graph, marginals, free
-
-    def _marginals(self, graph: FactorGraph) -> Marginals:
-        """Covariances of all variables; UnderconstrainedError where one has none."""
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
         from nls.covariance import Marginals
 
-        marginals = Marginals(graph, self.values, self.solver, self.gauge)
-        if marginals.underconstrained is not None:
-            raise marginals.underconstrained
+        if not self.result.converged:
+            self.report.notes.append("the files have no sigmas: this is no optimum")
+            return None
+        try:
+            marginals = Marginals(self.graph, self.values, self.solver, self.gauge)
+        except UnderconstrainedError as error:
+            self.report.notes.append(f"the files have no sigmas: {error}")
+            return None
+        seen_once = (
+            l[[]] if self.report.sonar is None or l.name not in self.values.stacks else undetermined(marginals, l)
+        )
+        if len(seen_once):
+            self.report.notes.append(
+                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
+                "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+            )
+        kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
+        if free := [key for kind in kinds_of for key in undetermined(marginals, kind)]:
+            cause = marginals.underconstrained
+            reason = "no measurement touches them" if cause is None else str(cause)
+            self.report.notes.append(f"no sigmas of {some(free)}, all others are given: {reason}")
         return marginals
-
-    @property
-    def marginals(self) -> Marginals | None:
-        """Covariances at the optimum; None where there are none."""
-        return self.determined[1]
-
-    @property
-    def free(self) -> Keys:
-        """Landmarks whose elevation nothing measures."""
-        return self.determined[2]
 
     @cached_property
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
-        graph, marginals, free = self.determined
-        return elevations(graph, self.values, marginals is not None, self.solver, self.gauge, free)
-
-    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
-        writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
-        has_elevations = self.contacts and self.report.sonar is not None
-        named = [
-            (write, name)
-            for write, name in zip(writers, FILES, strict=True)
-            if has_elevations or name.startswith("tra")
-        ]
-        if "b" in self.values.stacks:
-            named.append((self._beacons, "beacons.csv"))
-        if "calibration.csv" in self.report.tags:
-            named.append((self._calibration, "calibration.csv"))
-        return [(write, str(Path(folder, name))) for write, name in named]
-
-    def _tum(self, path: str) -> None:
-        from nls.io.trajectory import write_tum
-
-        stack = self.values.stack("x")
-        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
-        order = np.argsort(times, kind="stable")
-        write_tum(path, times[order], np.asarray(stack.X)[order])
-
-    def _trajectory(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import trajectory_text
-
-        write_bytes(path, trajectory_text(self.values, self.marginals))
-
-    def _map(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import map_text
-
-        write_bytes(path, map_text(self.values, self.marginals, self.elevations))
-
-    def _beacons(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import beacons_text
-
-        write_bytes(path, beacons_text(self.values, self.marginals))
-
-    def _calibration(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import calibration_text
-
-        write_bytes(path, calibration_text(self.values, self.marginals))
-
-    def _track(self, path: str) -> None:
-        from nls.plot.mission import track
-        from nls.plot.picture import write_picture
-
-        write_picture(path, track(self.values, self.dead, self.report.truth, self.marginals, self.tracks))
-
-    def _landmarks(self, path: str) -> None:
-        from nls.plot.mission import landmark_map
-        from nls.plot.picture import write_picture
-
-        assert self.report.sonar is not None
-        figure = landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
-        write_picture(path, figure)
-
-    def _sonar(self, path: str) -> None:
-        """The fan of the pose with the most contacts."""
-        from nls.plot.picture import write_picture
-        from nls.plot.sonar import arcs
-
-        poses, count = np.unique(self.contacts[0].keys[0].numbers, return_counts=True)
-        pose = x[int(poses[np.argmax(count)])]
-        assert self.report.sonar is not None
-        figure = arcs(self.contacts[0], self.values, pose, self.report.sonar)
-        figure.axes[0].set_title(f"{self.report.sonar.name}: what it saw from {pose!r}", fontsize=9)
-        write_picture(path, figure)
+        return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
@@ -231,6 +156,9 @@ class Solved:
                 "end_error_m": track.end,
                 "ate_rmse_m": track.ate.rmse,
                 "ate_alignment": track.ate.align,
+                "cep50_m": cep(track.ate.errors),
+                "cep95_m": cep(track.ate.errors, 0.95),
+                "drms2_m": drms2(track.ate.errors),
             }
         if self.contacts and "l" in self.report.truth.stacks:
             known = self.report.truth.stack("l").numbers

@@ -11,6 +11,7 @@ from models.options import did_you_mean
 
 __all__ = ["parser"]
 
+ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")  # see nls.metrics; its import is not for start-up
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 FILE = "graph file, folder of a mission or of a graph.npz or graph.g2o, or '-': standard input; files may be gzipped"
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
@@ -32,6 +33,8 @@ EXAMPLES = """examples:
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
+  nls evaluate solved/trajectory.csv dive/truth.csv    how far a trajectory is from the true one
+  nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
@@ -106,13 +109,16 @@ def parser() -> Parser:
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(name: str, summary: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    def command(
+        name: str, summary: str, run: Callable[[argparse.Namespace], int], graph: bool = True
+    ) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=run)
-        _input(added)
+        if graph:
+            _input(added)
         return added
 
     solve = command("solve", "find the optimum", _solve)
@@ -122,6 +128,12 @@ def parser() -> Parser:
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
     solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
+    solve.add_argument(
+        "--crs",
+        metavar="CRS",
+        help="of the points and the grid in the folder of a mission: local (default), utm, EPSG:n; others than local "
+        "need origin.csv and pyproj, and add columns to the tables",
+    )
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
@@ -181,6 +193,27 @@ def parser() -> Parser:
         metavar="STATE",
         help="go on from this file if it is there; written every 100 steps (a pickle: load none but your own)",
     )
+
+    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, graph=False)
+    evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument(
+        "--align",
+        default="none",
+        choices=ALIGNMENTS,
+        help="move the estimate onto the truth before (default: none); similarity scales it, too",
+    )
+    evaluate.add_argument(
+        "--distances", default="10,50,100", metavar="M,M,...", help="of the relative errors, m (default: 10,50,100)"
+    )
+    evaluate.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="S",
+        help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
+    )
+    _json(evaluate)
+    evaluate.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
     plot = command("plot", "draw the graph as it was read", _plot)
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
@@ -246,6 +279,12 @@ def _stream(options: argparse.Namespace) -> int:
     from nls.cli.stream import stream
 
     return stream(options)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from nls.cli.evaluate import evaluate
+
+    return evaluate(options)
 
 
 def _plot(options: argparse.Namespace) -> int:

@@ -133,6 +133,10 @@ def _check_graph(job: Job) -> None:
     """Refuse before the work what the output cannot hold, or the certificate is not for."""
     from nls.cli.formats import refuse_unwritable_graph
 
+    if job.options.crs is not None:
+        from nls.cli.mission import chosen_projection
+
+        job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
     if job.form:
         refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
     if job.options.certify:
@@ -176,7 +180,8 @@ def _write(job: Job) -> None:
     if isinstance(job.report, MissionReport):
         from nls.cli.mission import Solved
 
-        job.solved = Solved(job.graph, job.values, job.result, job.report, job.solver, job.options.gauge)
+        solver, gauge = job.solver, job.options.gauge
+        job.solved = Solved(job.graph, job.values, job.result, job.report, solver, gauge, job.projection)
     write_outputs(job)
     job.clock.lap("write")
 

@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 NATIVE = ("npz", "json")
-POSES_ONLY = (*TRAJECTORIES, "csv")  # estimates without measurements, which are written alone
+POSES_ONLY = (*TRAJECTORIES, "csv", "ply")  # estimates without measurements, which are written alone
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal", *NATIVE)
 OBJECT = re.compile(rb"\s*\{")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -303,6 +303,11 @@ def rendered(
         from nls.io.table import values_table
 
         return values_table(values, report), notes + measurements_left_out("csv", graph)
+    if dialect == "ply":
+        from nls.io.charts.ply import cloud_text
+
+        data, more = cloud_text(path, values)
+        return data, notes + more + measurements_left_out("ply", graph)
     if dialect in NATIVE:
         from nls.io.native.native import native_bytes
 

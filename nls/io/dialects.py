@@ -80,7 +80,9 @@ ISAM_COVARIANCE = Format(
     apart=True,
 )
 FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
-SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", "npz", "json", "tum", "kitti", "csv")}
+SUFFIXES = {
+    f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", "npz", "json", "tum", "kitti", "csv", "ply")
+}
 READINGS = {  # dialects by tag
     tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.ignored_tags}
     for known in FORMATS.values()

@@ -2,7 +2,7 @@
 
 from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
-from nls.io.mission.solution import Elevations, Track, elevations, held_free, track_of
+from nls.io.mission.solution import Elevations, Track, elevations, track_of
 from nls.io.mission.write import write_mission
 
 __all__ = [
@@ -10,7 +10,6 @@ __all__ = [
     "MissionReport",
     "Track",
     "elevations",
-    "held_free",
     "read_mission",
     "track_of",
     "write_mission",

@@ -28,6 +28,7 @@ class MissionReport(LoadReport):
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
     elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
     world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
+    soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
@@ -36,6 +37,7 @@ class MissionReport(LoadReport):
     offset: Array | None = field(default=None, compare=False)
     elsewhere: Table | None = field(default=None, compare=False, repr=False)
     world: list[str] = field(default_factory=list)
+    soundings: Array | None = field(default=None, compare=False)
     plane: LocalPlane | None = None
 
     @property
