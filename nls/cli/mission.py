@@ -236,9 +236,9 @@ class Solved:
             "checks": self.checks,
         }
         if not self.checks:
-            sigma = self.end_sigma
-            out["end_sigma_m"] = sigma
-            out["end_sigma_percent"] = None if sigma is None or not distance > 0 else 100 * sigma / distance
+            end = self.end_sigma
+            out["end_sigma_m"] = end
+            out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
         for name, track in self.tracks.items():
             out[name.replace(" ", "_")] = {
                 "drift_percent": 100 * track.drift,

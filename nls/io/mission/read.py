@@ -12,7 +12,7 @@ from factors.keys import Keys, Kind, kinds
 from factors.sonar import first_contacts, refuse_search
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
-from models.errors import OptionError
+from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
@@ -59,12 +59,11 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
     tables, report = read_tables(folder)
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
+    _doubt(tables, report)
     if "odometry" in tables:
         numbers, factors = _track(tables, report)
     else:
-        from nls.io.mission.log import integrated
-
-        numbers, factors = integrated(tables, report)
+        numbers, factors = _log(tables, report)
     report.truth = _truth(tables, numbers, report)
     graph = FactorGraph(factors)
     anchors, first = _anchor(tables, numbers, graph, report)
@@ -76,6 +75,31 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
         graph.add(prior)
     with stage("read start"):
         return graph, _start(graph, numbers, points, first, calibrations), report
+
+
+def _doubt(tables: dict[str, Table], report: MissionReport) -> None:
+    """Warn of what is implausible in the tables."""
+    from nls.io.mission.plausible import implausible
+    from nls.io.mission.plausible.words import sentence
+
+    report.findings = implausible(tables, report.plane)
+    for finding in report.findings:
+        report.warn(sentence(finding))
+
+
+def _log(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
+    from nls.io.mission.log import integrated
+    from nls.io.mission.plausible.words import sentence
+
+    try:
+        return integrated(tables, report)
+    except GraphFileError as error:
+        if not report.findings:
+            raise
+        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
+        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:

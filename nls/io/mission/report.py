@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
+from nls.io.mission.plausible.findings import Implausible
 from nls.io.report import LoadReport
 from nls.values import Values
 
@@ -25,6 +26,7 @@ class MissionReport(LoadReport):
     truth : the true poses ``x`` and landmarks ``l``, those of the files; no stacks where there is no truth.
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
+    findings : what is implausible in the tables, each also a warning.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
@@ -32,3 +34,4 @@ class MissionReport(LoadReport):
     sonar: ImagingSonar | None = None
     offset: Array | None = field(default=None, compare=False)
     plane: LocalPlane | None = None
+    findings: list[Implausible] = field(default_factory=list)
