@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nls.cli.progress import Progress
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
     from nls.values import Values
 
 __all__ = ["explain"]
@@ -36,6 +37,7 @@ def explain(options: argparse.Namespace) -> int:
         explanation, how = _explained(graph, start, progress)
         if report.has_lines:
             explanation = explanation.placed(report.place)
+        explanation = _with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
@@ -45,6 +47,17 @@ def explain(options: argparse.Namespace) -> int:
             if note not in report.warnings:
                 print(f"note        {note}")
     return 0
+
+
+def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
+    """With what is implausible in the tables of a mission, first."""
+    from nls.explanation.findings import Finding, FindingKind
+    from nls.io.mission import MissionReport
+
+    if not isinstance(report, MissionReport):
+        return explanation
+    findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in report.findings]
+    return replace(explanation, findings=(*findings, *explanation.findings))
 
 
 def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[Explanation, str]:

@@ -15,6 +15,7 @@ from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+from nls.io.mission.redundancy import position_checks, sigma_at_the_end
 from nls.io.mission.results import undetermined
 from nls.metrics import cep, drms2
 
@@ -96,13 +97,35 @@ class Solved:
 
     @cached_property
     def tracks(self) -> dict[str, Track]:
-        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none."""
+        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none.
+
+        None where there is no truth and nothing checks dead reckoning: the solution is dead reckoning then.
+        """
         if "x" in self.report.truth.stacks:
             estimates, judge = {"dead reckoning": self.dead, "solution": self.values}, "truth"
-        else:
+        elif self.checks:
             estimates, judge = {"dead reckoning": self.dead}, "solution"
+        else:
+            return {}
         against = self.report.truth if judge == "truth" else self.values
         return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
+
+    @cached_property
+    def checks(self) -> int:
+        """Measured numbers that check the position of dead reckoning."""
+        return position_checks(self.graph, self.values, self.result.dof)
+
+    @cached_property
+    def end_sigma(self) -> float | None:
+        """Standard deviation of the last position, m; None where it has none."""
+        from nls.covariance import Marginals
+
+        if not self.result.converged:
+            return None
+        try:
+            return sigma_at_the_end(Marginals(self.graph, self.values, self.solver, self.gauge), self.report)
+        except UnderconstrainedError:
+            return None
 
     @cached_property
     def marginals(self) -> Marginals | None:
@@ -139,7 +162,10 @@ class Solved:
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
-        first = next(iter(self.tracks.values()))
+        first = next(iter(self.tracks.values()), None)
+        distance = (
+            track_of(self.values, self.values, self.report, "solution").distance if first is None else first.distance
+        )
         anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
             "poses": len(self.values.stack("x")),
@@ -147,9 +173,14 @@ class Solved:
             "contacts": sum(map(len, self.contacts)),
             "sonar": None if self.report.sonar is None else self.report.sonar.name,
             "anchor": ", ".join(self.report.world or anchors),
-            "judge": first.against,
-            "distance_m": first.distance,
+            "judge": None if first is None else first.against,
+            "distance_m": distance,
+            "checks": self.checks,
         }
+        if not self.checks:
+            end = self.end_sigma
+            out["end_sigma_m"] = end
+            out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
         for name, track in self.tracks.items():
             out[name.replace(" ", "_")] = {
                 "drift_percent": 100 * track.drift,
@@ -174,18 +205,14 @@ class Solved:
 
 def lines(mission: dict[str, Any]) -> list[str]:
     """The lines of the table that say what a mission's solution is worth."""
-    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
-    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
-    drift = ", ".join(
-        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
-    )
-    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
     out = [
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
         f"{mission['contacts']} contacts" + (f" of a {mission['sonar']}" if mission["sonar"] else ""),
-        f"drift       {drift} of the distance at the end, against {judge}",
-        f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})",
     ]
+    if not mission["checks"]:
+        out += _unchecked(mission)
+    if mission["judge"] is not None:
+        out += _drift(mission)
     if mission.get("landmark_rmse_m") is not None:
         out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
     if "elevation_sigma_deg" in mission:
@@ -200,6 +227,32 @@ def lines(mission: dict[str, Any]) -> list[str]:
 def _held(anchor: str) -> str:
     """What holds the track in the world: poses, or files."""
     return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
+
+
+def _unchecked(mission: dict[str, Any]) -> list[str]:
+    """Lines of a mission whose dead reckoning nothing checks."""
+    known = mission["end_sigma_m"] is not None
+    sigma = f"{_short(mission['end_sigma_m'])} m" if known else "not known"
+    if mission["end_sigma_percent"] is not None:
+        sigma += f" ({_percent(mission['end_sigma_percent'])} of the distance)"
+    return [
+        "unchecked   nothing checks dead reckoning: no fix, range, closure or contact; the solution is dead reckoning",
+        f"end         1 sigma of the position at the end: {sigma}, by the stated noise alone",
+    ]
+
+
+def _drift(mission: dict[str, Any]) -> list[str]:
+    """Lines of the errors against the truth, or of dead reckoning against the solution."""
+    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
+    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
+    drift = ", ".join(
+        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
+    )
+    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
+    return [
+        f"drift       {drift} of the distance at the end, against {judge}",
+        f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})",
+    ]
 
 
 def _percent(number: float) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
+    from nls.io import LoadReport
     from nls.optimizers import Iteration, Result
 
 __all__ = ["table"]
@@ -54,10 +55,27 @@ def record_of(job: Job) -> dict[str, Any]:
         "underconstrained": list(result.underconstrained),
         "written": options.phase.written,
         "unwritten": [error.message for error in job.failed],
+        **_findings(report),
         "notes": report.notes + parts + doubts(result, options, options.phase.written),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
+
+
+def _findings(report: LoadReport) -> dict[str, Any]:
+    """What is implausible in the tables of a mission."""
+    from nls.io.mission import MissionReport
+    from nls.io.mission.plausible.words import record
+
+    if not isinstance(report, MissionReport):
+        return {}
+    return {"findings": [record(finding) for finding in report.findings]}
+
+
+def _doubt(report: dict[str, Any]) -> str:
+    """What the line of the result adds where tables are implausible."""
+    checks = list(dict.fromkeys(f"{finding['check']} ({finding['file']})" for finding in report.get("findings", ())))
+    return f"; but implausible: {', '.join(checks)}, see the warnings" if checks else ""
 
 
 def _record(iteration: Iteration) -> dict[str, Any]:
@@ -101,7 +119,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         f"convention {report['convention']}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
-        f"result      {report['reason']}",
+        f"result      {report['reason']}{_doubt(report)}",
         *(f"method      {remark}" for remark in result.remarks),
         *findings,
     ]

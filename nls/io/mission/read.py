@@ -6,29 +6,27 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import XYH, ZPR, Diagonal, Elevation, Heading, Position, sonar_factors
+from factors import XYH, ZPR, Diagonal, Heading, Position
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
-from factors.sonar import first_contacts, refuse_search
 from models import SE3, Manifold, R, euler
 from models.algebra import Array, Numbers
 from models.errors import OptionError
 from models.geodesy import LocalPlane
-from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.clocks import shift_clocks
-from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
+from nls.io.mission.columns import ANGLES, LEVEL, PLACE, suffixed
+from nls.io.mission.contacts import add_contacts, compare_landmarks
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
 from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Timeline, Times, measured_times
-from nls.io.mission.tracks import reckoned, walking
+from nls.io.mission.timeline import Timeline, measured_times
+from nls.io.mission.tracks import track
 from nls.io.report import Source
-from nls.sparse.components import connected
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
 from nls.values import Values
@@ -36,7 +34,6 @@ from nls.values import Values
 __all__ = ["read_mission"]
 
 ANCHORED = (1e-3, 1e-3, 1e-4)  # sigmas, m m rad, of an anchor nobody gave: below what any vehicle knows of itself
-SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
 
 
@@ -68,9 +65,10 @@ def read_mission(
     tables, report = read_tables(folder)
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
+    _doubt(tables, report)
     times = measured_times(tables, calibrations)
     report.elsewhere = tables.get("dive_closures")
-    numbers, factors = _track(tables, times, report)
+    numbers, factors = track(tables, times, report)
     report.truth = _truth(tables, numbers, report)
     graph = FactorGraph(factors)
     open_ended = not {"odometry", "poses"} & tables.keys()
@@ -85,14 +83,24 @@ def read_mission(
     anchors, first = _anchor(tables, numbers, graph, report, anchored)
     for factor in anchors:
         graph.add(factor)
-    points = _contacts(tables, numbers, graph, report, elevation)
-    _compare(report, points)
+    points = add_contacts(tables, numbers, graph, report, elevation)
+    compare_landmarks(report, points)
     with stage("read start"):
         start = _start(graph, numbers, points, first, calibrations, acoustics)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
     return graph, start, report
+
+
+def _doubt(tables: dict[str, Table], report: MissionReport) -> None:
+    """Warn of what is implausible in the tables."""
+    from nls.io.mission.plausible import implausible
+    from nls.io.mission.plausible.words import sentence
+
+    report.findings = implausible(tables, report.plane)
+    for finding in report.findings:
+        report.warn(sentence(finding))
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:
@@ -143,60 +151,6 @@ def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
 
 
-def _track(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising, and the factors between and at them, from the files that say them."""
-    if "odometry" in tables:
-        return _odometry(tables, report)
-    if "path" in tables:
-        return reckoned(tables, times, report)
-    if "motion" in tables:
-        return walking(tables, times, report)
-    from nls.io.mission.log import integrated
-
-    return integrated(tables, report, times)
-
-
-def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
-    odometry, zpr = tables["odometry"], tables["zpr"]
-    i, j = odometry.integers("i"), odometry.integers("j")
-    if (same := i == j).any():
-        k = int(np.argmax(same))
-        raise odometry.at(k, f"the step joins pose {i[k]} to itself")
-    numbers = np.unique(np.concatenate([i, j]))
-    pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
-    if len(pieces) > 1:
-        report.warn(
-            f"odometry.csv leaves the track in {len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}: "
-            "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
-        )
-    again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
-    if again:
-        report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")
-    tilted = zpr.unique("i", "pose")
-    zpr.known("i", numbers, "odometry.csv has no such pose")
-    if len(bare := np.setdiff1d(numbers, tilted)):
-        report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
-    if "poses" in tables:
-        report.vertex_times["x"] = _times(tables["poses"], numbers)
-    report.sources += [odometry.source(), zpr.source()]
-    return numbers, [
-        XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
-        ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
-    ]
-
-
-def _times(poses: Table, numbers: Numbers) -> Array:
-    """Times (n,) of the poses, s, in the order of their numbers."""
-    ids, t = poses.unique("i", "pose"), poses.rising("time_s")
-    poses.known("i", numbers, "nothing measures this pose; leave it out")
-    if len(missing := np.setdiff1d(numbers, ids)):
-        raise poses.at(
-            len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
-        )
-    return t[np.argsort(ids)]
-
-
 def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
     """True poses and landmarks, where there are files of them."""
     true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
@@ -212,28 +166,6 @@ def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) ->
     if (table := tables.get("landmarks")) is not None:
         true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
     return Values(true)
-
-
-def _compare(report: MissionReport, points: Numbers) -> None:
-    """Say which landmarks cannot be judged by landmarks.csv, and which of its rows judge none."""
-    if "l" not in report.truth.stacks:
-        return
-    known = report.truth.stack("l").numbers
-    missing, more = len(np.setdiff1d(points, known)), len(np.setdiff1d(known, points))
-    if not len(points):
-        report.notes.append("landmarks.csv is not used: there is no contacts.csv")
-    elif missing == len(points):
-        report.notes.append(
-            f"landmarks.csv is not used: none of its landmarks, {known[0]} the first, is in contacts.csv, where "
-            f"{points[0]} is; their errors are not known"
-        )
-    else:
-        if missing:
-            report.notes.append(
-                f"landmarks.csv has no row for {missing} of {len(points)} landmarks: errors are of the others"
-            )
-        if more:
-            report.notes.append(f"landmarks.csv has {more} landmarks nothing measures: not used")
 
 
 def _anchor(
@@ -277,51 +209,3 @@ def _held(poses: Keys, z: Array, sigmas: Array) -> list[Factor]:
         Position(poses, z[:, :2], Diagonal(sigmas[:, :2]), components=("x", "y")),
         Heading(poses, z[:, 2:], Diagonal(sigmas[:, 2:])),
     ]
-
-
-def _contacts(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, elevation: str
-) -> Numbers:
-    """Add what the sonar saw to the graph; returns the numbers of the landmarks, rising."""
-    if (table := tables.get("sonar")) is not None:
-        report.sonar, report.offset = _sonar(table)
-    if (table := tables.get("contacts")) is None:
-        return np.zeros(0, dtype=np.int64)
-    assert report.sonar is not None
-    refuse_search(elevation)
-    i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
-    k = table.integers("landmark")
-    table.positive("range_m")
-    z = table.measured(*CONTACT)
-    r, azimuth = z.T
-    if (behind := ~(np.abs(azimuth) <= np.pi)).any():
-        row = int(np.argmax(behind))
-        raise table.at(row, f"azimuth_rad is {float(azimuth[row])!r}; expected radians, -pi to pi")
-    near, far = report.sonar.window
-    sigmas = table.positive(*suffixed(CONTACT))
-    slack_r, slack_azimuth = SLACK * sigmas.T
-    outside = (np.abs(azimuth) > report.sonar.fan / 2 + slack_azimuth) | (r < near - slack_r) | (r > far + slack_r)
-    if count := int(outside.sum()):
-        contact = f"the first of {count} contacts" if count > 1 else "a contact"
-        report.notes.append(
-            f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
-            "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
-        )
-    for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
-        graph.add(factor)
-        ids = first_contacts(x[i], l[k]) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
-        report.sources.append(table.source(ids))
-    return np.unique(k)
-
-
-def _sonar(table: Table) -> tuple[ImagingSonar, Array]:
-    """The sonar of the one row of sonar.csv, and its mounting (7,)."""
-    if len(table) > 1:
-        raise table.at(1, "a second sonar; a mission has one")
-    fan, aperture, near, far = table.floats("fan_rad", "aperture_rad", "range_min_m", "range_max_m")[0].tolist()
-    beams, bins = int(table.integers("beams")[0]), int(table.integers("bins")[0])
-    try:
-        sonar = ImagingSonar(table.text_of("name")[0], beams, bins, fan, aperture, (near, far))
-    except OptionError as error:
-        raise table.at(0, str(error)) from error
-    return sonar, euler.to_se3(table.measured(*ANGLES, *PLACE)[0])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from models.algebra import Array
 from models.geodesy import LocalPlane
+from nls.io.mission.plausible.findings import Implausible
 from nls.io.report import LoadReport
 from nls.values import Values
 
@@ -29,6 +30,7 @@ class MissionReport(LoadReport):
     elsewhere : dive_closures.csv, whose rows need the poses of other dives; None without it.
     world : the files that say where in the world the track is, instead of an anchor; empty where there is an anchor.
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
+    findings : what is implausible in the tables, each also a warning.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
     """
 
@@ -39,6 +41,7 @@ class MissionReport(LoadReport):
     world: list[str] = field(default_factory=list)
     soundings: Array | None = field(default=None, compare=False)
     plane: LocalPlane | None = None
+    findings: list[Implausible] = field(default_factory=list)
 
     @property
     def anchored(self) -> bool:

@@ -22,19 +22,99 @@ from factors.base import Factor
 from factors.keys import kinds
 from models import SE3, euler
 from models.algebra import Array, Numbers
+from models.errors import GraphFileError
 from models.sensors import levelled
 from nls.io.mission.columns import ANGLES, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Times, united
+from nls.sparse.components import connected
 
-__all__ = ["reckoned", "walking"]
+__all__ = ["track"]
 
 LEVEL_SIGMA = 1e-3  # m and rad, of a depth and a tilt that the file takes to be 0
 (x,) = kinds("x")
 
 
-def reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+def track(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising, and the factors between and at them, from the files that say them.
+
+    Parameters
+    ----------
+    tables : of the folder.
+    times : of its rows, see `nls.io.mission.timeline`.
+    report : gets notes, the lines of the factors, and the times of the poses.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    if "odometry" in tables:
+        return _odometry(tables, report)
+    if "path" in tables:
+        return _reckoned(tables, times, report)
+    if "motion" in tables:
+        return _walking(tables, times, report)
+    return _log(tables, times, report)
+
+
+def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
+    odometry, zpr = tables["odometry"], tables["zpr"]
+    i, j = odometry.integers("i"), odometry.integers("j")
+    if (same := i == j).any():
+        k = int(np.argmax(same))
+        raise odometry.at(k, f"the step joins pose {i[k]} to itself")
+    numbers = np.unique(np.concatenate([i, j]))
+    pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
+    if len(pieces) > 1:
+        report.warn(
+            f"odometry.csv leaves the track in {len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}: "
+            "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
+        )
+    again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
+    if again:
+        report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")
+    tilted = zpr.unique("i", "pose")
+    zpr.known("i", numbers, "odometry.csv has no such pose")
+    if len(bare := np.setdiff1d(numbers, tilted)):
+        report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
+    if "poses" in tables:
+        report.vertex_times["x"] = _times(tables["poses"], numbers)
+    report.sources += [odometry.source(), zpr.source()]
+    return numbers, [
+        XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
+        ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
+    ]
+
+
+def _times(poses: Table, numbers: Numbers) -> Array:
+    """Times (n,) of the poses, s, in the order of their numbers."""
+    ids, t = poses.unique("i", "pose"), poses.rising("time_s")
+    poses.known("i", numbers, "nothing measures this pose; leave it out")
+    if len(missing := np.setdiff1d(numbers, ids)):
+        raise poses.at(
+            len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
+        )
+    return t[np.argsort(ids)]
+
+
+def _log(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
+    from nls.io.mission.log import integrated
+    from nls.io.mission.plausible.words import sentence
+
+    try:
+        return integrated(tables, report, times)
+    except GraphFileError as error:
+        if not report.findings:
+            raise
+        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
+        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
+
+
+def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
     """Numbers of the poses, at the times of path.csv and of other files, and `XYH` and `ZPR` between and at them.
 
     Between two rows the path is straight, and the variance of its step grows evenly.
@@ -77,7 +157,7 @@ def _column(path: Table, name: str, absent: float) -> Array:
     return np.unwrap(column) if name in ANGLES else column
 
 
-def walking(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+def _walking(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
     """Numbers of the poses at the times of other files, rising, and the random walk between them.
 
     Raises

@@ -73,6 +73,41 @@ def test_without_truth_dead_reckoning_is_judged_by_the_solution(shell: Shell) ->
     assert 0 < mission["dead_reckoning"]["ate_rmse_m"] < 0.1
 
 
+@pytest.mark.parametrize("lost", [(0.0, 0.0), (5.0, 8.0)])
+def test_where_nothing_checks_dead_reckoning_it_has_a_sigma_and_no_drift(
+    shell: Shell, lost: tuple[float, float]
+) -> None:
+    """A hole in the attitude leaves a degree of freedom, of the yaw: it does not check the position."""
+    files = raw(lost)
+    if lost[1]:
+        rows_kept = [
+            row for row in files["ahrs"].splitlines() if not row[:1].isdigit() or not 8 < float(row.split(",")[0]) < 12
+        ]
+        files["ahrs"] = "\n".join(rows_kept)
+    folder(shell / "m", files)
+    out = shell("solve m --json r.json")
+    report = json.loads((shell / "r.json").read_text())
+    mission = report["mission"]
+    assert (report["dof"] > 0) == (lost[1] > 0)
+    assert (mission["checks"], mission["judge"]) == (0, None)
+    assert "dead_reckoning" not in mission
+    graph, values, _ = nls.load("m")
+    Sigma = nls.Marginals(graph, graph.optimize(values).values).covariance(x[30], view="position")
+    assert mission["end_sigma_m"] == pytest.approx(np.sqrt(np.trace(Sigma)), rel=1e-6)
+    assert mission["end_sigma_percent"] == pytest.approx(100 * mission["end_sigma_m"] / mission["distance_m"])
+    assert f"{mission['end_sigma_m']:.3g} m" in row(out, "end")
+
+
+def test_a_contact_from_two_places_checks_dead_reckoning(shell: Shell) -> None:
+    folder(shell / "once", contacts="\n".join(TINY["contacts"].splitlines()[:3]), truth=None, landmarks=None)
+    folder(shell / "often", truth=None, landmarks=None)
+    checks = {}
+    for name in ("once", "often"):
+        shell(f"solve {name} --json r.json")
+        checks[name] = json.loads((shell / "r.json").read_text())["mission"]["checks"]
+    assert checks == {"once": 0, "often": 13}
+
+
 def test_the_files(shell: Shell) -> None:
     folder(shell / "m", poses="i,time_s\n0,10\n1,10.5\n2,12\n3,12.25\n")
     printed = shell("solve m -o deep/out --json r.json")
@@ -114,7 +149,8 @@ def test_raw_logs_have_no_map_and_trajectories_the_order_of_time(shell: Shell, u
     printed = shell("solve m -o out")
     assert {path.name for path in (shell / "out").iterdir()} == {"trajectory.tum", "trajectory.csv", "track.png"}
     assert "bridged for 3 s" in printed
-    assert row(printed, "drift").startswith("dead reckoning 0 % (0 m) of the distance")
+    assert rows(printed, "drift") == rows(printed, "ATE") == []
+    assert row(printed, "unchecked").startswith("nothing checks dead reckoning")
     assert read_tum(shell / "out/trajectory.tum")[0].tolist() == np.arange(31.0).tolist()
     folder(shell / "n", raw() | {"poses": "i,time_s\n21,0.0\n7,3.3\n14,19.0\n"})
     shell("solve n -o out --quiet")
@@ -216,6 +252,7 @@ def test_no_percent_of_no_distance(shell: Shell) -> None:
     folder(shell / "one", truth="".join(lines["truth"][:3:2]))
     still = {"odometry": lines["odometry"][0] + "0,1,0,0,0,0.02,0.02,0.005\n"}
     still["zpr"] = lines["zpr"][0] + "0,5,0,0,0.01,0.002,0.002\n1,5,0,0,0.01,0.002,0.002\n"
+    still["truth"] = lines["truth"][0] + "0,0,0,0,0,0,5\n1,0,0,0,0,0,5\n"
     folder(shell / "still", still)
     for name in ("one", "still"):
         out = shell(f"solve {name} --json r.json")

@@ -40,7 +40,7 @@ class Positioned:
         zero, one = np.zeros(len(s)), np.ones(len(s))
         yaw = 0.3 + 1.2 * np.sin(s / 12)
         self.files = {
-            "dvl": csv(",".join(COLUMNS["dvl"]), s, one, 0.1 * one, zero, one.astype(int)),
+            "dvl": csv(",".join(COLUMNS["dvl"]), s, one, 0.1 * one, 2 / 9 * np.cos(s / 9), one.astype(int)),
             "ahrs": csv(",".join(COLUMNS["ahrs"]), s, zero, zero, yaw),
             "depth": csv("time_s,z_m", s, 4 + 2 * np.sin(s / 9)),
             "noise": csv(",".join(COLUMNS["noise"]), [[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]]),
