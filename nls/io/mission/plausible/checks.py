@@ -79,7 +79,8 @@ def tilts(log: Log) -> Iterator[Implausible]:
             degrees = Reading(Cause.UNIT, "ahrs.csv", column, DEGREES)
             axes = Reading(Cause.AXES, "ahrs.csv", column)
             upside = abs(median - np.pi) < STEEPEST and np.std(np.abs(log.rpy[:, k])) < STEEPEST
-            yield _at("tilt", column, int(np.argmax(steep)), median, STEEPEST, "rad", axes if upside else degrees)
+            size = float(np.quantile(np.abs(log.rpy[:, k]), 1 - LONG))
+            yield _at("tilt", column, int(np.argmax(steep)), size, STEEPEST, "rad", axes if upside else degrees)
 
 
 def turns(log: Log) -> Iterator[Implausible]:

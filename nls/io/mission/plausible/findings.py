@@ -27,6 +27,7 @@ class Cause(StrEnum):
     OUTLIERS = "outliers"
     SIGMA = "sigma"  # too small by `factor`
     FAR = "far"
+    WAYS = "ways"  # one way and both ways are mixed up
     UNKNOWN = "unknown"
 
 

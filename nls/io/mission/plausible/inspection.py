@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from models.algebra import Array
 from models.geodesy import LocalPlane
-from nls.io.mission.plausible.acoustics import sound_speeds
+from nls.io.mission.plausible.acoustics import of_ranges, sound_speeds
 from nls.io.mission.plausible.agreement import WRONG, compared, doubtful, explained
 from nls.io.mission.plausible.checks import ALONE
 from nls.io.mission.plausible.findings import Cause, Implausible, Reading
 from nls.io.mission.plausible.fixes import of_fixes
 from nls.io.mission.plausible.log import Log, read_log
 from nls.io.mission.plausible.readings import alternatives
+from nls.io.mission.plausible.track import of_track
 from nls.io.mission.table import Table
 
 __all__ = ["implausible", "of_log"]
@@ -32,9 +36,20 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
         A cell that is no number, as when the tables are read.
     """
     log = read_log(tables, plane) if "dvl" in tables else None
-    out = [] if log is None else of_log(log)
+    out = of_track(tables) if log is None else of_log(log)
+    if log is not None and not out:
+        out = of_ranges(tables, log.thinned(), _start(tables, log.thinned()))
     out += sound_speeds(tables.get("sound-speed"))
     return [_placed(entry, tables) for entry in out]
+
+
+def _start(tables: dict[str, Table], log: Log) -> Array:
+    """Where dead reckoning begins (2,): by the fixes, else where the anchor or the truth holds its first pose."""
+    if log.fixes is not None:
+        way = np.column_stack([np.interp(log.fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
+        return np.asarray(np.median(log.fixes.p - way, axis=0))
+    table = tables.get("anchor", tables.get("truth"))
+    return np.zeros(2) if table is None else np.asarray(table.floats("x_m", "y_m")[0])
 
 
 def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
@@ -54,10 +69,20 @@ def of_log(log: Log) -> list[Implausible]:
     alone = [entry for entry in alone if entry.check != "scatter" or entry.file not in explained_units]
     readings = together[0].readings if together else ()
     named = {(r.cause, r.file) for r in readings}
-    shared = [entry for entry in alone if named & {(r.cause, r.file) for r in entry.readings}]
-    if shared:  # one sensor alone shows it, and the others say which unit it is
-        return [replace(entry, readings=readings) if entry in shared else entry for entry in alone]
+    if any(_names(entry, named) for entry in alone):  # one sensor alone shows it, and the others say which unit it is
+        return [_narrowed(entry, readings) if _names(entry, named) else entry for entry in alone]
     return alone + (together or of_fixes(log))
+
+
+def _names(entry: Implausible, causes: set[tuple[Cause, str]]) -> bool:
+    """Whether a finding has one of these causes in one of these files."""
+    return any((reading.cause, reading.file) in causes for reading in entry.readings)
+
+
+def _narrowed(entry: Implausible, readings: tuple[Reading, ...]) -> Implausible:
+    """A finding with those of the readings that are of its own causes and files."""
+    own = {(reading.cause, reading.file) for reading in entry.readings}
+    return replace(entry, readings=tuple(r for r in readings if (r.cause, r.file) in own))
 
 
 def _breaks(entry: Implausible) -> bool:

@@ -20,7 +20,7 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "speed": "the middle speed is {measured}; a vehicle stays below {limit}",
     "zeros": "{measured} with bottom lock have a velocity of 0, between others that move",
     "bottom lock": "valid is 1 in {percent} of the rows, and the rows of 0 are smooth",
-    "tilt": "its middle size is {measured}; a vehicle stays within {limit}",
+    "tilt": "a fifth of the log is beyond {measured}; a vehicle stays within {limit}",
     "turn rate": "a tenth of the log turns faster than {measured}; a vehicle stays below {limit}",
     "depth": "a depth of {measured}; expected {side} {limit}",
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
@@ -42,7 +42,8 @@ CAUSES = {
     Cause.OUTLIERS: "{column} of {file} has outliers: delete these rows, or give them no weight",
     Cause.SIGMA: "{column} of {file} looks {ratio} times too small: a variance, or degrees?",
     Cause.FAR: "the origin looks wrong: give the latitude and longitude of the site in origin.csv",
-    Cause.UNKNOWN: "the cause is unknown: check units, signs, axes and times of {file}",
+    Cause.WAYS: "{column} of {file} is of both ways and taken as one, or the other way around: give the column ways",
+    Cause.UNKNOWN: "none of the usual mistakes explains it: check units, signs, axes and times of {file}",
 }
 
 
