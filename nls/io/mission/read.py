@@ -22,7 +22,7 @@ from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
-from nls.io.mission.placing import place_beacons, turn_to, turn_to_measurements
+from nls.io.mission.placing import place_beacons, turn_to, turn_to_measurements, unshifted
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
@@ -134,7 +134,7 @@ def _start(
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
-    tilt = next(factor for factor in graph.factors if isinstance(factor, ZPR))
+    tilt = next(factor for factor in map(unshifted, graph.factors) if isinstance(factor, ZPR))
     order = np.argsort(tilt.keys[0].numbers)
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
 
