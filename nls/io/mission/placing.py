@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from factors import BearingRange, Heading, Position, Range, ScaledRange
+from factors import BearingRange, Factor, Heading, Position, Range, ScaledRange, Shifted
 from factors.keys import Keys, kinds
 from models import SE3, euler
 from models.algebra import Array, Index, Numbers
@@ -21,15 +21,20 @@ from nls.graph import FactorGraph
 from nls.starts.beacons import beacon_of_ranges
 from nls.values import Values
 
-__all__ = ["along_fixes", "place_beacons", "turn_to", "turn_to_measurements"]
+__all__ = ["along_fixes", "place_beacons", "turn_to", "turn_to_measurements", "unshifted"]
 
 PASSES = 10
 x, b, s = kinds("x", "b", "s")
 
 
+def unshifted(factor: Factor) -> Factor:
+    """A factor without the calibration that shifts its measurements."""
+    return factor.factor if isinstance(factor, Shifted) else factor
+
+
 def turn_to(pose: Array, x_m: float, y_m: float, yaw: float) -> Array:
     """The motion (7,) about the vertical and in the horizontal that brings a pose (7,) to x, y and yaw."""
-    state = euler.from_se3(pose)[0]
+    state = euler.from_se3(pose).reshape(-1)
     turn = euler.to_se3([0.0, 0.0, yaw - state[2], 0.0, 0.0, 0.0])
     turned = SE3.act(turn, state[3:])
     turn[:2] = x_m - turned[0], y_m - turned[1]
@@ -45,7 +50,7 @@ def turn_to_measurements(graph: FactorGraph, start: Values, places: Array) -> Ar
     places : (m, 3) of the beacons in the order of their stack, nan where they are not known.
     """
     turn = SE3.identity()[0]
-    compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
+    compass = next((factor for factor in map(unshifted, graph.factors) if isinstance(factor, Heading)), None)
     if compass is not None:
         state = euler.from_se3(start[compass.keys[0][[0]]])[0]
         turn = euler.to_se3([0.0, 0.0, float(compass.z[0]) - float(state[2]), 0.0, 0.0, 0.0])

@@ -21,7 +21,7 @@ from nls.io.mission.columns import ANGLES, LEVEL, PLACE, suffixed
 from nls.io.mission.contacts import add_contacts, compare_landmarks
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
-from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
+from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements, unshifted
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
@@ -144,7 +144,7 @@ def _start(
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
-    tilt = next((factor for factor in graph.factors if isinstance(factor, ZPR)), None)
+    tilt = next((factor for factor in map(unshifted, graph.factors) if isinstance(factor, ZPR)), None)
     if tilt is None:
         return np.zeros(len(numbers))
     order = np.argsort(tilt.keys[0].numbers)

@@ -122,6 +122,7 @@ def test_usbl_of_the_vehicle_and_of_a_ship(truth: Positioned, tmp_path: Path) ->
     sigmas, arm = np.tile([0.2, 0.01, 0.01], (len(T), 1)), np.array([0.5, 0.2, -0.4])
     antenna = SE3.compose(truth.at(T), np.append(arm, [0, 0, 0, 1.0])[None])
     z = usbl(antenna, np.array([BEACONS[k] for k in HEARD]))
+    assert (z[:, 2] > 0).all()  # the beacons are below
     rows = (T, HEARD, z, sigmas, np.tile(arm, (len(T), 1)))
     file = csv(f"time_s,beacon,{measured},arm_x_m,arm_y_m,arm_z_m", *rows)
     solved(tmp_path / "beacons", truth, usbl=file, beacons=KNOWN)
