@@ -47,8 +47,9 @@ class Points:
         return np.asarray(np.sqrt(np.diagonal(self.Sigma, axis1=1, axis2=2)))
 
     def ellipses(self, rows: Index) -> tuple[Index, Array]:
-        """Which of some rows have a covariance (k,), and the outlines (k, 48, 2) of their 95 % ellipses, m."""
-        rows = rows[np.isfinite(self.Sigma[rows]).all(axis=(1, 2))]
+        """Which of some rows have an ellipse (k,), and the outlines (k, 48, 2) of these, 95 %, m; none that is held."""
+        level = self.Sigma[rows, :2, :2]
+        rows = rows[np.isfinite(level).all(axis=(1, 2)) & (level != 0).any(axis=(1, 2))]
         return rows, self.p[rows, None, :2] + outlines(self.Sigma[rows, :2, :2])
 
 

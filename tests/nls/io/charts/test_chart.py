@@ -7,7 +7,7 @@ import pytest
 
 from models import SE3
 from nls import Values, kinds
-from nls.io.charts import chart_of, depths_text, points_text
+from nls.io.charts import Points, chart_of, depths_text, points_text
 from nls.io.mission import MissionReport
 
 x, l = kinds("x", "l")
@@ -36,3 +36,10 @@ def test_ellipses_are_at_equal_distances() -> None:
     at = chart.intervals
     assert (len(at), at[-1]) == (60 + (at[0] != 0), 999)
     assert np.diff(chart.way[at]).max() < 1.5 * 500 / 59
+
+
+def test_what_is_held_or_free_has_no_ellipse() -> None:
+    Sigma = np.stack([np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag([4.0, 1.0, 9.0])])
+    rows, outline = Points("pose", np.arange(3), np.ones((3, 3)), Sigma).ellipses(np.arange(3))
+    assert rows.tolist() == [2]
+    assert np.ptp(outline[0], axis=0) / 2 == pytest.approx(np.sqrt(5.991) * np.array([2.0, 1.0]), rel=0.01)
