@@ -153,7 +153,11 @@ def _times(poses: Table, numbers: Numbers) -> Array:
 def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
     """True poses and landmarks, where there are files of them."""
     true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
-    if (table := tables.get("truth")) is not None:
+    if (table := tables.get("truth")) is not None and not table.has("i"):
+        true[x] = _truth_at_times(table, numbers, report)
+    elif table is not None:
+        if table.has("time_s"):
+            raise table.at(0, "truth.csv has both i and time_s; leave one of the two columns out")
         ids = table.unique("i", "pose")
         true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
         if not np.isin(ids, numbers).any():
@@ -165,6 +169,30 @@ def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) ->
     if (table := tables.get("landmarks")) is not None:
         true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
     return Values(true)
+
+
+def _truth_at_times(table: Table, numbers: Numbers, report: MissionReport) -> tuple[Manifold, Array, Numbers]:
+    """True poses at the times of those of the track: on the line between two rows, position and angles."""
+    if not table.has("time_s"):
+        raise table.at(0, "truth.csv has neither i nor time_s; say of which pose, or of which time, each row is")
+    if (times := report.vertex_times.get("x")) is None:
+        raise table.at(0, "truth.csv has times and the poses have none; give i instead, or the times in poses.csv")
+    t, state = table.rising("time_s"), table.attitude(*ANGLES, *PLACE)
+    inside = (times >= t[0]) & (times <= t[-1])
+    if not inside.any():
+        raise table.at(
+            0,
+            f"the truth is of {float(t[0])!r} to {float(t[-1])!r} s and the poses of {float(times.min())!r} to "
+            f"{float(times.max())!r} s: no time in common",
+        )
+    if outside := int((~inside).sum()):
+        report.notes.append(
+            f"truth.csv does not last as long as the track: errors are of {inside.sum()} poses, not of "
+            f"{outside} before or after it"
+        )
+    state[:, :3] = np.unwrap(state[:, :3], axis=0)
+    at_poses = np.column_stack([np.interp(times[inside], t, column) for column in state.T])
+    return SE3, euler.to_se3(at_poses), numbers[inside]
 
 
 def _compare(report: MissionReport, points: Numbers) -> None:

@@ -8,7 +8,7 @@ from factors.keys import kinds
 from models import euler
 from models.algebra import Array
 from nls.covariance import Marginals
-from nls.io.mission.columns import COLUMNS, PLACE, suffixed
+from nls.io.mission.columns import PLACE, POSE, suffixed
 from nls.io.mission.solution import Elevations
 from nls.io.mission.table import csv_text
 from nls.values import Values
@@ -16,7 +16,7 @@ from nls.values import Values
 __all__ = ["MAP", "TRAJECTORY", "map_text", "trajectory_text"]
 
 x, l = kinds("x", "l")
-TRAJECTORY = (*COLUMNS["truth"], *suffixed(COLUMNS["truth"][1:]))
+TRAJECTORY = (*POSE, *suffixed(POSE[1:]))
 UPPER = np.triu_indices(3)
 MAP = (
     *("landmark", *PLACE),
