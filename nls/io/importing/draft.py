@@ -1,10 +1,12 @@
-"""A first mapping for a log: every guess on its own line, with what is not known marked; to be read before it is used."""
+"""A first mapping for a log: a guess a line, what is not known is marked; to be read before it is used."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from nls.io.importing.bags import Bag, is_bag
 from nls.io.importing.guess import guess, plain
@@ -38,7 +40,8 @@ MESSAGES = {  # sections by type of message; {topic} is filled in
     "TwistWithCovarianceStamped": ["[dvl]", *(f'v{a}_m_s = "twist.twist.linear.{a}"' for a in "xyz"), 'frame = "FLU"'],
     "FluidPressure": [
         "[depth]",
-        'z_m = { column = "fluid_pressure", scale = 9.94e-5, offset = -10.07 }   # 1 / (1026 kg/m3 9.81 m/s2), of the air',
+        "# meters a Pascal in sea water, 1 / (1026 kg/m3 9.81 m/s2); less the pressure of the air",
+        'z_m = { column = "fluid_pressure", scale = 9.936e-5, offset = -10.07 }',
     ],
     "NavSatFix": [
         "[fixes]",
@@ -74,7 +77,7 @@ def draft(paths: Sequence[str | Path]) -> str:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log = Path(folder, "log.csv")
     ...     _ = log.write_text("stamp,depth (cm),temperature\\n0,250,4\\n")
-    ...     print(draft([log]).split("[noise]")[0])
+    ...     print(draft([log]).split("# [dvl]")[0])
     # a draft: each line is a guess by the name of a column; read it, correct it
     <BLANKLINE>
     # log.csv has: 'stamp', 'depth (cm)', 'temperature'
@@ -136,8 +139,17 @@ def _line(column: str, name: str, log: Log) -> str:
     if column == "z_m" and {"altitude", "height", "alt"} & set(plain(name).split()):
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
     if kind and kind != "time" and not dimension(header_unit(name)[0]):
-        return f'{column} = {{ column = {quoted}, unit = "{own}" }}   # its header names no unit'
-    return f"{column} = {quoted}"
+        unit, why = own, "its header names no unit"
+        if own == "rad" and float(np.nanmax(np.abs(log.numbers(name)), initial=0.0)) > 2 * np.pi:
+            unit, why = "deg", "by its size"
+        return f'{column} = {{ column = {quoted}, unit = "{unit}" }}   # {why}{_constant(log, name)}'
+    return f"{column} = {quoted}{_constant(log, name)}"
+
+
+def _constant(log: Log, name: str) -> str:
+    """A mark on a column whose cells are all the same: the sensor may not have it."""
+    words = set(log.words(name))
+    return f"   # all its cells are {words.pop()}" if len(words) == 1 and len(log) > 1 else ""
 
 
 def _of_bag(bag: Bag, tables: list[str]) -> list[str]:

@@ -1,7 +1,7 @@
-r"""Other axes than those of a mission: vectors, attitudes and their sigmas turned into north-east-down and ahead-right-down.
+r"""Other axes than those of a mission: vectors, attitudes and sigmas turned into north-east-down and ahead-right-down.
 
-With v_NED = P v of the world and v_FRD = Q v of the body, an attitude R (body to world) and one of a sensor on the body,
-R_s, become
+With v_NED = P v of the world and v_FRD = Q v of the body, an attitude R (body to world) and one of a sensor on the
+body, R_s, become
 
     R_NED = P R Q',    R_s,FRD = Q R_s Q'
     P = [[0, 1, 0], [1, 0, 0], [0, 0, -1]] of ENU,  diag(1, -1, -1) of NWU;    Q = diag(1, -1, -1) of FLU
@@ -70,7 +70,8 @@ def turn(table: str, columns: dict[str, Array], frame: str) -> dict[str, Array]:
     --------
     >>> turn("dvl", {"vx_m_s": [1.0], "vy_m_s": [0.2], "vz_m_s": [0.1]}, "FLU")
     {'vx_m_s': array([1.]), 'vy_m_s': array([-0.2]), 'vz_m_s': array([-0.1])}
-    >>> {name: a.round(4) for name, a in turn("ahrs", dict(zip(ANGLES, np.array([[0.1], [0.2], [0.3]]))), "ENU").items()}
+    >>> turned = turn("ahrs", {"roll_rad": [0.1], "pitch_rad": [0.2], "yaw_rad": [0.3]}, "ENU")
+    >>> {name: angle.round(4) for name, angle in turned.items()}
     {'roll_rad': array([0.1]), 'pitch_rad': array([-0.2]), 'yaw_rad': array([1.2708])}
     """
     world, body = axes(frame)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 from nls.io.importing.units import BRACKET, dimension, header_unit, mission_unit
-from nls.io.mission.columns import COLUMNS
 
 __all__ = ["PATTERNS", "guess", "nearest", "plain"]
 

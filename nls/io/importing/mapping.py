@@ -31,7 +31,7 @@ from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
 __all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
-GROUPS = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
+GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
 GROUPS |= {f"sigma_{name}": suffixed(columns) for name, columns in GROUPS.items()}
 ROTATIONS = {"quaternion": (4, "x, y, z, w"), "rotation": (9, "a matrix row by row")}
 OPTIONS = {  # of a section, with what they may be
@@ -161,7 +161,8 @@ class Mapping:
         options = {name: value for name, value in content.items() if name in OPTIONS}
         for name, value in options.items():
             self._refuse_option(table, name, value)
-        cells, rotation = {}, None
+        cells: dict[str, Cell] = {}
+        rotation = None
         known = COLUMNS[table]
         for name, value in content.items():
             columns = tuple(column for column in GROUPS.get(name, ()) if column in known)

@@ -120,7 +120,7 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
     if since and own:
         raise own[0].error(
             "time_s",
-            f"the times of [{own[0].table}] have a zero of their own and those of [{next(iter(since))}] are since 1970; "
+            f"the times of [{own[0].table}] have a zero of their own, those of [{next(iter(since))}] are since 1970; "
             "write time_s = { column = ..., offset = SECONDS } for one zero",
         )
     if mapping.time_zero is not None:

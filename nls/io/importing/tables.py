@@ -252,7 +252,7 @@ def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
 
 
 def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
-    """Leave out rows without a time or a number; of a DVL a row without a velocity stays, as one without bottom lock."""
+    """Leave out rows without a time or a number; of a DVL one without a velocity stays, not valid."""
     name, log = rows.section.table, rows.log
     lost = "valid = 0" if name == "dvl" else "left out"
     for bad, problem, effect in ((~timed, "time", "left out"), (timed & ~whole, "number", lost)):
@@ -260,9 +260,8 @@ def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
             if log is None:
                 raise rows.section.error("", f"[{name}] has an empty {problem}")
             first = log.place(int(np.argmax(bad)))
-            rows.notes.append(
-                f"{name}: {several(int(bad.sum()), 'row')} of {len(bad)} without a {problem}, {first} the first: {effect}"
-            )
+            count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
+            rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
     _take(rows, np.flatnonzero(timed if name == "dvl" else timed & whole))
     if not len(rows.rows) and log is not None:
         raise GraphFileError(f"no row has all that [{name}] needs", log.path)
@@ -301,8 +300,8 @@ def _order(rows: Rows) -> None:
         k = int(np.argmax(late)) + 1
         raise log.error(
             int(rows.rows[k]),
-            f"the time falls from the row before; write sort = true in [{section.table}] of the mapping if the rows are "
-            "of one clock",
+            f"the time falls from the row before; write sort = true in [{section.table}] of the mapping if the "
+            "rows are of one clock",
         )
     if section.table not in STRICT:
         return

@@ -1,4 +1,4 @@
-"""Templates of a mission for people who fill them by hand or by a script of their own: heads, units and one row each."""
+"""Templates of a mission, to be filled by hand or by a script: heads, units and an example row each."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ HEAD = """\
 # A number is a constant: sigma_x_m = 2.0. Depth from a height: z_m = { column = "Altitude [m]", up = true }
 # A flag:             valid = { column = "status", equals = "A" } or { column = "beams", above = 2 }
 # Several logs:       file = "dvl.csv" in the section, where several have the columns; of a bag topic = "/dvl"
-# Three at once:      velocity, attitude, position, sigma_attitude = [ "...", "...", "..." ]; quaternion = [ x, y, z, w ]
+# Three at once:      velocity, attitude, position, sigma_attitude = ["...", "...", "..."]; quaternion = [x, y, z, w]
 # Axes:               frame = "ENU" (with FLU), "NWU" (with FLU), "FLU" (a body alone), "ENU/FRD"; NED/FRD without it
 # Order of time:      sort = true; duplicates = "first"
 # Reading:            separator = "semicolon", decimal = ",", header = false, skip = 3, where = { column, equals }

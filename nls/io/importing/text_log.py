@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -276,7 +276,7 @@ def _separator(line: str, named: str | None) -> str:
     return next((sign for sign in "\t;," if sign in line), " ")
 
 
-def _cells(lines: Iterable[str], sign: str) -> Iterable[list[str]]:
+def _cells(lines: Iterable[str], sign: str) -> Iterator[list[str]]:
     if sign == " ":
         return iter([line.split() for line in lines])
     return csv.reader(lines, delimiter=sign, skipinitialspace=True)

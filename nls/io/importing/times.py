@@ -1,4 +1,4 @@
-"""Times of a log: numbers in any unit, or ISO 8601; times since 1970 are whole nanoseconds until a zero is subtracted."""
+"""Times of a log: numbers in any unit, or ISO 8601; those since 1970 stay whole nanoseconds until a zero is known."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
 
 
 def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
-    """The unit of times and what one is in seconds: as given, as the header has it, or by their size, which is noted."""
+    """The unit of times and what one is in seconds: as given, as the header has it, or by size, which is noted."""
     if cell.scaled:
         return "", 1.0
     (name,) = cell.columns

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
+from models.options import did_you_mean
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
 from nls.io.report import Source
@@ -84,7 +86,13 @@ class Table(Text):
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
             if some:
-                raise self.error(f"{problem} column {_quoted(some[0])}; expected {expected}", head)
+                near, advice = "", ()
+                if problem == "unknown":
+                    near = did_you_mean(some[0], [name for name in columns if name not in names])
+                    column = near.split("'")[1] if near else "COLUMN"
+                    advice = (Advice("map column", (Path(self.path).name.split(".csv")[0], column, some[0])),)
+                message = f"{problem} column {_quoted(some[0])}{near}; expected {expected}"
+                raise self.error(message.replace("?;", "?"), head, advice)
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
@@ -217,7 +225,7 @@ class Table(Text):
         return self.whole(self.lines, self._place[name])
 
     def flags(self, name: str, meaning: str) -> Mask:
-        """Cells (n,) of one column that are 0 or 1.
+        """Cells (n,) of one column that are 0 or 1, also as a program writes them: 1.0, 0.000.
 
         Raises
         ------
@@ -226,10 +234,13 @@ class Table(Text):
         """
         cells = self._cells([name])[:, 0]
         first, second = self.characters(cells, 2).T
-        if (strange := ((first != ord("0")) & (first != ord("1"))) | (second != 0)).any():
-            k = int(np.argmax(strange))
-            raise self.at(k, f"{name} is {_quoted(printable(self.token(cells[k])))}; expected 0 or 1: {meaning}")
-        return np.asarray(first == ord("1"))
+        true = first == ord("1")
+        for k in np.flatnonzero(((first != ord("0")) & ~true) | (second != 0)):
+            word = self.token(cells[k])
+            if NUMBER.fullmatch(word) is None or float(word) not in (0.0, 1.0):
+                raise self.at(int(k), f"{name} is {_quoted(printable(word))}; expected 0 or 1: {meaning}")
+            true[k] = float(word) == 1.0
+        return np.asarray(true)
 
     def unique(self, name: str, noun: str) -> Numbers:
         """Whole numbers (n,) of one column, none of them twice.
