@@ -45,8 +45,10 @@ OPTIONS = {  # of a section, with what they may be
     "header": "true or false",
     "skip": "a whole number of lines",
     "where": "{ column = ..., equals = ... }",
+    "join": "a whole number of lines that are one row",
+    "rows": "[first, last]: rows from one to before another, counted from 0; -1 is the last",
 }
-ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "where")))
+ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
 CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 PLACES_ON_EARTH = ("lat_deg", "lon_deg")
 
@@ -90,14 +92,14 @@ class Section:
     table : its name in the mission, without ``.csv``.
     cells : by column.
     options : see `OPTIONS`.
-    rotation : ``quaternion`` or ``rotation`` and its columns, where the attitude is one.
+    rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
     mapping : that it stands in, for messages.
     """
 
     table: str
     cells: dict[str, Cell]
     options: dict[str, Any]
-    rotation: tuple[str, tuple[str, ...]] | None
+    rotation: tuple[str, tuple[Any, ...]] | None
     mapping: Mapping = field(repr=False)
 
     def error(self, key: str, message: str) -> GraphFileError:
@@ -108,7 +110,7 @@ class Section:
     def used(self) -> list[str]:
         """Columns of the log that it needs."""
         names = [name for cell in self.cells.values() for name in cell.columns]
-        return names + list(self.rotation[1] if self.rotation else ())
+        return names + [part for part in (self.rotation[1] if self.rotation else ()) if isinstance(part, str)]
 
 
 class Mapping:
@@ -138,7 +140,7 @@ class Mapping:
             place = re.search(r" \(at line (\d+), column \d+\)", str(error))
             line = int(place[1]) if place else text.count("\n") + 1
             raise GraphFileError(f"is no TOML: {str(error).split(' (at')[0]}", path, line, self._line(line)) from error
-        defaults = {name: value for name, value in tree.items() if not _is_section(value)}
+        defaults = {name: value for name, value in tree.items() if name in ABOVE_ALL or not _is_section(value)}
         self.time_zero = defaults.pop("time_zero", None)
         for name in defaults:
             if name not in ABOVE_ALL:
@@ -150,7 +152,9 @@ class Mapping:
                 continue
             if table not in COLUMNS:
                 near = did_you_mean(table, COLUMNS)
-                raise self.error(table, "", f"[{table}] is no table of a mission{near} expected {', '.join(COLUMNS)}")
+                raise self.error(
+                    table, "", f"[{table}] is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
+                )
             for part in content if isinstance(content, list) else [content]:
                 self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
         if not self.sections:
@@ -186,13 +190,16 @@ class Mapping:
                 )
         return Section(table, cells, options, rotation, self)
 
-    def _parts(self, table: str, name: str, value: Any) -> tuple[str, ...]:
+    def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
         count, order = ROTATIONS[name]
         if name == "quaternion" and isinstance(value, str):
             return tuple(f"{value}.{axis}" for axis in "xyzw")
-        if not (isinstance(value, list) and len(value) == count and all(isinstance(part, str) for part in value)):
-            raise self.error(table, name, f"{name} is {value!r}; expected a list of {count} columns: {order}")
+        kinds = {isinstance(part, str) for part in value} if isinstance(value, list) else set()
+        if len(kinds) != 1 or len(value) != count or not (True in kinds or all(map(is_number, value))):
+            raise self.error(
+                table, name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
+            )
         return tuple(value)
 
     def _cell(self, table: str, column: str, value: Any) -> Cell:
@@ -210,7 +217,9 @@ class Mapping:
             raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
         for key in value:
             if key not in CELL:
-                raise refuse(f"{key!r} is no key of a column{did_you_mean(key, CELL)} expected {', '.join(CELL)}")
+                raise refuse(
+                    f"{key!r} is no key of a column{did_you_mean(key, CELL) or ';'} expected {', '.join(CELL)}"
+                )
         numbers = {key: value[key] for key in ("sign", "scale", "offset", "missing", "above") if key in value}
         for key, number in numbers.items():
             if not is_number(number) or (key == "sign" and number not in (-1, 1)):
@@ -225,9 +234,9 @@ class Mapping:
         if "up" in value and (column != "z_m" or not isinstance(value["up"], bool)):
             raise refuse("up = true is for z_m alone, of a column that is larger where it is higher")
         if "row" in value:
-            if set(value) != {"row"} or not isinstance(value["row"], int):
-                raise refuse("row is the number of the first row, alone: { row = 0 }")
-            return Cell(row=value["row"])
+            if not set(value) <= {"row", "scale", "offset"} or not isinstance(value["row"], int):
+                raise refuse("row is the number of the first row: { row = 0 }, also with scale and offset")
+            return Cell(row=value["row"], scale=float(value.get("scale", 1)), offset=float(value.get("offset", 0)))
         names = value.get("column", ())
         names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
         if not names or not all(isinstance(name, str) for name in names):
@@ -256,6 +265,8 @@ class Mapping:
             "duplicates": value == "first",
             "decimal": value in (".", ","),
             "frame": isinstance(value, str) and all(part in FRAMES for part in value.split("/", 1)),
+            "join": isinstance(value, int) and value > 1,
+            "rows": isinstance(value, list) and [type(part) for part in value] == [int, int],
             "where": isinstance(value, dict) and set(value) == {"column", "equals"},
         }.get(name, isinstance(value, str) and bool(value))
         if not good:

@@ -203,7 +203,8 @@ def _refuse_whole(section: Section, merged: dict[str, Array]) -> None:
         if name in merged and (merged[name] != np.rint(merged[name])).any():
             k = int(np.argmax(merged[name] != np.rint(merged[name])))
             raise section.error(name, f"{name} is {float(merged[name][k])!r}; expected whole numbers")
-    if section.used and any(name in section.cells and not section.cells[name].columns for name in TIMES):
+    timed = [section.cells[name] for name in TIMES if name in section.cells]
+    if section.used and any(not cell.columns and cell.row is None for cell in timed):
         raise section.error("time_s", "time_s is a constant, and times rise; name the column of the log")
 
 

@@ -14,7 +14,7 @@ from nls.io.importing.text_log import Log, TextLog
 
 __all__ = ["Logs"]
 
-READING = ("separator", "decimal", "header", "skip")  # options of a section that say how its log is read
+READING = ("separator", "decimal", "header", "skip", "join")  # options of a section that say how its log is read
 
 
 class Logs:
@@ -64,7 +64,9 @@ class Logs:
             if Path(named).name not in self.paths:
                 near = did_you_mean(Path(named).name, self.paths)
                 given = ", ".join(self.paths.values())
-                raise section.error("file", f"{named!r} is not among the logs that are given{near} given: {given}")
+                raise section.error(
+                    "file", f"{named!r} is not among the logs that are given{near or ';'} given: {given}"
+                )
             return self._log(section, Path(named).name)
         if len(self.paths) == 1:
             return self._log(section, next(iter(self.paths)))
@@ -101,21 +103,19 @@ class Logs:
                 except KeyError as error:
                     listed = ", ".join(map(repr, bag.topics))
                     near = did_you_mean(topic, bag.topics)
-                    raise section.error("topic", f"{name} has no topic {topic!r}{near} it has {listed}") from error
+                    raise section.error(
+                        "topic", f"{name} has no topic {topic!r}{near or ';'} it has {listed}"
+                    ) from error
             return self._read[key]
         if "topic" in section.options:
             raise section.error("topic", f"{name} is a text file and has no topics; leave topic out")
         how = {option: section.options[option] for option in READING if option in section.options}
         where = section.options.get("where")
-        chosen = None if where is None else (str(where["column"]), _text(where["equals"]))
+        chosen = None if where is None else (str(where["column"]), str(where["equals"]))
         key = (name, *how.items(), chosen)
         if key not in self._read:
             self._read[key] = TextLog(path, where=chosen, **how)
         return self._read[key]
-
-
-def _text(value: object) -> str:
-    return str(value)
 
 
 def refuse_absent(paths: Sequence[str | Path]) -> None:

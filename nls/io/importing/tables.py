@@ -15,7 +15,7 @@ from nls.io.importing.mapping import VELOCITY, Cell, Section, required
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.times import Stamps, stamps
 from nls.io.importing.units import dimension, factor, header_unit, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS
+from nls.io.mission.columns import ANGLES
 
 __all__ = ["Rows", "rows_of"]
 
@@ -76,12 +76,20 @@ def rows_of(section: Section, log: Log | None) -> Rows:
         else:
             rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
     if section.rotation is not None:
-        assert log is not None
-        _rotate(section, log, rows)
+        _rotate(section, log, rows, count)
     rows.rows = np.arange(count)
     _keep(rows, *_complete(rows, count))
-    if section.table in COLUMNS and "time_s" in rows.times:
+    if (between := section.options.get("rows")) is not None:
+        _take(rows, np.arange(len(rows.rows))[slice(*between)])
+        if not len(rows.rows):
+            raise section.error("rows", f"rows = {between} leaves no row")
+    if "time_s" in rows.times:
         _order(rows)
+    for column, cell in section.cells.items():
+        if cell.row is not None:
+            rows.numbers[column] = np.asarray(
+                (cell.row + np.arange(len(rows.rows))) * cell.scale + cell.offset, dtype=np.float64
+            )
     _turned(rows)
     return rows
 
@@ -120,7 +128,7 @@ def _words(section: Section, column: str, cell: Cell, log: Log | None, count: in
 def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: int, notes: list[str]) -> Array:
     """The numbers (n,) of a column in the unit of the mission; nan where there is none."""
     if cell.row is not None:
-        return cell.row + np.arange(count, dtype=float)
+        return np.arange(count, dtype=float)  # numbered when it is known which rows there are
     if not cell.columns:
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
@@ -217,18 +225,25 @@ def _flag(word: str) -> float | None:
     return number if number in (0.0, 1.0) else None
 
 
-def _rotate(section: Section, log: Log, rows: Rows) -> None:
+def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
     """Roll, pitch and yaw from a quaternion or a matrix."""
     assert section.rotation is not None
     kind, names = section.rotation
-    _known(section, kind, Cell(names), log)
-    parts = np.column_stack([log.numbers(name) for name in names])
-    rpy, present = np.full((len(log), 3), np.nan), np.isfinite(parts).all(axis=1)
+    if isinstance(names[0], str):
+        assert log is not None
+        _known(section, kind, Cell(names), log)
+        parts = np.column_stack([log.numbers(name) for name in names])
+    else:
+        parts = np.tile(np.array(names, dtype=float), (count, 1))
+    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)
     try:
         rpy[present] = angles_of(kind, parts[present])
     except ValueError as error:
         k, sentence = error.args
-        raise log.error(int(np.flatnonzero(present)[k]), f"{sentence}; is the order of the columns right?") from error
+        problem = f"{sentence}; is the order of its numbers right?"
+        if log is None or not isinstance(names[0], str):
+            raise section.error(kind, problem) from error
+        raise log.error(int(np.flatnonzero(present)[k]), problem) from error
     rows.numbers |= dict(zip(ANGLES, rpy.T, strict=True))
 
 
@@ -334,5 +349,5 @@ def _turned(rows: Rows) -> None:
         rows.numbers = turn(section.table, before, frame)
     except OptionError as error:
         raise section.error("frame", str(error)) from error
-    if any(rows.numbers[name] is not before[name] for name in rows.numbers if name in before):
+    if any(not np.array_equal(before.get(name, ()), numbers) for name, numbers in rows.numbers.items()):
         rows.notes.append(f"{section.table}: {world} and {body} axes of the log are turned into NED and FRD")

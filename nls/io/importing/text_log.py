@@ -23,6 +23,7 @@ __all__ = ["MISSING", "Log", "TextLog"]
 
 MISSING = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "nat"))  # words of an empty cell, lower case
 COMMENTS = ("#", "%")
+LARGEST = (19, "9223372036854775807")  # whole number that an array holds, and its length
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
 DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?\s*")
 
@@ -88,7 +89,7 @@ class Log:
             raise GraphFileError(f"{self.title} has {count} columns {name!r}; give them names of their own", self.path)
         listed = ", ".join(map(repr, self.names[:40])) + (", ..." if len(self.names) > 40 else "")
         near = did_you_mean(name, self.names)
-        raise GraphFileError(f"{self.title} has no column {name!r}{near} it has {listed}", self.path)
+        raise GraphFileError(f"{self.title} has no column {name!r}{near or ';'} it has {listed}", self.path)
 
 
 class TextLog(Log):
@@ -101,6 +102,7 @@ class TextLog(Log):
     decimal : the decimal sign; a comma is recognized where commas do not separate.
     header : whether a line names the columns; otherwise they are ``1``, ``2``, ...
     skip : lines before all others that do not count.
+    join : so many lines are one row.
     where : a column and the text of its cells in the rows that count; others may have any number of cells.
 
     Raises
@@ -128,6 +130,7 @@ class TextLog(Log):
         header: bool = True,
         skip: int = 0,
         where: tuple[str, str] | None = None,
+        join: int = 1,
     ) -> None:
         data = read_bytes(path)
         try:
@@ -143,6 +146,11 @@ class TextLog(Log):
         sign = _separator(head or self._text[kept[0]], separator)
         names = [name.strip() for name in next(_cells([head], sign))] if head else []
         cells = self._split(kept, sign)
+        if join > 1:
+            if len(cells) % join:
+                raise GraphFileError(f"{len(cells)} lines are no multiple of {join}, which are one row", self.path)
+            cells = [[word for line in cells[k : k + join] for word in line] for k in range(0, len(cells), join)]
+            kept = kept[::join]
         if not head:
             names = [str(k + 1) for k in range(max(map(len, cells)))]
         if where is not None:
@@ -151,7 +159,9 @@ class TextLog(Log):
                 super().__init__(self.path, self._name(), names, len(kept))
                 self.column(column)
             place = names.index(column)
-            chosen = [k for k, row in enumerate(cells) if len(row) > place and row[place].strip() == value]
+            chosen = [
+                k for k, row in enumerate(cells) if len(row) > place and row[place].strip().lower() == value.lower()
+            ]
             if not chosen:
                 raise GraphFileError(f"no row has {value!r} in column {column!r}", self.path)
             kept, cells = [kept[k] for k in chosen], [cells[k] for k in chosen]
@@ -246,7 +256,7 @@ class TextLog(Log):
     def whole(self, name: str) -> Index | None:
         """See `Log`."""
         words = self.words(name)
-        if not all(word.isdecimal() and len(word) < 19 for word in words):
+        if not all(word.isdecimal() and (len(word), word) <= LARGEST for word in words):
             return None
         return np.fromiter(map(int, words), np.int64, len(words))
 

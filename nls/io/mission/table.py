@@ -80,19 +80,19 @@ class Table(Text):
         head, self.lines = int(self.lines[0]), self.lines[1:]
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
         self._refuse_no_names(head, expected)
-        for problem, some in (
+        for problem, wrong in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
-            if some:
-                near, advice = "", ()
-                if problem == "unknown":
-                    near = did_you_mean(some[0], [name for name in columns if name not in names])
-                    column = near.split("'")[1] if near else "COLUMN"
-                    advice = (Advice("map column", (Path(self.path).name.split(".csv")[0], column, some[0])),)
-                message = f"{problem} column {_quoted(some[0])}{near}; expected {expected}"
-                raise self.error(message.replace("?;", "?"), head, advice)
+            if wrong:
+                near = (
+                    did_you_mean(wrong[0], [name for name in columns if name not in names])
+                    if problem == "unknown"
+                    else ""
+                )
+                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}{near}"
+                raise self.error(message, head, self._renamed(wrong[0], near) if problem == "unknown" else ())
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
@@ -135,6 +135,11 @@ class Table(Text):
             raise self.error(f"the first line must name the columns: {expected}", head)
         if len(words) == 1 and (cure := _separators(words[0])):
             raise self.error(f"one column; expected {expected}{cure}", head)
+
+    def _renamed(self, name: str, near: str) -> list[Advice]:
+        """The line of a mapping that makes a column of this table of one that has another name."""
+        column = near.split("'")[1] if near else "COLUMN"
+        return [Advice("map column", (Path(self.path).name.split(".csv")[0], column, name))]
 
     def has(self, *names: str) -> bool:
         """Whether the file has all of these columns."""
