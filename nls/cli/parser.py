@@ -45,6 +45,10 @@ EXAMPLES = """examples:
   nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls convert - survey.toro < survey.g2o
   nls plot - survey.png < survey.g2o
+  nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
+  nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
+  nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
+  nls new mission                                      templates of mapping.toml and of every table
 
 exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
 --robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
@@ -110,15 +114,17 @@ def parser() -> Parser:
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(
-        name: str, summary: str, run: Callable[[argparse.Namespace], int], graph: bool = True
+        name: str, summary: str, run: Callable[[argparse.Namespace], int], reads_graph: bool = True
     ) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=run)
-        if graph:
+        if reads_graph:
             _input(added)
+        else:
+            added.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return added
 
     solve = command("solve", "find the optimum", _solve)
@@ -194,7 +200,7 @@ def parser() -> Parser:
         help="go on from this file if it is there; written every 100 steps (a pickle: load none but your own)",
     )
 
-    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, graph=False)
+    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, reads_graph=False)
     evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
     evaluate.add_argument("truth", metavar="TRUTH", help="the true one: tum, kitti, or csv as truth.csv")
     evaluate.add_argument(
@@ -213,10 +219,20 @@ def parser() -> Parser:
         help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
     )
     _json(evaluate)
-    evaluate.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
     plot = command("plot", "draw the graph as it was read", _plot)
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+
+    imports = command("import", "make a mission folder of logs", _import, reads_graph=False)
+    imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
+    imports.add_argument(
+        "--map", action=Once, metavar="MAPPING.toml", help="which column is which; a draft is printed without it"
+    )
+    imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
+
+    new = command("new", "write templates of a mission", _new, reads_graph=False)
+    new.add_argument("folder", metavar="FOLDER", help="where; no file there is overwritten")
+    new.add_argument("--map", action="store_true", help="mapping.toml alone")
     return top
 
 
@@ -291,3 +307,15 @@ def _plot(options: argparse.Namespace) -> int:
     from nls.cli.plot import plot
 
     return plot(options)
+
+
+def _import(options: argparse.Namespace) -> int:
+    from nls.cli.import_ import import_logs
+
+    return import_logs(options)
+
+
+def _new(options: argparse.Namespace) -> int:
+    from nls.cli.new import new
+
+    return new(options)

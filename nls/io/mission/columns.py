@@ -15,6 +15,7 @@ WHEN = ("time_s", "i")  # a measurement is of a time, or of a pose
 GEODETIC = ("lat_deg", "lon_deg")
 ARM = ("arm_x_m", "arm_y_m", "arm_z_m")
 HOW = ("delay_s", *ARM, "kernel")
+POSE = ("i", *ANGLES, *PLACE)
 
 
 def suffixed(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -32,7 +33,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
     "zpr": ("i", *TILT, *suffixed(TILT)),
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
-    "truth": ("i", *ANGLES, *PLACE),
+    "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
     "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid"),
     "ahrs": ("time_s", *ANGLES),
@@ -57,6 +58,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "calibration": ("name", "value", "sigma"),
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
+    "truth": WHEN,
     "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
     "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
     "ranges": (

@@ -1,4 +1,4 @@
-"""contacts.csv and sonar.csv: what an imaging sonar saw, as factors; and the true landmarks it is judged by."""
+"""contacts.csv and sonar.csv: what an imaging sonar saw, as factors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["add_contacts", "compare_landmarks"]
+__all__ = ["add_contacts"]
 
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
@@ -68,25 +68,3 @@ def _sonar(table: Table) -> tuple[ImagingSonar, Array]:
     except OptionError as error:
         raise table.at(0, str(error)) from error
     return sonar, euler.to_se3(table.measured(*ANGLES, *PLACE)[0])
-
-
-def compare_landmarks(report: MissionReport, points: Numbers) -> None:
-    """Say which landmarks cannot be judged by landmarks.csv, and which of its rows judge none."""
-    if "l" not in report.truth.stacks:
-        return
-    known = report.truth.stack("l").numbers
-    missing, more = len(np.setdiff1d(points, known)), len(np.setdiff1d(known, points))
-    if not len(points):
-        report.notes.append("landmarks.csv is not used: there is no contacts.csv")
-    elif missing == len(points):
-        report.notes.append(
-            f"landmarks.csv is not used: none of its landmarks, {known[0]} the first, is in contacts.csv, where "
-            f"{points[0]} is; their errors are not known"
-        )
-    else:
-        if missing:
-            report.notes.append(
-                f"landmarks.csv has no row for {missing} of {len(points)} landmarks: errors are of the others"
-            )
-        if more:
-            report.notes.append(f"landmarks.csv has {more} landmarks nothing measures: not used")

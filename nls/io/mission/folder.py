@@ -15,7 +15,13 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
 
-NOT_MISSED = ("README.txt", "graph.npz", "truth.npz")  # for people, and the same graph in one file
+NOT_MISSED = (
+    "README.txt",
+    "mapping.toml",
+    "templates",
+    "graph.npz",
+    "truth.npz",
+)  # for people, and the same graph in one file
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, or path.csv, or motion.csv, "
     "with contacts.csv and sonar.csv, both or none of these two"
@@ -69,8 +75,12 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
     if not files & {*TRACK, *LOG, *ALONE}:
         contents = f"it has {_listed(sorted(files) + other_files)}" if files or other_files else "it is empty"
-        graphs = [name for name in other_files if Path(name.removesuffix(".gz")).suffix in SUFFIXES]
+        suffixes = {name: Path(name.removesuffix(".gz")).suffix for name in other_files}
+        graphs = [name for name, suffix in suffixes.items() if suffix in SUFFIXES and suffix != ".csv"]
         advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
+        logs = [name for name, suffix in suffixes.items() if suffix in (".csv", ".txt", ".bag", ".mcap")]
+        if logs and not advice:
+            advice = [Advice("import", (os.path.join(folder, logs[0]),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, "dvl_mount"}):
         raise GraphFileError(

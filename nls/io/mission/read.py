@@ -17,8 +17,8 @@ from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.clocks import shift_clocks
-from nls.io.mission.columns import ANGLES, LEVEL, PLACE, suffixed
-from nls.io.mission.contacts import add_contacts, compare_landmarks
+from nls.io.mission.columns import LEVEL, suffixed
+from nls.io.mission.contacts import add_contacts
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
 from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements, unshifted
@@ -26,6 +26,7 @@ from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
 from nls.io.mission.tracks import track
+from nls.io.mission.truth import compare_landmarks, true_values
 from nls.io.report import Source
 from nls.stages import stage
 from nls.starts import dead_reckoning, first_sighting
@@ -69,7 +70,7 @@ def read_mission(
     times = measured_times(tables, calibrations)
     report.elsewhere = tables.get("dive_closures")
     numbers, factors = track(tables, times, report)
-    report.truth = _truth(tables, numbers, report)
+    report.truth = true_values(tables, numbers, report)
     graph = FactorGraph(factors)
     open_ended = not {"odometry", "poses"} & tables.keys()
     timeline = Timeline(numbers, report.vertex_times.get("x"), times, open_ended, report)
@@ -149,23 +150,6 @@ def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
         return np.zeros(len(numbers))
     order = np.argsort(tilt.keys[0].numbers)
     return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
-
-
-def _truth(tables: dict[str, Table], numbers: Numbers, report: MissionReport) -> Values:
-    """True poses and landmarks, where there are files of them."""
-    true: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
-    if (table := tables.get("truth")) is not None:
-        ids = table.unique("i", "pose")
-        true[x] = (SE3, euler.to_se3(table.attitude(*ANGLES, *PLACE)), ids)
-        if not np.isin(ids, numbers).any():
-            raise table.at(0, f"pose {ids[0]} and all others are none of the track's, {numbers[0]} to {numbers[-1]}")
-        if missing := len(np.setdiff1d(numbers, ids)):
-            report.notes.append(f"truth.csv has no row for {missing} of {len(numbers)} poses: errors are of the others")
-        if more := len(np.setdiff1d(ids, numbers)):
-            report.notes.append(f"truth.csv has {more} poses nothing measures: not used")
-    if (table := tables.get("landmarks")) is not None:
-        true[l] = (R(3), table.measured(*PLACE), table.unique("landmark", "landmark"))
-    return Values(true)
 
 
 def _anchor(

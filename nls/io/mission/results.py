@@ -12,7 +12,7 @@ from models.algebra import Array, Mask
 from nls.covariance import Marginals
 from nls.io.covariance_csv import EMPTY
 from nls.io.mission.calibration import NAMES
-from nls.io.mission.columns import COLUMNS, PLACE, suffixed
+from nls.io.mission.columns import COLUMNS, PLACE, POSE, suffixed
 from nls.io.mission.solution import Elevations
 from nls.io.mission.table import csv_text
 from nls.values import Values
@@ -20,7 +20,7 @@ from nls.values import Values
 __all__ = ["MAP", "TRAJECTORY", "Extra", "beacons_text", "calibration_text", "map_text", "trajectory_text"]
 
 x, l, b = kinds("x", "l", "b")
-TRAJECTORY = (*COLUMNS["truth"], *suffixed(COLUMNS["truth"][1:]))
+TRAJECTORY = (*POSE, *suffixed(POSE[1:]))
 UPPER = np.triu_indices(3)
 MAP = (
     *("landmark", *PLACE),

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
+from models.options import did_you_mean
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
 from nls.io.report import Source
@@ -79,13 +81,19 @@ class Table(Text):
         self._head = head
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
         self._refuse_no_names(head, expected)
-        for problem, some in (
+        for problem, wrong in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
-            if some:
-                raise self.error(f"{problem} column {_quoted(some[0])}; expected {expected}", head)
+            if wrong:
+                near = (
+                    did_you_mean(wrong[0], [name for name in columns if name not in names])
+                    if problem == "unknown"
+                    else ""
+                )
+                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}{near}"
+                raise self.error(message, head, self._renamed(wrong[0], near) if problem == "unknown" else ())
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
@@ -128,6 +136,11 @@ class Table(Text):
             raise self.error(f"the first line must name the columns: {expected}", head)
         if len(words) == 1 and (cure := _separators(words[0])):
             raise self.error(f"one column; expected {expected}{cure}", head)
+
+    def _renamed(self, name: str, near: str) -> list[Advice]:
+        """The line of a mapping that makes a column of this table of one that has another name."""
+        column = near.split("'")[1] if near else "COLUMN"
+        return [Advice("map column", (Path(self.path).name.split(".csv")[0], column, name))]
 
     def has(self, *names: str) -> bool:
         """Whether the file has all of these columns."""
@@ -218,7 +231,7 @@ class Table(Text):
         return self.whole(self.lines, self._place[name])
 
     def flags(self, name: str, meaning: str) -> Mask:
-        """Cells (n,) of one column that are 0 or 1.
+        """Cells (n,) of one column that are 0 or 1, also as a program writes them: 1.0, 0.000.
 
         Raises
         ------
@@ -227,10 +240,13 @@ class Table(Text):
         """
         cells = self._cells([name])[:, 0]
         first, second = self.characters(cells, 2).T
-        if (strange := ((first != ord("0")) & (first != ord("1"))) | (second != 0)).any():
-            k = int(np.argmax(strange))
-            raise self.at(k, f"{name} is {_quoted(printable(self.token(cells[k])))}; expected 0 or 1: {meaning}")
-        return np.asarray(first == ord("1"))
+        true = first == ord("1")
+        for k in np.flatnonzero(((first != ord("0")) & ~true) | (second != 0)):
+            word = self.token(cells[k])
+            if NUMBER.fullmatch(word) is None or float(word) not in (0.0, 1.0):
+                raise self.at(int(k), f"{name} is {_quoted(printable(word))}; expected 0 or 1: {meaning}")
+            true[k] = float(word) == 1.0
+        return np.asarray(true)
 
     def unique(self, name: str, noun: str) -> Numbers:
         """Whole numbers (n,) of one column, none of them twice.

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nls.cli import main
-from nls.io.mission.columns import COLUMNS
+from nls.io.mission.columns import COLUMNS, POSE
 from nls.io.mission.results import MAP, TRAJECTORY
 from tests.nls.io.mission.mission_files import TINY, folder
 
@@ -53,7 +53,7 @@ def test_every_file_and_column_is_defined_and_no_other() -> None:
 def test_the_columns_of_the_outputs() -> None:
     text = section().split("it writes into")[1]
     assert TRAJECTORY[0] == "i"
-    assert TRAJECTORY[:7] == COLUMNS["truth"]
+    assert TRAJECTORY[:7] == POSE
     assert (TRAJECTORY[7], TRAJECTORY[-1]) == ("sigma_roll_rad", "sigma_z_m")
     for name in (*TRAJECTORY[7::5], *MAP[:5], *MAP[9:]):
         assert f"`{name}`" in text, name
