@@ -24,6 +24,7 @@ from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
+from factors.shifted import Shifted
 from factors.sighting import Sighting
 from factors.sonar import sonar_factors
 from factors.wheels import Wheels
@@ -61,6 +62,7 @@ __all__ = [
     "Range",
     "RangeAzimuth",
     "Robust",
+    "Shifted",
     "Sighting",
     "SqrtInformation",
     "Tukey",
