@@ -69,7 +69,7 @@ class DvlLeg(Factor):
     array([0.02])
     """
 
-    slots = (SE3, SE3)
+    slots: tuple[Manifold | None, ...] = (SE3, SE3)
     frame = "first"
     per_measurement = ("ways", "scale", "yaw")
 

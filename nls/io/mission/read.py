@@ -64,16 +64,17 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
     else:
         from nls.io.mission.log import integrated
 
-        numbers, factors = integrated(tables, report)
+        numbers, factors = integrated(tables, report, calibrations)
     report.truth = _truth(tables, numbers, report)
     graph = FactorGraph(factors)
-    anchors, first = _anchor(tables, numbers, graph, report)
+    anchors, first = _anchor(tables, numbers, graph, calibrations, report)
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
     _compare(report, points)
     for prior in calibrations.priors(report):
         graph.add(prior)
+    report.calibrations = calibrations.given()
     with stage("read start"):
         return graph, _start(graph, numbers, points, first, calibrations), report
 
@@ -190,7 +191,7 @@ def _compare(report: MissionReport, points: Numbers) -> None:
 
 
 def _anchor(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport
+    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, calibrations: Calibrations, report: MissionReport
 ) -> tuple[list[Factor], tuple[Keys, Array]]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
@@ -203,11 +204,12 @@ def _anchor(
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         report.sources += [table.source()] * 2
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
-    compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
+    compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
     if compass is not None:
-        first = int(np.argmin(compass.keys[0].numbers))
-        anchor, z[2] = compass.keys[0][[first]], compass.z[first]
+        poses, yaw = compass
+        first = int(np.argmin(poses.numbers))
+        anchor, z[2] = poses[[first]], yaw[first]
     if "x" in report.truth.stacks and anchor in report.truth:
         true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
         z = true if compass is None else np.append(true[:2], z[2])

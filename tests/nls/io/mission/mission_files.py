@@ -6,7 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["TINY", "folder", "raw"]
+from nls.io.mission.columns import COLUMNS
+
+__all__ = ["RAW", "TINY", "folder", "raw"]
+
+RAW = {**COLUMNS, "dvl": COLUMNS["dvl"][:5], "noise": COLUMNS["noise"][:7]}  # without what may be left out
 
 TINY = {
     "sonar": """\
