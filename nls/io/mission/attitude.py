@@ -180,7 +180,7 @@ def gyro_biases(
     legs = ((b[:-1] - b[0]) / MINUTE).astype(int)
     numbers, minute = np.unique(legs, return_inverse=True)
     count = len(numbers)
-    calibrations.add(BIAS, count)
+    calibrations.add(BIAS, count, noise[GYRO[1]])
     known: list[Factor] = [Prior(BIAS[0], [0.0], Diagonal([noise[GYRO[1]]]))]
     if count > 1:
         walk = noise[GYRO[2]] * np.sqrt(MINUTE * np.diff(numbers))

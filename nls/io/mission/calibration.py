@@ -59,7 +59,7 @@ class Calibrations:
         self._table = table
         self._rows: dict[str, Calibration] = {}
         self._used: list[str] = []
-        self._more: dict[Kind, int] = {}
+        self._more: dict[Kind, tuple[int, float]] = {}
         if table is None:
             return
         numbers = table.measured("value", "sigma")
@@ -86,9 +86,9 @@ class Calibrations:
         """The value of a name; 0 where there is no row."""
         return self._rows[name].value if name in self._rows else 0.0
 
-    def add(self, kind: Kind, count: int) -> None:
-        """Variables in R(1) that a log needs, numbered from 0, that begin at 0: biases of a gyro."""
-        self._more[kind] = count
+    def add(self, kind: Kind, count: int, sigma: float) -> None:
+        """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""
+        self._more[kind] = count, sigma
 
     def headings(self, factor: Factor) -> tuple[Keys, Array] | None:
         """Poses and their yaw (n,) by a compass, with its calibrations as believed; None of other factors."""
@@ -99,8 +99,9 @@ class Calibrations:
         return (factor.keys[0], factor.z.reshape(-1) - shift) if isinstance(factor, Heading) else None
 
     def given(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation, before the measurements, of every variable of the file."""
-        return {name: (self._rows[name].value, self._rows[name].sigma) for name in self.variables}
+        """Value and standard deviation before the measurements, of every variable and the first that a log needs."""
+        rows = {name: (self._rows[name].value, self._rows[name].sigma) for name in self.variables}
+        return rows | {kind.name: (0.0, sigma) for kind, (_, sigma) in self._more.items()}
 
     @property
     def variables(self) -> dict[str, float]:
@@ -110,7 +111,7 @@ class Calibrations:
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The variables for `nls.Values`, each number 0 of a kind of its own."""
         begin = {Kind(name): np.array([[value]]) for name, value in self.variables.items()}
-        begin |= {kind: np.zeros((count, 1)) for kind, count in self._more.items()}
+        begin |= {kind: np.zeros((count, 1)) for kind, (count, _) in self._more.items()}
         return {kind: (R(1), X, np.arange(len(X), dtype=np.int64)) for kind, X in begin.items()}
 
     def priors(self, report: MissionReport) -> list[Factor]:

@@ -26,7 +26,7 @@ class MissionReport(LoadReport):
     sonar : the sonar its contacts were seen with; None without contacts.
     offset : (7,) its mounting, the pose of the sonar on the vehicle, SE3.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
-    calibrations : value and standard deviation of each variable of calibration.csv by name, before the measurements.
+    calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
 
     truth: Values = field(default_factory=Values)

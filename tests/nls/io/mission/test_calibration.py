@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from factors.keys import Kind
 from models.algebra import Array
 from models.errors import GraphFileError
 from nls import Values
+from nls.cli import main
 from nls.io.mission.table import csv_text
 from tests.nls.io.mission.mission_files import folder, raw
 from tests.nls.io.mission.surveys import Survey, away
@@ -135,3 +137,26 @@ def test_gyro_and_compass_are_refused_together_and_missed_apart(tmp_path: Path) 
     ):
         with pytest.raises(GraphFileError, match=problem):
             nls.load(folder(tmp_path / str(k), tables))
+
+
+def test_solve_says_which_calibrations_the_data_determine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reports = {}
+    for name, straight, fixes in (("turns", False, 20), ("straight", True, 0)):
+        survey = Survey(0, straight=straight, arm=ARM, **OFF)
+        survey.load(tmp_path / name, PRIOR, fixes=0)
+        if fixes:
+            i = np.arange(0, 240, fixes)
+            rows = [[k, *survey.p[(3 + k) * 200, :2], survey.rpy[(3 + k) * 200, 2], 0.2, 0.2, 0.5] for k in i.tolist()]
+            names = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
+            lines = [names] + [f"{row[0]}," + ",".join(repr(float(item)) for item in row[1:]) for row in rows]
+            (tmp_path / name / "anchor.csv").write_text("\n".join(lines) + "\n")
+        assert main(["solve", str(tmp_path / name), "--json", str(tmp_path / f"{name}.json")]) == 0
+        out = capsys.readouterr().out
+        reports[name] = json.loads((tmp_path / f"{name}.json").read_text())["mission"]["calibrations"]
+        assert out.count("not determined by these data") == (3 if straight else 0)
+        assert [c["name"] for c in reports[name]] == list(PRIOR)
+    for c in reports["turns"]:
+        assert c["determined"]
+        assert c["share"] == pytest.approx(c["sigma"] / PRIOR[c["name"]][1])
+        assert abs(c["value"] - OFF[c["name"]]) < 3 * c["sigma"]
+    assert all(c["share"] == pytest.approx(1.0, abs=1e-3) for c in reports["straight"])
