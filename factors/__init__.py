@@ -25,6 +25,7 @@ from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
+from factors.scaled_range import ScaledRange
 from factors.shifted import Shifted
 from factors.sighting import Sighting
 from factors.sonar import sonar_factors
@@ -64,6 +65,7 @@ __all__ = [
     "Range",
     "RangeAzimuth",
     "Robust",
+    "ScaledRange",
     "Shifted",
     "Sighting",
     "SqrtInformation",

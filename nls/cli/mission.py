@@ -153,11 +153,16 @@ class Solved:
         """What to write where: functions that take the name of the file, and the names."""
         writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
         has_elevations = self.contacts and self.report.sonar is not None
-        return [
-            (write, str(Path(folder, name)))
+        named = [
+            (write, name)
             for write, name in zip(writers, FILES, strict=True)
             if has_elevations or name.startswith("tra")
         ]
+        if "b" in self.values.stacks:
+            named.append((self._beacons, "beacons.csv"))
+        if "calibration.csv" in self.report.tags:
+            named.append((self._calibration, "calibration.csv"))
+        return [(write, str(Path(folder, name))) for write, name in named]
 
     def _tum(self, path: str) -> None:
         from nls.io.trajectory import write_tum
@@ -178,6 +183,18 @@ class Solved:
         from nls.io.mission.results import map_text
 
         write_bytes(path, map_text(self.values, self.marginals, self.elevations))
+
+    def _beacons(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import beacons_text
+
+        write_bytes(path, beacons_text(self.values, self.marginals))
+
+    def _calibration(self, path: str) -> None:
+        from nls.io.files import write_bytes
+        from nls.io.mission.results import calibration_text
+
+        write_bytes(path, calibration_text(self.values, self.marginals))
 
     def _track(self, path: str) -> None:
         from nls.plot.mission import track
@@ -208,13 +225,13 @@ class Solved:
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
         first = next(iter(self.tracks.values()))
-        anchors = [factor.keys[0] for factor in self.graph.factors if isinstance(factor, Position)]
+        anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
             "poses": len(self.values.stack("x")),
             "landmarks": len(self.values.stacks.get("l", ())),
             "contacts": sum(map(len, self.contacts)),
             "sonar": None if self.report.sonar is None else self.report.sonar.name,
-            "anchor": ", ".join(map(repr, anchors)),
+            "anchor": ", ".join(self.report.world or anchors),
             "judge": first.against,
             "distance_m": first.distance,
         }
@@ -257,7 +274,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
         f"{mission['contacts']} contacts" + (f" of a {mission['sonar']}" if mission["sonar"] else ""),
         f"drift       {drift} of the distance at the end, against {judge}",
-        f"ATE         {ate} rmse (no alignment: {mission['anchor']} is anchored)",
+        f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})",
     ]
     if mission.get("landmark_rmse_m") is not None:
         out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
@@ -278,6 +295,11 @@ def _calibrated(calibration: dict[str, Any]) -> str:
         return f"{c['name']} {c['value']:.4g}, its sigma is not known"
     verdict = f"{100 * c['share']:.3g} % of its sigma before" if c["determined"] else "not determined by these data"
     return f"{c['name']} {c['value']:.4g}, sigma {c['sigma']:.2g} ({verdict})"
+
+
+def _held(anchor: str) -> str:
+    """What holds the track in the world: poses, or files."""
+    return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
 
 
 def _percent(number: float) -> str:

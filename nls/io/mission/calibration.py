@@ -19,7 +19,9 @@ from models.options import did_you_mean
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["NAMES", "Calibrations"]
+__all__ = ["NAMES", "Calibrations", "Compass"]
+
+Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
 
 NAMES = {  # of a calibration: what it is
     "dvl_scale": "scale error of the DVL, a fraction: it reads 1 + this times the velocity",
@@ -29,7 +31,7 @@ NAMES = {  # of a calibration: what it is
     "usbl_clock_s": "times of usbl.csv are late by this",
     "ranges_clock_s": "times of ranges.csv are late by this",
     "declination_rad": "the headings of ahrs.csv are from a north that is this east of true north",
-    "sound_speed_scale": "acoustic ranges are 1 + this times the distance, as of a sound speed that is too high",
+    "sound_speed_scale": "ranges of ranges.csv are 1 + this times the distance, as of a sound speed that is too high",
 }
 
 
@@ -90,7 +92,7 @@ class Calibrations:
         """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""
         self._more[kind] = count, sigma
 
-    def headings(self, factor: Factor) -> tuple[Keys, Array] | None:
+    def headings(self, factor: Factor) -> Compass | None:
         """Poses and their yaw (n,) by a compass, with its calibrations as believed; None of other factors."""
         shift = np.zeros(1)
         while isinstance(factor, Shifted):

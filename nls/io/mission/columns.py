@@ -66,7 +66,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
     "water": WATER,
     "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
-    "beacons": ("x_m", "y_m", *GEODETIC),
+    "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
     "ranges": (
         *(*WHEN, "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
     ),

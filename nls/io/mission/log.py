@@ -59,6 +59,7 @@ from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Times, united
 from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
 DVL = ("dvl_scale", "dvl_yaw_rad")
@@ -70,9 +71,11 @@ GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the 
 
 
 def integrated(
-    tables: dict[str, Table], report: MissionReport, calibrations: Calibrations
+    tables: dict[str, Table], report: MissionReport, calibrations: Calibrations, times: Times | None = None
 ) -> tuple[Numbers, list[Factor]]:
     """Numbers of the poses, rising in time, and their steps, `ZPR` and what is known of the heading.
+
+    `times` are those of other files, see `nls.io.mission.timeline`.
 
     Raises
     ------
@@ -92,6 +95,7 @@ def integrated(
         {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
         t_v[valid],
         report,
+        times or {},
     )
     roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
     effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
@@ -248,9 +252,10 @@ def _given_the_yaw(Sigma: Array, sigma_yaw: float, bridged: Mask, inside: Mask) 
 
 
 def _poses(
-    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport
+    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport, times: Times
 ) -> tuple[Numbers, Array]:
-    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run.
+    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
+    one at each of the times of other files.
 
     The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
     """
@@ -274,6 +279,7 @@ def _poses(
             report.notes.append(
                 f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
             )
+        b = united(b, end, times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
     if (out := (b < begin) | (b > end)).any():

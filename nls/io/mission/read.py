@@ -16,11 +16,16 @@ from models.errors import OptionError
 from models.geodesy import LocalPlane
 from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
-from nls.io.mission.calibration import Calibrations
+from nls.io.mission.acoustic import Acoustics
+from nls.io.mission.calibration import Calibrations, Compass
+from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import ANGLES, CONTACT, LEVEL, PLACE, TILT, suffixed
+from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
+from nls.io.mission.placing import place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Timeline, measured_times
 from nls.io.report import Source
 from nls.sparse.components import connected
 from nls.stages import stage
@@ -59,24 +64,37 @@ def read_mission(folder: str | Path, elevation: str = "hinge") -> tuple[FactorGr
     tables, report = read_tables(folder)
     report.plane = _plane(tables.get("origin"))
     calibrations = Calibrations(tables.get("calibration"))
+    times = measured_times(tables, calibrations)
     if "odometry" in tables:
         numbers, factors = _track(tables, report)
     else:
         from nls.io.mission.log import integrated
 
-        numbers, factors = integrated(tables, report, calibrations)
+        numbers, factors = integrated(tables, report, calibrations, times)
     report.truth = _truth(tables, numbers, report)
     graph = FactorGraph(factors)
-    anchors, first = _anchor(tables, numbers, graph, calibrations, report)
+    open_ended = "odometry" not in tables and "poses" not in tables
+    timeline = Timeline(numbers, report.vertex_times.get("x"), times, open_ended, report)
+    if "fixes" in tables:
+        add_fixes(graph, report, tables["fixes"], timeline)
+    if "closures" in tables:
+        add_closures(graph, report, tables["closures"], timeline)
+    acoustics = Acoustics(graph, report, tables, timeline, calibrations, _depths(graph, numbers))
+    if "anchor" not in tables:
+        report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
+    compass = next((known for factor in factors if (known := calibrations.headings(factor)) is not None), None)
+    anchors, first = _anchor(tables, numbers, compass, report)
     for factor in anchors:
         graph.add(factor)
     points = _contacts(tables, numbers, graph, report, elevation)
     _compare(report, points)
+    with stage("read start"):
+        start = _start(graph, numbers, points, first, compass, calibrations, acoustics)
+    shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
     report.calibrations = calibrations.given()
-    with stage("read start"):
-        return graph, _start(graph, numbers, points, first, calibrations), report
+    return graph, start, report
 
 
 def _plane(origin: Table | None) -> LocalPlane | None:
@@ -93,21 +111,35 @@ def _plane(origin: Table | None) -> LocalPlane | None:
 
 
 def _start(
-    graph: FactorGraph, numbers: Numbers, points: Numbers, first: tuple[Keys, Array], calibrations: Calibrations
+    graph: FactorGraph,
+    numbers: Numbers,
+    points: Numbers,
+    first: tuple[Keys, Array] | None,
+    compass: Compass | None,
+    calibrations: Calibrations,
+    acoustics: Acoustics,
 ) -> Values:
-    """Dead reckoning, moved to where its anchor is by a turn about the vertical and a step in the horizontal."""
+    """Dead reckoning, moved by a turn about the vertical and a step in the horizontal to where its anchor is, or to
+    what was measured in the world; beacons and landmarks from there."""
     spaces: dict[Kind, tuple[Manifold, Array, Numbers]] = {x: (SE3, SE3.identity(len(numbers)), numbers)}
-    spaces |= calibrations.spaces()
+    spaces |= acoustics.spaces() | calibrations.spaces()
     if len(points):
         spaces[l] = (R(3), np.zeros((len(points), 3)), points)
     start = dead_reckoning(graph, Values(spaces))
-    anchor, (x_m, y_m, yaw) = first
-    anchor_pose = euler.from_se3(start[anchor])[0]
-    turn = euler.to_se3([0.0, 0.0, yaw - anchor_pose[2], 0.0, 0.0, 0.0])
-    turned = SE3.act(turn, anchor_pose[3:])
-    turn[:2] = x_m - turned[0], y_m - turned[1]
+    if first is None:
+        turn = turn_to_measurements(graph, start, acoustics.places, compass)
+    else:
+        turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
+    place_beacons(graph, start, acoustics.places)
     return first_sighting(graph, start) if len(points) else start
+
+
+def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
+    """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
+    tilt = next(factor for factor in graph.factors if factor.states("tilts"))
+    order = np.argsort(tilt.keys[0].numbers)
+    return np.asarray(np.interp(numbers, tilt.keys[0].numbers[order], tilt.z[order, 0]))
 
 
 def _track(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
@@ -191,12 +223,12 @@ def _compare(report: MissionReport, points: Numbers) -> None:
 
 
 def _anchor(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, calibrations: Calibrations, report: MissionReport
-) -> tuple[list[Factor], tuple[Keys, Array]]:
+    tables: dict[str, Table], numbers: Numbers, compass: Compass | None, report: MissionReport
+) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
-    Where nobody says so it is the first pose, and its heading only where no compass measures it; with a compass it is
-    the first pose that this one sees.
+    Nothing and none where other measurements are absolute. Else where nobody says so it is the first pose, and its
+    heading only where no compass measures it; with a compass it is the first pose that this one sees.
     """
     if (table := tables.get("anchor")) is not None:
         table.unique("i", "pose")
@@ -204,7 +236,8 @@ def _anchor(
         z, sigmas = table.measured(*LEVEL), table.positive(*suffixed(LEVEL))
         report.sources += [table.source()] * 2
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
-    compass = next((known for factor in graph.factors if (known := calibrations.headings(factor)) is not None), None)
+    if report.world:
+        return [], None
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
     if compass is not None:
         poses, yaw = compass

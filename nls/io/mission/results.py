@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.keys import kinds
+from factors.keys import Kind, kinds
 from models import euler
 from models.algebra import Array
 from nls.covariance import Marginals
+from nls.io.mission.calibration import NAMES
 from nls.io.mission.columns import COLUMNS, PLACE, suffixed
 from nls.io.mission.solution import Elevations
 from nls.io.mission.table import csv_text
 from nls.values import Values
 
-__all__ = ["MAP", "TRAJECTORY", "map_text", "trajectory_text"]
+__all__ = ["MAP", "TRAJECTORY", "beacons_text", "calibration_text", "map_text", "trajectory_text"]
 
-x, l = kinds("x", "l")
+x, l, b = kinds("x", "l", "b")
+BEACONS = ("beacon", *PLACE, *suffixed(PLACE))
 TRAJECTORY = (*COLUMNS["truth"], *suffixed(COLUMNS["truth"][1:]))
 UPPER = np.triu_indices(3)
 MAP = (
@@ -59,6 +61,23 @@ def map_text(values: Values, marginals: Marginals | None, elevations: Elevations
         *(elevations.landmarks, values[keys], _or_empty(Sigma, (n, 6)), elevations.views, elevations.poses),
         *(elevations.elevation[:, None], _or_empty(sigma, (n, 1)), elevations.pushed.astype(int)),
     )
+
+
+def beacons_text(values: Values, marginals: Marginals | None) -> bytes:
+    """beacons.csv: the estimated places of the beacons with their standard deviations, which another mission reads."""
+    stack = values.stack(b)
+    sigmas = None if marginals is None else np.sqrt(np.diagonal(marginals.all(b), axis1=1, axis2=2))
+    return csv_text(BEACONS, stack.numbers, np.asarray(stack.X), _or_empty(sigmas, (len(stack), 3)))
+
+
+def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
+    """calibration.csv: the estimated numbers of the sensors with their standard deviations."""
+    names = [name for name in NAMES if name in values.stacks]
+    estimates = [[float(values.stack(name).X[0, 0])] for name in names]
+    sigmas = None
+    if marginals is not None:
+        sigmas = np.array([[np.sqrt(float(marginals.all(Kind(name))[0, 0, 0]))] for name in names])
+    return csv_text(COLUMNS["calibration"], names, estimates, _or_empty(sigmas, (len(names), 1)))
 
 
 def _or_empty(numbers: Array | None, shape: tuple[int, int]) -> list[list[str]]:

@@ -77,6 +77,7 @@ class Table(Text):
         if not len(self.lines):
             raise self.error(f"is empty; expected a first line {expected} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
+        self._head = head
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
         self._refuse_no_names(head, expected)
         for problem, some in (
@@ -260,7 +261,7 @@ class Table(Text):
         t = self.measured(name)[:, 0]
         if (late := t[1:] <= t[:-1]).any():
             k = int(np.argmax(late)) + 1
-            cure = "sort the rows by time" if t[k] < t[k - 1] else "delete one of the two rows"
+            cure = f"sort the rows by {name}" if t[k] < t[k - 1] else "delete one of the two rows"
             raise self.at(k, f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}")
         return t
 
@@ -294,6 +295,10 @@ class Table(Text):
     def place(self, row: int) -> str:
         """Where a row stands, for a note about this folder: the file's name and its line."""
         return f"{Path(self.path).name}:{self.lines[row] + 1}"
+
+    def at_names(self, message: str) -> GraphFileError:
+        """An error at the line of names: about the columns."""
+        return self.error(message, self._head)
 
     def at(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""
