@@ -12,6 +12,7 @@ from factors.between import Between
 from factors.between_sensors import BetweenSensors
 from factors.bundle import BundleProjection
 from factors.check import check_jacobians
+from factors.dvl_leg import DvlLeg
 from factors.elevation import Elevation, ElevationHinge
 from factors.epipolar_arc import EpipolarArc
 from factors.heading import Heading
@@ -44,6 +45,7 @@ __all__ = [
     "Cauchy",
     "Covariance",
     "Diagonal",
+    "DvlLeg",
     "Elevation",
     "ElevationHinge",
     "EpipolarArc",

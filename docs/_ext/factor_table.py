@@ -23,7 +23,7 @@ __all__ = ["FactorTable", "public_factors", "row", "setup"]
 HEADER = ("factor", "prediction", "variables", "measured, and its noise")
 WIDTHS = (20, 30, 24, 26)
 MEASURED = (("z", "noise"), ("limit", "softness"), ("factor", "G"))  # a measurement, a bound, or what shifts another
-CALIBRATIONS = ("offset", "key")  # variables that may stand behind the measurement
+CALIBRATIONS = ("offset", "key", "scale", "yaw")  # variables that may stand behind the measurement
 JACOBIAN = re.compile(r"[HJ](_| =)")
 EQUATION = re.compile(r"^\.\. math::(.*?)(?:\n[ \t]*\n|\Z)", flags=re.MULTILINE | re.DOTALL)
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
     from nls.io.charts import Projection
+    from nls.io.mission.determination import Determination
     from nls.linear import LinearSolver
     from nls.optimizers import Result
     from nls.values import Values
@@ -160,6 +161,15 @@ class Solved:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
         return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
 
+    @cached_property
+    def calibrations(self) -> list[Determination]:
+        """What the measurements say of the calibrations."""
+        from nls.io.mission.determination import determinations
+
+        return determinations(
+            self.graph, self.values, self.report, self.solver, self.gauge, bool(self.result.converged)
+        )
+
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
         first = next(iter(self.tracks.values()), None)
@@ -200,6 +210,14 @@ class Solved:
             sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
             out["at_limit"] = int(self.elevations.pushed.sum())
+        if self.report.calibrations:
+            out["calibrations"] = [
+                {
+                    **{"name": c.name, "value": c.value, "sigma": c.sigma, "sigma_before": c.sigma_before},
+                    **{"share": c.share, "determined": c.determined},
+                }
+                for c in self.calibrations
+            ]
         return out
 
 
@@ -221,7 +239,17 @@ def lines(mission: dict[str, Any]) -> list[str]:
         out.append(
             f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma){edge}"
         )
+    out += [f"calibration {_calibrated(c)}" for c in mission.get("calibrations", [])]
     return out
+
+
+def _calibrated(calibration: dict[str, Any]) -> str:
+    """The words of an estimated calibration."""
+    c = calibration
+    if c["sigma"] is None:
+        return f"{c['name']} {c['value']:.4g}, its sigma is not known"
+    verdict = f"{100 * c['share']:.3g} % of its sigma before" if c["determined"] else "not determined by these data"
+    return f"{c['name']} {c['value']:.4g}, sigma {c['sigma']:.2g} ({verdict})"
 
 
 def _held(anchor: str) -> str:

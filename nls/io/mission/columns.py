@@ -16,6 +16,10 @@ GEODETIC = ("lat_deg", "lon_deg")
 ARM = ("arm_x_m", "arm_y_m", "arm_z_m")
 HOW = ("delay_s", *ARM, "kernel")
 POSE = ("i", *ANGLES, *PLACE)
+LOCK = ("beams", "altitude_m", "sigma_v_m_s")
+WATER_TRACK = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s", "water_valid")
+WATER = ("density_kg_m3", "latitude_deg", "atmosphere_pa")
+GYRO = ("sigma_w_rad_s_sqrt_hz", "sigma_bias_rad_s", "sigma_bias_walk_rad_s_sqrt_s")
 
 
 def suffixed(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -35,11 +39,15 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
     "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid"),
+    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid", *LOCK, *WATER_TRACK),
     "ahrs": ("time_s", *ANGLES),
+    "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),
+    "pressure": ("time_s", "pressure_pa"),
+    "water": WATER,
+    "tide": ("time_s", "tide_m"),
     "dvl_mount": (*PLACE, *ANGLES),
-    "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m"),
+    "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m", "gate_v_m_s", *GYRO),
     "poses": ("i", "time_s"),
     "origin": GEODETIC,
     "fixes": (*WHEN, *PLACE, *GEODETIC, *suffixed(PLACE), *HOW),
@@ -59,6 +67,10 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
     "truth": WHEN,
+    "dvl": ("valid", *LOCK, *WATER_TRACK),
+    "ahrs": ("yaw_rad",),
+    "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
+    "water": WATER,
     "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
     "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
     "ranges": (
@@ -71,5 +83,6 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
     "path": (*UPRIGHT, *suffixed(UPRIGHT)),
 }
 TRACK = ("odometry", "zpr")  # either these
-LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them
+LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth
 ALONE = ("path", "motion")  # or one of these
+BESIDE = ("dvl_mount", "gyro", "pressure", "water", "tide")  # files that are of use beside a raw log alone

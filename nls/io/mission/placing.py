@@ -11,13 +11,14 @@ from contextlib import suppress
 
 import numpy as np
 
-from factors import BearingRange, Factor, Heading, Position, Range, ScaledRange, Shifted
+from factors import BearingRange, Factor, Position, Range, ScaledRange, Shifted
 from factors.keys import Keys, kinds
 from models import SE3, euler
 from models.algebra import Array, Index, Numbers
 from models.alignment import align
 from models.errors import SingularGeometryError
 from nls.graph import FactorGraph
+from nls.io.mission.calibration import Compass
 from nls.starts.beacons import beacon_of_ranges
 from nls.values import Values
 
@@ -41,19 +42,20 @@ def turn_to(pose: Array, x_m: float, y_m: float, yaw: float) -> Array:
     return np.asarray(turn)
 
 
-def turn_to_measurements(graph: FactorGraph, start: Values, places: Array) -> Array:
+def turn_to_measurements(graph: FactorGraph, start: Values, places: Array, compass: Compass | None) -> Array:
     """The motion (7,) that brings dead reckoning to what was measured in the world.
 
     Parameters
     ----------
     graph, start : of the mission; its poses by dead reckoning.
     places : (m, 3) of the beacons in the order of their stack, nan where they are not known.
+    compass : poses and their yaw by a compass.
     """
     turn = SE3.identity()[0]
-    compass = next((factor for factor in map(unshifted, graph.factors) if isinstance(factor, Heading)), None)
     if compass is not None:
-        state = euler.from_se3(start[compass.keys[0][[0]]])[0]
-        turn = euler.to_se3([0.0, 0.0, float(compass.z[0]) - float(state[2]), 0.0, 0.0, 0.0])
+        poses, yaw = compass
+        state = euler.from_se3(start[poses[[0]]])[0]
+        turn = euler.to_se3([0.0, 0.0, float(yaw[0]) - float(state[2]), 0.0, 0.0, 0.0])
     u, v = _pairs(graph, start, places)
     if not len(u):
         return np.asarray(turn)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import XYH, ZPR, Diagonal, Heading, Position
+from factors import XYH, Diagonal, Heading, Position
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, R, euler
@@ -15,13 +15,13 @@ from models.errors import OptionError
 from models.geodesy import LocalPlane
 from nls.graph import FactorGraph
 from nls.io.mission.acoustic import Acoustics
-from nls.io.mission.calibration import Calibrations
+from nls.io.mission.calibration import Calibrations, Compass
 from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import LEVEL, suffixed
 from nls.io.mission.contacts import add_contacts
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
-from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements, unshifted
+from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline, measured_times
@@ -69,7 +69,7 @@ def read_mission(
     _doubt(tables, report)
     times = measured_times(tables, calibrations)
     report.elsewhere = tables.get("dive_closures")
-    numbers, factors = track(tables, times, report)
+    numbers, factors = track(tables, calibrations, times, report)
     report.truth = true_values(tables, numbers, report)
     graph = FactorGraph(factors)
     open_ended = not {"odometry", "poses"} & tables.keys()
@@ -81,16 +81,18 @@ def read_mission(
     acoustics = Acoustics(graph, report, tables, timeline, calibrations, _depths(graph, numbers))
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
-    anchors, first = _anchor(tables, numbers, graph, report, anchored)
+    compass = next((known for factor in factors if (known := calibrations.headings(factor)) is not None), None)
+    anchors, first = _anchor(tables, numbers, compass, report, anchored)
     for factor in anchors:
         graph.add(factor)
     points = add_contacts(tables, numbers, graph, report, elevation)
     compare_landmarks(report, points)
     with stage("read start"):
-        start = _start(graph, numbers, points, first, calibrations, acoustics)
+        start = _start(graph, numbers, points, first, compass, calibrations, acoustics)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
+    report.calibrations = calibrations.given()
     return graph, start, report
 
 
@@ -122,6 +124,7 @@ def _start(
     numbers: Numbers,
     points: Numbers,
     first: tuple[Keys, Array] | None,
+    compass: Compass | None,
     calibrations: Calibrations,
     acoustics: Acoustics,
 ) -> Values:
@@ -133,7 +136,7 @@ def _start(
         spaces[l] = (R(3), np.zeros((len(points), 3)), points)
     start = dead_reckoning(graph, Values(spaces))
     if first is None:
-        turn = turn_to_measurements(graph, start, acoustics.places)
+        turn = turn_to_measurements(graph, start, acoustics.places, compass)
     else:
         turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
@@ -145,7 +148,7 @@ def _start(
 
 def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
     """Measured depths (n,) of the poses, m, those without on the line between their neighbors."""
-    tilt = next((factor for factor in map(unshifted, graph.factors) if isinstance(factor, ZPR)), None)
+    tilt = next((factor for factor in graph.factors if factor.states("tilts")), None)
     if tilt is None:
         return np.zeros(len(numbers))
     order = np.argsort(tilt.keys[0].numbers)
@@ -153,7 +156,7 @@ def _depths(graph: FactorGraph, numbers: Numbers) -> Array:
 
 
 def _anchor(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, anchored: bool
+    tables: dict[str, Table], numbers: Numbers, compass: Compass | None, report: MissionReport, anchored: bool
 ) -> tuple[list[Factor], tuple[Keys, Array] | None]:
     """What holds the mission in the world, x, y and heading of a pose; the first such pose with these numbers.
 
@@ -169,11 +172,11 @@ def _anchor(
         return _held(x[i], z, sigmas), (x[i[:1]], z[0])
     if report.world:
         return [], None
-    compass = next((factor for factor in graph.factors if isinstance(factor, Heading)), None)
     anchor, z, where = x[numbers[:1]], np.zeros(3), "0"
     if compass is not None:
-        first = int(np.argmin(compass.keys[0].numbers))
-        anchor, z[2] = compass.keys[0][[first]], compass.z[first]
+        poses, yaw = compass
+        first = int(np.argmin(poses.numbers))
+        anchor, z[2] = poses[[first]], yaw[first]
     if "x" in report.truth.stacks and anchor in report.truth:
         true, where = euler.from_se3(report.truth[anchor])[0, [3, 4, 2]], "the truth"
         z = true if compass is None else np.append(true[:2], z[2])

@@ -32,6 +32,7 @@ class MissionReport(LoadReport):
     soundings : (n, 2) times and heights of the vehicle over the bottom, s and m; None where its log has none.
     findings : what is implausible in the tables, each also a warning.
     plane : where x = y = 0 is on the Earth, with x north and y east; None where no file says it.
+    calibrations : value and standard deviation of the calibrations that are variables by name, before the measurements.
     """
 
     truth: Values = field(default_factory=Values)
@@ -41,6 +42,7 @@ class MissionReport(LoadReport):
     world: list[str] = field(default_factory=list)
     soundings: Array | None = field(default=None, compare=False)
     plane: LocalPlane | None = None
+    calibrations: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Implausible] = field(default_factory=list)
 
     @property

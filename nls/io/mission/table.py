@@ -30,6 +30,7 @@ TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer
 LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
     ("time_s", 1e15, "seconds, within 1e15"),
     ("_m_s", 1e9, "meters per second, within 1e9"),
+    ("_rad_s", 100.0, "radians per second, within 100"),
     ("_rad", TURNS, "radians, -2 pi to 2 pi"),
     ("_deg", 360.0, "degrees, -360 to 360"),
     ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away

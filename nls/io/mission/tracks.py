@@ -24,6 +24,7 @@ from models import SE3, euler
 from models.algebra import Array, Numbers
 from models.errors import GraphFileError
 from models.sensors import levelled
+from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
@@ -36,12 +37,14 @@ LEVEL_SIGMA = 1e-3  # m and rad, of a depth and a tilt that the file takes to be
 (x,) = kinds("x")
 
 
-def track(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+def track(
+    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
+) -> tuple[Numbers, list[Factor]]:
     """Numbers of the poses, rising, and the factors between and at them, from the files that say them.
 
     Parameters
     ----------
-    tables : of the folder.
+    tables, calibrations : of the folder.
     times : of its rows, see `nls.io.mission.timeline`.
     report : gets notes, the lines of the factors, and the times of the poses.
 
@@ -55,7 +58,7 @@ def track(tables: dict[str, Table], times: Times, report: MissionReport) -> tupl
         return _reckoned(tables, times, report)
     if "motion" in tables:
         return _walking(tables, times, report)
-    return _log(tables, times, report)
+    return _log(tables, calibrations, times, report)
 
 
 def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
@@ -99,13 +102,15 @@ def _times(poses: Table, numbers: Numbers) -> Array:
     return t[np.argsort(ids)]
 
 
-def _log(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+def _log(
+    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
+) -> tuple[Numbers, list[Factor]]:
     """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
     from nls.io.mission.log import integrated
     from nls.io.mission.plausible.words import sentence
 
     try:
-        return integrated(tables, report, times)
+        return integrated(tables, report, calibrations, times)
     except GraphFileError as error:
         if not report.findings:
             raise

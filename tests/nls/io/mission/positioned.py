@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 import nls
 from models import SE3, euler
-from nls.io.mission.columns import COLUMNS
 from nls.io.mission.table import csv_text
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.io.mission.mission_files import RAW, folder
 
 __all__ = ["BEACONS", "SHIFT", "Positioned", "csv"]
 
@@ -40,10 +39,10 @@ class Positioned:
         zero, one = np.zeros(len(s)), np.ones(len(s))
         yaw = 0.3 + 1.2 * np.sin(s / 12)
         self.files = {
-            "dvl": csv(",".join(COLUMNS["dvl"]), s, one, 0.1 * one, 2 / 9 * np.cos(s / 9), one.astype(int)),
-            "ahrs": csv(",".join(COLUMNS["ahrs"]), s, zero, zero, yaw),
+            "dvl": csv(",".join(RAW["dvl"]), s, one, 0.1 * one, 2 / 9 * np.cos(s / 9), one.astype(int)),
+            "ahrs": csv(",".join(RAW["ahrs"]), s, zero, zero, yaw),
             "depth": csv("time_s,z_m", s, 4 + 2 * np.sin(s / 9)),
-            "noise": csv(",".join(COLUMNS["noise"]), [[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]]),
+            "noise": csv(",".join(RAW["noise"]), [[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]]),
         }
         self.t = np.union1d(np.arange(0.0, 80.5), t)
         self.poses = csv("i,time_s", np.arange(len(self.t)), self.t)

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 import nls
 from models.errors import LeadlineError, SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, ResourceLimitError
-from nls.io.mission.columns import COLUMNS, POSE
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.io.mission.mission_files import RAW, TINY, folder, raw
 
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "--1", "north", "1 2", '"1"', "1;2", '"', "-"]
 WORDS = [*EXOTIC, "nan", "#", ",", ",,", ""]
@@ -241,4 +240,4 @@ def test_damage_of_any_kind(edits: list[tuple[str, str, int, str]], tmp_path: Pa
 def test_the_undamaged_folder_is_read_and_every_file_has_its_columns(tmp_path: Path) -> None:
     assert read_or_refused(folder(tmp_path / "m"))
     for name, text in {**TINY, **raw()}.items():
-        assert tuple(text.splitlines()[0].split(",")) == (POSE if name == "truth" else COLUMNS[name])
+        assert tuple(text.splitlines()[0].split(",")) == RAW[name]
