@@ -156,7 +156,10 @@ def explained(
     S = score(before, windows.noise)
     if not DOUBT < S or not np.nanmax(before) > MISFIT:
         return before, ()
-    scored = [(score(misfits(a.apply(log), windows), windows.noise), a) for a in alternatives]
+    clocks = [a for a in alternatives if a.reading.cause is Cause.CLOCK]
+    scored = _scored(log, windows, [a for a in alternatives if a not in clocks])
+    if not any(s <= TIE for s, _ in scored):  # nothing is left for a clock to explain
+        scored += _scored(log, windows, clocks)
     best = min((s for s, _ in scored), default=np.inf)
     if best > CURED * S:
         return before, ()
@@ -167,6 +170,11 @@ def explained(
     arm = ARM / max(float(np.median(np.linalg.norm(log.v, axis=1))), 1e-9)
     first = next(iter(near.values()))
     return before, () if first.cause is Cause.CLOCK and abs(first.factor) < arm else tuple(near.values())
+
+
+def _scored(log: Log, windows: Comparison, alternatives: Sequence[Alternative]) -> list[tuple[float, Alternative]]:
+    """S of every alternative."""
+    return [(score(misfits(a.apply(log), windows), windows.noise), a) for a in alternatives]
 
 
 def doubtful(m: tuple[float, float], windows: Comparison) -> tuple[int, float]:

@@ -47,6 +47,7 @@ def _jumps(log: Log) -> Iterator[Implausible]:
     step = np.linalg.norm(np.diff(d, axis=0), axis=1)
     allowed = FAR * fixes.sigma + DRIFT * (np.append(step, 0.0) + np.append(0.0, step))
     wild = away > np.maximum(allowed, 3 * float(np.median(away)))
+    wild &= (fixes.t >= thin.t_v[0]) & (fixes.t <= thin.t_v[-1])
     if wild.mean() > SHARE:
         row = int(fixes.rows[np.argmax(wild)])
         reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))

@@ -23,7 +23,7 @@ __all__ = ["Fixes", "Log", "read_log"]
 STEP = 1.0  # s: samples of the DVL between which none is needed
 FEWEST = 5  # rows of each file
 LARGEST = 1e9  # of a number, as the reader has it
-MOST = 20_000  # samples of the DVL that are compared with depth and fixes
+MOST = 10_000  # samples of the DVL that are compared with depth and fixes
 
 
 @dataclass(frozen=True)
