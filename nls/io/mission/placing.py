@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from factors import BearingRange, Factor, Position, Range, ScaledRange, Shifted
+from factors import BearingRange, Position, Range, ScaledRange
 from factors.keys import Keys, kinds
 from models import SE3, euler
 from models.algebra import Array, Index, Numbers
@@ -22,15 +22,10 @@ from nls.io.mission.calibration import Compass
 from nls.starts.beacons import beacon_of_ranges
 from nls.values import Values
 
-__all__ = ["along_fixes", "place_beacons", "turn_to", "turn_to_measurements", "unshifted"]
+__all__ = ["along_fixes", "place_beacons", "turn_to", "turn_to_measurements"]
 
 PASSES = 10
 x, b, s = kinds("x", "b", "s")
-
-
-def unshifted(factor: Factor) -> Factor:
-    """A factor without the calibration that shifts its measurements."""
-    return factor.factor if isinstance(factor, Shifted) else factor
 
 
 def turn_to(pose: Array, x_m: float, y_m: float, yaw: float) -> Array:

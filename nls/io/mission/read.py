@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import XYH, Diagonal, Heading, Position
+from factors import Diagonal, Heading, Position
 from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, R, euler
@@ -88,7 +88,7 @@ def read_mission(
     points = add_contacts(tables, numbers, graph, report, elevation)
     compare_landmarks(report, points)
     with stage("read start"):
-        start = _start(graph, numbers, points, first, compass, calibrations, acoustics)
+        start = _start(graph, numbers, points, first, compass, calibrations, acoustics, report)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
@@ -127,6 +127,7 @@ def _start(
     compass: Compass | None,
     calibrations: Calibrations,
     acoustics: Acoustics,
+    report: MissionReport,
 ) -> Values:
     """Dead reckoning, moved by a turn about the vertical and a step in the horizontal to where its anchor is, or to
     what was measured in the world; beacons and landmarks from there."""
@@ -140,7 +141,7 @@ def _start(
     else:
         turn = turn_to(start[first[0]], *first[1])
     start[x] = SE3.compose(turn, start[x])
-    if not any(isinstance(factor, XYH) for factor in graph.factors):
+    if "motion.csv" in report.tags:
         along_fixes(graph, start)
     place_beacons(graph, start, acoustics.places)
     return first_sighting(graph, start) if len(points) else start

@@ -27,13 +27,13 @@ from models.errors import GraphFileError
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
 from nls.io.mission.attitude import Attitude
+from nls.io.mission.bottom_lock import bottom_lock, locked_rows
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
 __all__ = ["Velocities", "orientation", "quarter", "turned", "velocities"]
 
-BEAMS, MOST_BEAMS = 3, 16  # that give a velocity; that no DVL has more of
 NEIGHBOURS = 5  # rows whose median a velocity is compared with, itself among them
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 WATER = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s")
@@ -72,7 +72,7 @@ def velocities(
     GraphFileError
         No column that says where there is bottom lock; fewer than two rows with it; numbers that cannot be.
     """
-    t, valid = dvl.rising("time_s"), _bottom_lock(dvl, report)
+    t, valid = dvl.rising("time_s"), bottom_lock(dvl, report.notes)
     v = np.where(valid[:, None], dvl.measured(*VELOCITY, rows=valid), 0.0)
     if "gate_v_m_s" in noise:
         valid &= _within_gate(dvl, v, valid, noise["gate_v_m_s"], report)
@@ -106,29 +106,6 @@ def quarter(v: Array) -> Array:
     return np.column_stack([-v[:, 1], v[:, 0], 0 * v[:, 2]])
 
 
-def _bottom_lock(dvl: Table, report: MissionReport) -> Mask:
-    """Which rows (n,) see the bottom, by all columns that say so."""
-    valid = np.ones(len(dvl), dtype=bool)
-    if not (dvl.has("valid") or dvl.has("beams")):
-        raise GraphFileError(
-            "has no column 'valid' and none 'beams'; expected valid, 1 where the DVL had bottom lock, else 0, or "
-            "beams, how many of its beams saw the bottom",
-            dvl.path,
-        )
-    if dvl.has("valid"):
-        valid &= dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
-    if dvl.has("beams"):
-        beams = dvl.integers("beams")
-        if (strange := (beams < 0) | (beams > MOST_BEAMS)).any():
-            k = int(np.argmax(strange))
-            raise dvl.at(k, f"beams is {beams[k]}; expected how many see the bottom, 0 to {MOST_BEAMS}")
-        valid = _kept(dvl, valid, beams >= BEAMS, f"fewer than {BEAMS} beams on the bottom", report)
-    if dvl.has("altitude_m"):
-        altitude = dvl.measured("altitude_m", rows=valid)[:, 0]
-        valid = _kept(dvl, valid, altitude > 0, "an altitude that is not above 0", report)
-    return valid
-
-
 def _within_gate(dvl: Table, v: Array, valid: Mask, gate: float, report: MissionReport) -> Mask:
     """Which rows (n,) are within the gate of the median of their neighbours, along each axis."""
     beside = np.pad(v[valid], ((NEIGHBOURS // 2, NEIGHBOURS // 2), (0, 0)), mode="edge")
@@ -136,16 +113,7 @@ def _within_gate(dvl: Table, v: Array, valid: Mask, gate: float, report: Mission
     near = np.ones(len(v), dtype=bool)
     near[valid] = (np.abs(v[valid] - median) <= gate).all(axis=1)
     reason = f"a velocity further than gate_v_m_s, {gate:g} m/s, from the median of {NEIGHBOURS} rows"
-    return _kept(dvl, valid, near, reason, report)
-
-
-def _kept(dvl: Table, valid: Mask, kept: Mask, reason: str, report: MissionReport) -> Mask:
-    """The valid rows that are kept; a note counts the others."""
-    if (left_out := valid & ~kept).any():
-        many = int(left_out.sum())
-        rows = "this row has" if many == 1 else f"{many} rows, this one the first, have"
-        report.notes.append(f"{dvl.place(int(np.argmax(left_out)))}: {rows} {reason}: without bottom lock")
-    return valid & kept
+    return locked_rows(dvl, valid, near, reason, report.notes)
 
 
 def _through_water(

@@ -16,6 +16,7 @@ from models.algebra import Array, Index, Mask, apply
 from models.geodesy import LocalPlane
 from models.manifolds.euler import quaternion_from_angles
 from models.manifolds.so3 import rotation3
+from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.columns import ANGLES, PLACE
 from nls.io.mission.table import Table
 
@@ -101,14 +102,18 @@ def middle(y: Array) -> Array:
 def read_log(tables: dict[str, Table], plane: LocalPlane | None) -> Log | None:
     """The raw log of a mission; None where it is too short, or has a number that the reader refuses.
 
+    None also with gyro.csv and pressure.csv, whose mistakes are others.
+
     Raises
     ------
     GraphFileError
         A cell that is no number, a time that does not rise.
     """
+    if {"gyro", "pressure"} & tables.keys() or not tables["ahrs"].has("yaw_rad"):
+        return None
     dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
     t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
-    valid = dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
+    valid = bottom_lock(dvl, [])
     mount = tables["dvl_mount"].floats(*ANGLES, *PLACE)[0] if "dvl_mount" in tables else np.zeros(6)
     noise = tables["noise"]
     v, rpy, z = dvl.floats("vx_m_s", "vy_m_s", "vz_m_s"), ahrs.floats(*ANGLES), depth.floats("z_m")

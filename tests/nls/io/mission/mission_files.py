@@ -10,7 +10,12 @@ from nls.io.mission.columns import COLUMNS, POSE
 
 __all__ = ["RAW", "TINY", "folder", "raw"]
 
-RAW = {**COLUMNS, "truth": POSE, "dvl": COLUMNS["dvl"][:5], "noise": COLUMNS["noise"][:7]}  # without what may be left out
+RAW = {
+    **COLUMNS,
+    "truth": POSE,
+    "dvl": COLUMNS["dvl"][:5],
+    "noise": COLUMNS["noise"][:7],
+}  # without what may be left out
 
 TINY = {
     "sonar": """\

@@ -11,13 +11,12 @@ import pytest
 import nls
 import sim
 from nls.cli import main
-from nls.io.mission.columns import COLUMNS
 from nls.io.mission.plausible import Log
 from nls.io.mission.plausible.words import sentence
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import write_mission
 from tests.combinations import for_all
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.io.mission.mission_files import RAW, TINY, folder
 from tests.nls.io.mission.plausible.spoils import SPOILS
 from tests.nls.io.mission.plausible.vehicle import clean
 
@@ -28,9 +27,9 @@ def files_of(log: Log, extra: dict[str, str] | None = None) -> dict[str, str]:
     """The files of a log; `extra` ones beside them."""
     names = list(log.sigmas)
     tables = {
-        "dvl": csv_text(COLUMNS["dvl"], log.t_v, log.v, log.valid.astype(int)),
-        "ahrs": csv_text(COLUMNS["ahrs"], log.t_a, log.rpy),
-        "depth": csv_text(COLUMNS["depth"], log.t_z, log.z),
+        "dvl": csv_text(RAW["dvl"], log.t_v, log.v, log.valid.astype(int)),
+        "ahrs": csv_text(RAW["ahrs"], log.t_a, log.rpy),
+        "depth": csv_text(RAW["depth"], log.t_z, log.z),
         "noise": csv_text(names, np.array([[log.sigmas[name] for name in names]])),
     }
     return {name: text.decode() for name, text in tables.items()} | (extra or {})
