@@ -21,10 +21,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from models.errors import GraphFileError
+from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
 from nls.io.files import read_bytes
-from nls.io.importing.frames import FRAMES
+from nls.io.importing.frames import FRAMES, axes
+from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
 
@@ -144,6 +145,8 @@ class Mapping:
         self.time_zero = defaults.pop("time_zero", None)
         for name in defaults:
             if name not in ABOVE_ALL:
+                if name in COLUMNS:
+                    raise self.error("", name, f"{name} is {defaults[name]!r}; expected a section, [{name}]")
                 near = did_you_mean(name, [*ABOVE_ALL, *COLUMNS])
                 raise self.error("", name, f"{name!r} is no table of a mission and no option{near}")
         self.sections: list[Section] = []
@@ -211,6 +214,8 @@ class Mapping:
         kind = mission_unit(column)[0]
         if isinstance(value, str) and column not in ("name", "kernel"):
             return Cell((value,))
+        if isinstance(value, bool) and column != "valid":
+            raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
         if isinstance(value, bool | str) or is_number(value):
             return Cell(constant=value)
         if not isinstance(value, dict):
@@ -224,6 +229,8 @@ class Mapping:
         for key, number in numbers.items():
             if not is_number(number) or (key == "sign" and number not in (-1, 1)):
                 raise refuse(f"{key} is {number!r}; expected {'1 or -1' if key == 'sign' else 'a number'}")
+        if not isinstance(value.get("equals", ""), str | bool | int | float):
+            raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
         unit = value.get("unit", "")
         if unit and (not kind or dimension(str(unit)) != kind):
             pressure = "; of a pressure give scale, such as 9.94e-5 for Pa in sea water, and offset"
@@ -264,7 +271,8 @@ class Mapping:
             "skip": isinstance(value, int) and not isinstance(value, bool) and value >= 0,
             "duplicates": value == "first",
             "decimal": value in (".", ","),
-            "frame": isinstance(value, str) and all(part in FRAMES for part in value.split("/", 1)),
+            "frame": _is_frame(value),
+            "separator": isinstance(value, str) and (value in SEPARATORS or (len(value) == 1 and value not in '"\n\r')),
             "join": isinstance(value, int) and value > 1,
             "rows": isinstance(value, list) and [type(part) for part in value] == [int, int],
             "where": isinstance(value, dict) and set(value) == {"column", "equals"},
@@ -283,20 +291,23 @@ class Mapping:
         return GraphFileError(message, self.path, line, self._line(line) if line else "")
 
     def _place(self, table: str, key: str) -> int | None:
-        """The line of a key, of its section, or None."""
-        within, best = "", None
+        """The line of a key; of one that is not in its section the line above all sections, or that of the section."""
+        within, section, above = "", None, None
         quoted = rf"[\"']?{re.escape(key)}[\"']?"
         for k, line in enumerate(self.text.split("\n"), 1):
+            has_key = bool(key) and re.match(rf"\s*{quoted}\s*[.=]", line) is not None
             if head := re.match(r"\s*\[\[?\s*[\"']?([\w-]+)[\"']?\s*\]\]?", line):
                 within = head[1]
-                best = k if within == table and best is None else best
-            elif not within and re.match(rf"\s*[\"']?{re.escape(table)}[\"']?\s*[.=]", line) and table:
-                best = k if best is None else best
-                if re.search(rf"[.{{,]\s*{quoted}\s*[.=]", line):
+                section = section or (k if within == table else None)
+            elif not within and table and re.match(rf"\s*[\"']?{re.escape(table)}[\"']?\s*[.=]", line):
+                section = section or k
+                if key and re.search(rf"[.{{,]\s*{quoted}\s*[.=]", line):
                     return k
-            elif within == table and key and re.match(rf"\s*{quoted}\s*[.=]", line):
+            elif has_key and within == table:
                 return k
-        return best if best is not None else None
+            elif has_key and not within:
+                above = k
+        return above or section
 
 
 def read_mapping(path: str | Path) -> Mapping:
@@ -321,6 +332,14 @@ def read_mapping(path: str | Path) -> Mapping:
         return Mapping(read_bytes(path).decode("utf-8"), str(path))
     except UnicodeDecodeError as error:
         raise GraphFileError(f"is not UTF-8 text: {error.reason}", str(path)) from error
+
+
+def _is_frame(value: Any) -> bool:
+    """Whether it is the name of axes."""
+    try:
+        return isinstance(value, str) and all(part in FRAMES for part in value.split("/")) and bool(axes(value))
+    except OptionError:
+        return False
 
 
 def _is_section(value: Any) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -244,13 +245,14 @@ class TextLog(Log):
         words = self.words(name)
         if self.decimal == ",":
             words = [word.replace(",", ".") for word in words]
-        words = ["nan" if word.lower() in MISSING else word for word in words]
-        try:
-            if not any("_" in word for word in words):  # which float() takes
-                return np.fromiter(map(float, words), float, len(words))
-        except ValueError:
-            pass
-        k = next(k for k, word in enumerate(words) if word != "nan" and not NUMBER.fullmatch(word.encode()))
+        if not any("_" in word for word in words):  # which float() takes
+            for _ in range(2):
+                with suppress(ValueError):
+                    return np.fromiter(map(float, words), float, len(words))
+                words = ["nan" if word.lower() in MISSING else word for word in words]
+        k = next(
+            k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
+        )
         raise self.error(k, f"{name}: {words[k][:40]!r} is not a number")
 
     def whole(self, name: str) -> Index | None:

@@ -14,7 +14,10 @@ from nls.io.importing.units import dimension, factor, header_unit
 
 __all__ = ["Stamps", "iso", "stamps"]
 
-ISO = re.compile(r"(\d{4}-\d\d-\d\d)[T ]+(\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I)
+ISO = re.compile(
+    r"((?:19|20|21)\d\d-\d\d-\d\d)[T ]+(\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.I
+)
+LATEST = 7e9  # s, of 2191
 EPOCH = 1e8  # s, of 1973: no log is as long
 NANOSECONDS = 1_000_000_000
 BY_SIZE = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (EPOCH, "s"))  # of times since 1970 without a unit
@@ -67,10 +70,12 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
     unit, scale = _unit(log, cell, column, numbers[present], notes)
     if whole is not None and unit in ("ns", "us", "ms", "s") and not cell.scaled:
         step = round(NANOSECONDS * factor(unit, "time_s"))
-        since = whole * step if np.abs(whole[present]).max(initial=0) < 2**62 // step else None
-        if since is not None and (np.abs(since[present]) / NANOSECONDS >= EPOCH).any():
+        _refuse_late(log, np.where(present, whole * factor(unit, "time_s"), 0.0), name)
+        since = whole * step
+        if (np.abs(since[present]) / NANOSECONDS >= EPOCH).any():
             return Stamps(present, None, since + round(cell.offset * NANOSECONDS))
     seconds = np.where(present, numbers * scale * cell.scale + cell.offset, np.nan)
+    _refuse_late(log, np.where(present, seconds, 0.0), name)
     if present.any() and np.abs(seconds[present]).max() >= EPOCH:
         since = np.zeros(len(seconds), dtype=np.int64)
         days = np.floor(seconds[present])
@@ -79,13 +84,22 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
     return Stamps(present, seconds, None)
 
 
+def _refuse_late(log: Log, seconds: Array, name: str) -> None:
+    """Refuse times that are no seconds: later than any clock, or before 1970 by as much."""
+    if (late := np.abs(seconds) >= LATEST).any():
+        k = int(np.argmax(late))
+        raise log.error(k, f"{name}: {seconds[k]:.6g} s is no time since 1970, nor of a dive; give the right unit")
+
+
 def _unit(log: Log, cell: Cell, column: str, numbers: Array, notes: list[str]) -> tuple[str, float]:
     """The unit of times and what one is in seconds: as given, as the header has it, or by size, which is noted."""
     if cell.scaled:
         return "", 1.0
     (name,) = cell.columns
-    named = header_unit(name)[0]
+    named, bracket = header_unit(name)
     unit = cell.unit or log.units.get(name) or (named if dimension(named) == "time" else "")
+    if not unit and bracket and dimension(named):
+        raise log.error(0, f"{name!r} is in {named}, which is no unit of time")
     if not unit:
         largest = np.abs(numbers).max(initial=0)
         unit = next((unit for limit, unit in BY_SIZE if largest >= limit), "s")

@@ -57,3 +57,8 @@ def test_what_stands_above_all_sections() -> None:
     assert [depth.cells["time_s"].columns, ahrs.cells["time_s"].columns] == [("t",), ("u",)]
     assert [depth.options["sort"], ahrs.options["sort"]] == [True, False]
     assert ("time_s" in noise.cells, "time_s" in truth.cells) == (False, False)
+
+
+def test_an_option_above_all_sections_has_its_own_line() -> None:
+    with pytest.raises(GraphFileError, match=r"m\.toml:2: separator is 'ab'"):
+        Mapping('time_s = "t"\nseparator = "ab"\n\n[depth]\nz_m = "z"\n', "m.toml")

@@ -112,6 +112,8 @@ def test_order_of_time(tmp_path: Path) -> None:
         ('time_s = "t"\nz_m = "word"', "log.csv:2: word: 'deep' is not a number [0,5,deep"),
         ('time_s = "word"\nz_m = "depth"', "log.csv:2: word: 'deep' is not a number"),
         ('time_s = 3\nz_m = "depth"', "time_s is a constant, and times rise"),
+        ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, which is no unit of time"),
+        ('time_s = { column = "t", scale = 1e10 }\nz_m = "depth"', "log.csv:3: t: 1e+10 s is no time"),
     ]
 )
 def test_refusals_say_what_to_write(case: tuple[str, str], tmp_path: Path) -> None:
