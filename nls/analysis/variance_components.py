@@ -55,7 +55,7 @@ from nls.analysis.residual_groups import GROUPS, Group, Residuals, residual_grou
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import LinearSolver
-from nls.optimizers import Optimizer, Result
+from nls.optimizers import Optimizer, Result, Status
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
@@ -91,7 +91,8 @@ class VarianceComponent:
     known: bool
 
     def __str__(self) -> str:
-        share = f"redundancy {self.redundancy:.3g} of {self.numbers} numbers"
+        redundancy = f"{round(self.redundancy, 6) + 0.0:.3g}" if self.redundancy < 100 else f"{self.redundancy:.0f}"
+        share = f"redundancy {redundancy} of {self.numbers} numbers"
         if not self.known:
             reason = "no other measurement checks them" if self.redundancy < SMALLEST else "their errors do not show"
             return f"{self.name}: stated sigmas kept, {reason} ({share})"
@@ -206,9 +207,12 @@ def variance_components(
         scaled_graph = FactorGraph(factors, graph.fixed)
         result = scaled_graph.optimize(values, optimizer, linear_solver, gauge)
         values = result.values
+        ended = result.status in (Status.STOPPED, Status.INTERRUPTED, Status.MAX_TIME)
         residuals = Residuals(_checked(factors, graph, values, gauge), every)
         v, r = residuals.v, residuals.r
         vague = free & (((r < SMALLEST) & (v <= r)) | (r < UNCHECKED * residuals.numbers) | (v <= EXACT_FIT * r))
+        if ended:  # by the caller, who wants no further rounds
+            break
         if vague.any():
             free &= ~vague
             theta[vague] = 0.0
