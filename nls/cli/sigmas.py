@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nls.analysis import VarianceComponents
-    from nls.cli.job import Job
     from nls.graph import FactorGraph
     from nls.io import LoadReport
-    from nls.optimizers import Optimizer
 
 __all__ = ["CHOICES", "record"]
 
@@ -35,30 +33,7 @@ def refuse(sigmas: str, robust: str | None) -> None:
         raise OptionError("--sigmas", sigmas, allowed)
 
 
-def estimate(job: Job, optimizer: Optimizer) -> VarianceComponents:
-    """The scales of the graph of a job, which goes on with rescaled noise, from the optimum under it."""
-    from nls.analysis.variance_components import variance_components
-
-    _, _, groups = job.options.sigmas.partition(":")
-    estimated = variance_components(
-        job.graph,
-        job.start,
-        groups or "kinds",
-        optimizer,
-        job.solver,
-        job.options.gauge,
-    )
-    as_read = estimated.rescaled(job.as_read)
-    job.report = _report(job.report, job.as_read, as_read)
-    job.graph, job.as_read = estimated.graph, as_read
-    if job.form:
-        job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
-    if not estimated.settled:
-        job.report.notes.append(f"the scales of the sigmas did not settle in {estimated.rounds} rounds")
-    return estimated
-
-
-def _report(report: LoadReport, before: FactorGraph, after: FactorGraph) -> LoadReport:
+def rescaled_report(report: LoadReport, before: FactorGraph, after: FactorGraph) -> LoadReport:
     """The report of the rescaled graph: its times; the matrices of the lines do not hold any more."""
     times = {id(factor): times for factor, times in report.factor_times}
     pairs = zip(before.factors, after.factors, strict=True)

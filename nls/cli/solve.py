@@ -149,7 +149,6 @@ def _check_graph(job: Job) -> None:
 def _optimize(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
-    from nls.cli import sigmas
     from nls.cli.progress import Progress
     from nls.cli.solve_outputs import write_free
 
@@ -158,14 +157,29 @@ def _optimize(job: Job) -> None:
     with Progress("solve", options.max_iterations, options.quiet) as progress:
         try:
             if options.sigmas != "stated":
-                job.sigmas = sigmas.estimate(job, _optimizer(job, progress))
-                job.result = job.sigmas.result
+                _estimate(job, _optimizer(job, progress))
             else:
                 job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
     job.clock.lap("optimize")
+
+
+def _estimate(job: Job, optimizer: Optimizer) -> None:
+    """The scales of the sigmas, the graphs with rescaled noise, and the optimum."""
+    from nls.analysis.variance_components import variance_components
+    from nls.cli.sigmas import rescaled_report
+
+    _, _, groups = job.options.sigmas.partition(":")
+    job.sigmas = variance_components(job.graph, job.start, groups or "kinds", optimizer, job.solver, job.options.gauge)
+    as_read = job.sigmas.rescaled(job.as_read)
+    job.report = rescaled_report(job.report, job.as_read, as_read)
+    job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
+    if job.form:
+        job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
+    if not job.sigmas.settled:
+        job.report.notes.append(f"the scales of the sigmas did not settle in {job.sigmas.rounds} rounds")
 
 
 def _optimizer(job: Job, progress: Progress) -> Optimizer:
