@@ -12,8 +12,9 @@ near the end Newton's step in log sigma_k^2 serves, with the average of observed
 
     d = F^-1 (v - r) / 2,    F_kl = e'E_k (I - A P A') E_l e / 2,
 
-which costs one solution a kind. After every step the graph is linearized and optimized again, until no step is above
-2 % of its standard deviation. The covariance of log sigma^2 is the inverse of the expected information,
+which costs one solution a kind. Steps that go on as the one before are lengthened by their geometric series. After
+every step the graph is linearized and optimized again, until no step is above 2 % of its standard deviation. The
+covariance of log sigma^2 is the inverse of the expected information,
 
     N_kl = tr((I - A P A') E_k (I - A P A') E_l) / 2 = (delta_kl (r_k - t_k) + T_kl) / 2,
     T_kl = |E_k A P A' E_l|_F^2,    t_k = tr(A P A' E_k),
@@ -170,9 +171,10 @@ def variance_components(
 
     Notes
     -----
-    A kind with a redundancy below 1, whose scale does not grow, has an unknown scale: priors that nothing checks, or an
-    odometry whose yaw has so small an error that the others cannot show it. It keeps its stated sigmas. Errors are
-    taken for independent. Errors that last (a bias, a wrong speed of sound) make all scales too small.
+    A kind keeps its stated sigmas where its redundancy is below 1, or would be at the scale that fits: priors that
+    nothing checks, or yaw of an odometry with so small an error that the others cannot show it. Errors are taken for
+    independent. Of errors that last (a bias, a wrong speed of sound) the residuals show a part only: where there are
+    some, the covariances stay too small.
 
     Examples
     --------
@@ -199,7 +201,7 @@ def variance_components(
     every = residual_groups(stated, groups)
     theta = np.zeros(len(every))  # log sigma^2
     free, again = np.ones((2, len(every)), dtype=bool)
-    settled, rounds = False, 0
+    settled, rounds, last = False, 0, np.zeros(0)
     while rounds < ROUNDS:
         rounds += 1
         log_variance, scales = theta.copy(), _scales(stated, every, theta)
@@ -214,19 +216,26 @@ def variance_components(
         if ended:  # by the caller, who wants no further rounds
             break
         if vague.any():
+            last = np.zeros(0)
             free &= ~vague
             theta[vague] = 0.0
             continue
         step, sd = residuals.step(free)
         if (np.abs(step) <= SETTLED * sd).all() and result.converged:
+            if (few := free & (r < SMALLEST)).any():
+                last, free, again = np.zeros(0), free & ~few, again & ~few
+                theta[few] = 0.0
+                continue
             second = ~free & again & (r >= SMALLEST)  # nothing checked them while other scales were wrong
             settled = not second.any()
             if settled:
                 break
+            last = np.zeros(0)
             free |= second
             again &= ~second
         else:
-            theta[free] += step
+            theta[free] += _faster(step / sd, last) * step
+            last = step / sd
     covariance = residuals.covariance(free)
     sd = np.sqrt(np.diagonal(covariance))
     components = tuple(
@@ -243,6 +252,13 @@ def variance_components(
     )
     correlation = covariance / (sd[:, None] * sd)
     return VarianceComponents(components, correlation, scaled_graph, result, tuple(scales), rounds, settled)
+
+
+def _faster(step: Array, last: Array) -> float:
+    """How much longer to make a step that goes on as the last one did: the sum of their geometric series, at most 5."""
+    if len(last) != len(step) or not np.square(last).sum() > 0 or np.abs(step).max() > 1:
+        return 1.0
+    return float(1 / (1 - np.clip(step @ last / np.square(last).sum(), 0.0, 0.8)))
 
 
 def _scales(pattern: Pattern, groups: Sequence[Group], theta: Array) -> list[Array]:
