@@ -337,15 +337,14 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "",
         "Residuals in the units of the measurement; without ranges that are 15 m off at the solution; lag: correlation "
         "of the residuals at the truth of one beacon, 1 and 10 of its ranges apart. At the solution: Cauchy, "
-        "`estimate:units`, beacons held. Ranges and steps fit the solution better than they fit the truth: the truth "
-        "of these files is an estimate of its own, meters beside what the log says, its headings are those of the log "
-        "to 1e-7 rad, and its steps differ from the dead reckoning by a meter each, independent from one to the next. "
-        "Range errors differ from beacon to beacon and last for many ranges. Every model here takes errors for "
-        "independent, so its sigmas shrink with the number of ranges and errors that last do not. No scale repairs "
-        "that, and none was tuned to the truth.",
+        "`estimate:units`, beacons held. Ranges and steps fit the solution better than they fit the truth, whose "
+        "steps differ from the dead reckoning by more than a meter each. So the truth of these files is probably an "
+        "estimate of its own, meters beside what the log says. Its range errors differ from beacon to beacon and last "
+        "for several ranges. Every model here takes errors for independent: its sigmas shrink with the number of "
+        "ranges, and errors that last do not. No scale repairs that, and none was tuned to the truth.",
         "",
-        "A delay of the ranges or a wrong speed of sound is not the reason: with either the ranges need larger scales. "
-        "Scale of the ranges, Cauchy, beacons held:",
+        "A delay of a ping or a speed of sound that is 1 % wrong is not the reason: the ranges as logged need the "
+        "smallest scale. Scale of the ranges, Cauchy, beacons held:",
         "",
         *controls(data),
         "",
@@ -367,7 +366,7 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "",
         *others(data),
         "",
-        "No chi2 a degree of freedom and no track gets worse. The NEES of plaza2 does: its odometry is better than "
+        "Both tracks get better with estimated sigmas. The NEES of plaza2 gets worse: its odometry is better than "
         "stated, and its range errors last (they depend on beacon and distance), so smaller sigmas are too small.",
     ]
 
