@@ -25,6 +25,8 @@ EXAMPLES = """examples:
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
+  nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
+  nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
@@ -103,6 +105,7 @@ class Once(argparse.Action):
 def parser() -> Parser:
     """All commands and options."""
     from nls.cli.formats import formats
+    from nls.cli.sigmas import CHOICES as SIGMAS
     from nls.gauge import GAUGES
     from nls.linear import SOLVERS
     from nls.optimizers import OPTIMIZERS
@@ -145,6 +148,13 @@ def parser() -> Parser:
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
     _problem(solve, "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them")
+    solve.add_argument(
+        "--sigmas",
+        default="stated",
+        choices=SIGMAS,
+        help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
+        ":units: one for lengths and one for angles of a kind; :components: one for every component",
+    )
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
     solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     solve.add_argument(
