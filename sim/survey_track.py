@@ -18,13 +18,16 @@ the same functions.
 from __future__ import annotations
 
 from math import ceil, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from models import SO3, euler
 from models.algebra import Array, apply, pack, wrap
 from models.manifolds.so3 import rotation3
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 __all__ = ["Track"]
 
@@ -48,6 +51,13 @@ def eased(u: Array) -> Array:
     """
     u = np.clip(u, 0.0, 1.0)
     return np.asarray(u**3 * (10 - 15 * u + 6 * u * u))
+
+
+def spline(x: Array, y: Array) -> CubicSpline:
+    """The cubic spline through y (n, ...) at rising x (n,)."""
+    from scipy.interpolate import CubicSpline  # 0.4 s, which other worlds need not wait for
+
+    return CubicSpline(x, y)
 
 
 class Track:
@@ -82,16 +92,14 @@ class Track:
         self.duration = int(self._end / speed)
         tail = MARGIN * speed
         s = np.arange(-tail, self._end + 2 * tail, GRID)
-        self._tangent = CubicSpline(s, np.column_stack([np.cos(self._course(s)), np.sin(self._course(s))]))
+        self._tangent = spline(s, np.column_stack([np.cos(self._course(s)), np.sin(self._course(s))]))
         self._way = self._tangent.antiderivative()
         self._offset = self._way(first)  # the first leg begins at 0, 0
         t = np.arange(-MARGIN - KNOTS, self.duration + MARGIN + 2 * KNOTS, KNOTS)
-        self._speed = CubicSpline(t, speed * (1 + SWAY["speed"] * rng.standard_normal(len(t))))
+        self._speed = spline(t, speed * (1 + SWAY["speed"] * rng.standard_normal(len(t))))
         self._distance = self._speed.antiderivative()
         self._start = self._distance(0.0)
-        self._sway = CubicSpline(
-            t, rng.standard_normal((len(t), 3)) * [SWAY[name] for name in ("roll", "pitch", "yaw")]
-        )
+        self._sway = spline(t, rng.standard_normal((len(t), 3)) * [SWAY[name] for name in ("roll", "pitch", "yaw")])
 
     def _course(self, s: Array) -> Array:
         turned = eased((s[:, None] - self._turns) / self._turn) * np.pi * (-1.0) ** np.arange(len(self._turns))
@@ -171,7 +179,7 @@ def sounded(xy: Array) -> Array:
 def wandering(rng: np.random.Generator, t: Array, size: float, knots: float) -> Array:
     """A slow error (n,) of this standard deviation at rising times t (n,), a spline with a knot every so many s."""
     grid = np.arange(t[0] - knots, t[-1] + 2 * knots, knots)
-    return np.asarray(size * CubicSpline(grid, rng.standard_normal(len(grid)))(t))
+    return np.asarray(size * spline(grid, rng.standard_normal(len(grid)))(t))
 
 
 def ship_pose(t: Array, anchor: Array) -> Array:
