@@ -1,0 +1,198 @@
+"""A raw log with wrong calibrations: are they found, are the covariances right, what do wrong USBL fixes cost?
+
+    python benchmarks/evidence/survey.py [--seeds 100] [--out DIR]
+
+The reference world `sim.survey`, seeds 0, 1, 2, ...: each is written as a mission folder, read back and solved with the
+default options. Nothing is aligned.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import process_time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import nls
+import sim
+from models import SE3
+from nls import Kind, Marginals, kinds
+from nls.filters.consistency import nees_bounds
+from nls.io.mission.table import csv_text
+from nls.metrics import ate
+from sim.monte_carlo import runs
+
+Array = npt.NDArray[np.float64]
+Record = dict[str, Any]
+BENCHMARKS = Path(__file__).parents[1]
+UNITS = {  # of a calibration: how it is printed, its unit in that of the file, digits
+    "sound_speed_scale": ("speed of sound too high by, %", 100.0, 3),
+    "dvl_scale": ("scale of the DVL, %", 100.0, 3),
+    "dvl_yaw_rad": ("mounting of the DVL, deg", float(np.degrees(1.0)), 3),
+    "ahrs_clock_s": ("clock of the AHRS, s", 1.0, 4),
+}
+WRONG = 0.1  # of the USBL fixes
+WORSE = 1.2  # times the error without wrong fixes: the most that a robust kernel may let through
+FAR = 3.0  # sigmas
+(x,) = kinds("x")
+
+
+def solved(seed: int, outliers: float = 0.0, kernel: bool = True) -> Record:
+    """One survey: errors of its calibrations in sigmas, NEES of two positions, errors of all, processor time."""
+    log = sim.survey(np.random.default_rng(seed), usbl_outliers=outliers)
+    with TemporaryDirectory() as folder:
+        for name, table in log.tables.items():
+            names = [column for column in table if kernel or column != "kernel"]
+            Path(folder, f"{name}.csv").write_bytes(csv_text(names, *(table[column] for column in names)))
+        began = process_time()
+        graph, start, report = nls.load(folder)
+        result = graph.optimize(start)
+        seconds = process_time() - began
+    values = result.values
+    marginals = Marginals(graph, values)
+    times, numbers = report.vertex_times["x"], values.stack("x").numbers
+    X, truth = values[x[numbers]], log.track.pose(times)
+    record: Record = {
+        "converged": result.converged,
+        "seconds": seconds,
+        "poses": len(numbers),
+        "chi2_dof": result.chi2_final / result.dof,
+        "dead_reckoning": ate(start[x[numbers]], truth).rmse,
+        "ate": ate(X, truth).rmse,
+    }
+    for place, k in (("middle", len(numbers) // 2), ("last", len(numbers) - 1)):
+        P = marginals.covariance(x[numbers[k]], frame="body")[:3, :3]
+        e = SE3.local(X[k : k + 1], truth[k : k + 1])[0, :3]
+        record[f"nees_{place}"] = float(e @ np.linalg.solve(P, e))
+        record[f"sigma_{place}"] = float(np.sqrt(np.trace(P[:2, :2]) / 2))
+    for name in UNITS:
+        variable = Kind(name)[0]
+        record[name] = float(values[variable].item())
+        record[f"sigma {name}"] = float(np.sqrt(marginals.covariance(variable).item()))
+        record[f"z {name}"] = (record[name] - log.calibration[name]) / record[f"sigma {name}"]
+    return record
+
+
+def over(seeds: int, **options: Any) -> dict[str, Array]:
+    """The numbers of every seed, by name, on all cores."""
+    records = runs(partial(solved, **options), range(seeds), progress=True)
+    return {name: np.array([record[name] for record in records]) for name in records[0]}
+
+
+def calibrations(clean: dict[str, Array], seeds: int) -> list[str]:
+    """A row a calibration."""
+    half = 1.96 / np.sqrt(seeds)  # of the mean of z
+    low, high = (float(np.sqrt(bound / 1.0)) for bound in nees_bounds(1, seeds))
+    lines = [
+        f"| calibration | true | mean estimate | sigma | mean of z, expected within +-{half:.2f} "
+        f"| rms of z, expected {low:.2f}-{high:.2f} | within {FAR:g} sigma |",
+        "|:--|--:|--:|--:|--:|--:|--:|",
+    ]
+    true = sim.survey(np.random.default_rng(0), legs=1, leg=10.0).calibration
+    for name, (label, unit, digits) in UNITS.items():
+        z = clean[f"z {name}"]
+        mean, rms = float(z.mean()), float(np.sqrt(np.mean(z**2)))
+        lines.append(
+            f"| {label} | {unit * true[name]:.4g} | {unit * clean[name].mean():.{digits}f} | "
+            f"{unit * clean[f'sigma {name}'].mean():.{digits}f} | {mean:+.2f}{outside(abs(mean) <= half)} | "
+            f"{rms:.2f}{outside(low <= rms <= high)} | {np.sum(np.abs(z) <= FAR)}/{seeds} |"
+        )
+    return lines
+
+
+def positions(clean: dict[str, Array], seeds: int) -> list[str]:
+    """A row a place."""
+    low, high = nees_bounds(3, seeds)
+    lines = [f"| position | NEES, expected 3 in {low:.2f}-{high:.2f} | mean sigma, m |", "|:--|--:|--:|"]
+    for place in ("middle", "last"):
+        mean = float(clean[f"nees_{place}"].mean())
+        lines.append(f"| {place} | {mean:.2f}{outside(low <= mean <= high)} | {clean[f'sigma_{place}'].mean():.3f} |")
+    return lines
+
+
+def wrong_fixes(clean: dict[str, Array], seeds: int) -> list[str]:
+    """A row a log: without wrong fixes, with them and a kernel, with them and none."""
+    lines = [
+        "| USBL fixes | error, m | times the error without wrong fixes | converged | s |",
+        "|:--|--:|--:|--:|--:|",
+    ]
+    for label, numbers, least in (
+        ("all right", clean, None),
+        (f"{100 * WRONG:.0f} % wrong, kernel", over(seeds, outliers=WRONG), WORSE),
+        (f"{100 * WRONG:.0f} % wrong, no kernel", over(seeds, outliers=WRONG, kernel=False), None),
+    ):
+        error = numbers["ate"]
+        times = float(error.mean() / clean["ate"].mean())
+        lines.append(
+            f"| {label} | {spread(error)} | {times:.2f}{outside(least is None or times < least)} | "
+            f"{int(numbers['converged'].sum())}/{seeds} | {numbers['seconds'].mean():.1f} |"
+        )
+    return lines
+
+
+def outside(right: bool) -> str:
+    """What marks a number that is not as expected."""
+    return "" if right else " **outside**"
+
+
+def spread(numbers: Array) -> str:
+    """Mean, and least and most."""
+    return f"{numbers.mean():.3f} ({numbers.min():.3f}-{numbers.max():.3f})"
+
+
+def report(seeds: int) -> list[str]:
+    """The page."""
+    log = sim.survey(np.random.default_rng(0))
+    clean = over(seeds)
+    return [
+        f"{log.duration} s and {log.distance:.0f} m of way, {clean['poses'].mean():.0f} poses; at the start, by dead "
+        f"reckoning, {spread(clean['dead_reckoning'])} m off. Chi2 over the degrees of freedom: "
+        f"{spread(clean['chi2_dof'])}. Every number in brackets: the least and the most of the seeds.",
+        "",
+        f"## Calibrations, seeds 0 to {seeds - 1}",
+        "",
+        *calibrations(clean, seeds),
+        "",
+        "z: the error of an estimate in its standard deviations. The log believes 0 of each of them, with standard "
+        "deviations of 3 %, 2 %, 2.9 deg and 0.5 s.",
+        "",
+        f"## Positions, seeds 0 to {seeds - 1}",
+        "",
+        *positions(clean, seeds),
+        "",
+        "NEES: e' P^-1 e of the position in three dimensions, with the error e and its covariance P, in the middle of "
+        "the survey and of the last pose; its mean should lie within the 95 % bounds. Sigma: in the horizontal, per "
+        "axis.",
+        "",
+        f"## Wrong USBL fixes, seeds 0 to {seeds - 1}",
+        "",
+        *wrong_fixes(clean, seeds),
+        "",
+        "Error: rmse of all positions, nothing aligned. A wrong fix has any bearing and a range that is 80 to 160 m "
+        "too long. s: processor time from the folder to the optimum.",
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of every table (default 100)")
+    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for survey.md")
+    options = parser.parse_args()
+    if options.seeds < 1:
+        parser.error("give at least one seed")
+    sys.path.insert(0, str(BENCHMARKS))
+    from pinv import machine, write_page
+
+    lines = ["# A survey from its raw log", "", *machine(), "", *report(options.seeds)]
+    write_page(lines, options.out / "survey.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
