@@ -5,10 +5,10 @@ r"""What the sensors of a survey measure of a track, each with the noise and the
     depth     z + noise
     GPS       x, y of the antenna + noise, at the surface
     LBL       t_1 - t_0 + noise:   |p(t_0) - b| + |p(t_1) - b| = c (t_1 - t_0 - turn-around),   c = 1500 / (1 + error)
-    USBL      range (1 + error), bearing and elevation of the vehicle, in the axes of the ship, + noise
+    USBL      range, bearing and elevation of the vehicle in the axes of the ship, + noise
 
 p is where the transducer or antenna is, b a beacon. A travel time stands for the middle between sending and receiving:
-its delay is half of it.
+its delay is half of it. The USBL knows the speed of sound, and its transponder is at the center of the vehicle.
 """
 
 from __future__ import annotations
@@ -154,9 +154,8 @@ class Sensors:
         """The rows of usbl.csv, of a ship at an anchor (2,), and which of them are wrong."""
         t = every(USBL_PERIOD, USBL_PERIOD / 2, self.track.duration - USBL_PERIOD)
         ship = euler.to_se3(ship_pose(t, anchor))
-        h, _ = spherical(SE3.act(SE3.inverse(ship), self.placed(t, TRANSDUCER)))
+        h, _ = spherical(SE3.act(SE3.inverse(ship), self.track.position(t)))
         n = len(t)
-        h[:, 0] *= 1 + self.errors.sound_speed
         z = h + self.noise(n, *SIGMA_USBL)
         wrong = np.zeros(n, dtype=bool)
         wrong[self.rng.permutation(n)[: round(outliers * n)]] = True
@@ -167,7 +166,7 @@ class Sensors:
         sigmas = np.tile(SIGMA_USBL, (n, 1))
         names = ("range_m", "bearing_rad", "elevation_rad")
         rows = {"time_s": t, **columns(names, z), **columns([f"sigma_{name}" for name in names], sigmas)}
-        return rows | armed(TRANSDUCER, n) | ({"kernel": np.full(n, KERNEL)} if count else {}), wrong
+        return rows | ({"kernel": np.full(n, KERNEL)} if count else {}), wrong
 
     def ship(self, anchor: Array) -> dict[str, Array]:
         """The rows of ship.csv."""

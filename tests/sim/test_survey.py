@@ -77,10 +77,10 @@ def residuals(log: sim.SurveyLog) -> dict[str, Array]:
         np.interp(t, ship["time_s"], ship[name])
         for name in ("lat_deg", "lon_deg", "yaw_rad", "roll_rad", "pitch_rad", "z_m")
     )
-    p = at(track, t, TRANSDUCER) - np.column_stack([log.plane.local(lat, lon), z])
+    p = track.position(t) - np.column_stack([log.plane.local(lat, lon), z])
     x, y, down = rotation(np.column_stack([roll, pitch, yaw])).inv().apply(p).T
     r = np.sqrt(x * x + y * y + down * down)
-    h_usbl = np.column_stack([(1 + true["sound_speed_scale"]) * r, np.arctan2(y, x), np.arctan2(down, np.hypot(x, y))])
+    h_usbl = np.column_stack([r, np.arctan2(y, x), np.arctan2(down, np.hypot(x, y))])
     names = ("range_m", "bearing_rad", "elevation_rad")
     e = stacked(usbl, *names) - h_usbl
     e[:, 1] = (e[:, 1] + np.pi) % (2 * np.pi) - np.pi
