@@ -34,14 +34,14 @@ def survey_files(log: SurveyLog) -> tuple[dict[str, bytes], str]:
 def truth_files(log: SurveyLog) -> dict[str, bytes]:
     """truth/: the true track, beacons and calibrations."""
     t = every(TRUTH_PERIOD, 0.0, log.duration)
-    names = ["time_s", "roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m"]
     track = np.round(euler.from_se3(log.track.pose(t)), 9)
     beacon = np.arange(1, len(log.beacons) + 1)
-    true = log.calibration
+    true, place, m = log.calibration, ["x_m", "y_m", "z_m"], len(log.landmarks)
     return {
-        "truth/truth.csv": csv_text(names, t, track),
-        "truth/beacons.csv": csv_text(["beacon", "x_m", "y_m", "z_m"], beacon, log.beacons),
+        "truth/truth.csv": csv_text(["time_s", "roll_rad", "pitch_rad", "yaw_rad", *place], t, track),
+        "truth/beacons.csv": csv_text(["beacon", *place], beacon, log.beacons),
         "truth/calibration.csv": csv_text(["name", "value"], list(true), list(true.values())),
+        **({"truth/landmarks.csv": csv_text(["landmark", *place], np.arange(m), log.landmarks)} if m else {}),
     }
 
 
@@ -49,6 +49,7 @@ def survey_rows(log: SurveyLog) -> list[tuple[str, str]]:
     """The table of a survey, one (label, text) a line."""
     tables = log.tables
     lost, wrong = int((tables["dvl"]["valid"] == 0).sum()), int(log.wrong.sum())
+    contacts = len(tables["contacts"]["i"]) if "contacts" in tables else 0
     count = {name: len(table["time_s"]) for name, table in tables.items() if "time_s" in table}
     true = ", ".join(f"{name} {value:.4g}" for name, value in log.calibration.items())
     return [
@@ -59,5 +60,6 @@ def survey_rows(log: SurveyLog) -> list[tuple[str, str]]:
         ("GPS", f"{count['fixes']} fixes at the surface"),
         ("LBL", f"{count['ranges']} travel times to {len(log.beacons)} beacons"),
         ("USBL", f"{count['usbl']} fixes from the ship" + (f", {wrong} of them wrong" if wrong else "")),
+        *([("sonar", f"{contacts} contacts of {len(log.landmarks)} landmarks")] if contacts else []),
         ("calibration", true),
     ]

@@ -27,6 +27,7 @@ class SurveyLog:
     tables : what the sensors and the operator wrote: by file of a mission folder, then by column, arrays (n,).
     track : the truth: where the vehicle was at any time.
     beacons : (4, 3) true places of the beacons, m, in the order of their numbers.
+    landmarks : (m, 3) true places of the landmarks that the sonar saw, m, in the order of their numbers.
     calibration : true values by the names of calibration.csv.
     altitude : (n,) of the DVL over the bottom at the rows of dvl.csv, m.
     wrong : (n,) which rows of usbl.csv are wrong on purpose.
@@ -39,6 +40,7 @@ class SurveyLog:
     tables: Tables
     track: Track = field(repr=False)
     beacons: Array = field(repr=False)
+    landmarks: Array = field(repr=False)
     calibration: dict[str, float]
     altitude: Array = field(repr=False)
     wrong: Mask = field(repr=False)

@@ -12,6 +12,7 @@ from models.options import is_number
 from sim.checks import check_fraction, check_not_negative, check_poses, check_positive, check_rng, check_size
 from sim.survey_log import SurveyLog, Tables
 from sim.survey_sensors import DVL_PERIOD, USBL_PERIOD, Errors, Sensors
+from sim.survey_sonar import sonar_tables
 from sim.survey_track import Track, sounded
 from sim.world import seed_of
 
@@ -31,6 +32,7 @@ def survey(
     speed: float = 1.5,
     drop_outs: float = 0.03,
     usbl_outliers: float = 0.0,
+    landmarks: int = 0,
     dvl_scale: float = 0.01,
     dvl_yaw: float = radians(1.0),
     ahrs_clock: float = 0.3,
@@ -57,6 +59,8 @@ def survey(
     speed : over the ground, m/s, 0.5 to 3.
     drop_outs : part of the pings of the DVL without bottom lock.
     usbl_outliers : part of the USBL fixes that is wrong: another bearing, and a range that is 80 to 160 m too long.
+    landmarks : marks on the bottom; with them an imaging sonar looks ahead, and poses.csv numbers the poses of its
+        contacts.
     dvl_scale : scale error of the DVL, a fraction.
     dvl_yaw : the DVL is turned by this on the vehicle, rad.
     ahrs_clock : the stamps of the AHRS are late by this, s, up to 0.9.
@@ -73,6 +77,8 @@ def survey(
     ------
     OptionError
         A size, part or error that is not possible.
+    GraphError
+        Landmarks, and none that is seen three times.
 
     Examples
     --------
@@ -86,6 +92,7 @@ def survey(
     """
     check_rng(rng)
     check_size("legs", legs, 1)
+    check_size("landmarks", landmarks, 0)
     check_positive(leg=leg)
     check_fraction(drop_outs=drop_outs, usbl_outliers=usbl_outliers)
     check_not_negative(heading_drift=heading_drift, noise_scale=noise_scale)
@@ -122,6 +129,10 @@ def survey(
         "ship": sensors.ship(anchor),
         **sensors.constants(beacons),
     }
+    points = np.zeros((0, 3))
+    if landmarks:
+        sighted, points = sonar_tables(rng, track, landmarks, noise_scale, tables)
+        tables |= sighted
     place = track.position(tables["dvl"]["time_s"])
     description = (
         f"Survey: {legs} legs of {leg:g} m, {spacing:g} m apart, {depth:g} m deep, flown at {speed:g} m/s over the "
@@ -132,5 +143,5 @@ def survey(
     )
     altitude = sounded(place[:, :2]) - place[:, 2]
     return SurveyLog(
-        "survey", tables, track, beacons, errors.calibration, altitude, wrong, ORIGIN, seed_of(rng), description
+        "survey", tables, track, beacons, points, errors.calibration, altitude, wrong, ORIGIN, seed_of(rng), description
     )

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sim
-from models.errors import OptionError
+from models.errors import GraphError, OptionError
 from sim.survey_files import survey_files
 from sim.survey_sensors import ANTENNA, DVL_ARM, TRANSDUCER
 from sim.survey_track import Track
@@ -86,6 +86,17 @@ def residuals(log: sim.SurveyLog) -> dict[str, Array]:
     e[:, 1] = (e[:, 1] + np.pi) % (2 * np.pi) - np.pi
     out["usbl"] = (e / stacked(usbl, *(f"sigma_{name}" for name in names)))[~log.wrong]
 
+    if "contacts" in tables:
+        contacts, sonar = tables["contacts"], tables["sonar"]
+        t = tables["poses"]["time_s"][contacts["i"]]
+        arm = tuple(float(sonar[name][0]) for name in ("x_m", "y_m", "z_m"))
+        to_world = rotation(track.attitude(t)) * Rotation.from_euler("y", float(sonar["pitch_rad"][0]))
+        x, y, down = to_world.inv().apply(log.landmarks[contacts["landmark"]] - at(track, t, arm)).T
+        assert np.abs(np.arctan2(down, np.hypot(x, y))).max() < sonar["aperture_rad"][0] / 2
+        h_sonar = np.column_stack([np.sqrt(x * x + y * y + down * down), np.arctan2(y, x)])
+        e = stacked(contacts, "range_m", "azimuth_rad") - h_sonar
+        out["contacts"] = e / stacked(contacts, "sigma_range_m", "sigma_azimuth_rad")
+
     beacons = tables["beacons"]
     place = np.column_stack([log.plane.local(beacons["lat_deg"], beacons["lon_deg"]), beacons["z_m"]])
     out["beacons"] = (place - log.beacons) / stacked(beacons, "sigma_x_m", "sigma_y_m", "sigma_z_m")
@@ -94,13 +105,13 @@ def residuals(log: sim.SurveyLog) -> dict[str, Array]:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_each_sensor_has_the_noise_its_table_states(seed: int) -> None:
-    for name, e in residuals(made(seed, legs=4, leg=150.0, usbl_outliers=0.1, **WRONG)).items():
+    for name, e in residuals(made(seed, legs=4, leg=150.0, usbl_outliers=0.1, landmarks=80, **WRONG)).items():
         assert abs(np.sum(e**2) - e.size) < 3.5 * np.sqrt(2 * e.size), name
 
 
 def test_without_noise_each_sensor_measures_the_truth() -> None:
     """To the rounding of the files; of the travel times to the one place that stands for two."""
-    for name, e in residuals(made(3, noise_scale=0.0, drop_outs=0.2, **WRONG)).items():
+    for name, e in residuals(made(3, noise_scale=0.0, drop_outs=0.2, landmarks=80, **WRONG)).items():
         assert np.abs(e).max() < (0.02 if name == "ranges" else 2e-4), name
 
 
@@ -142,6 +153,18 @@ def test_wrong_usbl_fixes_are_far_off_and_have_a_kernel() -> None:
     off = usbl["range_m"] - anchor_free["range_m"]
     assert (off[log.wrong] > 79).all()
     same(off[~log.wrong], 0.0, atol=1e-9)
+
+
+def test_with_a_sonar_every_time_has_a_pose() -> None:
+    log = made(0, landmarks=80)
+    poses, contacts = log.tables["poses"]["time_s"], log.tables["contacts"]
+    for name in ("fixes", "ranges", "usbl"):
+        t = log.tables[name]["time_s"] - log.tables[name].get("delay_s", 0.0)
+        assert np.abs(t[:, None] - poses).min(axis=1).max() < 1e-3
+    assert np.diff(poses).min() > 1e-3
+    assert (np.bincount(contacts["landmark"], minlength=len(log.landmarks)) >= 3).all()
+    with pytest.raises(GraphError, match="none of 1 landmarks is seen 3 times"):
+        made(0, depth=5.0, landmarks=1)  # too high above the bottom
 
 
 def test_raw_is_the_same_log_in_the_units_of_loggers() -> None:
