@@ -1,10 +1,13 @@
 """raw/: a survey as the loggers of its instruments write it, and the mapping that `nls import` needs to read that.
 
 Each instrument has its own file with its own stamps, units, signs and words. Numbers have the digits that such a logger
-has. What no instrument knows, noise, mountings, beacons and calibrations, is in the mission alone.
+has. What no instrument knows, noise, mountings and calibrations, is in the mapping.
+Contacts of a sonar are of numbered poses, which no logger has: they are in the mission alone.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +20,73 @@ __all__ = ["raw_files"]
 
 EPOCH = np.datetime64("2026-05-12T08:00:00", "ns")  # UTC at time 0 of the mission
 KNOT = 1852.0 / 3600.0  # m/s
+MAPPED = """\
+# Which column of which log is which column of the mission, for: nls import *.csv --map mapping.toml -o mission
+# Units are read off the names of the columns: v_fwd_mm_s is in mm/s.
+time_zero = "2026-05-12T08:00:00Z"
+
+[dvl]
+file = "dvl.csv"
+time_s = "stamp_ns"
+vx_m_s = "v_fwd_mm_s"
+vy_m_s = "v_stbd_mm_s"
+vz_m_s = { column = "v_up_mm_s", sign = -1 }
+valid = "bottom_lock"
+
+[ahrs]
+file = "ahrs.csv"
+time_s = "utc"
+attitude = ["roll_deg", "pitch_deg", "heading_deg"]
+
+[depth]
+file = "depth.csv"
+time_s = "unix_s"
+z_m = { column = "height_m", up = true }
+
+[fixes]
+file = "gps.csv"
+time_s = "stamp_ns"
+lat_deg = "latitude"
+lon_deg = "longitude"
+sigma_x_m = "std_m"
+sigma_y_m = "std_m"
+
+[beacons]
+file = "transponders.csv"
+beacon = "transponder"
+lat_deg = "latitude"
+lon_deg = "longitude"
+z_m = "depth_m"
+sigma_position = ["std_m", "std_m", "std_m"]
+
+[ranges]
+file = "lbl.csv"
+time_s = "stamp_ns"
+beacon = "transponder"
+travel_time_s = "round_trip_ms"
+sigma_travel_time_s = "std_ms"
+turn_around_s = "turn_around_ms"
+delay_s = "age_ms"
+
+[usbl]
+file = "usbl.csv"
+time_s = "utc"
+range_m = "slant_range_m"
+bearing_rad = "bearing_deg"
+elevation_rad = "depression_deg"
+sigma_range_m = "std_range_m"
+sigma_bearing_rad = "std_angle_deg"
+sigma_elevation_rad = "std_angle_deg"
+
+[ship]
+file = "ship.csv"
+time_s = "stamp_ns"
+lat_deg = "latitude"
+lon_deg = "longitude"
+z_m = "draught_m"
+attitude = ["roll_deg", "pitch_deg", "heading_deg"]
+"""
+ARM = ("arm_x_m", "arm_y_m", "arm_z_m")
 
 
 def raw_files(log: SurveyLog) -> dict[str, bytes]:
@@ -86,7 +156,27 @@ def raw_files(log: SurveyLog) -> dict[str, bytes]:
     }
     raw = {f"raw/{name}": csv_text(list(columns), *columns.values()) for name, columns in files.items()}
     raw["raw/dvl.csv"] = raw["raw/dvl.csv"].replace(b",", b";")
-    return raw
+    return {**raw, "raw/mapping.toml": mapping(log).encode()}
+
+
+def mapping(log: SurveyLog) -> str:
+    """mapping.toml: the columns of the loggers, and constants that no logger writes."""
+    tables = log.tables
+    text = MAPPED
+    for name in ("fixes", "ranges"):
+        text = text.replace(f"[{name}]\n", f"[{name}]\n" + constants(tables[name], ARM))
+    if "kernel" in tables["usbl"]:
+        text = text.replace("[usbl]\n", f'[usbl]\nkernel = "{tables["usbl"]["kernel"][0]}"\n')
+    for name in ("noise", "dvl_mount", "origin"):
+        text += f"\n[{name}]\n" + constants(tables[name], tuple(tables[name]))
+    for name, value, sigma in zip(*tables["calibration"].values(), strict=True):
+        text += f'\n[[calibration]]\nname = "{name}"\nvalue = {float(value)!r}\nsigma = {float(sigma)!r}\n'
+    return text
+
+
+def constants(table: dict[str, npt.NDArray[Any]], columns: tuple[str, ...]) -> str:
+    """Lines of a section for columns that have one number."""
+    return "".join(f"{name} = {float(table[name][0])!r}\n" for name in columns)
 
 
 def nanoseconds(t: Array) -> npt.NDArray[np.int64]:
