@@ -118,17 +118,16 @@ def survey(
     corners = np.array([[-out, -out], [north + out, -out], [north + out, east + out], [-out, east + out]])
     beacons = np.column_stack([corners, sounded(corners) - 2.0])  # 2 m above the bottom
     anchor = np.array([0.6 * north, -0.8 * out])
-    usbl, wrong = sensors.usbl(anchor, usbl_outliers)
     tables: Tables = {
         "dvl": sensors.dvl(drop_outs),
         "ahrs": sensors.ahrs(),
         "depth": sensors.depth(),
         "fixes": sensors.fixes(),
         "ranges": sensors.ranges(beacons),
-        "usbl": usbl,
         "ship": sensors.ship(anchor),
         **sensors.constants(beacons),
     }
+    tables["usbl"], wrong = sensors.usbl(anchor, usbl_outliers)  # last: wrong fixes leave the noise of all others
     points = np.zeros((0, 3))
     if landmarks:
         sighted, points = sonar_tables(rng, track, landmarks, noise_scale, tables)
