@@ -55,7 +55,10 @@ def survey_rows(log: SurveyLog) -> list[tuple[str, str]]:
     return [
         ("world", f"{log.name}, seed {log.seed}"),
         ("way", f"{log.distance:.4g} m in {log.duration} s"),
-        ("DVL", f"{count['dvl']} pings, {lost} without bottom lock, altitude {log.altitude.min():.3g} m or more"),
+        (
+            "DVL",
+            f"{count['dvl']} pings, {lost} without bottom lock, {tables['dvl']['altitude_m'].min():.3g} m up or more",
+        ),
         ("AHRS, depth", f"{count['ahrs']} and {count['depth']}"),
         ("GPS", f"{count['fixes']} fixes at the surface"),
         ("LBL", f"{count['ranges']} travel times to {len(log.beacons)} beacons"),

@@ -29,7 +29,6 @@ class SurveyLog:
     beacons : (4, 3) true places of the beacons, m, in the order of their numbers.
     landmarks : (m, 3) true places of the landmarks that the sonar saw, m, in the order of their numbers.
     calibration : true values by the names of calibration.csv.
-    altitude : (n,) of the DVL over the bottom at the rows of dvl.csv, m.
     wrong : (n,) which rows of usbl.csv are wrong on purpose.
     plane : where x = y = 0 is on the Earth.
     seed : the whole number the generator was made from; None where it was made in another way.
@@ -42,7 +41,6 @@ class SurveyLog:
     beacons: Array = field(repr=False)
     landmarks: Array = field(repr=False)
     calibration: dict[str, float]
-    altitude: Array = field(repr=False)
     wrong: Mask = field(repr=False)
     plane: LocalPlane
     seed: int | None

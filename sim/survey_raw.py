@@ -32,6 +32,7 @@ vx_m_s = "v_fwd_mm_s"
 vy_m_s = "v_stbd_mm_s"
 vz_m_s = { column = "v_up_mm_s", sign = -1 }
 valid = "bottom_lock"
+altitude_m = "altitude_cm"
 
 [ahrs]
 file = "ahrs.csv"
@@ -102,7 +103,7 @@ def raw_files(log: SurveyLog) -> dict[str, bytes]:
             "v_stbd_mm_s": np.round(1e3 * dvl["vy_m_s"], 1),
             "v_up_mm_s": np.round(-1e3 * dvl["vz_m_s"], 1) + 0.0,
             "bottom_lock": dvl["valid"],
-            "altitude_cm": np.round(1e2 * log.altitude).astype(int),
+            "altitude_cm": np.round(1e2 * dvl["altitude_m"]).astype(int),
         },
         "ahrs.csv": {
             "utc": iso(ahrs["time_s"]),

@@ -23,7 +23,7 @@ from models.algebra import Array, Mask, wrap
 from models.geodesy import LocalPlane
 from models.sensors import dvl_velocity, spherical
 from sim.survey_log import Tables
-from sim.survey_track import Track, every, ship_pose, wandering
+from sim.survey_track import Track, every, ship_pose, sounded, wandering
 
 __all__ = ["Errors", "Sensors"]
 
@@ -96,7 +96,10 @@ class Sensors:
         v = (1 + self.errors.dvl_scale) * v + self.noise(len(t), SIGMA_V, SIGMA_V, SIGMA_V)
         lost = self.lost(len(t), drop_outs)
         v[lost] = 0.0
-        return {"time_s": t, **columns(("vx_m_s", "vy_m_s", "vz_m_s"), v), "valid": (~lost).astype(int)}
+        place = self.placed(t, DVL_ARM)
+        altitude = np.round(sounded(place[:, :2]) - place[:, 2], 2)
+        rows = {"time_s": t, **columns(("vx_m_s", "vy_m_s", "vz_m_s"), v), "valid": (~lost).astype(int)}
+        return {**rows, "altitude_m": altitude}
 
     def lost(self, n: int, part: float) -> Mask:
         """Which of n pings are lost: bursts of a random length, so long and so often that they are this part."""

@@ -132,7 +132,6 @@ def survey(
     if landmarks:
         sighted, points = sonar_tables(rng, track, landmarks, noise_scale, tables)
         tables |= sighted
-    place = track.position(tables["dvl"]["time_s"])
     description = (
         f"Survey: {legs} legs of {leg:g} m, {spacing:g} m apart, {depth:g} m deep, flown at {speed:g} m/s over the "
         f"ground. Wrong and to be estimated: DVL scale {dvl_scale:g} and mounting {np.degrees(dvl_yaw):.4g} deg, clock "
@@ -140,7 +139,6 @@ def survey(
         f"of its pings. Wrong USBL fixes: {int(wrong.sum())} of {len(wrong)}, one each {USBL_PERIOD:g} s"
         f"{'' if noise_scale == 1 else f'. Noise drawn {noise_scale:g} times as large'}."
     )
-    altitude = sounded(place[:, :2]) - place[:, 2]
     return SurveyLog(
-        "survey", tables, track, beacons, points, errors.calibration, altitude, wrong, ORIGIN, seed_of(rng), description
+        "survey", tables, track, beacons, points, errors.calibration, wrong, ORIGIN, seed_of(rng), description
     )

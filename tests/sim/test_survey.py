@@ -127,7 +127,9 @@ def test_the_way_is_a_lawn_mower_between_two_dives() -> None:
         same(z[on], 20.2 + 2.5 * (leg % 2), atol=1e-6)
         assert on.sum() > 98 / 1.5 * 2 * 0.9
     assert np.abs(np.diff(np.hypot(*np.diff([x, y], axis=1)) / 0.5)).max() < 0.1
-    assert log.altitude.min() > 5
+    dvl = log.tables["dvl"]
+    sounding = dvl["altitude_m"] + at(track, dvl["time_s"], DVL_ARM)[:, 2]
+    assert 30 < sounding.min() < sounding.max() < 46
     course = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
     crab = track.attitude(t[:-1] + 0.25)[:, 2] - course
     assert np.abs(crab).max() < radians(9)
