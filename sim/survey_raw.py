@@ -47,16 +47,16 @@ z_m = { column = "height_m", up = true }
 [fixes]
 file = "gps.csv"
 time_s = "stamp_ns"
-lat_deg = "latitude"
-lon_deg = "longitude"
+lat_deg = "latitude_deg"
+lon_deg = "longitude_deg"
 sigma_x_m = "std_m"
 sigma_y_m = "std_m"
 
 [beacons]
 file = "transponders.csv"
 beacon = "transponder"
-lat_deg = "latitude"
-lon_deg = "longitude"
+lat_deg = "latitude_deg"
+lon_deg = "longitude_deg"
 z_m = "depth_m"
 sigma_position = ["std_m", "std_m", "std_m"]
 
@@ -82,8 +82,8 @@ sigma_elevation_rad = "std_angle_deg"
 [ship]
 file = "ship.csv"
 time_s = "stamp_ns"
-lat_deg = "latitude"
-lon_deg = "longitude"
+lat_deg = "latitude_deg"
+lon_deg = "longitude_deg"
 z_m = "draught_m"
 attitude = ["roll_deg", "pitch_deg", "heading_deg"]
 """
@@ -117,8 +117,8 @@ def raw_files(log: SurveyLog) -> dict[str, bytes]:
         },
         "gps.csv": {
             "stamp_ns": nanoseconds(fixes["time_s"]),
-            "latitude": fixes["lat_deg"],
-            "longitude": fixes["lon_deg"],
+            "latitude_deg": fixes["lat_deg"],
+            "longitude_deg": fixes["lon_deg"],
             "std_m": fixes["sigma_x_m"],
             "speed_kn": np.round(speed, 1),
         },
@@ -140,8 +140,8 @@ def raw_files(log: SurveyLog) -> dict[str, bytes]:
         },
         "ship.csv": {
             "stamp_ns": nanoseconds(ship["time_s"]),
-            "latitude": ship["lat_deg"],
-            "longitude": ship["lon_deg"],
+            "latitude_deg": ship["lat_deg"],
+            "longitude_deg": ship["lon_deg"],
             "heading_deg": degrees(ship["yaw_rad"]),
             "roll_deg": degrees(ship["roll_rad"]),
             "pitch_deg": degrees(ship["pitch_rad"]),
@@ -149,8 +149,8 @@ def raw_files(log: SurveyLog) -> dict[str, bytes]:
         },
         "transponders.csv": {
             "transponder": beacons["beacon"],
-            "latitude": beacons["lat_deg"],
-            "longitude": beacons["lon_deg"],
+            "latitude_deg": beacons["lat_deg"],
+            "longitude_deg": beacons["lon_deg"],
             "depth_m": np.round(beacons["z_m"], 3),
             "std_m": beacons["sigma_z_m"],
         },
