@@ -26,7 +26,8 @@ def explain(options: argparse.Namespace) -> int:
     from nls.cli.preparation import prepare
     from nls.cli.progress import Progress
 
-    refuse_unwritable(json=options.json, read=options.file)
+    for file in (options.file, *options.dives):
+        refuse_unwritable(json=options.json, read=file)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)

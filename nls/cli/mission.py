@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -104,7 +105,7 @@ class Solved:
         """
         if "x" in self.report.truth.stacks:
             estimates, judge = {"dead reckoning": self.dead, "solution": self.values}, "truth"
-        elif self.checks:
+        elif self.checks and "motion.csv" not in self.report.tags:
             estimates, judge = {"dead reckoning": self.dead}, "solution"
         else:
             return {}
@@ -170,12 +171,26 @@ class Solved:
             self.graph, self.values, self.report, self.solver, self.gauge, bool(self.result.converged)
         )
 
+    @property
+    def judge(self) -> str | None:
+        """What the tracks are compared with; None where nothing checks dead reckoning."""
+        return next((track.against for track in self.tracks.values()), None)
+
+    @cached_property
+    def distance(self) -> float:
+        """Distance travelled, m."""
+        tracks = [*self.tracks.values(), track_of(self.values, self.values, self.report, "solution")]
+        return tracks[0].distance
+
+    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
+        """What to write where: functions that take the name of the file, and the names."""
+        from nls.cli.mission_files import MissionFiles
+
+        return MissionFiles(self).outputs(folder)
+
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
-        first = next(iter(self.tracks.values()), None)
-        distance = (
-            track_of(self.values, self.values, self.report, "solution").distance if first is None else first.distance
-        )
+        distance = self.distance
         anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
             "poses": len(self.values.stack("x")),
@@ -183,7 +198,7 @@ class Solved:
             "contacts": sum(map(len, self.contacts)),
             "sonar": None if self.report.sonar is None else self.report.sonar.name,
             "anchor": ", ".join(self.report.world or anchors),
-            "judge": None if first is None else first.against,
+            "judge": self.judge,
             "distance_m": distance,
             "checks": self.checks,
         }
@@ -191,16 +206,7 @@ class Solved:
             end = self.end_sigma
             out["end_sigma_m"] = end
             out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
-        for name, track in self.tracks.items():
-            out[name.replace(" ", "_")] = {
-                "drift_percent": 100 * track.drift,
-                "end_error_m": track.end,
-                "ate_rmse_m": track.ate.rmse,
-                "ate_alignment": track.ate.align,
-                "cep50_m": cep(track.ate.errors),
-                "cep95_m": cep(track.ate.errors, 0.95),
-                "drms2_m": drms2(track.ate.errors),
-            }
+        out |= drift_record(self.tracks)
         if self.contacts and "l" in self.report.truth.stacks:
             known = self.report.truth.stack("l").numbers
             landmarks = l[known[np.isin(known, self.values.stack("l").numbers)]]
@@ -221,6 +227,22 @@ class Solved:
         return out
 
 
+def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
+    """What the report for programs says of tracks, by their name."""
+    return {
+        name.replace(" ", "_"): {
+            "drift_percent": 100 * track.drift,
+            "end_error_m": track.end,
+            "ate_rmse_m": track.ate.rmse,
+            "ate_alignment": track.ate.align,
+            "cep50_m": cep(track.ate.errors),
+            "cep95_m": cep(track.ate.errors, 0.95),
+            "drms2_m": drms2(track.ate.errors),
+        }
+        for name, track in tracks.items()
+    }
+
+
 def lines(mission: dict[str, Any]) -> list[str]:
     """The lines of the table that say what a mission's solution is worth."""
     out = [
@@ -230,7 +252,15 @@ def lines(mission: dict[str, Any]) -> list[str]:
     if not mission["checks"]:
         out += _unchecked(mission)
     if mission["judge"] is not None:
-        out += _drift(mission)
+        drift, ate = _drift(mission)
+        out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})"]
+    for dive in mission.get("dives", []):
+        out.append(
+            f"dive        {dive['name']}: {dive['poses']} poses over {dive['distance_m']:.4g} m, from x{dive['first']}"
+        )
+        if dive["judge"] is not None:
+            drift, ate = _drift(dive)
+            out.append(f"drift       {dive['name']}: {drift}; ATE {ate} rmse")
     if mission.get("landmark_rmse_m") is not None:
         out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
     if "elevation_sigma_deg" in mission:
@@ -269,18 +299,15 @@ def _unchecked(mission: dict[str, Any]) -> list[str]:
     ]
 
 
-def _drift(mission: dict[str, Any]) -> list[str]:
-    """Lines of the errors against the truth, or of dead reckoning against the solution."""
+def _drift(mission: dict[str, Any]) -> tuple[str, str]:
+    """Errors at the end and on average of dead reckoning, and of the solution where there is a truth, in words."""
     judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
     named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
     drift = ", ".join(
         f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
     )
     ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
-    return [
-        f"drift       {drift} of the distance at the end, against {judge}",
-        f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})",
-    ]
+    return f"{drift} of the distance at the end, against {judge}", ate
 
 
 def _percent(number: float) -> str:

@@ -29,6 +29,7 @@ EXAMPLES = """examples:
   nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
+  nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
@@ -131,6 +132,7 @@ def parser() -> Parser:
         return added
 
     solve = command("solve", "find the optimum", _solve)
+    _dives(solve)
     solve.add_argument(
         "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
     )
@@ -179,6 +181,7 @@ def parser() -> Parser:
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
+    _dives(explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     explain.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission (default: hinge)")
     _problem(explain)
@@ -256,6 +259,11 @@ def _input(command: argparse.ArgumentParser) -> None:
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")
     command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _dives(command: argparse.ArgumentParser) -> None:
+    """Further missions, which are one graph with the first."""
+    command.add_argument("dives", metavar="DIVE", nargs="*", help="folders of further missions at the same place")
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:

@@ -42,14 +42,16 @@ def _checked(options: argparse.Namespace) -> Job:
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = options.covariance, options.plot, options.report
-    refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=options.file)
+    for file in (options.file, *options.dives):
+        refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=file)
     refuse(options.sigmas, options.robust)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
         from nls.cli.mission import refuse_unwritable_folder
 
-        refuse_unwritable_folder(options.output, options.file, options.to)
+        for folder in (options.file, *options.dives):
+            refuse_unwritable_folder(options.output, folder, options.to)
     elif options.output:
         job.form = output_format(options.output, options.to)
         _refuse_output(job)
@@ -198,13 +200,16 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
 def _write(job: Job) -> None:
     """Every output but the reports."""
     from nls.cli.solve_outputs import write_outputs
-    from nls.io.mission import MissionReport
+    from nls.io.mission import DivesReport, MissionReport
 
     if isinstance(job.report, MissionReport):
         from nls.cli.mission import Solved
 
+        solved: type[Solved] = Solved
+        if isinstance(job.report, DivesReport):
+            from nls.cli.dives import SolvedDives as solved
         solver, gauge = job.solver, job.options.gauge
-        job.solved = Solved(job.graph, job.values, job.result, job.report, solver, gauge, job.projection)
+        job.solved = solved(job.graph, job.values, job.result, job.report, solver, gauge, job.projection)
     write_outputs(job)
     job.clock.lap("write")
 

@@ -31,11 +31,10 @@ def write_outputs(job: Job) -> None:
         optimum = None if job.solved else options.output
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
-    from nls.cli.mission_files import MissionFiles
 
     try:
         with new_folder(options.output):
-            attempt(job, MissionFiles(job.solved).outputs(options.output))
+            attempt(job, job.solved.outputs(options.output))
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)

@@ -131,7 +131,7 @@ def _covariances(values: Values, marginals: Marginals | None, kind: str, elevati
     Sigma = np.full((len(stack), 3, 3), np.nan)
     if marginals is None:
         return Sigma
-    known = determined(marginals, Kind(kind))
+    known = determined(marginals, Kind(kind), stack.numbers)
     if known.any():
         Sigma[known] = marginals.covariance(Keys(kind, stack.numbers[known]), view="position")
     if kind == "l" and elevations is not None:

@@ -18,7 +18,7 @@ from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs, refuse_absent
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
 from nls.io.importing.times import NANOSECONDS, iso, parse_zero
-from nls.io.mission.columns import COLUMNS, LOG, TRACK
+from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
 
@@ -217,7 +217,9 @@ def _cells(column: Array) -> npt.ArrayLike:
 
 def _missing(tables: set[str]) -> str:
     """The note on what a mission still needs."""
-    needed = TRACK if tables & set(TRACK) else LOG
+    if tables & set(ALONE):
+        return ""
+    needed = TRACK if tables & set(TRACK) else [name for name in LOG if name != "depth" or "pressure" not in tables]
     absent = [f"{name}.csv" for name in needed if name not in tables]
     if not absent:
         return ""

@@ -29,6 +29,13 @@ ABOUT = {
     "usbl": "range and direction to a beacon, or from the ship",
     "ship": "where the transceiver of a ship was; x, y or lat, lon",
     "closures": "two poses at one place: where j is in the axes of i",
+    "dive_closures": "a place of this dive that is one of another: where its pose j is in the axes of i",
+    "path": "the way as another program has reckoned it; sigmas of a step",
+    "motion": "how far the vehicle may go where no sensor measures its motion: one row",
+    "gyro": "rates of turn about the axes of the vehicle, in place of the yaw of ahrs.csv",
+    "pressure": "pressure with that of the atmosphere, in place of depth.csv",
+    "water": "what the water is like, for pressure.csv: one row",
+    "tide": "the height of the surface above the level from which depths count",
     "sound-speed": "the speed of sound over depth",
     "calibration": "a property of a sensor: its value and sigma; sigma 0 holds it",
 }

@@ -40,10 +40,18 @@ LARGEST = 2**63 - 1
 
 @dataclass(frozen=True)
 class Dive:
-    """One of several missions: its name, its report, and the number that its pose 0 has in the graph of all."""
+    """One of several missions: its name, its report, and the numbers of its own variables in the graph of all.
+
+    Attributes
+    ----------
+    name : of its folder.
+    first, end : the number that its pose 0 has, and the first one that is of the next dive.
+    report : of its folder.
+    """
 
     name: str
     first: int
+    end: int
     report: MissionReport
 
 
@@ -90,7 +98,7 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
         first = k * stride
         own = _renumbered(own, first)
         graph = FactorGraph([*graph.factors, *own.factors], [*graph.fixed, *own.fixed])
-        _add_report(report, own_report, first, names[k])
+        _add_report(report, own_report, Dive(names[k], first, first + stride, own_report))
     values = _together([(values, k * stride) for k, values in placed.items()])
     for k in range(len(dives)):
         _add_closures(graph, report, k, values)
@@ -99,13 +107,20 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
 
 
 def _names(folders: Sequence[str | Path]) -> list[str]:
-    """The names of the dives: of their folders, or the whole paths where two have one name."""
-    paths = [Path(folder) for folder in folders]
+    """The names of the dives: of their folders.
+
+    Raises
+    ------
+    GraphFileError
+        A folder that is given twice, or has the name of another.
+    """
+    paths = [Path(folder).resolve() for folder in folders]
     for k, path in enumerate(paths):
-        if path.resolve() in [other.resolve() for other in paths[:k]]:
-            raise GraphFileError("is given twice; every dive counts once", str(path))
-    names = [path.resolve().name for path in paths]
-    return names if len(set(names)) == len(names) else list(map(str, paths))
+        if path in paths[:k]:
+            raise GraphFileError("is given twice; every dive counts once", str(folders[k]))
+        if path.name in [other.name for other in paths[:k]]:
+            raise GraphFileError("has the name of another dive; give each folder a name of its own", str(folders[k]))
+    return [path.name for path in paths]
 
 
 def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
@@ -151,9 +166,10 @@ def _together(parts: Sequence[tuple[Values, int]]) -> Values:
     return Values(spaces)
 
 
-def _add_report(report: DivesReport, own: MissionReport, first: int, name: str) -> None:
+def _add_report(report: DivesReport, own: MissionReport, dive: Dive) -> None:
     """Add what a dive holds to the report of all."""
-    report.dives.append(Dive(name, first, own))
+    name, first = dive.name, dive.first
+    report.dives.append(dive)
     report.sources += own.sources
     report.notes += [f"{name}: {note}" for note in own.notes]
     report.warnings += [f"{name}: {note}" for note in own.warnings]

@@ -8,7 +8,7 @@ import numpy as np
 
 from factors.keys import Keys, Kind, kinds
 from models import euler
-from models.algebra import Array, Mask
+from models.algebra import Array, Mask, Numbers
 from nls.covariance import Marginals
 from nls.io.covariance_csv import EMPTY
 from nls.io.mission.calibration import NAMES
@@ -59,7 +59,7 @@ def trajectory_text(values: Values, marginals: Marginals | None, extra: Extra = 
     """
     stack = values.stack("x")
     sigmas = np.full((len(stack), 6), np.nan)
-    if marginals is not None and (known := determined(marginals, x)).any():
+    if marginals is not None and (known := determined(marginals, x, stack.numbers)).any():
         Sigma = marginals.covariance(x[stack.numbers[known]], view="euler")
         sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
     names = (*TRAJECTORY, *extra.names)
@@ -70,7 +70,7 @@ def beacons_text(values: Values, marginals: Marginals | None, extra: Extra = NOT
     """beacons.csv: the estimated beacons ``b``, with the columns of the file of a mission."""
     stack = values.stack("b")
     sigmas = np.full((len(stack), 3), np.nan)
-    if marginals is not None and (known := determined(marginals, b)).any():
+    if marginals is not None and (known := determined(marginals, b, stack.numbers)).any():
         Sigma = marginals.covariance(b[stack.numbers[known]])
         sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
     names = ("beacon", *PLACE, *suffixed(PLACE), *extra.names)
@@ -82,20 +82,23 @@ def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
     names = [name for name in values.stacks if name in NAMES]
     sigmas = np.full((len(names), 1), np.nan)
     for row, kind in enumerate(map(Kind, names)):
-        if marginals is not None and determined(marginals, kind).all():
-            sigmas[row] = np.sqrt(marginals.covariance(kind[0])[0, 0])
+        first = values.stack(kind).numbers[:1]
+        if marginals is not None and determined(marginals, kind, first).all():
+            sigmas[row] = np.sqrt(marginals.covariance(kind[int(first[0])])[0, 0])
     numbers = np.array([[float(values.stack(name).X[0, 0])] for name in names])
     return csv_text(COLUMNS["calibration"], names, numbers, _or_empty(sigmas))
 
 
-def determined(marginals: Marginals, kind: Kind) -> Mask:
-    """Which variables (n,) of a kind have a covariance, in the order of the values."""
-    return ~np.isin(marginals.status(kind), EMPTY)
+def determined(marginals: Marginals, kind: Kind, numbers: Numbers) -> Mask:
+    """Which variables (n,) of a kind have a covariance."""
+    known = ~np.isin(marginals.status(kind), EMPTY)
+    return np.asarray(known[marginals.values.stack(kind).index(kind[numbers])])
 
 
 def undetermined(marginals: Marginals, kind: Kind) -> Keys:
     """The variables of a kind without a covariance."""
-    return kind[marginals.values.stack(kind.name).numbers[~determined(marginals, kind)]]
+    numbers = marginals.values.stack(kind).numbers
+    return kind[numbers[~determined(marginals, kind, numbers)]]
 
 
 def map_text(values: Values, marginals: Marginals | None, elevations: Elevations, extra: Extra = NOTHING) -> bytes:
