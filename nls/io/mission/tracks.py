@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import XYH, ZPR, Between, Diagonal, Prior
+from factors import XYH, ZPR, Between, Diagonal, Prior, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
 from models import SE3, euler
@@ -178,16 +178,16 @@ def _walking(tables: dict[str, Table], times: Times, report: MissionReport) -> t
     if len(t) < 2:
         raise motion.at(0, "fewer than two times of fixes or ranges; a track has at least two poses")
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
-    walk = density * np.sqrt(np.diff(t))[:, None]
-    numbers, turn = np.arange(len(t)), np.full((len(t) - 1, 3), LEVEL_SIGMA)
+    numbers, W = np.arange(len(t)), np.zeros((len(t) - 1, 6, 6))
+    W[:, range(3), range(3)] = 1 / (density * np.sqrt(np.diff(t)))[:, None]  # of x, y and z alone
     report.vertex_times["x"] = t
-    report.sources += [motion.source(np.zeros(len(walk), dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
+    report.sources += [motion.source(np.zeros(len(W), dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
     report.notes.append(
         f"no sensor measures the motion: {len(t)} poses at the times of the measurements, each within {density:g} m "
         "times the root of the seconds since the one before; the vehicle is taken to head north and level"
     )
-    stay = np.broadcast_to(SE3.identity(), (len(walk), SE3.size))
+    stay = np.broadcast_to(SE3.identity(), (len(W), SE3.size))
     return numbers, [
-        Between(x[numbers[:-1]], x[numbers[1:]], stay, Diagonal(np.hstack([np.repeat(walk, 3, axis=1), turn]))),
+        Between(x[numbers[:-1]], x[numbers[1:]], stay, SqrtInformation(W)),
         Prior(x[numbers], SE3.identity(), Diagonal([LEVEL_SIGMA] * 3), components=("roll", "pitch", "yaw")),
     ]

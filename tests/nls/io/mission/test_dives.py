@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import sim
 from factors import Heading, Position
 from models import euler
 from nls import FactorGraph, GraphFileError, kinds
+from nls.cli import main
 from nls.io.mission import write_mission
 from nls.io.mission.dives import DivesReport
 from tests.nls.io.mission.mission_files import TINY, folder, raw
@@ -26,7 +28,7 @@ def mission() -> sim.Mission:
 
 
 def written(place: Path, mission: sim.Mission, low: int, high: int, anchors: FactorGraph) -> Path:
-    """Poses low to high of a mission as a dive of its own, numbered from 0."""
+    """Poses low to high of a mission as a dive of its own."""
     graph = FactorGraph(anchors.factors)
     for factor in (mission.odometry, mission.attitude, mission.contacts):
         poses = [keys.numbers for keys in factor.keys if keys.kind == "x"]
@@ -104,3 +106,55 @@ def test_landmarks_are_the_same_and_poses_are_not(tmp_path: Path) -> None:
     one = nls.load(tmp_path / "a")
     optimum = graph.optimize(values)
     assert optimum.chi2_final == pytest.approx(2 * one[0].optimize(one[1]).chi2_final, rel=1e-6)
+
+
+def closures(dive: str, i: int, j: int) -> str:
+    names = "i,dive,j,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad"
+    return f"{names}\n{i},{dive},{j},0,0,0,0.01,0.01,0.01\n"
+
+
+def test_a_closure_between_dives(tmp_path: Path) -> None:
+    """Two tracks with anchors of their own meters apart: the closure brings the poses together, as the sigmas say."""
+    anchor = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad\n0,{},0,0,1,1,0.1\n"
+    track = {name: TINY[name] for name in ("odometry", "zpr")}
+    a = folder(tmp_path / "a", track, anchor=anchor.format(0))
+    b = folder(tmp_path / "b", track, anchor=anchor.format(3), dive_closures=closures("a", 2, 2))
+    graph, values, report = nls.load([a, b])
+    result = graph.optimize(values).values
+    assert np.linalg.norm(result[x[2]][:2] - result[x[12]][:2]) < 0.1
+    assert result[x[0]][0] == pytest.approx(1.5, abs=0.1)  # in the middle of both anchors
+    assert report.place(len(graph.factors) - 1, 0) == str(b / "dive_closures.csv:2")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (closures("c", 2, 2), r"dive_closures\.csv:2: dive is 'c'; expected one of the others .*: a"),
+        (closures("b", 2, 2), r"dive is 'b'"),
+        (closures("a", 2, 7), r"j is 7; the track of that dive has no such pose"),
+        (closures("a", 7, 2), r"i is 7"),
+    ],
+)
+def test_damaged_closures_between_dives(text: str, message: str, tmp_path: Path) -> None:
+    a = folder(tmp_path / "a", TINY)
+    b = folder(tmp_path / "b", TINY, dive_closures=text)
+    with pytest.raises(GraphFileError, match=message):
+        nls.load([a, b])
+
+
+def test_the_command_line_writes_a_map_and_a_track_of_each(
+    dives: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "out", tmp_path / "report.json"
+    assert main(["solve", *map(str, dives), "-o", str(out), "--json", str(report)]) == 0
+    shown = capsys.readouterr().out
+    assert "dive        second: 134 poses over" in shown
+    mission = json.loads(report.read_text())["mission"]
+    assert [dive["name"] for dive in mission["dives"]] == ["first", "second"]
+    assert mission["distance_m"] == pytest.approx(sum(dive["distance_m"] for dive in mission["dives"]))
+    assert {path.name for path in out.iterdir()} == {"first", "second", "map.csv", "map.ply", "landmarks.png"}
+    rows = np.genfromtxt(out / "second" / "trajectory.csv", delimiter=",", names=True)
+    assert rows["i"].tolist() == list(range(1113, 1247))
+    assert (rows["sigma_x_m"] > 0).all()
+    assert main(["explain", *map(str, dives)]) == 0
+    assert main(["solve", *map(str, dives), "-o", str(dives[1])]) == 2
