@@ -16,7 +16,7 @@ from nls.values import Values
 if TYPE_CHECKING:
     from nls.covariance import Marginals
 
-__all__ = ["SolvedDive", "SolvedDives"]
+__all__ = ["SolvedDive", "SolvedDives", "outputs_of"]
 
 OF_ALL = ("map.csv", "beacons.csv", "map.ply", "landmarks.png")  # files of the map, which the dives share
 OF_EACH = ("trajectory.tum", "trajectory.csv", "calibration.csv", "track.geojson", "track.kml", "track.png")
@@ -77,14 +77,17 @@ class SolvedDives(Solved):
         ]
         return out
 
-    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: the map in the folder, each track in a folder with the name of its dive."""
-        files = [(write, path) for write, path in MissionFiles(self).outputs(folder) if Path(path).name in OF_ALL]
-        for solved in self.dives:
-            own = str(Path(folder, Path(solved.dive.name).name))
-            outputs = MissionFiles(solved).outputs(own)
-            files += [(_within(write), path) for write, path in outputs if Path(path).name in OF_EACH]
+
+def outputs_of(solved: Solved, folder: str) -> list[tuple[Callable[[str], None], str]]:
+    """What to write where: of several dives the map in the folder, each track in a folder with the name of its dive."""
+    files = MissionFiles(solved).outputs(folder)
+    if not isinstance(solved, SolvedDives):
         return files
+    out = [(write, path) for write, path in files if Path(path).name in OF_ALL]
+    for part in solved.dives:
+        outputs = MissionFiles(part).outputs(str(Path(folder, part.dive.name)))
+        out += [(_within(write), path) for write, path in outputs if Path(path).name in OF_EACH]
+    return out
 
 
 def _own(values: Values, dive: Dive) -> Values:

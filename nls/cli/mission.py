@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -181,12 +181,6 @@ class Solved:
         """Distance travelled, m."""
         tracks = [*self.tracks.values(), track_of(self.values, self.values, self.report, "solution")]
         return tracks[0].distance
-
-    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
-        from nls.cli.mission_files import MissionFiles
-
-        return MissionFiles(self).outputs(folder)
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""

@@ -19,6 +19,7 @@ Output = tuple[Callable[[str], None], str | None]
 def write_outputs(job: Job) -> None:
     """Write every output but the reports."""
     from models.errors import GraphFileError
+    from nls.cli.dives import outputs_of
     from nls.io.files import new_folder
 
     options = job.options
@@ -34,7 +35,7 @@ def write_outputs(job: Job) -> None:
 
     try:
         with new_folder(options.output):
-            attempt(job, job.solved.outputs(options.output))
+            attempt(job, outputs_of(job.solved, options.output))
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from math import radians
 
 import numpy as np
@@ -207,3 +208,10 @@ def test_impossible_options_are_named(wrong: tuple[str, float]) -> None:
     option, value = wrong
     with pytest.raises(OptionError, match=option):
         made(**{option: value})
+
+
+def test_a_survey_goes_to_another_process() -> None:
+    log = sim.survey(np.random.default_rng(0), legs=2, leg=50.0)
+    copied = pickle.loads(pickle.dumps(log))
+    assert copied.tables.keys() == log.tables.keys()
+    assert all(np.array_equal(copied.tables["dvl"][name], column) for name, column in log.tables["dvl"].items())

@@ -25,6 +25,7 @@ from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
+LONGEST = 100  # characters of a name that is compared with the names of columns
 SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
 TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
@@ -88,13 +89,12 @@ class Table(Text):
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
             if wrong:
-                near = (
-                    did_you_mean(wrong[0], [name for name in columns if name not in names])
-                    if problem == "unknown"
-                    else ""
-                )
-                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}{near}"
-                raise self.error(message, head, self._renamed(wrong[0], near) if problem == "unknown" else ())
+                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}"
+                if problem != "unknown":
+                    raise self.error(message, head)
+                name = wrong[0][:LONGEST]
+                near = did_you_mean(name, [column for column in columns if column not in names])
+                raise self.error(message + near, head, self._renamed(name, near))
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]

@@ -78,7 +78,7 @@ def test_new_never_overwrites(shell: Shell) -> None:
     out = shell("new mission")
     assert rows(out, "note") == ["kept as they are: mapping.toml"]
     assert (shell / "mission" / "mapping.toml").read_text() == "mine"
-    assert (shell / "mission" / "templates" / "dvl.csv").read_text().count("# ") == 3
+    assert (shell / "mission" / "templates" / "dvl.csv").read_text().count("# ") == 4
     before = shell.contents()
     assert rows(shell("new mission"), "written") == ["mission: 0 templates"]
     assert shell.contents() == before

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import nls
 from models.geodesy import LocalPlane
 from nls import GraphFileError, OptionError
 from nls.cli import main
@@ -139,8 +140,20 @@ def test_what_the_other_sets_lack_is_said(data: Path, tmp_path: Path, capsys: py
     assert (len(valid), valid.sum()) == (5564, 5082)
     log = str(data / "underwater-ugps" / "g2_acoustic.csv.gz")
     assert main(["import", log, "--map", str(MISSIONS / "ugps.toml"), "-o", str(tmp_path / "ugps")]) == 0
-    assert "odometry 4483, zpr 4484, poses 4484, fixes 4484" in capsys.readouterr().out
-    assert main(["solve", str(tmp_path / "ugps")]) == 0
+    assert "fixes 4484, beacons 4, ranges 17168, motion 1" in capsys.readouterr().out
+    _, values, report = nls.load(tmp_path / "ugps")
+    assert (len(values.stack("x")), len(values.stack("b"))) == (4824, 4)
+    assert any("no sensor measures the motion" in note for note in report.notes)
+
+
+def test_a_reckoned_path_is_as_far_from_the_truth_as_published(data: Path, tmp_path: Path) -> None:
+    logs = [str(data / "aracati" / f"{name}.csv.gz") for name in ("keyframes", "truth")]
+    assert main(["import", *logs, "--map", str(MISSIONS / "aracati.toml"), "-o", str(tmp_path / "m")]) == 0
+    _, values, report = nls.load(tmp_path / "m")
+    x = values.stack("x")
+    assert (len(x), len(report.truth.stack("x"))) == (665, 665)
+    error = nls.metrics.ate(np.asarray(x.X), np.asarray(report.truth.stack("x").X), align="rigid")
+    assert error.rmse == pytest.approx(10.61, abs=0.01)
 
 
 def test_files_of_an_import_are_of_text(tmp_path: Path) -> None:
