@@ -53,6 +53,7 @@ from nls.io.mission.attitude import (
     turn_covariance,
     turn_variance,
 )
+from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.columns import ANGLES, GYRO, PLACE
 from nls.io.mission.depth import depths_of
@@ -90,6 +91,9 @@ def integrated(
     dvl = tables["dvl"]
     velocity = velocities(dvl, attitude, mount, noise, calibrations, report)
     t_v, valid = velocity.t, velocity.valid
+    if dvl.has("altitude_m"):
+        bottom = bottom_lock(dvl, [])
+        report.soundings = np.column_stack([t_v, dvl.measured("altitude_m", rows=bottom)])[bottom]
     numbers, b = _poses(
         tables,
         {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
