@@ -214,7 +214,7 @@ class Solved:
             out["calibrations"] = [
                 {
                     **{"name": c.name, "value": c.value, "sigma": c.sigma, "sigma_before": c.sigma_before},
-                    **{"share": c.share, "determined": c.determined},
+                    **{"sigmas_away": c.sigmas_away, "share": c.share, "determined": c.determined},
                 }
                 for c in self.calibrations
             ]

@@ -66,7 +66,7 @@ def read_poses(path: str | Path) -> Poses:
         return Poses(str(path), np.asarray(values.stack("x").X), _times(values, report.vertex_times))
     if form != "csv":
         raise OptionError(
-            "trajectory", str(path), "a file ending in .tum, .kitti or .csv; nls convert writes the first two"
+            "file of poses", str(path), "a file ending in .tum, .kitti or .csv; nls convert writes the first two"
         )
     return _table(path)
 

@@ -48,6 +48,11 @@ class Determination:
         return None if self.sigma is None else self.sigma / self.sigma_before
 
     @property
+    def sigmas_away(self) -> float:
+        """How far the estimate is from what was believed, in sigmas before the measurements."""
+        return abs(self.value - self.believed) / self.sigma_before
+
+    @property
     def determined(self) -> bool | None:
         """Whether the measurements say more of it than was known before."""
         return None if self.share is None else self.share <= LEFT

@@ -29,6 +29,7 @@ from nls.io.mission.fixes import closures
 from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import add_rows
+from nls.io.mission.shared_beacons import refuse_moved_beacons, without_known_beacons
 from nls.values import Values
 
 __all__ = ["Dive", "DivesReport", "read_dives"]
@@ -36,6 +37,7 @@ __all__ = ["Dive", "DivesReport", "read_dives"]
 SHARED = ("l", "b")  # landmarks and beacons: the same in all dives
 LARGEST = 2**63 - 1
 (x,) = kinds("x")
+Read = tuple[FactorGraph, Values, MissionReport]
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,11 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")
     report.plane = dives[0][2].plane
     placed = _placed(dives, names)
+    refuse_moved_beacons([(graph, report) for graph, _, report in dives])
     graph = FactorGraph()
     for k, (own, _, own_report) in enumerate(dives):
         first = k * stride
-        own = _renumbered(own, first)
+        own = _renumbered(without_known_beacons(own, own_report, graph), first)
         graph = FactorGraph([*graph.factors, *own.factors], [*graph.fixed, *own.fixed])
         _add_report(report, own_report, Dive(names[k], first, first + stride, own_report))
     values = _together([(values, k * stride) for k, values in placed.items()])
@@ -129,10 +132,15 @@ def _refuse_other_origins(reports: Sequence[MissionReport]) -> None:
     for report in known[1:]:
         if repr(report.plane) != repr(known[0].plane):
             raise GraphFileError(
-                f"its origin is {report.plane!r}, that of {known[0].path} is {known[0].plane!r}; give all dives one "
-                "origin.csv",
+                f"its origin is {_place(report)}, that of {known[0].path} is {_place(known[0])}; give all dives one "
+                "origin.csv, and x and y from there",
                 str(Path(report.path, "origin.csv")),
             )
+
+
+def _place(report: MissionReport) -> str:
+    """Latitude and longitude of an origin."""
+    return "" if report.plane is None else f"{report.plane.lat!r}, {report.plane.lon!r} deg"
 
 
 def _stride(starts: Sequence[Values], path: str) -> int:
@@ -209,8 +217,6 @@ def _add_closures(graph: FactorGraph, report: DivesReport, k: int, values: Value
 
 
 # --- where a dive is that no file of its own places -------------------------------------------------------------------
-
-Read = tuple[FactorGraph, Values, MissionReport]
 
 
 def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:

@@ -98,7 +98,8 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     log_files = [name for name in LOG if name != "depth" or "pressure" not in files]
     needed = () if files & {*ALONE} else TRACK if track else log_files
     if missing := [name for name in needed if name not in files]:
-        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}", folder)
+        message = f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}"
+        raise GraphFileError(message, folder, advice=[Advice("template")])
     for present, name, says in (
         ("contacts", "sonar", "what sonar saw them, and from where"),
         ("sonar", "contacts", "what the sonar saw; leave sonar.csv out where it saw nothing"),
