@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 __all__ = ["SolvedDive", "SolvedDives", "outputs_of"]
 
 OF_ALL = ("map.csv", "beacons.csv", "map.ply", "landmarks.png")  # files of the map, which the dives share
-OF_EACH = ("trajectory.tum", "trajectory.csv", "calibration.csv", "track.geojson", "track.kml", "track.png")
+OF_EACH = (
+    *("trajectory.tum", "trajectory.csv", "calibration.csv", "track.geojson", "track.kml", "track.png"),
+    *("map.ply", "depth.asc"),  # with the bottom below the track
+)
 
 
 class SolvedDive(Solved):

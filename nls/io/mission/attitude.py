@@ -111,8 +111,8 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
     return Attitude(ahrs, t_a, tilt, t, np.column_stack([roll, pitch, yaw]), gyro, rate)
 
 
-def headings(attitude: Attitude, poses: Keys, b: Array, sigma: float, calibrations: Calibrations) -> Factor:
-    """What the compass says of the headings of poses at times b (n,), with its clock and its declination."""
+def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibrations: Calibrations) -> Factor:
+    """What the compass says of the headings of poses at times b (n,), with sigmas (n,), clock and declination."""
     yaw = np.interp(b, attitude.t, attitude.rpy[:, 2])
     declination = calibrations.variable("declination_rad")
     if declination is None:

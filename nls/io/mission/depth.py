@@ -13,6 +13,7 @@ from models.pressure import ATMOSPHERE, depth_by_density, depth_unesco
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
+SURFACE = 1.0  # m: waves and weather
 __all__ = ["depths_of"]
 
 
@@ -41,6 +42,12 @@ def depths_of(tables: dict[str, Table], report: MissionReport) -> tuple[Table, A
                 f"{float(t[0])!r} to {float(t[-1])!r} s; give a row before and one after it",
             )
         z = z - np.interp(t, times, height)[:, None]
+    if (above := z[:, 0] < -SURFACE).any():
+        k = int(np.argmax(above))
+        report.warn(
+            f"{pressure.place(k)}: pressure_pa gives {-float(z[k, 0]):.3g} m above the surface; is it relative to the "
+            "atmosphere? Then atmosphere_pa of water.csv is 0"
+        )
     return pressure, t, z
 
 

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import Heading
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, euler
 from models.algebra import Array, Numbers
@@ -25,6 +24,7 @@ from models.alignment import align
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
 from nls.io.kind_names import with_keys
+from nls.io.mission.columns import LEVEL
 from nls.io.mission.fixes import closures
 from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
@@ -233,18 +233,56 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
         world = _together([(values, 0) for values in placed.values()])
         waiting = [k for k in range(len(dives)) if k not in placed]
         k = max(waiting, key=lambda k: len(_shared(dives[k][1], world)[0]))  # it may place others
-        graph, values, report = dives[k]
+        _, values, report = dives[k]
         p, q = _shared(values, world)
-        compass = any(isinstance(factor, Heading) for factor in graph.factors)
-        if len(p) < (1 if compass else 2):
+        if len(p) >= (1 if report.compass else 2):
+            motion = np.append(np.mean(q - p, axis=0), 0.0) if report.compass else align(q, p)
+        elif (closed := _closed(k, dives, names, placed)) is not None:
+            motion = _onto(*closed, report.compass)
+        else:
             raise GraphFileError(
                 f"nothing says where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv, "
-                f"and {len(p)} landmarks and beacons are in common; give it an anchor.csv",
+                f"no dive_closures.csv joins it to another, and {len(p)} of its landmarks and beacons are theirs, too; "
+                "give it one of these files",
                 report.path,
             )
-        motion = np.append(np.mean(q - p, axis=0), 0.0) if compass else align(q, p)
         placed[k] = _moved(values, motion)
     return placed
+
+
+def _closed(
+    k: int, dives: Sequence[Read], names: Sequence[str], placed: dict[int, Values]
+) -> tuple[Array, Array] | None:
+    """A pose (7,) of a dive by its own start, and where the first closure with a dive that is placed has it."""
+    for one, (_, _, report) in enumerate(dives):
+        if (table := report.elsewhere) is None:
+            continue
+        numbers = np.column_stack([table.integers("i"), table.integers("j")])
+        step = table.measured(*LEVEL)
+        for row, name in enumerate(table.text_of("dive")):
+            other = names.index(name) if name in names else one
+            here, there = ((one, 0), (other, 1)) if one == k else ((other, 1), (one, 0))
+            keys = [x[int(numbers[row, column])] for _, column in (here, there)]
+            if here[0] != k or there[0] not in placed or keys[0] not in dives[k][1] or keys[1] not in placed[there[0]]:
+                continue
+            z = np.atleast_2d(euler.to_se3([0.0, 0.0, step[row, 2], *step[row, :2], 0.0]))
+            X = _level(placed[there[0]][keys[1]])
+            return dives[k][1][keys[0]], SE3.compose(X, SE3.inverse(z) if one == k else z)[0]
+    return None
+
+
+def _level(X: Array) -> Array:
+    """A pose (7,) without its tilt and depth, as (1, 7)."""
+    state = euler.from_se3(np.atleast_2d(X))[0]
+    return np.atleast_2d(euler.to_se3([0.0, 0.0, state[2], *state[3:5], 0.0]))
+
+
+def _onto(pose: Array, target: Array, compass: bool) -> Array:
+    """The motion (3,) of the horizontal plane that brings a pose to a target; without a turn beside a compass."""
+    p, q = (euler.from_se3(np.atleast_2d(X))[0] for X in (pose, target))
+    yaw = 0.0 if compass else float(q[2] - p[2])
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([*(q[3:5] - np.array([[c, -s], [s, c]]) @ p[3:5]), yaw])
 
 
 def _shared(values: Values, world: Values) -> tuple[Array, Array]:

@@ -17,6 +17,9 @@ What is assumed: the error of the heading lasts through a leg, so it turns the l
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that: as far as the heading goes, the covariances are on the safe side.
 
+Where poses are denser than the rows of a sensor, those that one row is all there is of share it: the sigmas of their
+`Heading` and `ZPR` grow by the root of their number, so that they say together what the row says.
+
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
 from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x
 and y given that turn:
@@ -60,7 +63,7 @@ from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Times, united
+from nls.io.mission.timeline import Times, poses_of_rows, united
 from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
 DVL = ("dvl_scale", "dvl_yaw_rad")
@@ -169,6 +172,11 @@ def integrated(
         [noise["sigma_z_m"], noise["sigma_pitch_rad"], noise["sigma_roll_rad"]],
         np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]),
     )
+    by_row = ~diving.inside
+    tilts[by_row, 0] *= poses_of_rows(t_z, b[by_row])
+    by_row = ~turning.inside
+    alike = poses_of_rows(attitude.t_a, b[by_row])
+    tilts[by_row, 1:] *= alike[:, None]
     zpr: Factor = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
     report.sources += [dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))]
     if gyro is not None:
@@ -180,7 +188,7 @@ def integrated(
     return np.sort(numbers), [
         clocked(steps, turns, calibrations),
         clocked(zpr, np.column_stack([np.zeros(len(b)), tilting]), calibrations),
-        headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"], calibrations),
+        headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"] * alike, calibrations),
     ]
 
 

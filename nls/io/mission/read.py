@@ -82,6 +82,7 @@ def read_mission(
     if "anchor" not in tables:
         report.world = [name for name in ("fixes.csv",) if name in report.tags] + acoustics.absolute
     compass = next((known for factor in factors if (known := calibrations.headings(factor)) is not None), None)
+    report.compass = compass is not None
     anchors, first = _anchor(tables, numbers, compass, report, anchored)
     for factor in anchors:
         graph.add(factor)

@@ -43,8 +43,9 @@ class Profile:
         if (wrong := (self.c < SLOWEST) | (self.c > FASTEST)).any():
             k = int(np.argmax(wrong))
             raise table.at(k, f"sound_speed_m_s is {float(self.c[k])!r}; expected m/s, near 1500 in water")
-        mean = np.diff(self.c) / np.log(np.where(np.diff(self.c) == 0, np.e, self.c[1:] / self.c[:-1]))
-        self._mean = np.where(np.diff(self.c) == 0, self.c[:-1], mean)  # g / ln(c_1 / c_0), times the thickness
+        change = np.diff(self.c)
+        mean = change / np.where(change == 0, 1.0, np.log1p(change / self.c[:-1]))  # no cancellation where it is small
+        self._mean = np.where(change == 0, self.c[:-1], mean)  # g / ln(c_1 / c_0), times the thickness
         self._S = np.append(0.0, np.cumsum(np.diff(self.z) / self._mean))
 
     def mean(self, a: Array, b: Array) -> Array:
@@ -60,6 +61,6 @@ class Profile:
         inside = np.clip(z, zs[0], zs[-1])
         at = np.interp(inside, zs, c)
         change = at - c[k]
-        ratio = np.where(change == 0, np.e, at / c[k])
-        S = self._S[k] + (inside - zs[k]) * np.log(ratio) / np.where(change == 0, c[k], change)
+        slowness = np.where(change == 0, 1 / c[k], np.log1p(change / c[k]) / np.where(change == 0, 1.0, change))
+        S = self._S[k] + (inside - zs[k]) * slowness
         return np.asarray(S + np.minimum(z - zs[0], 0.0) / c[0] + np.maximum(z - zs[-1], 0.0) / c[-1])

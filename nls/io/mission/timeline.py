@@ -18,7 +18,7 @@ from nls.io.mission.calibration import Calibrations
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["Timeline", "Times", "measured_times", "united"]
+__all__ = ["Timeline", "Times", "measured_times", "poses_of_rows", "united"]
 
 SAME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures")
@@ -96,6 +96,16 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
         last = k if keep[k] else last
         keep[k + 1] = t[k + 1] - t[last] >= SAME
     return np.asarray(t[keep])
+
+
+def poses_of_rows(t: Array, b: Array) -> Array:
+    """Root of how many poses (n,) at times b share one row of a log with rising times t: their sigmas grow by it.
+
+    Poses between two rows are interpolated from the same two: each counts as a measurement of its own, so together
+    they must not say more than one row does.
+    """
+    row = np.searchsorted(t, b, side="right")
+    return np.asarray(np.sqrt(np.bincount(row, minlength=len(t) + 1)[row]))
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from models.algebra import Array, Numbers
 from models.errors import GraphFileError
 from models.sensors import levelled
 from nls.io.mission.calibration import Calibrations
-from nls.io.mission.columns import ANGLES, LEVEL, PLACE, TILT, UPRIGHT, suffixed
+from nls.io.mission.columns import ANGLES, ARM, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
-from nls.io.mission.timeline import Times, united
+from nls.io.mission.timeline import Times, poses_of_rows, united
 from nls.sparse.components import connected
 
 __all__ = ["track"]
@@ -144,6 +144,7 @@ def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> 
     X = euler.to_se3(np.column_stack([state[name] for name in (*ANGLES, *PLACE)]))
     step, _ = levelled(X[:-1], X[1:])
     sigmas = np.column_stack([_column(path, f"sigma_{name}", LEVEL_SIGMA)[row] for name in TILT])
+    sigmas *= poses_of_rows(t_p, t)[:, None]
     report.vertex_times["x"] = t
     report.sources += [path.source(row[1:]), path.source(row)]
     return numbers, [
@@ -177,6 +178,15 @@ def _walking(tables: dict[str, Table], times: Times, report: MissionReport) -> t
     t = united(rows.min(keepdims=True), float(rows.max()), times, tables) if len(rows) else rows
     if len(t) < 2:
         raise motion.at(0, "fewer than two times of fixes or ranges; a track has at least two poses")
+    for name in times:
+        if name == "usbl" and tables[name].has("beacon"):
+            raise tables[name].at(
+                0, "is a direction from the vehicle, whose heading nothing measures beside motion.csv"
+            )
+        if tables[name].has(*ARM) and tables[name].measured(*ARM).any():
+            raise tables[name].at(
+                0, "has a lever arm, and nothing measures the heading beside motion.csv; leave the arm out"
+            )
     density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
     numbers, W = np.arange(len(t)), np.zeros((len(t) - 1, 6, 6))
     W[:, range(3), range(3)] = 1 / (density * np.sqrt(np.diff(t)))[:, None]  # of x, y and z alone

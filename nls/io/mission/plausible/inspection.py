@@ -37,7 +37,7 @@ def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Impl
     """
     log = read_log(tables, plane) if "dvl" in tables else None
     out = of_track(tables) if log is None else of_log(log)
-    if log is not None and not out:
+    if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):
         out = of_ranges(tables, log.thinned(), _start(tables, log.thinned()))
     out += sound_speeds(tables.get("sound-speed"))
     return [_placed(entry, tables) for entry in out]
@@ -48,8 +48,7 @@ def _start(tables: dict[str, Table], log: Log) -> Array:
     if log.fixes is not None:
         way = np.column_stack([np.interp(log.fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
         return np.asarray(np.median(log.fixes.p - way, axis=0))
-    table = tables.get("anchor", tables.get("truth"))
-    return np.zeros(2) if table is None else np.asarray(table.floats("x_m", "y_m")[0])
+    return np.asarray(tables["anchor" if "anchor" in tables else "truth"].floats("x_m", "y_m")[0])
 
 
 def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:

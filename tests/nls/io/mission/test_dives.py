@@ -174,3 +174,21 @@ def test_one_survey_of_a_beacon_counts_once_and_two_that_contradict_are_refused(
     (b / "beacons.csv").write_text(beacons.replace("1,9,4", "1,9,7"))
     with pytest.raises(GraphFileError, match=r"b/beacons\.csv:2: beacon 1 is 3 m from where .*a/beacons\.csv:2 has it"):
         nls.load([a, b])
+
+
+def test_a_closure_places_a_dive_without_an_anchor(tmp_path: Path) -> None:
+    """Pose 12 of one dive is pose 2 of the other, so their tracks lie on each other, from whichever side it is said."""
+    track = {name: TINY[name] for name in ("odometry", "zpr")}
+    anchor = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad\n0,30,-7,2,0.01,0.01,0.01\n"
+    for side, (i, j) in {"a": (1, 2), "b": (2, 1)}.items():
+        place = tmp_path / side
+        place.mkdir()
+        text = closures("b" if side == "a" else "a", i, j)
+        a = folder(place / "a", track, anchor=anchor, **({"dive_closures": text} if side == "a" else {}))
+        b = folder(place / "b", track, **({"dive_closures": text} if side == "b" else {}))
+        graph, values, _ = nls.load([a, b])
+        pair = (x[1], x[12])
+        assert np.linalg.norm(values[pair[0]][:2] - values[pair[1]][:2]) < 0.02
+        result = graph.optimize(values)
+        assert result.converged
+        assert result.chi2_final < 1e-3

@@ -76,7 +76,9 @@ def findings_of(path: Path) -> list[str]:
 def test_ranges_in_another_unit(case: tuple[float, str, str], tmp_path: Path) -> None:
     factor, column, cause = case
     log = clean(1, minutes=6.0, drop_outs=False)
-    path = folder(tmp_path / f"{factor}{column}", files_of(log, ranges(log, factor, column)))
+    start = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0.0,0,0,1,1\n"  # where the ranges are from
+    files = files_of(log, ranges(log, factor, column))
+    path = folder(tmp_path / f"{factor}{column}", files | {"fixes": start})
     findings = findings_of(path)
     assert len(findings) == (1 if cause else 0)
     assert not cause or cause in findings[0]
