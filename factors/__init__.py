@@ -12,6 +12,7 @@ from factors.between import Between
 from factors.between_sensors import BetweenSensors
 from factors.bundle import BundleProjection
 from factors.check import check_jacobians
+from factors.dvl_leg import DvlLeg
 from factors.elevation import Elevation, ElevationHinge
 from factors.epipolar_arc import EpipolarArc
 from factors.heading import Heading
@@ -24,6 +25,8 @@ from factors.projection import Projection
 from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
+from factors.scaled_range import ScaledRange
+from factors.shifted import Shifted
 from factors.sighting import Sighting
 from factors.sonar import sonar_factors
 from factors.wheels import Wheels
@@ -42,6 +45,7 @@ __all__ = [
     "Cauchy",
     "Covariance",
     "Diagonal",
+    "DvlLeg",
     "Elevation",
     "ElevationHinge",
     "EpipolarArc",
@@ -61,6 +65,8 @@ __all__ = [
     "Range",
     "RangeAzimuth",
     "Robust",
+    "ScaledRange",
+    "Shifted",
     "Sighting",
     "SqrtInformation",
     "Tukey",

@@ -73,11 +73,11 @@ class Factor(Traits, Abstract):
 
     slots: tuple[Manifold | None, ...] = ()
     relative: bool = False
+    damped: bool = False
     unmoved: tuple[int, ...] = ()
     per_measurement: ClassVar[tuple[str, ...]] = ()
     limit_only: ClassVar[bool] = False
     eliminated: ClassVar[int] = 0
-    damped: ClassVar[bool] = False
 
     def __init__(self, keys: Sequence[Keys], z: npt.ArrayLike, noise: Noise, convention: str = "log") -> None:
         name = self.name

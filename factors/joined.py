@@ -69,7 +69,9 @@ def sort_of(factor: Factor) -> Hashable:
 
 
 def _hashable(value: Any) -> Hashable:
-    """Equal for equal values."""
+    """Equal for equal values; of a factor within another, for factors of one sort."""
+    if isinstance(value, Factor):
+        return sort_of(value)
     if isinstance(value, np.ndarray):
         return value.shape, value.tobytes()
     if isinstance(value, tuple | list):
@@ -97,6 +99,8 @@ def batch_of(factors: Sequence[Factor], z: Sequence[Array], noise: Noise) -> Fac
     whole._z.setflags(write=False)
     for name in whole.per_measurement:
         setattr(whole, name, below([getattr(factor, name) for factor in factors], counts))
+    for name in [name for name, value in vars(whole).items() if isinstance(value, Factor)]:
+        setattr(whole, name, batch_of([getattr(factor, name) for factor in factors], z, noise))
     return whole
 
 

@@ -50,6 +50,9 @@ def replaced(factor: Factor, keys: Sequence[Keys] | None = None, z: Array | None
         for name in factor.per_measurement:
             if isinstance(held := getattr(factor, name), Keys):  # an offset that is a variable is one of the slots too
                 setattr(substitute, name, substitute.keys[factor.keys.index(held)])
+    for name in [name for name, value in vars(factor).items() if isinstance(value, Factor)]:
+        within = getattr(factor, name)
+        setattr(substitute, name, replaced(within, substitute.keys[: len(within.keys)], z))
     if z is not None:
         if len(z) != len(factor):
             raise GraphError(f"{factor!r}: {len(z)} measured values, expected {len(factor)}", factor.keys, factor.name)

@@ -75,7 +75,10 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "dialect": ("name the dialect", "dialect=...", "--dialect"),
     "info": "see the sigmas that a dialect would mean: nls info --dialect NAME FILE",
     "read file": "read the file in it: {0}",
-    "mission": "give the folder, if the table belongs to a mission; its tables: docs/how-to/read-your-own-log.md",
+    "mission": "give the folder, if the table belongs to a mission",
+    "import": "make a mission of a log: nls import {0} prints a mapping to start from; nls import --help",
+    "template": "see the tables of a mission: nls new FOLDER writes a template of each",
+    "map column": 'or let a mapping name the column of the log: [{0}] {1} = "{2}"; nls import --help',
     "renumber": (
         "give the variables whose numbers clash new numbers",
         "nls.save(..., renumber=True)",

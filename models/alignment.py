@@ -19,8 +19,17 @@ Three points also have a closed form. D(p) = [p_1 - p_2, p_1 - p_3, (p_1 - p_2) 
 and is regular where the points are not in line. From noisy points the product is no rotation; the one nearest to it is
 taken, with the same determinant. It differs from the least-squares motion by an amount of the size of the noise.
 
+With a scale s as well, min sum w_i |u_i - (s R v_i + t)|^2, R is the same, and
+
+    s = (S_1 + .. + det(U) det(V) S_d) / sum w_i |v_i - v'|^2,   t = u' - s R v'
+
+With a rotation R_z(psi) about the third axis alone, as where gravity is known,
+
+    tan psi = (M_21 - M_12) / (M_11 + M_22)
+
 Source: S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE PAMI 13(4),
-1991; B. Horn, "Closed-form solution of absolute orientation using unit quaternions", JOSA A 4, 1987.
+1991; B. Horn, "Closed-form solution of absolute orientation using unit quaternions", JOSA A 4, 1987; Z. Zhang, D.
+Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", IROS 2018 (one axis).
 """
 
 from __future__ import annotations
@@ -34,7 +43,7 @@ from models.finite import finite
 from models.manifolds.so3 import quaternion_from_matrix
 from models.sensors.singular import refuse
 
-__all__ = ["align", "three_points"]
+__all__ = ["align", "align_similarity", "align_yaw", "three_points"]
 
 UNIQUE = 1e-9  # of the largest singular value, a square: points within 3e-5 of their length of one line are refused
 
@@ -69,23 +78,81 @@ def align(u: npt.ArrayLike, v: npt.ArrayLike, weights: npt.ArrayLike | None = No
     >>> np.allclose(align(SE3.act(T, v), v), T)
     True
     """
-    u, v = _points("align", u, v)
-    w = np.ones(v.shape[-2]) if weights is None else finite("align", "weights", weights)
-    if w.shape[-1:] != v.shape[-2:-1] or np.ndim(w) >= v.ndim or (w < 0).any():
-        raise GraphError(f"align: weights have shape {w.shape}, expected {v.shape[:-1]}, and none below 0")
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
-        w = np.broadcast_to(w / np.maximum(w.max(axis=-1, keepdims=True, initial=0.0), TINIEST), v.shape[:-1])[
-            ..., None
-        ]
-        total = np.maximum(w.sum(axis=-2, keepdims=True), TINIEST)
-        u_mean, v_mean = (w * u).sum(axis=-2, keepdims=True) / total, (w * v).sum(axis=-2, keepdims=True) / total
-        M = np.matmul((w * (u - u_mean)).mT, v - v_mean)
-    if not np.isfinite(M).all():
-        raise GraphError("align: squares of these coordinates are beyond the largest number; expected m, below 1e150")
-    U, S, Vt = np.linalg.svd(M)
-    sign = _determinant(U, Vt)
-    _refuse_line(S[..., -2] + sign * S[..., -1], S[..., 0], v.shape)
-    return _motion(_proper(U, sign, Vt), u_mean[..., 0, :], v_mean[..., 0, :])
+    u, v, w = _weighted("align", u, v, weights)
+    M, u_mean, v_mean, _ = _moments(u, v, w)
+    R, _ = _rotation(M, v.shape)
+    return _motion(R, u_mean, v_mean)
+
+
+def align_similarity(u: npt.ArrayLike, v: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> tuple[Array, Array]:
+    """The motion T = (R, t) and the scale s for which the points s R v + t are nearest to the points u.
+
+    Parameters
+    ----------
+    u, v, weights : as for `align`.
+
+    Returns
+    -------
+    T : (..., 7) in SE3 or (..., 3) in SE2.
+    s : (...) scale.
+
+    Raises
+    ------
+    GraphError, SingularAt
+        As for `align`.
+
+    Examples
+    --------
+    >>> T, s = align_similarity([[5, 0], [5, 2], [3, 0]], [[0, 0], [1, 0], [0, 1]])
+    >>> T.round(6) + 0.0, round(float(s), 6)
+    (array([5.      , 0.      , 1.570796]), 2.0)
+    """
+    u, v, w = _weighted("align_similarity", u, v, weights)
+    M, u_mean, v_mean, spread = _moments(u, v, w)
+    R, trace = _rotation(M, v.shape)
+    s = np.asarray(trace / spread)
+    return _motion(R, u_mean, s[..., None] * v_mean), s
+
+
+def align_yaw(u: npt.ArrayLike, v: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Array:
+    """The motion T for which the points T v of space are nearest to the points u, turned about the third axis alone.
+
+    Parameters
+    ----------
+    u, v, weights : as for `align`, points of space: the third axis is the vertical.
+
+    Returns
+    -------
+    T : (..., 7) in SE3, its rotation about the third axis.
+
+    Raises
+    ------
+    GraphError
+        As for `align`; points of the plane, for which `align` is the same.
+    SingularAt
+        A `SingularGeometryError`: all points on one vertical line. Its `index` counts over the batch.
+
+    Examples
+    --------
+    >>> align_yaw([[5, 0, 3], [5, 2, 3.0]], [[0, 0, 2], [2, 0, 2]]).round(6)
+    array([5.    , 0.    , 1.    , 0.    , 0.    , 0.7071, 0.7071])
+    """
+    u, v, w = _weighted("align_yaw", u, v, weights)
+    if v.shape[-1] != 3:
+        raise GraphError(
+            f"align_yaw: shape {v.shape}, expected (..., n, 3): points of space; those of the plane: align"
+        )
+    M, u_mean, v_mean, spread = _moments(u, v, w)
+    cosine, sine = M[..., 0, 0] + M[..., 1, 1], M[..., 1, 0] - M[..., 0, 1]
+    refuse(
+        np.ravel(~(np.hypot(cosine, sine) > UNIQUE * np.maximum(spread, TINIEST))),
+        f"{v.shape[-2]} points on one vertical line leave the yaw free; align more points, of another place",
+    )
+    psi = np.arctan2(sine, cosine)
+    R = np.zeros((*psi.shape, 3, 3))
+    R[..., 0, 0] = R[..., 1, 1] = np.cos(psi)
+    R[..., 1, 0], R[..., 0, 1], R[..., 2, 2] = np.sin(psi), -np.sin(psi), 1.0
+    return _motion(R, u_mean, v_mean)
 
 
 def three_points(u: npt.ArrayLike, v: npt.ArrayLike) -> Array:
@@ -132,6 +199,38 @@ def _frame(p: Array) -> Array:
     """D(p) (..., 3, 3)."""
     a, b = p[..., 0, :] - p[..., 1, :], p[..., 0, :] - p[..., 2, :]
     return np.stack([a, b, np.cross(a, b)], axis=-1)
+
+
+def _weighted(
+    who: str, u: npt.ArrayLike, v: npt.ArrayLike, weights: npt.ArrayLike | None
+) -> tuple[Array, Array, Array]:
+    """Points, and their weights (..., n, 1), of which the largest is 1."""
+    u, v = _points(who, u, v)
+    w = np.ones(v.shape[-2]) if weights is None else finite(who, "weights", weights)
+    if w.shape[-1:] != v.shape[-2:-1] or np.ndim(w) >= v.ndim or (w < 0).any():
+        raise GraphError(f"{who}: weights have shape {w.shape}, expected {v.shape[:-1]}, and none below 0")
+    w = w / np.maximum(w.max(axis=-1, keepdims=True, initial=0.0), TINIEST)
+    return u, v, np.broadcast_to(w, v.shape[:-1])[..., None]
+
+
+def _moments(u: Array, v: Array, w: Array) -> tuple[Array, Array, Array, Array]:
+    """M (..., d, d), the means u' and v' (..., d), and sum w |v - v'|^2 (...)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+        total = np.maximum(w.sum(axis=-2, keepdims=True), TINIEST)
+        u_mean, v_mean = (w * u).sum(axis=-2, keepdims=True) / total, (w * v).sum(axis=-2, keepdims=True) / total
+        M = np.matmul((w * (u - u_mean)).mT, v - v_mean)
+        spread = (w * np.square(v - v_mean)).sum(axis=(-2, -1))
+    if not (np.isfinite(M).all() and np.isfinite(spread).all()):
+        raise GraphError("align: squares of these coordinates are beyond the largest number; expected m, below 1e150")
+    return M, u_mean[..., 0, :], v_mean[..., 0, :], spread
+
+
+def _rotation(M: Array, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """R = U diag(1, .., sign) V' of M = U S V', and sum S with that sign on the last."""
+    U, S, Vt = np.linalg.svd(M)
+    sign = _determinant(U, Vt)
+    _refuse_line(S[..., -2] + sign * S[..., -1], S[..., 0], shape)
+    return _proper(U, sign, Vt), np.asarray(S[..., :-1].sum(axis=-1) + sign * S[..., -1])
 
 
 def _determinant(U: Array, Vt: Array) -> Array:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         UnderconstrainedError,
     )
     from nls import plot
+    from nls.analysis.variance_components import VarianceComponents, variance_components
     from nls.certificate import Certificate, certify
     from nls.covariance import Marginals
     from nls.explanation import Explanation, Finding, FindingKind, explain
@@ -67,6 +68,7 @@ _WHERE = {
     "factors.keys": "Keys Kind kinds",
     "models.errors": "EvaluationError GraphError GraphFileError GraphWarning JacobianError LeadlineError "
     "MissingSolverError NoiseModelError OptionError ResourceLimitError SingularGeometryError UnderconstrainedError",
+    "nls.analysis.variance_components": "VarianceComponents variance_components",
     "nls.certificate": "Certificate certify",
     "nls.covariance": "Marginals",
     "nls.explanation": "Explanation Finding FindingKind explain",
@@ -135,6 +137,7 @@ __all__ = [
     "Stop",
     "UnderconstrainedError",
     "Values",
+    "VarianceComponents",
     "backends",
     "certify",
     "explain",
@@ -146,4 +149,5 @@ __all__ = [
     "load",
     "plot",
     "save",
+    "variance_components",
 ]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sim.mission import Mission
     from sim.sonar_images import contacts, sonar_image
     from sim.spoil import drop_contacts, exchange_contacts, false_contacts, poor_odometry
+    from sim.survey_log import SurveyLog
     from sim.world import World, chain, measure, position_error
     from sim.worlds.grid3d import grid3d
     from sim.worlds.hauv_floor import hauv_floor
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from sim.worlds.ring import ring
     from sim.worlds.sphere import sphere
     from sim.worlds.subsea import subsea
+    from sim.worlds.survey import survey
     from sim.worlds.torus import torus
 
 _WHERE = {
@@ -32,6 +34,7 @@ _WHERE = {
     "sim.mission": "Mission",
     "sim.sonar_images": "contacts sonar_image",
     "sim.spoil": "drop_contacts exchange_contacts false_contacts poor_odometry",
+    "sim.survey_log": "SurveyLog",
     "sim.world": "World chain measure position_error",
     "sim.worlds.grid3d": "grid3d",
     "sim.worlds.hauv_floor": "hauv_floor",
@@ -42,6 +45,7 @@ _WHERE = {
     "sim.worlds.ring": "ring",
     "sim.worlds.sphere": "sphere",
     "sim.worlds.subsea": "subsea",
+    "sim.worlds.survey": "survey",
     "sim.worlds.torus": "torus",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
@@ -60,6 +64,7 @@ __all__ = [
     "Mission",
     "Rig",
     "RigErrors",
+    "SurveyLog",
     "World",
     "chain",
     "contacts",
@@ -80,5 +85,6 @@ __all__ = [
     "sonar_image",
     "sphere",
     "subsea",
+    "survey",
     "torus",
 ]

@@ -8,6 +8,8 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from sim.estimators import SCENES
 from sim.mission import Mission
 from sim.monte_carlo import FailedRunsError, sentence
 from sim.native_files import HOLD, native_files
+from sim.survey_log import SurveyLog
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
 from sim.worlds.hauv_floor import hauv_floor
@@ -30,6 +33,7 @@ from sim.worlds.manhattan import manhattan
 from sim.worlds.rig import rig
 from sim.worlds.ring import ring
 from sim.worlds.sphere import sphere
+from sim.worlds.survey import survey
 from sim.worlds.torus import torus
 
 __all__ = ["MISSIONS", "WORLDS", "main"]
@@ -37,11 +41,20 @@ __all__ = ["MISSIONS", "WORLDS", "main"]
 WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manhattan, ring, sphere, torus)}
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
 RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
-MADE: dict[str, Callable[..., Any]] = {**WORLDS, **MISSIONS, **RIGS, **SCENES}
+SURVEYS: dict[str, Callable[..., SurveyLog]] = {"survey": survey}
+KINDS: dict[str, dict[str, Any]] = {
+    "world": WORLDS,
+    "mission": MISSIONS,
+    "rig": RIGS,
+    "survey": SURVEYS,
+    "scene": SCENES,
+}
+MADE: dict[str, Callable[..., Any]] = {name: make for made in KINDS.values() for name, make in made.items()}
 WRITTEN = {
     "world": "graph.npz, truth.npz, graph.g2o, truth.g2o",
     "mission": "a mission (CSV files, for nls solve), graph.npz, truth.npz",
     "rig": "graph.npz, truth.npz, rig.png, rig.json (before and after)",
+    "survey": "a raw log (CSV files, for nls solve), truth/, raw/ (for nls import)",
     "scene": SCENE_FILES,
 }
 EXAMPLES = """examples:
@@ -51,6 +64,7 @@ EXAMPLES = """examples:
   nls-sim torus --help                            sizes and noise of this world, with their defaults
   nls-sim hauv-floor --seed 1 --out survey        a sonar mission as a folder of CSV files, for nls solve survey
   nls-sim hauv-hull --aperture 28deg --outliers 0.05
+  nls-sim survey --usbl-outliers 0.1 --out log    what DVL, AHRS, GPS, USBL and beacons write, for nls solve log
   nls-sim rig --out calibrated                    a camera and a sonar: raw and optimized, with a picture
   nls-sim subsea --landmarks first-sight --estimator ekf --out over-confident
   nls-sim subsea --laps 1 --runs 4           the mean over 4 seeds, on all cores
@@ -148,8 +162,12 @@ def mission_rows(mission: Mission) -> list[tuple[str, str]]:
     ]
 
 
-def simulated(world: World | Mission | Rig, out: str | None) -> tuple[list[tuple[str, str]], Files]:
+def simulated(world: World | Mission | Rig | SurveyLog, out: str | None) -> tuple[list[tuple[str, str]], Files]:
     """The table of a world, and what makes its files."""
+    if isinstance(world, SurveyLog):
+        from sim.survey_files import survey_rows  # only here: other worlds need no file formats
+
+        return survey_rows(world), lambda: survey_folder(world, str(out))
     if isinstance(world, Mission):
         return mission_rows(world), lambda: mission_folder(world, str(out))
     if isinstance(world, Rig):
@@ -171,6 +189,16 @@ def mission_folder(mission: Mission, out: str) -> tuple[dict[str, bytes], str]:
     )
 
 
+def survey_folder(log: SurveyLog, out: str) -> tuple[dict[str, bytes], str]:
+    """The files of a survey, for a folder without those of another mission."""
+    from nls.io.mission.write import refuse_mixed
+    from sim.survey_files import survey_files
+
+    files, holds = survey_files(log)
+    refuse_mixed(out, files)
+    return files, holds
+
+
 def graph_files(world: World) -> tuple[dict[str, bytes], str]:
     """The graph with the start and with the truth, in two formats."""
     from nls.io import rendered
@@ -182,18 +210,21 @@ def graph_files(world: World) -> tuple[dict[str, bytes], str]:
 
 def write(folder: str, files: Files, description: str, table: str, call: str) -> list[str]:
     """Write files and README.txt into the folder, which is made, all or none; returns their names."""
-    from nls.io.files import write_folder
+    from nls.io.files import new_folder, write_folder
 
     contents, holds = files()
     readme = f"{textwrap.fill(description, 100)}\n\n{table}\n\n{holds}Made by: {call}\n"
-    return write_folder(folder, {**contents, "README.txt": readme.encode()})
+    with ExitStack() as folders:  # some files are in folders of their own
+        for place in sorted({Path(folder, name).parent for name in contents}):
+            folders.enter_context(new_folder(place))
+        return write_folder(folder, {**contents, "README.txt": readme.encode()})
 
 
 def parser() -> Parser:
     """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
     top = Parser(
         prog="nls-sim",
-        description="Simulate a SLAM problem whose answer is known: pose graph, sonar mission, rig, scene for filters.",
+        description="Simulate a SLAM problem whose answer is known: pose graph, sonar mission, raw log, rig, scene.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -202,7 +233,7 @@ def parser() -> Parser:
     for name, make in MADE.items():
         doc = inspect.getdoc(make) or ""
         summary = re.split(r"\nParameters\n-+\n", doc)[0]
-        kind = "world" if name in WORLDS else "mission" if name in MISSIONS else "rig" if name in RIGS else "scene"
+        kind = next(kind for kind, made in KINDS.items() if name in made)
         sub = worlds.add_parser(
             name,
             help=summary.splitlines()[0].replace("%", "%%"),

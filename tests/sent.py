@@ -107,6 +107,7 @@ def things(folder: Path) -> dict[str, Any]:
         "certificate": nls.certify(ring.graph, result.values),
         "robustified": nls.gnc(ring.graph, ring.start),
         "observability": observability(fixed, seen, s[0]),
+        "scales": nls.variance_components(ring.graph, ring.start),
         "unverified": Unverified(((0, 1),), ("Between(x0, x9)",), 0.01, 2.0, 1.0, 5.0),
         "landmarks": landmark_information(sea.graph, sea.truth, "l"),
         "motions": helpful_motions(pings, nls.Values({x: (SE2, seen[x][:2]), l: (R(2), seen[l])}), l[0]),

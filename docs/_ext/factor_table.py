@@ -22,7 +22,8 @@ __all__ = ["FactorTable", "public_factors", "row", "setup"]
 
 HEADER = ("factor", "prediction", "variables", "measured, and its noise")
 WIDTHS = (20, 30, 24, 26)
-MEASURED = (("z", "noise"), ("limit", "softness"))  # a measurement, or a bound that is not to be passed
+MEASURED = (("z", "noise"), ("limit", "softness"), ("factor", "G"))  # a measurement, a bound, or what shifts another
+CALIBRATIONS = ("offset", "key", "scale", "yaw")  # variables that may stand behind the measurement
 JACOBIAN = re.compile(r"[HJ](_| =)")
 EQUATION = re.compile(r"^\.\. math::(.*?)(?:\n[ \t]*\n|\Z)", flags=re.MULTILINE | re.DOTALL)
 
@@ -50,7 +51,8 @@ def row(factor: type[factors.Factor]) -> dict[str, Any]:
     measured = next((pair for pair in MEASURED if set(pair) <= set(names)), None)
     if measured is None:
         raise KeyError(" or ".join(f"parameters '{value}' and '{noise}'" for value, noise in MEASURED))
-    variables = [*names[: names.index(measured[0])], *(name for name in names if name == "offset")]
+    before = names[: names.index(measured[0])]
+    variables = [*before, *(name for name in names if name in CALIBRATIONS and name not in before)]
     return {
         "meaning": text.split("\n\n")[0].replace("\n", " "),
         "prediction": [e for e in re.split(r",\s*\\quad\s*", equation) if not JACOBIAN.match(e)],

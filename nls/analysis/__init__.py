@@ -2,7 +2,8 @@
 
 `observability` tells what a data set determines of one variable, such as a mounting, `helpful_motions` which motion of
 the vehicle would help, `landmark_information` what is known of every landmark, and `unverified_groups` which loop
-closures carry the map although nothing verifies them.
+closures carry the map although nothing verifies them. `variance_components` finds the scale
+of the sigmas of every kind.
 """
 
 from nls.analysis.helpful import Motion, Motions, helpful_motions
@@ -10,6 +11,7 @@ from nls.analysis.landmarks import LandmarkInformation, landmark_information
 from nls.analysis.observable import Observability
 from nls.analysis.redundancy import Unverified, unverified_groups
 from nls.analysis.variable import observability
+from nls.analysis.variance_components import VarianceComponent, VarianceComponents, variance_components
 
 __all__ = [
     "LandmarkInformation",
@@ -17,8 +19,11 @@ __all__ = [
     "Motions",
     "Observability",
     "Unverified",
+    "VarianceComponent",
+    "VarianceComponents",
     "helpful_motions",
     "landmark_information",
     "observability",
     "unverified_groups",
+    "variance_components",
 ]

@@ -122,5 +122,5 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
     that are off remain under every reading.
     """
     scale = max(1.0, other.chi2 / max(other.dof, 1))
-    decisive = standing.chi2 - other.chi2 > 2 * math.log(tries / UNLIKELY) * scale
+    decisive = standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale
     return decisive and (expected(other) or other.chi2 <= HALF * standing.chi2)

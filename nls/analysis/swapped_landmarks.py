@@ -162,7 +162,7 @@ def _best(
             continue
         fit, places, count = exchange
         scale = max(1.0, fit.chi2 / max(fit.dof, 1))
-        decisive = now.chi2 - fit.chi2 > 2 * math.log(count * tries / UNLIKELY) * scale
+        decisive = now.chi2 - fit.chi2 > 2 * (math.log(count * tries) - math.log(UNLIKELY)) * scale
         if decisive and (best is None or fit.chi2 < best[0].chi2):
             best = fit, pair, places, count
             if expected(fit):

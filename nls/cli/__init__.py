@@ -69,9 +69,10 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
         if options.command is None:
             parser().print_help()
             return 2
-        from nls.io.files import graph_file
+        if "file" in options:
+            from nls.io.files import graph_file
 
-        options.file = str(graph_file(options.file))
+            options.file = str(graph_file(options.file))
         return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nls.cli.progress import Progress
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
     from nls.values import Values
 
 __all__ = ["explain"]
@@ -25,7 +26,8 @@ def explain(options: argparse.Namespace) -> int:
     from nls.cli.preparation import prepare
     from nls.cli.progress import Progress
 
-    refuse_unwritable(json=options.json, read=options.file)
+    for file in (options.file, *options.dives):
+        refuse_unwritable(json=options.json, read=file)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
     as_read, values, report = read(options)
@@ -36,6 +38,7 @@ def explain(options: argparse.Namespace) -> int:
         explanation, how = _explained(graph, start, progress)
         if report.has_lines:
             explanation = explanation.placed(report.place)
+        explanation = _with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
@@ -45,6 +48,17 @@ def explain(options: argparse.Namespace) -> int:
             if note not in report.warnings:
                 print(f"note        {note}")
     return 0
+
+
+def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
+    """With what is implausible in the tables of a mission, first."""
+    from nls.explanation.findings import Finding, FindingKind
+    from nls.io.mission import MissionReport
+
+    if not isinstance(report, MissionReport):
+        return explanation
+    findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in report.findings]
+    return replace(explanation, findings=(*findings, *explanation.findings))
 
 
 def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[Explanation, str]:

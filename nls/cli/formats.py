@@ -49,6 +49,8 @@ def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     options.phase.doing = f"while reading {options.file}"
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
     how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
+    if dives := getattr(options, "dives", []):
+        return nls.load([options.file, *dives], *how)
     if options.file == "-":
         if sys.stdin is None:
             raise nls.GraphFileError("cannot be read: standard input is closed", input_name(options.file))

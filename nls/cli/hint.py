@@ -29,7 +29,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     wrong = outliers.is_gnc(options.robust)
     if wrong and options.output in written and options.to is None:
         return shlex.join(["nls", "explain", _named(options.output)])
-    words = ["nls", "explain", _named(options.file)]
+    words = ["nls", "explain", *map(_named, [options.file, *options.dives])]
     options_of_solve = {
         "--dialect": options.dialect if options.dialect != "auto" else None,
         "--convention": options.convention if options.convention != "g2o" else None,

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from models.errors import LeadlineError
+    from nls.analysis import VarianceComponents
     from nls.certificate import Certificate
     from nls.cli.mission import Solved
     from nls.cli.timing import Clock
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.io.charts import Projection
     from nls.linear import LinearSolver
     from nls.optimizers import Result, Stop
     from nls.robust import Robustified
@@ -27,9 +29,11 @@ class Job:
     ----------
     options, clock, solver, stop : of the command.
     form : format of the output; empty where none is written, or a mission.
+    projection : of the coordinates in the files of a mission; None for local ones.
     as_read, values, report : of the file; without what was rejected.
-    graph : under kernels, with kinds held.
+    graph : under kernels, with kinds held; with ``--sigmas estimate`` rescaled, and `as_read`, too.
     choice : of `nls.gnc`; None where it was not asked for.
+    sigmas : of ``--sigmas estimate``; None where the stated ones are taken.
     start, init, starts : values to begin with, the name of the start, and chi2 of all that were tried.
     chi2_read : chi2 of the values as read; None where it does not exist.
     stages : seconds that the library counts inside reading and starting.
@@ -42,11 +46,13 @@ class Job:
     solver: LinearSolver
     stop: Stop
     form: str = ""
+    projection: Projection | None = None
     as_read: FactorGraph = field(init=False)
     values: Values = field(init=False)
     report: LoadReport = field(init=False)
     graph: FactorGraph = field(init=False)
     choice: Robustified | None = None
+    sigmas: VarianceComponents | None = None
     start: Values = field(init=False)
     init: str = ""
     starts: dict[str, float] = field(default_factory=dict)
@@ -68,9 +74,10 @@ class Job:
         return self.clock.timings(self.result.timings, self.stages)
 
     def additions(self) -> dict[str, Any]:
-        """What a mission, a choice and a certificate add to the report for programs."""
-        from nls.cli import certificate, outliers
+        """What a mission, scales, a choice and a certificate add to the report for programs."""
+        from nls.cli import certificate, outliers, sigmas
 
         record: dict[str, Any] = {} if self.solved is None else {"mission": self.solved.record()}
+        record |= {} if self.sigmas is None else {"sigmas": sigmas.record(self.sigmas)}
         record |= {} if self.choice is None else outliers.record(self.choice)
         return record | ({} if self.certificate is None else {"certificate": certificate.record(self.certificate)})

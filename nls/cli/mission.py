@@ -1,9 +1,9 @@
-"""``nls solve DIR``: what the solution of a mission adds to the table, and the files it is written to."""
+"""``nls solve DIR``: the folder of its outputs, its solution, and what that adds to the table."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,22 +11,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors import Position, RangeAzimuth
-from factors.keys import Keys, kinds
+from factors.keys import Kind, kinds
 from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission import Elevations, MissionReport, Track, elevations, held_free, track_of
+from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
+from nls.io.mission.redundancy import position_checks, sigma_at_the_end
+from nls.io.mission.results import undetermined
+from nls.metrics import cep, drms2
 
 if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.io.charts import Projection
+    from nls.io.mission.determination import Determination
     from nls.linear import LinearSolver
     from nls.optimizers import Result
     from nls.values import Values
 
 
 x, l = kinds("x", "l")
-FILES = ("trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png")
 
 
 def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None) -> None:
@@ -52,6 +57,21 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
         raise OptionError("output folder", folder, "another folder than that of the mission")
 
 
+def chosen_projection(name: str, output: str | None, report: LoadReport) -> Projection:
+    """The projection of ``--crs``.
+
+    Raises
+    ------
+    OptionError
+        Where it would have no effect, and as for `nls.io.charts.projection`.
+    """
+    from nls.io.charts import projection
+
+    if not isinstance(report, MissionReport) or not output:
+        raise OptionError("--crs", name, "nothing: it is for the folder that -o writes of a mission")
+    return projection(name, report.plane)
+
+
 class Solved:
     """A solved mission: everything that is said of it and written.
 
@@ -59,6 +79,7 @@ class Solved:
     ----------
     graph, dead, result, report : the mission, its dead reckoning, its solution, and what its folder holds.
     solver, gauge : for the covariances.
+    projection : of the coordinates of points and grid; east and north of the origin when omitted.
     """
 
     def __init__(
@@ -69,152 +90,117 @@ class Solved:
         report: MissionReport,
         solver: LinearSolver,
         gauge: str,
+        projection: Projection | None = None,
     ) -> None:
         self.graph, self.dead, self.result, self.report = graph, dead, result, report
         self.solver, self.gauge = solver, gauge
-        self.values = result.values
+        self.values, self.projection = result.values, projection
         self.contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
 
     @cached_property
     def tracks(self) -> dict[str, Track]:
-        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none."""
+        """Dead reckoning and solution against the truth; dead reckoning against the solution where there is none.
+
+        None where there is no truth and nothing checks dead reckoning: the solution is dead reckoning then.
+        """
         if "x" in self.report.truth.stacks:
             estimates, judge = {"dead reckoning": self.dead, "solution": self.values}, "truth"
-        else:
+        elif self.checks and "motion.csv" not in self.report.tags:
             estimates, judge = {"dead reckoning": self.dead}, "solution"
+        else:
+            return {}
         against = self.report.truth if judge == "truth" else self.values
         return {name: track_of(values, against, self.report, judge) for name, values in estimates.items()}
 
     @cached_property
-    def determined(self) -> tuple[FactorGraph, Marginals | None, Keys]:
-        """A graph that determines everything, its covariances at the optimum, and the landmarks it had to hold.
+    def checks(self) -> int:
+        """Measured numbers that check the position of dead reckoning."""
+        return position_checks(self.graph, self.values, self.result.dof)
 
-        Notes say which these are, and where there are no covariances (None), why.
-        """
-        graph, free = self.graph, l[[]]
-        if not self.result.converged:
-            self.report.notes.append("the files have no sigmas: this is no optimum")
-            return graph, None, free
-        try:
-            return graph, self._marginals(graph), free
-        except UnderconstrainedError as error:
-            why = error
-        if self.contacts:
-            graph, free = held_free(graph, self.values)
-        try:
-            marginals = self._marginals(graph) if len(free) else None
-        except UnderconstrainedError as error:
-            marginals, why = None, error
-        if marginals is None:
-            self.report.notes.append(f"the files have no sigmas: {why}")
-            return self.graph, None, l[[]]
-        self.report.notes.append(
-            f"nothing measures the elevation of {some(list(free))}: no sigmas there, all others are given; a contact "
-            "from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
-        )
-        return graph, marginals, free
-
-    def _marginals(self, graph: FactorGraph) -> Marginals:
-        """Covariances of all variables; UnderconstrainedError where one has none."""
+    @cached_property
+    def end_sigma(self) -> float | None:
+        """Standard deviation of the last position, m; None where it has none."""
         from nls.covariance import Marginals
 
-        marginals = Marginals(graph, self.values, self.solver, self.gauge)
-        if marginals.underconstrained is not None:
-            raise marginals.underconstrained
-        return marginals
+        if not self.result.converged:
+            return None
+        try:
+            return sigma_at_the_end(Marginals(self.graph, self.values, self.solver, self.gauge), self.report)
+        except UnderconstrainedError:
+            return None
 
-    @property
+    @cached_property
     def marginals(self) -> Marginals | None:
-        """Covariances at the optimum; None where there are none."""
-        return self.determined[1]
+        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
+        from nls.covariance import Marginals
 
-    @property
-    def free(self) -> Keys:
-        """Landmarks whose elevation nothing measures."""
-        return self.determined[2]
+        if not self.result.converged:
+            self.report.notes.append("the files have no sigmas: this is no optimum")
+            return None
+        try:
+            marginals = Marginals(self.graph, self.values, self.solver, self.gauge)
+        except UnderconstrainedError as error:
+            self.report.notes.append(f"the files have no sigmas: {error}")
+            return None
+        seen_once = (
+            l[[]] if self.report.sonar is None or l.name not in self.values.stacks else undetermined(marginals, l)
+        )
+        if len(seen_once):
+            self.report.notes.append(
+                f"nothing measures the elevation of {some(list(seen_once))}: no sigmas there, all others are given; a "
+                "contact from elsewhere measures it, and --elevation prior takes the aperture of the sonar for it"
+            )
+        kinds_of = [Kind(name) for name in self.values.stacks if name != l.name or not len(seen_once)]
+        if free := [key for kind in kinds_of for key in undetermined(marginals, kind)]:
+            cause = marginals.underconstrained
+            reason = "no measurement touches them" if cause is None else str(cause)
+            self.report.notes.append(f"no sigmas of {some(free)}, all others are given: {reason}")
+        return marginals
 
     @cached_property
     def elevations(self) -> Elevations:
         """Elevations of the landmarks at their first view, with sigmas where there are covariances."""
-        graph, marginals, free = self.determined
-        return elevations(graph, self.values, marginals is not None, self.solver, self.gauge, free)
+        return elevations(self.graph, self.values, self.marginals is not None, self.solver, self.gauge)
 
-    def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
-        writers = [self._tum, self._trajectory, self._map, self._track, self._landmarks, self._sonar]
-        has_elevations = self.contacts and self.report.sonar is not None
-        return [
-            (write, str(Path(folder, name)))
-            for write, name in zip(writers, FILES, strict=True)
-            if has_elevations or name.startswith("tra")
-        ]
+    @cached_property
+    def calibrations(self) -> list[Determination]:
+        """What the measurements say of the calibrations."""
+        from nls.io.mission.determination import determinations
 
-    def _tum(self, path: str) -> None:
-        from nls.io.trajectory import write_tum
+        return determinations(
+            self.graph, self.values, self.report, self.solver, self.gauge, bool(self.result.converged)
+        )
 
-        stack = self.values.stack("x")
-        times = self.report.vertex_times.get("x", stack.numbers.astype(float))
-        order = np.argsort(times, kind="stable")
-        write_tum(path, times[order], np.asarray(stack.X)[order])
+    @property
+    def judge(self) -> str | None:
+        """What the tracks are compared with; None where nothing checks dead reckoning."""
+        return next((track.against for track in self.tracks.values()), None)
 
-    def _trajectory(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import trajectory_text
-
-        write_bytes(path, trajectory_text(self.values, self.marginals))
-
-    def _map(self, path: str) -> None:
-        from nls.io.files import write_bytes
-        from nls.io.mission.results import map_text
-
-        write_bytes(path, map_text(self.values, self.marginals, self.elevations))
-
-    def _track(self, path: str) -> None:
-        from nls.plot.mission import track
-        from nls.plot.picture import write_picture
-
-        write_picture(path, track(self.values, self.dead, self.report.truth, self.marginals, self.tracks))
-
-    def _landmarks(self, path: str) -> None:
-        from nls.plot.mission import landmark_map
-        from nls.plot.picture import write_picture
-
-        assert self.report.sonar is not None
-        figure = landmark_map(self.values, self.elevations, self.report.truth, self.report.sonar.aperture)
-        write_picture(path, figure)
-
-    def _sonar(self, path: str) -> None:
-        """The fan of the pose with the most contacts."""
-        from nls.plot.picture import write_picture
-        from nls.plot.sonar import arcs
-
-        poses, count = np.unique(self.contacts[0].keys[0].numbers, return_counts=True)
-        pose = x[int(poses[np.argmax(count)])]
-        assert self.report.sonar is not None
-        figure = arcs(self.contacts[0], self.values, pose, self.report.sonar)
-        figure.axes[0].set_title(f"{self.report.sonar.name}: what it saw from {pose!r}", fontsize=9)
-        write_picture(path, figure)
+    @cached_property
+    def distance(self) -> float:
+        """Distance travelled, m."""
+        tracks = [*self.tracks.values(), track_of(self.values, self.values, self.report, "solution")]
+        return tracks[0].distance
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the mission."""
-        first = next(iter(self.tracks.values()))
-        anchors = [factor.keys[0] for factor in self.graph.factors if isinstance(factor, Position)]
+        distance = self.distance
+        anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
             "poses": len(self.values.stack("x")),
             "landmarks": len(self.values.stacks.get("l", ())),
             "contacts": sum(map(len, self.contacts)),
             "sonar": None if self.report.sonar is None else self.report.sonar.name,
-            "anchor": ", ".join(map(repr, anchors)),
-            "judge": first.against,
-            "distance_m": first.distance,
+            "anchor": ", ".join(self.report.world or anchors),
+            "judge": self.judge,
+            "distance_m": distance,
+            "checks": self.checks,
         }
-        for name, track in self.tracks.items():
-            out[name.replace(" ", "_")] = {
-                "drift_percent": 100 * track.drift,
-                "end_error_m": track.end,
-                "ate_rmse_m": track.ate.rmse,
-                "ate_alignment": track.ate.align,
-            }
+        if not self.checks:
+            end = self.end_sigma
+            out["end_sigma_m"] = end
+            out["end_sigma_percent"] = None if end is None or not distance > 0 else 100 * end / distance
+        out |= drift_record(self.tracks)
         if self.contacts and "l" in self.report.truth.stacks:
             known = self.report.truth.stack("l").numbers
             landmarks = l[known[np.isin(known, self.values.stack("l").numbers)]]
@@ -224,23 +210,51 @@ class Solved:
             sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
             out["at_limit"] = int(self.elevations.pushed.sum())
+        if self.report.calibrations:
+            out["calibrations"] = [
+                {
+                    **{"name": c.name, "value": c.value, "sigma": c.sigma, "sigma_before": c.sigma_before},
+                    **{"sigmas_away": c.sigmas_away, "share": c.share, "determined": c.determined},
+                }
+                for c in self.calibrations
+            ]
         return out
+
+
+def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
+    """What the report for programs says of tracks, by their name."""
+    return {
+        name.replace(" ", "_"): {
+            "drift_percent": 100 * track.drift,
+            "end_error_m": track.end,
+            "ate_rmse_m": track.ate.rmse,
+            "ate_alignment": track.ate.align,
+            "cep50_m": cep(track.ate.errors),
+            "cep95_m": cep(track.ate.errors, 0.95),
+            "drms2_m": drms2(track.ate.errors),
+        }
+        for name, track in tracks.items()
+    }
 
 
 def lines(mission: dict[str, Any]) -> list[str]:
     """The lines of the table that say what a mission's solution is worth."""
-    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
-    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
-    drift = ", ".join(
-        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
-    )
-    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
     out = [
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
         f"{mission['contacts']} contacts" + (f" of a {mission['sonar']}" if mission["sonar"] else ""),
-        f"drift       {drift} of the distance at the end, against {judge}",
-        f"ATE         {ate} rmse (no alignment: {mission['anchor']} is anchored)",
     ]
+    if not mission["checks"]:
+        out += _unchecked(mission)
+    if mission["judge"] is not None:
+        drift, ate = _drift(mission)
+        out += [f"drift       {drift}", f"ATE         {ate} rmse (no alignment: {_held(mission['anchor'])})"]
+    for dive in mission.get("dives", []):
+        out.append(
+            f"dive        {dive['name']}: {dive['poses']} poses over {dive['distance_m']:.4g} m, from x{dive['first']}"
+        )
+        if dive["judge"] is not None:
+            drift, ate = _drift(dive)
+            out.append(f"drift       {dive['name']}: {drift}; ATE {ate} rmse")
     if mission.get("landmark_rmse_m") is not None:
         out.append(f"landmarks   {mission['landmark_rmse_m']:.3g} m rmse, against landmarks.csv")
     if "elevation_sigma_deg" in mission:
@@ -249,7 +263,45 @@ def lines(mission: dict[str, Any]) -> list[str]:
         out.append(
             f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma){edge}"
         )
+    out += [f"calibration {_calibrated(c)}" for c in mission.get("calibrations", [])]
     return out
+
+
+def _calibrated(calibration: dict[str, Any]) -> str:
+    """The words of an estimated calibration."""
+    c = calibration
+    if c["sigma"] is None:
+        return f"{c['name']} {c['value']:.4g}, its sigma is not known"
+    verdict = f"{100 * c['share']:.3g} % of its sigma before" if c["determined"] else "not determined by these data"
+    return f"{c['name']} {c['value']:.4g}, sigma {c['sigma']:.2g} ({verdict})"
+
+
+def _held(anchor: str) -> str:
+    """What holds the track in the world: poses, or files."""
+    return f"held in the world by {anchor}" if anchor.endswith(".csv") else f"{anchor} is anchored"
+
+
+def _unchecked(mission: dict[str, Any]) -> list[str]:
+    """Lines of a mission whose dead reckoning nothing checks."""
+    known = mission["end_sigma_m"] is not None
+    sigma = f"{_short(mission['end_sigma_m'])} m" if known else "not known"
+    if mission["end_sigma_percent"] is not None:
+        sigma += f" ({_percent(mission['end_sigma_percent'])} of the distance)"
+    return [
+        "unchecked   nothing checks dead reckoning: no fix, range, closure or contact; the solution is dead reckoning",
+        f"end         1 sigma of the position at the end: {sigma}, by the stated noise alone",
+    ]
+
+
+def _drift(mission: dict[str, Any]) -> tuple[str, str]:
+    """Errors at the end and on average of dead reckoning, and of the solution where there is a truth, in words."""
+    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
+    named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
+    drift = ", ".join(
+        f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
+    )
+    ate = ", ".join(f"{name} {_short(s['ate_rmse_m'])} m" for name, s in named.items())
+    return f"{drift} of the distance at the end, against {judge}", ate
 
 
 def _percent(number: float) -> str:

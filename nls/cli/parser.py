@@ -11,6 +11,7 @@ from models.options import did_you_mean
 
 __all__ = ["parser"]
 
+ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")  # see nls.metrics; its import is not for start-up
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 FILE = "graph file, folder of a mission or of a graph.npz or graph.g2o, or '-': standard input; files may be gzipped"
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
@@ -24,14 +25,19 @@ EXAMPLES = """examples:
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
+  nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
+  nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
   nls solve survey.g2o --certify                       of a pose graph: is that the lowest minimum?
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
+  nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
   nls convert survey.g2o survey.tum                    the poses alone, for an evaluation tool
   nls convert survey.npz survey.json                   every graph, bit for bit, as arrays and as text
+  nls evaluate solved/trajectory.csv dive/truth.csv    how far a trajectory is from the true one
+  nls evaluate slam.tum gps.tum --align yaw --distances 5,20
   nls plot survey.g2o survey.png                       the graph as it was read
   nls stream survey.g2o                                as a vehicle would have it: the optimum step by step
   nls stream survey.g2o --lag 50 --checkpoint state    the newest 50 poses; goes on where it was killed
@@ -42,6 +48,10 @@ EXAMPLES = """examples:
   nls convert survey.npz survey.g2o --renumber         landmarks get numbers of their own, as g2o files need them
   nls convert - survey.toro < survey.g2o
   nls plot - survey.png < survey.g2o
+  nls import dive.csv > mapping.toml                   a draft: which of its columns may be which of a mission's
+  nls import dive.csv --map mapping.toml -o mission    a log as a mission folder, for nls solve mission
+  nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
+  nls new mission                                      templates of mapping.toml and of every table
 
 exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
 --robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
@@ -96,6 +106,7 @@ class Once(argparse.Action):
 def parser() -> Parser:
     """All commands and options."""
     from nls.cli.formats import formats
+    from nls.cli.sigmas import CHOICES as SIGMAS
     from nls.gauge import GAUGES
     from nls.linear import SOLVERS
     from nls.optimizers import OPTIMIZERS
@@ -106,27 +117,46 @@ def parser() -> Parser:
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(name: str, summary: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    def command(
+        name: str, summary: str, run: Callable[[argparse.Namespace], int], reads_graph: bool = True
+    ) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
         added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
         added.set_defaults(run=run)
-        _input(added)
+        if reads_graph:
+            _input(added)
+        else:
+            added.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return added
 
     solve = command("solve", "find the optimum", _solve)
+    _dives(solve)
     solve.add_argument(
         "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
     )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
     solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
+    solve.add_argument(
+        "--crs",
+        metavar="CRS",
+        help="of the points and the grid in the folder of a mission: local (default), utm, EPSG:n; others than local "
+        "need origin.csv and pyproj, and add columns to the tables",
+    )
     solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
     _problem(solve, "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them")
+    solve.add_argument(
+        "--sigmas",
+        default="stated",
+        choices=SIGMAS,
+        help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
+        ":units: one for lengths and one for angles of a kind; :components: one for every component",
+    )
     solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
     solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     solve.add_argument(
@@ -151,6 +181,7 @@ def parser() -> Parser:
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
 
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
+    _dives(explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     explain.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission (default: hinge)")
     _problem(explain)
@@ -182,8 +213,39 @@ def parser() -> Parser:
         help="go on from this file if it is there; written every 100 steps (a pickle: load none but your own)",
     )
 
+    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, reads_graph=False)
+    evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument(
+        "--align",
+        default="none",
+        choices=ALIGNMENTS,
+        help="move the estimate onto the truth before (default: none); similarity scales it, too",
+    )
+    evaluate.add_argument(
+        "--distances", default="10,50,100", metavar="M,M,...", help="of the relative errors, m (default: 10,50,100)"
+    )
+    evaluate.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="S",
+        help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
+    )
+    _json(evaluate)
+
     plot = command("plot", "draw the graph as it was read", _plot)
     plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+
+    imports = command("import", "make a mission folder of logs", _import, reads_graph=False)
+    imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
+    imports.add_argument(
+        "--map", action=Once, metavar="MAPPING.toml", help="which column is which; a draft is printed without it"
+    )
+    imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
+
+    new = command("new", "write templates of a mission", _new, reads_graph=False)
+    new.add_argument("folder", metavar="FOLDER", help="where; no file there is overwritten")
+    new.add_argument("--map", action="store_true", help="mapping.toml alone")
     return top
 
 
@@ -197,6 +259,11 @@ def _input(command: argparse.ArgumentParser) -> None:
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
     command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")
     command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _dives(command: argparse.ArgumentParser) -> None:
+    """Further missions, which are one graph with the first."""
+    command.add_argument("dives", metavar="DIVE", nargs="*", help="folders of further missions at the same place")
 
 
 def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
@@ -248,7 +315,25 @@ def _stream(options: argparse.Namespace) -> int:
     return stream(options)
 
 
+def _evaluate(options: argparse.Namespace) -> int:
+    from nls.cli.evaluate import evaluate
+
+    return evaluate(options)
+
+
 def _plot(options: argparse.Namespace) -> int:
     from nls.cli.plot import plot
 
     return plot(options)
+
+
+def _import(options: argparse.Namespace) -> int:
+    from nls.cli.import_ import import_logs
+
+    return import_logs(options)
+
+
+def _new(options: argparse.Namespace) -> int:
+    from nls.cli.new import new
+
+    return new(options)

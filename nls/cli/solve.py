@@ -33,21 +33,28 @@ def _checked(options: argparse.Namespace) -> Job:
     import nls
     from nls.cli.formats import output_format
     from nls.cli.job import Job
+    from nls.cli.sigmas import refuse
     from nls.cli.timing import Clock
     from nls.linear import SOLVERS, default_solver
 
+    for file in (options.file, *options.dives):
+        if file != "-" and not os.path.exists(file):
+            raise nls.GraphFileError("cannot be read: No such file or directory", file)
     clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = options.covariance, options.plot, options.report
-    refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=options.file)
+    for file in (options.file, *options.dives):
+        refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=file)
+    refuse(options.sigmas, options.robust)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
     if mission:
         from nls.cli.mission import refuse_unwritable_folder
 
-        refuse_unwritable_folder(options.output, options.file, options.to)
+        for folder in (options.file, *options.dives):
+            refuse_unwritable_folder(options.output, folder, options.to)
     elif options.output:
         job.form = output_format(options.output, options.to)
         _refuse_output(job)
@@ -72,6 +79,8 @@ def _refuse_output(job: Job) -> None:
     if form in FORMATS and not FORMATS[form].holds_values:
         allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
         raise OptionError("output file", options.output, allowed)
+    if options.sigmas != "stated":
+        refuse_loss(options, f"--sigmas {options.sigmas} replaces the stated sigmas")
     if outliers.is_gnc(options.robust):
         refuse_loss(options, f"{options.robust} leaves out the measurements it rejects")
 
@@ -133,6 +142,10 @@ def _check_graph(job: Job) -> None:
     """Refuse before the work what the output cannot hold, or the certificate is not for."""
     from nls.cli.formats import refuse_unwritable_graph
 
+    if job.options.crs is not None:
+        from nls.cli.mission import chosen_projection
+
+        job.projection = chosen_projection(job.options.crs, job.options.output, job.report)
     if job.form:
         refuse_unwritable_graph(job.options.output, job.form, job.as_read, job.start, job.report, job.options.renumber)
     if job.options.certify:
@@ -152,11 +165,30 @@ def _optimize(job: Job) -> None:
     options.phase.now(f"while solving {options.file}")
     with Progress("solve", options.max_iterations, options.quiet) as progress:
         try:
-            job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
+            if options.sigmas != "stated":
+                _estimate(job, _optimizer(job, progress))
+            else:
+                job.result = job.graph.optimize(job.start, _optimizer(job, progress), job.solver, options.gauge)
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
     job.clock.lap("optimize")
+
+
+def _estimate(job: Job, optimizer: Optimizer) -> None:
+    """The scales of the sigmas, the graphs with rescaled noise, and the optimum."""
+    from nls.analysis.variance_components import variance_components
+    from nls.cli.sigmas import rescaled_report
+
+    _, _, groups = job.options.sigmas.partition(":")
+    job.sigmas = variance_components(job.graph, job.start, groups or "kinds", optimizer, job.solver, job.options.gauge)
+    as_read = job.sigmas.rescaled(job.as_read)
+    job.report = rescaled_report(job.report, job.as_read, as_read)
+    job.graph, job.as_read, job.result = job.sigmas.graph, as_read, job.sigmas.result
+    if job.form:
+        job.report.notes.append(f"{job.options.output} holds the estimated sigmas, not the stated ones")
+    if not job.sigmas.settled:
+        job.report.notes.append(f"the scales of the sigmas did not settle in {job.sigmas.rounds} rounds")
 
 
 def _optimizer(job: Job, progress: Progress) -> Optimizer:
@@ -171,12 +203,16 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
 def _write(job: Job) -> None:
     """Every output but the reports."""
     from nls.cli.solve_outputs import write_outputs
-    from nls.io.mission import MissionReport
+    from nls.io.mission import DivesReport, MissionReport
 
     if isinstance(job.report, MissionReport):
         from nls.cli.mission import Solved
 
-        job.solved = Solved(job.graph, job.values, job.result, job.report, job.solver, job.options.gauge)
+        solved: type[Solved] = Solved
+        if isinstance(job.report, DivesReport):
+            from nls.cli.dives import SolvedDives as solved
+        solver, gauge = job.solver, job.options.gauge
+        job.solved = solved(job.graph, job.values, job.result, job.report, solver, gauge, job.projection)
     write_outputs(job)
     job.clock.lap("write")
 
@@ -208,7 +244,7 @@ def _draw(job: Job) -> None:
 def _report(job: Job) -> None:
     """The report for programs and the table."""
     from models.errors import GraphFileError
-    from nls.cli import certificate, outliers
+    from nls.cli import certificate, outliers, sigmas
     from nls.cli.solve_report import record_of, table
 
     options, written = job.options, job.options.phase.written
@@ -224,6 +260,7 @@ def _report(job: Job) -> None:
         job.failed.append(error)
     if not options.quiet and options.json != "-":
         rows = [] if job.choice is None else outliers.rows(job.choice)
+        rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
         rows += [] if job.certificate is None else certificate.rows(job.certificate)
         print(table(record, job.result, rows, job.report.warnings, options.verbose))
 
@@ -231,7 +268,7 @@ def _report(job: Job) -> None:
 def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
-    from nls.cli import outliers
+    from nls.cli import outliers, sigmas
     from nls.cli.hint import asking
     from nls.cli.solve_report import advice
 
@@ -244,6 +281,7 @@ def _status(job: Job) -> int:
     if refuted:
         print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
     doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
+    doubtful = sigmas.unsettled(job.sigmas) or doubtful
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:

@@ -19,6 +19,7 @@ Output = tuple[Callable[[str], None], str | None]
 def write_outputs(job: Job) -> None:
     """Write every output but the reports."""
     from models.errors import GraphFileError
+    from nls.cli.dives import outputs_of
     from nls.io.files import new_folder
 
     options = job.options
@@ -31,9 +32,10 @@ def write_outputs(job: Job) -> None:
         optimum = None if job.solved else options.output
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
+
     try:
         with new_folder(options.output):
-            attempt(job, job.solved.outputs(options.output))
+            attempt(job, outputs_of(job.solved, options.output))
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)
@@ -53,7 +55,7 @@ def _covariance(job: Job, path: str) -> None:
     from nls.io.covariance_csv import write_covariances
 
     if job.solved is not None and job.solved.marginals is not None:
-        write_covariances(path, job.solved.marginals, free=[job.solved.free])
+        write_covariances(path, job.solved.marginals)
     else:
         write_covariances(path, Marginals(job.graph, job.result.values, job.solver, job.options.gauge))
 

@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
+    from nls.io import LoadReport
     from nls.optimizers import Iteration, Result
 
 __all__ = ["table"]
 
 SCHEMA = "solve 1"  # name and version of schema.json, which describes the report for programs
 SHOWN = 12  # free directions in the table
+UNEXPECTED = 2.0  # chi2 per degree of freedom of a mission: sigmas are wrong by more than 40 %, or a sensor is
+FAR = 5.0  # sigmas of a calibration before the measurements
 
 
 def record_of(job: Job) -> dict[str, Any]:
@@ -54,10 +57,38 @@ def record_of(job: Job) -> dict[str, Any]:
         "underconstrained": list(result.underconstrained),
         "written": options.phase.written,
         "unwritten": [error.message for error in job.failed],
+        **_findings(report),
         "notes": report.notes + parts + doubts(result, options, options.phase.written),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }
+
+
+def _findings(report: LoadReport) -> dict[str, Any]:
+    """What is implausible in the tables of a mission."""
+    from nls.io.mission import MissionReport
+    from nls.io.mission.plausible.words import record
+
+    if not isinstance(report, MissionReport):
+        return {}
+    return {"findings": [record(finding) for finding in report.findings]}
+
+
+def _doubt(report: dict[str, Any]) -> str:
+    """What the line of the result of a mission adds where its tables, its chi2 or its calibrations are implausible."""
+    if "mission" not in report:
+        return ""
+    checks = list(dict.fromkeys(f"{finding['check']} ({finding['file']})" for finding in report["findings"]))
+    doubts = [f"implausible: {', '.join(checks)}, see the warnings"] if checks else []
+    ratio = report["chi2_final"] / max(report["dof"], 1)
+    if ratio > UNEXPECTED and report["robust"] is None and report["dof"]:
+        doubts.append(f"chi2 is {ratio:.3g} times its expectation: the sensors contradict each other")
+    doubts += [
+        f"{c['name']} is {c['sigmas_away']:.3g} sigmas from what calibration.csv believes"
+        for c in report["mission"].get("calibrations", ())
+        if c["sigmas_away"] > FAR
+    ]
+    return f"; but {'; '.join(doubts)}" if doubts else ""
 
 
 def _record(iteration: Iteration) -> dict[str, Any]:
@@ -101,7 +132,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         f"convention {report['convention']}{robust}",
         f"solver      {report['method']}, {report['linear_solver']}; gauge: {report['gauge']}",
         f"time        {seconds['solved']:.3f} s from file to optimum, peak {report['peak_rss_mb']:.0f} MB",
-        f"result      {report['reason']}",
+        f"result      {report['reason']}{_doubt(report)}",
         *(f"method      {remark}" for remark in result.remarks),
         *findings,
     ]

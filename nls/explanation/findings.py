@@ -20,6 +20,7 @@ SCHEMA = "explain 1"  # name and version of schema.json, which describes the rep
 class FindingKind(StrEnum):
     """What a finding is about, the identifier that programs get."""
 
+    IMPLAUSIBLE = "implausible"
     NOT_CONVERGED = "not_converged"
     NO_OPTIMUM = "no_optimum"
     LOCAL_MINIMUM = "local_minimum"

@@ -29,6 +29,14 @@ def sentence(finding: Finding) -> str:
     return SENTENCES[finding.kind](finding) + lines
 
 
+def _implausible(f: Finding) -> str:
+    from nls.io.mission.plausible import Implausible, Reading
+    from nls.io.mission.plausible.words import sentence as of_table
+
+    readings = tuple(Reading(**reading) for reading in f.numbers["readings"])
+    return of_table(Implausible(**{**f.numbers, "readings": readings}))
+
+
 def _not_converged(f: Finding) -> str:
     n = f.numbers
     return f"no optimum was found ({n['reason']}); the other findings are about the values {n['values']}"
@@ -250,6 +258,7 @@ def _unchecked(f: Finding) -> str:
 
 
 SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
+    FindingKind.IMPLAUSIBLE: _implausible,
     FindingKind.NOT_CONVERGED: _not_converged,
     FindingKind.NO_OPTIMUM: _no_optimum,
     FindingKind.LOCAL_MINIMUM: _local_minimum,
@@ -284,6 +293,8 @@ def summary(e: Explanation) -> str:
     else:
         determined = f"{e.unknowns:,} unknowns, all determined."
     kinds = [finding.kind for finding in e.findings]
+    if FindingKind.IMPLAUSIBLE in kinds:
+        determined = f"Tables of the mission are implausible. {determined}"
     if FindingKind.NOT_CONVERGED in kinds:
         return f"{determined} No optimum was found."
     if FindingKind.NO_OPTIMUM in kinds:

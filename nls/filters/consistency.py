@@ -1,10 +1,11 @@
 r"""Whether an estimator is as good as it says: errors in units of the covariance it reports.
 
     NEES = e' P^-1 e,   e = X_hat^-1 X   (the tangent step from the estimate to the truth, angles wrapped)
+    NIS  = nu' S^-1 nu,   nu the innovation z - h(X_hat), S = H P H' + R its covariance
 
 Of a consistent estimator it is chi-squared with as many degrees of freedom d as the pose has, so d in the mean. Over N
 independent runs the mean is within chi2_(Nd)(0.025) / N and chi2_(Nd)(0.975) / N in 95 % of all cases. Above: it
-believes more than it knows.
+believes more than it knows. The NIS of a measurement of m numbers has m in the place of d, and needs no truth.
 
 Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2.
 """
@@ -12,14 +13,16 @@ Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array, Mask
-from models.errors import UnderconstrainedError
+from models.errors import GraphError, UnderconstrainedError
+from models.finite import finite
 from nls.analysis.chi_squared import chi2_gate
 
-__all__ = ["nees", "nees_bounds", "regular"]
+__all__ = ["nees", "nees_bounds", "nis", "regular"]
 
 SINGULAR = 1e-12  # of a correlation matrix: the rounding of what was subtracted from it
 
@@ -71,15 +74,52 @@ def nees(keys: Keys, manifold: Manifold, X: Array, P: Array, truth: Array) -> Ar
     >>> nees(x[[7]], SE2, np.array([[0.0, 0.0, -3.1]]), P, np.array([[0.1, 0.0, 3.1]])).round(1)
     array([1.2])
     """
-    values, vectors, scale = _spectra(P)
+    values = _spectra(P)[0]
     if (bad := ~(values[:, 0] > SINGULAR)).any():
         raise UnderconstrainedError(
             f"NEES of {keys[[int(np.argmax(bad))]]}: its covariance is singular, errors have no size in its units; a "
             "particle filter needs more particles than unknowns that differ, and a start a sigma above 0",
             [keys[[int(np.argmax(bad))]]],
         )
-    along = np.matvec(vectors.mT, manifold.local(X, truth) / scale)
-    return np.asarray((np.square(along) / values).sum(axis=1))
+    return _squares(manifold.local(X, truth), P)
+
+
+def nis(nu: npt.ArrayLike, S: npt.ArrayLike) -> Array:
+    """nu' S^-1 nu of every innovation, chi-squared with m degrees of freedom where S is right.
+
+    Parameters
+    ----------
+    nu : (n, m) innovations, z - h at the prediction; angles wrapped.
+    S : (n, m, m) their covariances, H P H' + R.
+
+    Returns
+    -------
+    (n,) array.
+
+    Raises
+    ------
+    GraphError
+        Shapes that do not fit, no finite numbers.
+    UnderconstrainedError
+        A covariance that is singular or not positive.
+
+    Examples
+    --------
+    >>> nis([[0.3, -0.1]], [[[0.01, 0.0], [0.0, 0.01]]]).round(9)
+    array([10.])
+    """
+    e, P = finite("nis", "nu", nu), finite("nis", "S", S)
+    if e.ndim != 2 or P.shape != (*e.shape, e.shape[1]):
+        raise GraphError(f"nis: shapes {e.shape} and {P.shape}, expected (n, m) innovations and (n, m, m) covariances")
+    if (bad := ~regular(P)).any():
+        raise UnderconstrainedError(f"NIS of innovation {int(np.argmax(bad))}: its covariance is singular", [])
+    return _squares(e, P)
+
+
+def _squares(e: Array, P: Array) -> Array:
+    """e' P^-1 e (n,) of errors (n, d)."""
+    values, vectors, scale = _spectra(P)
+    return np.asarray((np.square(np.matvec(vectors.mT, e / scale)) / values).sum(axis=1))
 
 
 def regular(P: Array) -> Mask:

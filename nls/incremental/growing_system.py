@@ -15,7 +15,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from models import Manifold
 from models.algebra import Array, Mask
-from nls.gauge import choose_gauge
+from nls.gauge import choose_gauge, touched_variables
 from nls.incremental.batch import GrowingBatch
 from nls.incremental.growing import Variables
 from nls.incremental.marginal import prior_left
@@ -218,7 +218,8 @@ class GrowingSystem:
         self._age = 0
         values = self.values
         pattern = Pattern([batch.model().factor for batch in self.batches], values)
-        gauge = choose_gauge("first", pattern, values, np.zeros(len(pattern.dims), dtype=bool))
+        untouched = ~touched_variables(pattern)  # the first of all, while its measurements wait for others
+        gauge = choose_gauge("first", pattern, values, untouched)
         self._held = bool(gauge.held.any())
         pattern = pattern.holding(gauge.held)
         b = [batch.b for batch in self.batches]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -39,7 +40,7 @@ __all__ = [
 ]
 
 NATIVE = ("npz", "json")
-POSES_ONLY = (*TRAJECTORIES, "csv")  # estimates without measurements, which are written alone
+POSES_ONLY = (*TRAJECTORIES, "csv", "ply")  # estimates without measurements, which are written alone
 DIALECTS = ("auto", *FORMATS, "pyfg", "bal", *NATIVE)
 OBJECT = re.compile(rb"\s*\{")
 BAL = re.compile(rb"\s*[0-9]+[ \t]+[0-9]+[ \t]+[0-9]+[ \t\r]*(?:\n|$)")  # three counts on the first line
@@ -48,7 +49,7 @@ NAME = re.compile(rb"[A-Za-z]+[0-9]+")
 
 
 def load(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     convention: str = "g2o",
     dialect: str = "auto",
     repair_information: bool = False,
@@ -59,7 +60,8 @@ def load(
     Parameters
     ----------
     path : the file, or the folder of a mission: its track, sonar contacts and truth as CSV files; or one without these
-        that holds ``graph.npz`` or ``graph.g2o``.
+        that holds ``graph.npz`` or ``graph.g2o``. A list of folders: dives at one place, with a track each, and their
+        landmarks and beacons in common.
     convention : residual of pose measurements, see `factors.conventions`.
     dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
         `nls.io.dialects`), ``pyfg``, ``bal``, or the library's own ``npz`` and ``json``, which states the convention of
@@ -91,7 +93,10 @@ def load(
     models.errors.GraphFileError: missing.g2o: cannot be read: No such file or directory
     """
     check_dialect(dialect, DIALECTS)
-    return _warned(path, _read(path, convention, dialect, repair_information, elevation))
+    how = convention, dialect, repair_information, elevation
+    if isinstance(path, str | os.PathLike):
+        return _warned(path, _read(path, *how))
+    return _warned("dives", _read_dives(path, *how))
 
 
 def load_stream(
@@ -152,6 +157,25 @@ def _read(
     with stage("read file"):
         data = read_bytes(path, archive=True)
     return _parsed(data, str(path), convention, dialect, repair_information)
+
+
+def _read_dives(
+    paths: Sequence[str | Path], convention: str, dialect: str, repair_information: bool, elevation: str | None
+) -> tuple[FactorGraph, Values, LoadReport]:
+    """The graph of several missions, without its warnings; parameters and errors as for `load`."""
+    from nls.io.mission.dives import read_dives
+
+    if not isinstance(paths, list | tuple) or len(paths) < 2:
+        raise OptionError("path", paths, "a file or folder, or a list of the folders of several missions")
+    for path in paths:
+        if not os.path.isdir(path):
+            raise GraphFileError("is no folder; of several inputs each must be the folder of a mission", str(path))
+    if dialect != "auto":
+        raise OptionError("dialect", dialect, "auto: several inputs are missions")
+    if repair_information:
+        raise no_information(str(paths[0]), "mission")
+    check_convention(convention)
+    return read_dives(paths, "hinge" if elevation is None else elevation)
 
 
 def _refuse_elevation(elevation: str | None, name: str | Path) -> None:
@@ -279,6 +303,11 @@ def rendered(
         from nls.io.table import values_table
 
         return values_table(values, report), notes + measurements_left_out("csv", graph)
+    if dialect == "ply":
+        from nls.io.charts.ply import cloud_text
+
+        data, more = cloud_text(path, values)
+        return data, notes + more + measurements_left_out("ply", graph)
     if dialect in NATIVE:
         from nls.io.native.native import native_bytes
 

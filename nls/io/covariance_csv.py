@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ __all__ = ["write_covariances"]
 EMPTY = ("unmeasured", "free")  # what has no covariance
 
 
-def write_covariances(path: str | Path, marginals: Marginals, frame: str = "world", free: Sequence[Keys] = ()) -> None:
+def write_covariances(path: str | Path, marginals: Marginals, frame: str = "world") -> None:
     """Write the marginal covariance of every variable as CSV; numbers read back bit for bit.
 
     The first line names the columns:
@@ -38,7 +37,6 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     path : the file; gzip-compressed where the name ends in ``.gz``. Written whole or not at all.
     marginals : covariances of a graph.
     frame : ``world`` or ``body``, see `Marginals`.
-    free : variables that the graph of the marginals holds along a direction in which nothing measures them.
 
     Raises
     ------
@@ -76,9 +74,6 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
     lines = [",".join(["kind", "number", "status", *columns])]
     for stack in stacks:
         status = marginals.status(stack.kind)
-        for keys in (group for group in free if group.kind == stack.kind):
-            for row in stack.index(keys).tolist():
-                status[row] = "free"
         known = np.array([word not in EMPTY for word in status], dtype=bool)
         Sigma = marginals.covariance(Keys(stack.kind, stack.numbers[known]), frame=frame)
         upper = iter(Sigma[:, *np.triu_indices(stack.manifold.dim)].tolist())

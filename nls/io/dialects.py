@@ -80,7 +80,9 @@ ISAM_COVARIANCE = Format(
     apart=True,
 )
 FORMATS = {format.name: format for format in (G2O, TORO, ISAM, ISAM_COVARIANCE, GRAPH)}
-SUFFIXES = {f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", "npz", "json", "tum", "kitti", "csv")}
+SUFFIXES = {
+    f".{name}": name for name in ("g2o", "toro", "isam", "pyfg", "bal", "npz", "json", "tum", "kitti", "csv", "ply")
+}
 READINGS = {  # dialects by tag
     tag: {name for name, format in FORMATS.items() if tag in format.tags or tag in format.ignored_tags}
     for known in FORMATS.values()
@@ -174,12 +176,17 @@ def _listed(names: set[str]) -> str:
 def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) -> GraphFileError:
     """The error for a file without any line of a graph."""
     unknown, advice = [tag for tag in tags if tag != b"FIX"], []
+    table = [Advice("import", (text.path,)), Advice("template")]
     if unknown:
         line, word = int(tags[unknown[0]][0]), unknown[0]
         if b"," in text.line(line):
-            problem, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission")]
+            problem, advice = "is no graph but a table, its numbers separated by commas", [Advice("mission"), *table]
         elif word.lstrip(b"+-.")[:1].isdigit():
+            advice = table
             problem = f"is no graph but a table of numbers: a line begins with {printable(word, 30)!r} instead of a tag"
+        elif b";" in text.line(line) or b"\t" in text.line(line).strip():
+            sign = "semicolons" if b";" in text.line(line) else "tabs"
+            problem, advice = f"is no graph but a table, its cells separated by {sign}", table
         else:
             problem = f"is no graph: {printable(word, 30)!r} is no tag of a graph"
     elif tags:

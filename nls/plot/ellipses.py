@@ -16,6 +16,7 @@ import numpy as np
 
 from factors.keys import Keys, Kind
 from models.options import check_between, check_whole
+from nls.covariance.ellipse import outlines
 from nls.plot.axes import axes_or_new, figure_of
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ __all__ = ["ellipses"]
 
 POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
 MOST = 120  # of one kind, where it is not said how many
-CORNERS = 48
 VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
 
 
@@ -83,7 +83,6 @@ def ellipses(
     axes = axes_or_new(axes, (6, 6))
     if alone:
         axes.set(xlabel="y [m]" if north_up else "x [m]", ylabel="x [m]" if north_up else "y [m]")
-    radius = scale * np.sqrt(-2 * np.log1p(-probability))
     for stack in marginals.values.stacks.values():
         position = np.asarray(stack.manifold.position(stack.X))
         chosen = np.flatnonzero(np.array(marginals.status(stack.kind)) == "estimated")
@@ -99,7 +98,7 @@ def ellipses(
         style = {"color": POSE if pose else POINT, "linewidth": 0.8}
         label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}"
         label += "" if scale == 1 else f", {scale:g} times as large"
-        _outlines(axes, position[chosen], _around(Sigma, radius), label=label, **style)
+        _outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
     if alone:
@@ -107,14 +106,6 @@ def ellipses(
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", fontsize=8)
     return figure_of(axes)
-
-
-def _around(Sigma: Array, radius: float) -> Array:
-    """Outlines (n, CORNERS, 2) around the origin of covariances (n, 2, 2)."""
-    a = np.linspace(0, 2 * np.pi, CORNERS)
-    U, s, _ = np.linalg.svd(Sigma)  # of a covariance: its eigenvectors and eigenvalues
-    axes_of_ellipse = radius * U * np.sqrt(s)[:, None, :]
-    return np.asarray((axes_of_ellipse @ np.stack([np.cos(a), np.sin(a)])).mT)
 
 
 def _outlines(axes: Axes, center: Array, around: Array, **style: Any) -> None:

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models import LINE
+from nls.covariance.ellipse import outlines
 from nls.covariance.frames import axes as axes_of
 from nls.covariance.frames import turned
-from nls.plot.ellipses import POINT, POSE, _around, _outlines
+from nls.plot.ellipses import POINT, POSE, _outlines
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -36,7 +37,6 @@ __all__ = ["estimator_figure", "power_laws", "several"]
 TRUE, PATH = "#202020", "#0b4f6c"
 BELOW = "0.82"  # of a true track, wide under the estimate
 COLORS = ("#0b4f6c", "#e07a2f", "#8e3a80", "#3f8f4f", "#c03a4a", "#7a6a2b", "#4a8fc0")
-RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # of the ellipse that holds a position with 95 %
 EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 ROOM = 1.1  # above the highest line
@@ -93,7 +93,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
     _outlines(
         axes,
         manifold.position(track.X[shown]),
-        _around(turned(J, track.P[shown]), RADIUS),
+        outlines(turned(J, track.P[shown])),
         color=POSE,
         linewidth=0.8,
         label="95 % of the vehicle",
@@ -109,9 +109,7 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
         else:
             axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=9, label="true landmarks")
             axes.plot(*L.T, ".", color=POINT, markersize=4)
-            _outlines(
-                axes, L, _around(track.P_landmarks, RADIUS), color=POINT, linewidth=0.8, label="95 % of the landmarks"
-            )
+            _outlines(axes, L, outlines(track.P_landmarks), color=POINT, linewidth=0.8, label="95 % of the landmarks")
             for number, place in zip(track.landmarks.numbers.tolist(), L, strict=True):
                 axes.annotate(
                     f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=POINT, fontsize=8

@@ -55,10 +55,10 @@ class Sample:
 
     def factor(self, z: Array, noise: Noise) -> Factor:
         """Slot k takes the variables of kind vk, number 0 to n-1."""
-        return self.build(tuple(Keys("abc"[k], np.arange(len(z))) for k in range(len(self.manifolds))), z, noise)
+        return self.build(tuple(Keys("abcd"[k], np.arange(len(z))) for k in range(len(self.manifolds))), z, noise)
 
     def values(self, X: tuple[Array, ...]) -> Values:
-        return Values({"abc"[k]: (manifold, X[k]) for k, manifold in enumerate(self.manifolds)})
+        return Values({"abcd"[k]: (manifold, X[k]) for k, manifold in enumerate(self.manifolds)})
 
 
 def turned(manifold: Manifold, n: int, angle: float, length: float, rng: np.random.Generator) -> Array:

@@ -20,6 +20,7 @@ from factors import (
     Position,
     Prior,
     Range,
+    ScaledRange,
 )
 from factors.bundle import CAMERA, LENS
 from factors.conventions import CONVENTIONS
@@ -220,6 +221,30 @@ BUNDLE = Sample(
     around=(np.array([0.3, -0.2, 0.1, 0.5, 0.2, -15.0]), np.array([6.0, -0.1, 0.02]), np.array([1.0, -1.0, 0.5])),
 )
 
+
+def scaled_range(group: LieGroup, mounted: bool) -> Sample:
+    mount = MOUNT[group] if mounted else None
+
+    def truth(X: Array, L: Array, s: Array) -> Array:
+        frames = [
+            homogeneous(group, x) @ (np.eye(group.point_dim + 1) if mount is None else homogeneous(group, mount))
+            for x in X
+        ]
+        distances = [np.linalg.norm(in_frame(S, l)) for S, l in zip(frames, L, strict=True)]
+        return np.array([[r * (1 + k[0])] for r, k in zip(distances, s, strict=True)])
+
+    return Sample(
+        f"ScaledRange-{group}" + ("-offset" if mounted else ""),
+        (group, R(group.point_dim), R(1)),
+        Measured("range"),
+        1,
+        lambda keys, z, noise: ScaledRange(*keys, z, noise, offset=mount),
+        truth,
+        around=(group.identity()[0], AHEAD[group.point_dim], np.array([0.05])),
+        visible=lambda X, L, s: (X, L, 0.1 * np.tanh(s)),
+    )
+
+
 KINDS: list[type[Factor]] = [Landmark, Range, Bearing, BearingRange]
 PLANE_AND_SPACE: list[LieGroup] = [SE2, SE3]
 TILTED = np.array([1.0, 2.0, 3.0, *Rotation.from_euler("ZYX", [-3.1, 0.2, -0.3]).as_quat()])
@@ -244,6 +269,7 @@ SENSOR_SAMPLES = [
     position(SE3, ("z",), None),
     position(SE3, None, np.array([0.5, -0.2, 1.0])),
     position(SE3, ("z", "x"), np.array([0.5, -0.2, 1.0])),
+    *(scaled_range(group, mounted) for group in PLANE_AND_SPACE for mounted in (False, True)),
     head(SE2, "level", np.array([1.0, 2.0, -3.0])),
     head(SE3, "level", SE3.identity()[0]),
     head(SE3, "tilted", TILTED),

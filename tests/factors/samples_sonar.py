@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from factors import XYH, ZPR, Elevation, ElevationHinge, EpipolarArc, Factor, Noise, RangeAzimuth
+from factors import XYH, ZPR, DvlLeg, Elevation, ElevationHinge, EpipolarArc, Factor, Noise, RangeAzimuth
 from factors.keys import Keys
 from models import SE3, Manifold, Measured, R
 from tests.factors.samples import Sample, homogeneous
@@ -82,6 +82,36 @@ def xyh(form: str, name: str, around: Array) -> Sample:
     )
 
 
+def dvl_leg(mode: str) -> Sample:
+    """A leg with a scale, an angle or both as variables; p, q and u are parts of it as in a tilted vehicle."""
+    ways, at = np.array([[3.0, 0.4], [-0.5, 2.9], [0.2, -0.1]]), (0.05, -0.1)
+    names = [name for name in ("scale", "yaw") if name in mode]
+
+    def by(s: float, a: float) -> complex:
+        p, q, u = (complex(*way) for way in ways)
+        return (1 + at[0]) / (1 + s) * (p * np.cos(a - at[1]) + q * np.sin(a - at[1]) + u)
+
+    def truth(X_i: Array, X_j: Array, *c: Array) -> Array:
+        h = levelled(X_i, X_j)
+        for k in range(len(h)):
+            given = dict(zip(names, (float(x[k, 0]) for x in c), strict=True))
+            more = by(*at) - by(given.get("scale", at[0]), given.get("yaw", at[1]))
+            h[k, :2] += [more.real, more.imag]
+        return h
+
+    return Sample(
+        f"DvlLeg-{mode}",
+        (SE3, SE3, *[R(1)] * len(names)),
+        Measured("x", "y", "yaw"),
+        3,
+        lambda keys, z, noise: DvlLeg(
+            *keys[:2], z, noise, np.tile(ways, (len(z), 1, 1)), **dict(zip(names, keys[2:], strict=True)), at=at
+        ),
+        truth,
+        around=(TILTED, TILTED, *[np.array([4.0])] * len(names)),
+    )
+
+
 def zpr(name: str, around: Array) -> Sample:
     return Sample(
         f"ZPR-{name}",
@@ -136,6 +166,7 @@ SONAR_SAMPLES = [
         for form in ("levelled", "relative")
         for name, around in (("level", HERE), ("tilted", TILTED))
     ),
+    *(dvl_leg(mode) for mode in ("scale", "yaw", "scale and yaw")),
     zpr("level", HERE),
     zpr("tilted", TILTED),
 ]

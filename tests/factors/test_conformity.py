@@ -35,10 +35,11 @@ from tests.factors.samples import SAMPLES as POSE_SAMPLES
 from tests.factors.samples_camera import CAMERA_SAMPLES
 from tests.factors.samples_plane import PLANE_SAMPLES
 from tests.factors.samples_sensors import SENSOR_SAMPLES
+from tests.factors.samples_shifted import SHIFTED_SAMPLES
 from tests.factors.samples_sonar import ELIMINATING_SAMPLES, SONAR_SAMPLES
 
 Array = npt.NDArray[np.float64]
-SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *CAMERA_SAMPLES, *PLANE_SAMPLES]
+SAMPLES = [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *CAMERA_SAMPLES, *PLANE_SAMPLES, *SHIFTED_SAMPLES]
 every_sample = pytest.mark.parametrize("sample", SAMPLES, ids=str)
 
 

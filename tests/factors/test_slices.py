@@ -37,10 +37,15 @@ from tests.factors.evaluated import linearized, refused, same
 from tests.factors.samples import SAMPLES as POSE_SAMPLES
 from tests.factors.samples import Sample, full_noise, situation
 from tests.factors.samples_sensors import SENSOR_SAMPLES
+from tests.factors.samples_shifted import SHIFTED_SAMPLES
 from tests.factors.samples_sonar import SONAR_SAMPLES
 
 x, l, o = kinds("x", "l", "o")
-SAMPLES = [s for s in [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES] if not s.name.startswith("from_function")]
+SAMPLES = [
+    s
+    for s in [*POSE_SAMPLES, *SENSOR_SAMPLES, *SONAR_SAMPLES, *SHIFTED_SAMPLES]
+    if not s.name.startswith("from_function")
+]
 FUNCTIONS = [s for s in POSE_SAMPLES if s.name.startswith("from_function")]
 N = 7
 

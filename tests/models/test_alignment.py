@@ -8,7 +8,7 @@ from scipy.linalg import polar
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
-from models.alignment import align, three_points
+from models.alignment import align, align_similarity, align_yaw, three_points
 from models.errors import GraphError, SingularGeometryError
 from models.sensors import SingularAt
 from tests.combinations import for_all
@@ -163,3 +163,33 @@ def test_mistakes() -> None:
             align(v, v, weights)
     with pytest.raises(GraphError, match=r"weights .* inf"):
         align(v, v, [1, np.inf, 1])
+
+
+def test_similarity_and_yaw_of_batches_with_weights() -> None:
+    """Each is the least of its kind; a weight of 0 leaves a point out; what is not unique is refused."""
+    rng = np.random.default_rng(8)
+    v, T = 5 * rng.normal(size=(4, 9, 3)), motions(SE3, (4,), rng)
+    s = rng.uniform(0.1, 9, 4)
+    u = SE3.act(T[:, None], s[:, None, None] * v)
+    w = np.ones(9)
+    u[:, 3], w[3] = 99.0, 0.0
+    S, scale = align_similarity(u, v, w)
+    assert (apart(SE3, T, S), scale) == (pytest.approx(0, abs=1e-10), pytest.approx(s))
+    noisy = v + 0.3 * rng.normal(size=v.shape)
+    for yaw in (2.7, -0.4):
+        Z = SE3.exp([1.0, -2, 3, 0, 0, 0]) * [1, 1, 1, 0, 0, 0, 0] + [0, 0, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)]
+        turned = SE3.act(Z, noisy)
+        Y = align_yaw(turned, v)
+        assert np.abs(Y[:, 3:5]).max() == 0
+        best = np.square(turned - SE3.act(Y[:, None], v)).sum((1, 2))
+        for d in (1e-3, -1e-3):  # no other yaw about the mean is nearer
+            c, q = v.mean(axis=1), np.array([0, 0, np.sin(d / 2), np.cos(d / 2)])
+            D = np.concatenate([c - SE3.act(np.r_[0.0, 0, 0, q], c), np.tile(q, (4, 1))], axis=1)
+            worse = np.square(turned - SE3.act(SE3.compose(Y, D)[:, None], v)).sum((1, 2))
+            assert (worse > best).all()
+    line = np.array([[0.0, 0, 1], [0, 0, 2], [0, 0, 5]])
+    for other in (align_yaw, align_similarity):
+        with pytest.raises(SingularAt, match="free"):
+            other(line, line)
+    with pytest.raises(GraphError, match="points of space"):
+        align_yaw(line[:, :2], line[:, :2])

@@ -31,8 +31,8 @@ def made_again(folder: Path, names: list[str], again: Path) -> str:
     call = re.search(r"^Made by: nls-sim (.*)$", readme, re.MULTILINE)
     assert call is not None
     assert main([*call[1].split(), "--out", str(again)]) == 0
-    for file in folder.iterdir():
-        assert file.read_bytes() == (again / file.name).read_bytes()
+    for file in (path for path in folder.rglob("*") if path.is_file()):
+        assert file.read_bytes() == (again / file.relative_to(folder)).read_bytes()
     return readme.replace("\n", " ")
 
 

@@ -30,6 +30,7 @@ SMALL = {
     "hauv-floor": {"--legs": 2, "--per-leg": 12},
     "hauv-hull": {"--levels": 2, "--per-level": 13},
     "rig": {"--poses": 6, "--points": 60},
+    "survey": {"--legs": 1, "--leg": 30},
     "subsea": {"--laps": 1},
     "compare": {"--laps": 1},
 }
@@ -101,6 +102,23 @@ def test_missions(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     spoiled = ["--drop-outs", "0.1", "--outliers", "0.05", "--wrong-associations", "0.05"]
     contacts, wrong = map(int, re.findall(r"\d+", table([*small(name), *spoiled], capsys)["contacts"]))
     assert wrong == round(0.05 * contacts) + 2 * round(0.025 * contacts)
+
+
+def test_survey(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    said = table([*small("survey"), "--seed", "3", "--usbl-outliers", "0.1", "--out", str(folder)], capsys)
+    log = sim.survey(np.random.default_rng(3), legs=1, leg=30, usbl_outliers=0.1)
+    assert list(said) == ["world", "way", "DVL", "AHRS, depth", "GPS", "LBL", "USBL", "calibration", "written"]
+    assert said["world"] == "survey, seed 3"
+    assert said["way"] == f"{log.distance:.4g} m in {log.duration} s"
+    assert said["USBL"].endswith(f"{log.wrong.sum()} of them wrong")
+    assert sorted(said["written"].split(", ")) == sorted(str(p) for p in folder.rglob("*") if p.is_file())
+    assert {path.stem for path in folder.glob("*.csv")} == set(log.tables)
+    made_again(folder, [], tmp_path / "again")
+    capsys.readouterr()
+    refused(["survey", "--depth", "60"], "--depth: 60.0 is not possible; give a number from 5 to 25, m", capsys)
+    (folder / "zpr.csv").touch()
+    refused([*small("survey"), "--out", str(folder)], "another mission", capsys)
 
 
 def test_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -210,9 +228,15 @@ def test_examples_of_the_help_work(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     """With smaller sizes, which come last and count."""
     monkeypatch.chdir(tmp_path)
     calls = [line.split("   ")[0].split()[1:] for line in EXAMPLES.splitlines() if line.startswith("  nls-sim")]
-    assert len(calls) == 10
-    assert [main([*call, *small(call[0])[1:]]) for call in calls if not {"--help", "--runs"} & set(call)] == [0] * 8
-    made = ("demo/graph.g2o", "survey/contacts.csv", "calibrated/rig.png", "over-confident/estimate.png")
+    assert len(calls) == 11
+    assert [main([*call, *small(call[0])[1:]]) for call in calls if not {"--help", "--runs"} & set(call)] == [0] * 9
+    made = (
+        "demo/graph.g2o",
+        "survey/contacts.csv",
+        "log/truth/truth.csv",
+        "calibrated/rig.png",
+        "over-confident/estimate.png",
+    )
     assert all((tmp_path / name).exists() for name in made)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Diagonal, Prior
+from factors import Diagonal, Heading, Prior, Shifted
 from factors.base import Factor
 from factors.keys import Keys, Kind
 from models import Manifold, R
@@ -19,7 +19,9 @@ from models.options import did_you_mean
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 
-__all__ = ["NAMES", "Calibrations"]
+__all__ = ["NAMES", "Calibrations", "Compass"]
+
+Compass = tuple[Keys, Array]  # poses and their yaw (n,), rad
 
 NAMES = {  # of a calibration: what it is
     "dvl_scale": "scale error of the DVL, a fraction: it reads 1 + this times the velocity",
@@ -29,7 +31,7 @@ NAMES = {  # of a calibration: what it is
     "usbl_clock_s": "times of usbl.csv are late by this",
     "ranges_clock_s": "times of ranges.csv are late by this",
     "declination_rad": "the headings of ahrs.csv are from a north that is this east of true north",
-    "sound_speed_scale": "acoustic ranges are 1 + this times the distance, as of a sound speed that is too high",
+    "sound_speed_scale": "ranges of ranges.csv are 1 + this times the distance, as of a sound speed that is too high",
 }
 
 
@@ -59,6 +61,7 @@ class Calibrations:
         self._table = table
         self._rows: dict[str, Calibration] = {}
         self._used: list[str] = []
+        self._more: dict[Kind, tuple[int, float]] = {}
         if table is None:
             return
         numbers = table.measured("value", "sigma")
@@ -85,6 +88,23 @@ class Calibrations:
         """The value of a name; 0 where there is no row."""
         return self._rows[name].value if name in self._rows else 0.0
 
+    def add(self, kind: Kind, count: int, sigma: float) -> None:
+        """Variables in R(1) that a log needs, numbered from 0, that begin at 0, the first known to sigma."""
+        self._more[kind] = count, sigma
+
+    def headings(self, factor: Factor) -> Compass | None:
+        """Poses and their yaw (n,) by a compass, with its calibrations as believed; None of other factors."""
+        shift = np.zeros(1)
+        while isinstance(factor, Shifted):
+            shift = shift + factor.G[:, 0, 0] * self.value(factor.key.kind)
+            factor = factor.factor
+        return (factor.keys[0], factor.z.reshape(-1) - shift) if isinstance(factor, Heading) else None
+
+    def given(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation before the measurements, of every variable and the first that a log needs."""
+        rows = {name: (self._rows[name].value, self._rows[name].sigma) for name in self.variables}
+        return rows | {kind.name: (0.0, sigma) for kind, (_, sigma) in self._more.items()}
+
     @property
     def variables(self) -> dict[str, float]:
         """Names that are variables and used, with their values, in the order of the file."""
@@ -92,8 +112,9 @@ class Calibrations:
 
     def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
         """The variables for `nls.Values`, each number 0 of a kind of its own."""
-        zero = np.zeros(1, dtype=np.int64)
-        return {Kind(name): (R(1), np.array([[value]]), zero) for name, value in self.variables.items()}
+        begin = {Kind(name): np.array([[value]]) for name, value in self.variables.items()}
+        begin |= {kind: np.zeros((count, 1)) for kind, (count, _) in self._more.items()}
+        return {kind: (R(1), X, np.arange(len(X), dtype=np.int64)) for kind, X in begin.items()}
 
     def priors(self, report: MissionReport) -> list[Factor]:
         """What the file says of each variable; the report gets their lines.

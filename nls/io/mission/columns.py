@@ -7,6 +7,7 @@ __all__ = ["COLUMNS", "OPTIONAL"]
 PLACE = ("x_m", "y_m", "z_m")
 ANGLES = ("roll_rad", "pitch_rad", "yaw_rad")
 LEVEL = ("x_m", "y_m", "yaw_rad")
+UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
 TILT = ("z_m", "pitch_rad", "roll_rad")
 CONTACT = ("range_m", "azimuth_rad")
 USBL = ("range_m", "bearing_rad", "elevation_rad")
@@ -14,6 +15,11 @@ WHEN = ("time_s", "i")  # a measurement is of a time, or of a pose
 GEODETIC = ("lat_deg", "lon_deg")
 ARM = ("arm_x_m", "arm_y_m", "arm_z_m")
 HOW = ("delay_s", *ARM, "kernel")
+POSE = ("i", *ANGLES, *PLACE)
+LOCK = ("beams", "altitude_m", "sigma_v_m_s")
+WATER_TRACK = ("water_vx_m_s", "water_vy_m_s", "water_vz_m_s", "water_valid")
+WATER = ("density_kg_m3", "latitude_deg", "atmosphere_pa")
+GYRO = ("sigma_w_rad_s_sqrt_hz", "sigma_bias_rad_s", "sigma_bias_walk_rad_s_sqrt_s")
 
 
 def suffixed(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -31,13 +37,17 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
     "zpr": ("i", *TILT, *suffixed(TILT)),
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
-    "truth": ("i", *ANGLES, *PLACE),
+    "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
-    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid"),
+    "dvl": ("time_s", "vx_m_s", "vy_m_s", "vz_m_s", "valid", *LOCK, *WATER_TRACK),
     "ahrs": ("time_s", *ANGLES),
+    "gyro": ("time_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "depth": ("time_s", "z_m"),
+    "pressure": ("time_s", "pressure_pa"),
+    "water": WATER,
+    "tide": ("time_s", "tide_m"),
     "dvl_mount": (*PLACE, *ANGLES),
-    "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m"),
+    "noise": ("sigma_v_m_s", "scale", "sigma_bridge_m_s_sqrt_s", *suffixed(ANGLES), "sigma_z_m", "gate_v_m_s", *GYRO),
     "poses": ("i", "time_s"),
     "origin": GEODETIC,
     "fixes": (*WHEN, *PLACE, *GEODETIC, *suffixed(PLACE), *HOW),
@@ -49,21 +59,30 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "usbl": (*WHEN, "beacon", *USBL, *suffixed(USBL), *HOW),
     "ship": ("time_s", *PLACE, *GEODETIC, *ANGLES),
     "closures": ("i", "j", "time_i_s", "time_j_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
+    "dive_closures": ("i", "dive", "j", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES)), "kernel"),
+    "path": ("time_s", *PLACE, *ANGLES, *suffixed((*PLACE, *ANGLES))),
+    "motion": ("sigma_walk_m_sqrt_s",),
     "sound-speed": ("z_m", "sound_speed_m_s"),
     "calibration": ("name", "value", "sigma"),
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
+    "truth": WHEN,
+    "dvl": ("valid", *LOCK, *WATER_TRACK),
+    "ahrs": ("yaw_rad",),
+    "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),
+    "water": WATER,
     "fixes": (*WHEN, *PLACE, *GEODETIC, "sigma_z_m", *HOW),
-    "beacons": ("x_m", "y_m", *GEODETIC),
+    "beacons": ("x_m", "y_m", *GEODETIC, "sigma_x_m", "sigma_y_m"),
     "ranges": (
         *(*WHEN, "range_m", "travel_time_s", "sigma_range_m", "sigma_travel_time_s", "turn_around_s", "ways", *HOW),
     ),
     "usbl": (*WHEN, "beacon", *HOW),
     "ship": ("x_m", "y_m", *GEODETIC),
-    "closures": (
-        *("i", "j", "time_i_s", "time_j_s", "z_m", "roll_rad", "pitch_rad"),
-        *("sigma_z_m", "sigma_roll_rad", "sigma_pitch_rad", "kernel"),
-    ),
+    "closures": ("i", "j", "time_i_s", "time_j_s", *UPRIGHT, *suffixed(UPRIGHT), "kernel"),
+    "dive_closures": (*UPRIGHT, *suffixed(UPRIGHT), "kernel"),
+    "path": (*UPRIGHT, *suffixed(UPRIGHT)),
 }
 TRACK = ("odometry", "zpr")  # either these
-LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them
+LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth
+ALONE = ("path", "motion")  # or one of these
+BESIDE = ("dvl_mount", "gyro", "pressure", "water", "tide")  # files that are of use beside a raw log alone

@@ -10,15 +10,21 @@ from models.advice import Advice
 from models.errors import GraphFileError
 from models.listing import some
 from nls.io.dialects import SUFFIXES
-from nls.io.mission.columns import COLUMNS, LOG, OPTIONAL, TRACK
+from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, OPTIONAL, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.unused_lines import note_comments
 
-NOT_MISSED = ("README.txt", "graph.npz", "truth.npz")  # for people, and the same graph in one file
+NOT_MISSED = (
+    "README.txt",
+    "mapping.toml",
+    "templates",
+    "graph.npz",
+    "truth.npz",
+)  # for people, and the same graph in one file
 EXPECTED = (
-    "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv and noise.csv, with contacts.csv and "
-    "sonar.csv, both or none of these two"
+    "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv (or pressure.csv) and noise.csv, or "
+    "path.csv, or motion.csv, with contacts.csv and sonar.csv, both or none of these two"
 )
 
 
@@ -67,19 +73,33 @@ def _regular(file: Path) -> Path:
 
 def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
     """Refuse a folder that is no mission, half of one or two in one."""
-    if not files & {*TRACK, *LOG}:
+    if not files & {*TRACK, *LOG, "pressure", *ALONE}:
         contents = f"it has {_listed(sorted(files) + other_files)}" if files or other_files else "it is empty"
-        graphs = [name for name in other_files if Path(name.removesuffix(".gz")).suffix in SUFFIXES]
+        suffixes = {name: Path(name.removesuffix(".gz")).suffix for name in other_files}
+        graphs = [name for name, suffix in suffixes.items() if suffix in SUFFIXES and suffix != ".csv"]
         advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
+        logs = [name for name, suffix in suffixes.items() if suffix in (".csv", ".txt", ".bag", ".mcap")]
+        if logs and not advice:
+            advice = [Advice("import", (os.path.join(folder, logs[0]),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
-    if (track := files & set(TRACK)) and (log := files & {*LOG, "dvl_mount"}):
+    if (track := files & set(TRACK)) and (log := files & {*LOG, *BESIDE}):
         raise GraphFileError(
             f"has {sorted(track)[0]}.csv and {sorted(log)[0]}.csv, the same way twice; leave either the integrated "
             "odometry or the raw log",
             folder,
         )
-    if missing := [name for name in (TRACK if track else LOG) if name not in files]:
-        raise GraphFileError(f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}", folder)
+    if {"depth", "pressure"} <= files:
+        raise GraphFileError("has depth.csv and pressure.csv, the depth twice; leave one of them", folder)
+    for name in ALONE:
+        if name in files and (other := files & ({*TRACK, *LOG, *BESIDE, *ALONE} - {name})):
+            raise GraphFileError(
+                f"has {name}.csv and {sorted(other)[0]}.csv, the same way twice; leave one of them", folder
+            )
+    log_files = [name for name in LOG if name != "depth" or "pressure" not in files]
+    needed = () if files & {*ALONE} else TRACK if track else log_files
+    if missing := [name for name in needed if name not in files]:
+        message = f"has no {missing[0]}.csv; {EXPECTED}{_near_miss(missing[0], other_files)}"
+        raise GraphFileError(message, folder, advice=[Advice("template")])
     for present, name, says in (
         ("contacts", "sonar", "what sonar saw them, and from where"),
         ("sonar", "contacts", "what the sonar saw; leave sonar.csv out where it saw nothing"),

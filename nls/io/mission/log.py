@@ -17,6 +17,9 @@ What is assumed: the error of the heading lasts through a leg, so it turns the l
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that: as far as the heading goes, the covariances are on the safe side.
 
+Where poses are denser than the rows of a sensor, those that one row is all there is of share it: the sigmas of their
+`Heading` and `ZPR` grow by the root of their number, so that they say together what the row says.
+
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
 from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x
 and y given that turn:
@@ -30,31 +33,53 @@ down by the DVL, so the depth follows the DVL and meets the rows at both ends.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from factors import XYH, ZPR, Diagonal, Heading, Isotropic, SqrtInformation
+from factors import XYH, ZPR, Diagonal, DvlLeg, Shifted, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
-from models import SE3, SO3, euler, wrap
+from models import SE3, euler, wrap
 from models.algebra import Array, Index, Mask, Numbers, apply
-from models.dead_reckoning import integrate
+from models.dead_reckoning import Legs, integrate
 from models.errors import GraphError, GraphFileError, OptionError
 from models.manifolds.euler import quaternion_from_angles
-from models.manifolds.so3 import rotation3
 from models.sensors import levelled
-from nls.io.mission.columns import ANGLES, PLACE
+from nls.io.mission.attitude import (
+    BIAS,
+    Attitude,
+    attitude_of,
+    clocked,
+    gyro_biases,
+    headings,
+    turn_covariance,
+    turn_variance,
+)
+from nls.io.mission.bottom_lock import bottom_lock
+from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import ANGLES, GYRO, PLACE
+from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Times, poses_of_rows, united
+from nls.io.mission.velocity import Velocities, orientation, quarter, velocities
 
+DVL = ("dvl_scale", "dvl_yaw_rad")
+LATE = 0.5  # s that an attitude is moved to and fro to tell how a leg depends on its clock
 EVERY = 1.0  # s from pose to pose where poses.csv does not say when they are
 MOST = 10_000_000  # such poses: four months, or times that are no seconds
 MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 
 
-def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
-    """Numbers of the poses, rising in time, and `XYH`, `ZPR` and `Heading` between and at them.
+def integrated(
+    tables: dict[str, Table], report: MissionReport, calibrations: Calibrations, times: Times | None = None
+) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising in time, and their steps, `ZPR` and what is known of the heading.
+
+    `times` are those of other files, see `nls.io.mission.timeline`.
 
     Raises
     ------
@@ -62,76 +87,146 @@ def integrated(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers
         Times that do not rise, a pose before or after the log, a log that cannot be integrated, a hole in the attitude
         or depth that nothing tells how to bridge.
     """
-    dvl, ahrs, depth = (tables[name] for name in ("dvl", "ahrs", "depth"))
-    t_v, t_a, t_z = (table.rising("time_s") for table in (dvl, ahrs, depth))
-    valid = _bottom_lock(dvl)
-    numbers, b = _poses(tables, {"dvl.csv": t_v, "ahrs.csv": t_a, "depth.csv": t_z}, t_v[valid], report)
-    rpy = np.unwrap(ahrs.attitude(*ANGLES), axis=0)
-    roll, pitch, yaw = (np.interp(b, t_a, angle) for angle in rpy.T)
-    depths = depth.measured("z_m")
-    turning = holes_of(ahrs, t_a, rpy, b, "have no heading of their own, their pitch and roll larger sigmas", report)
+    noise, mount = _noise(tables), _mount(tables, report)
+    attitude = attitude_of(tables, calibrations)
+    ahrs, gyro = attitude.ahrs, attitude.gyro
+    depth, t_z, depths = depths_of(tables, report)
+    dvl = tables["dvl"]
+    velocity = velocities(dvl, attitude, mount, noise, calibrations, report)
+    t_v, valid = velocity.t, velocity.valid
+    if dvl.has("altitude_m"):
+        bottom = bottom_lock(dvl, [])
+        report.soundings = np.column_stack([t_v, dvl.measured("altitude_m", rows=bottom)])[bottom]
+    numbers, b = _poses(
+        tables,
+        {"dvl.csv": t_v, **attitude.logs, f"{'depth' if 'depth' in tables else 'pressure'}.csv": t_z},
+        t_v[valid],
+        report,
+        times or {},
+    )
+    roll, pitch = (np.interp(b, attitude.t_a, angle) for angle in attitude.tilt.T)
+    effect = "have no heading of their own, their pitch and roll" if gyro is None else "have a pitch and roll with"
+    angles = attitude.rpy if gyro is None else attitude.tilt
+    turning = holes_of(ahrs, attitude.t_a, angles, b, f"{effect} larger sigmas", report)
     if turning.inside.all():
         raise GraphFileError("no pose has an attitude measured at its time: all are in holes", ahrs.path)
-
-    noise = _one_row(tables["noise"])
-    tables["noise"].positive(*(name for name in noise if name not in MAY_BE_0))
-    for name, number in zip(MAY_BE_0, tables["noise"].measured(*MAY_BE_0)[0].tolist(), strict=True):
-        if number < 0:
-            raise tables["noise"].at(0, f"{name} is {number!r}; expected 0 or above")
-    sigmas = np.array([noise[f"sigma_{name}"] for name in ANGLES])
-    mount = SE3.identity()[0]
-    if (table := tables.get("dvl_mount")) is not None:
-        mounted = _one_row(table)
-        table.measured(*ANGLES, *PLACE)
-        mount = euler.to_se3([mounted[name] for name in (*ANGLES, *PLACE)])
-    else:
-        report.notes.append("there is no dvl_mount.csv: the DVL is taken to be at the center of the vehicle, aligned")
-    v_d = dvl.measured("vx_m_s", "vy_m_s", "vz_m_s", rows=valid)
-    t_d, down = t_v[valid], _way_down(t_v[valid], v_d[valid], t_a, rpy, mount)
+    t_d, down = t_v[valid], _way_down(t_v[valid], velocity.v[valid], attitude, mount)
     off = depths - np.interp(t_z, t_d, down)[:, None]
     diving = holes_of(depth, t_z, off, b, "have the depth of the DVL, with a larger sigma", report)
     z = np.interp(b, t_z, depths[:, 0])
     z[diving.inside] = (np.interp(b, t_z, off[:, 0]) + np.interp(b, t_d, down))[diving.inside]
-    try:
-        legs = integrate(
+
+    def legs_of(v: Array, late: float = 0.0) -> Legs:
+        """Legs by velocities (n, 3) and an attitude whose times are late by this, s."""
+        return integrate(
             t_v,
-            v_d,
+            v,
             boundaries=b,
-            attitude=quaternion_from_angles(wrap(rpy)),
-            t_w=t_a,
-            sigma_v=noise["sigma_v_m_s"],
-            sigma_attitude=[*sigmas[:2], GIVEN],
+            attitude=quaternion_from_angles(wrap(attitude.at(attitude.t + late))),
+            t_w=attitude.t,
+            sigma_v=velocity.sigma,
+            sigma_attitude=[noise["sigma_roll_rad"], noise["sigma_pitch_rad"], GIVEN],
             valid=valid,
             sigma_bridge=noise["sigma_bridge_m_s_sqrt_s"],
-            sigma_turn=turning.density,  # of roll, pitch, yaw: about the axes of the body while the tilt is small
+            sigma_turn=turning.density if gyro is None else 0.0,  # of the angles: of the body's axes at a small tilt
             scale=noise["scale"],
             mount=mount,
         )
+
+    def level(v: Array, late: float = 0.0) -> Array:
+        """Levelled steps (k, 3) by velocities and such an attitude."""
+        X = _tilted(*attitude.at(b[:-1] + late)[:, :2].T)
+        return levelled(X, SE3.compose(X, legs_of(v, late).z))[0]
+
+    X = _tilted(roll[:-1], pitch[:-1])
+    s, a = (calibrations.variable(name) for name in DVL)
+    try:
+        legs = legs_of(velocity.v)
+        xyh, (_, H_j) = levelled(X, SE3.compose(X, legs.z))
+        ways = None if s is None and a is None else _ways(level, velocity)
+        turns = np.zeros_like(xyh)  # by the time that the attitude is late
+        if gyro is None and calibrations.variable("ahrs_clock_s") is not None:
+            turns[:, :2] = (level(velocity.v, LATE) - level(velocity.v, -LATE))[:, :2] / (2 * LATE)
     except (GraphError, OptionError) as error:
         raise GraphFileError(f"cannot be integrated: {error}", dvl.path) from error
     report.notes.append(f"dead reckoning: {legs}")
     report.vertex_times["x"] = b[np.argsort(numbers)]
 
     (x,) = kinds("x")
-    zero = np.zeros(len(b))
-    X = euler.to_se3(np.column_stack([roll, pitch, zero, zero, zero, zero]))[:-1]
-    xyh, (_, H_j) = levelled(X, SE3.compose(X, legs.z))
+    Sigma = H_j @ legs.Sigma @ H_j.mT
+    in_log, measured_turn = ~turning.inside, None
+    if gyro is not None:
+        measured_turn = turn_covariance(xyh, turn_variance(attitude, b, noise[GYRO[0]], report))
+        in_log[:] = False
     try:
-        W = _given_the_yaw(H_j @ legs.Sigma @ H_j.mT, sigmas[2], legs.unturned > 0, turning.inside)
+        if measured_turn is None:
+            W = _given_the_yaw(Sigma, noise["sigma_yaw_rad"], legs.unturned > 0, turning.inside)
+        else:
+            W = np.linalg.inv(np.linalg.cholesky(0.5 * (Sigma + Sigma.mT) + measured_turn))
     except np.linalg.LinAlgError as error:
         raise tables["noise"].at(0, "with this, a leg has a direction without error beyond rounding") from error
-    tilts = np.hypot([noise["sigma_z_m"], sigmas[1], sigmas[0]], np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]))
-    in_log = ~turning.inside
-    report.sources += [
-        dvl.source(_latest(t_v, b[:-1])),
-        depth.source(_latest(t_z, b)),
-        ahrs.source(_latest(t_a, b[in_log])),
-    ]
+    i, j, how = x[numbers[:-1]], x[numbers[1:]], SqrtInformation(W)
+    at = (calibrations.value(DVL[0]), calibrations.value(DVL[1]))
+    steps: Factor = XYH(i, j, xyh, how) if ways is None else DvlLeg(i, j, xyh, how, ways, s, a, at)
+    tilts = np.hypot(
+        [noise["sigma_z_m"], noise["sigma_pitch_rad"], noise["sigma_roll_rad"]],
+        np.hstack([diving.sigma, turning.sigma[:, [1, 0]]]),
+    )
+    by_row = ~diving.inside
+    tilts[by_row, 0] *= poses_of_rows(t_z, b[by_row])
+    by_row = ~turning.inside
+    alike = poses_of_rows(attitude.t_a, b[by_row])
+    tilts[by_row, 1:] *= alike[:, None]
+    zpr: Factor = ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts))
+    report.sources += [dvl.source(_latest(t_v, b[:-1])), depth.source(_latest(t_z, b))]
+    if gyro is not None:
+        minute, known = gyro_biases(b, noise, tables["noise"], calibrations, report)
+        steps = Shifted(steps, np.diff(b)[:, None, None] * [[0.0], [0.0], [1.0]], BIAS[minute])
+        return np.sort(numbers), [steps, zpr, *known]
+    tilting = attitude.rates(b)[:, [1, 0]]
+    report.sources.append(ahrs.source(_latest(attitude.t_a, b[in_log])))
     return np.sort(numbers), [
-        XYH(x[numbers[:-1]], x[numbers[1:]], xyh, SqrtInformation(W)),
-        ZPR(x[numbers], np.column_stack([z, pitch, wrap(roll)]), Diagonal(tilts)),
-        Heading(x[numbers[in_log]], wrap(yaw[in_log]), Isotropic(sigmas[2])),
+        clocked(steps, turns, calibrations),
+        clocked(zpr, np.column_stack([np.zeros(len(b)), tilting]), calibrations),
+        headings(attitude, x[numbers[in_log]], b[in_log], noise["sigma_yaw_rad"] * alike, calibrations),
     ]
+
+
+def _tilted(roll: Array, pitch: Array) -> Array:
+    """Poses (n, 7) at the origin with a roll and a pitch (n,)."""
+    zero = np.zeros(len(roll))
+    return np.asarray(euler.to_se3(np.column_stack([roll, pitch, zero, zero, zero, zero])))
+
+
+def _noise(tables: dict[str, Table]) -> dict[str, float]:
+    """The numbers of noise.csv, those that the files of the mission need among them."""
+    table = tables["noise"]
+    noise = _one_row(table)
+    table.positive(*(name for name in noise if name not in MAY_BE_0))
+    for name, number in zip(MAY_BE_0, table.measured(*MAY_BE_0)[0].tolist(), strict=True):
+        if number < 0:
+            raise table.at(0, f"{name} is {number!r}; expected 0 or above")
+    for name in GYRO if "gyro" in tables else ("sigma_yaw_rad",):
+        if name not in noise:
+            raise table.at(0, f"there is no column {name}, which {'gyro' if 'gyro' in tables else 'ahrs'}.csv needs")
+    return noise
+
+
+def _mount(tables: dict[str, Table], report: MissionReport) -> Array:
+    """The pose (7,) of the DVL on the vehicle."""
+    if (table := tables.get("dvl_mount")) is None:
+        report.notes.append("there is no dvl_mount.csv: the DVL is taken to be at the center of the vehicle, aligned")
+        return np.asarray(SE3.identity()[0])
+    mounted = _one_row(table)
+    table.measured(*ANGLES, *PLACE)
+    return np.asarray(euler.to_se3([mounted[name] for name in (*ANGLES, *PLACE)]))
+
+
+def _ways(xyh_of: Callable[[Array], Array], velocity: Velocities) -> Array:
+    """The parts (k, 3, 2) of the legs that `DvlLeg` needs: a leg is linear in the velocities."""
+    level = velocity.v * [1, 1, 0]
+    swing, p, q, both = (xyh_of(v)[:, :2] for v in (0 * level, level, quarter(level), velocity.v))
+    return np.stack([p - swing, q - swing, both - p], axis=1)
 
 
 def _latest(t: Array, b: Array) -> Index:
@@ -139,10 +234,9 @@ def _latest(t: Array, b: Array) -> Index:
     return t.searchsorted(b, side="right") - 1
 
 
-def _way_down(t: Array, v_d: Array, t_a: Array, rpy: Array, mount: Array) -> Array:
+def _way_down(t: Array, v_d: Array, attitude: Attitude, mount: Array) -> Array:
     """How far down (n,) the velocities v_d (n, 3) of a DVL lead, m; what its lever arm adds in a tilt is left out."""
-    tilt = quaternion_from_angles(np.column_stack([np.interp(t, t_a, angle) for angle in rpy.T]))
-    v = apply(rotation3(SO3.compose(tilt, np.broadcast_to(mount[3:], tilt.shape))), v_d)[:, 2]
+    v = apply(orientation(t, attitude, mount), v_d)[:, 2]
     return np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t)))
 
 
@@ -169,18 +263,11 @@ def _given_the_yaw(Sigma: Array, sigma_yaw: float, bridged: Mask, inside: Mask) 
     return np.asarray(W[:, x_y_yaw][:, :, x_y_yaw])
 
 
-def _bottom_lock(dvl: Table) -> Mask:
-    """Which rows (n,) of dvl.csv are valid."""
-    valid = dvl.flags("valid", "1 where the DVL had bottom lock, else 0")
-    if (count := int(valid.sum())) < 2:
-        raise GraphFileError(f"{count} of {len(valid)} rows are valid; expected two or more with bottom lock", dvl.path)
-    return valid
-
-
 def _poses(
-    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport
+    tables: dict[str, Table], logs: dict[str, Array], locked: Array, report: MissionReport, times: Times
 ) -> tuple[Numbers, Array]:
-    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run.
+    """Numbers and times (n,) of the poses, rising in time: those of poses.csv, or one a second while all logs run and
+    one at each of the times of other files.
 
     The log of the DVL runs from its first to its last time with bottom lock: nothing is extrapolated.
     """
@@ -204,6 +291,7 @@ def _poses(
             report.notes.append(
                 f"the DVL has no bottom lock in its first {late:.6g} s and its last {early:.6g} s: left out"
             )
+        b = united(b, end, times, tables)
         return np.arange(len(b)), b
     numbers, b = table.unique("i", "pose"), table.rising("time_s")
     if (out := (b < begin) | (b > end)).any():

@@ -1,22 +1,26 @@
-"""The solution of a mission as CSV files: the trajectory and the map, with what is known of how good they are."""
+"""The solution of a mission as CSV files: trajectory, map, beacons and calibrations, and how well each is known."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from factors.keys import kinds
+from factors.keys import Keys, Kind, kinds
 from models import euler
-from models.algebra import Array
+from models.algebra import Array, Mask, Numbers
 from nls.covariance import Marginals
-from nls.io.mission.columns import COLUMNS, PLACE, suffixed
+from nls.io.covariance_csv import EMPTY
+from nls.io.mission.calibration import NAMES
+from nls.io.mission.columns import COLUMNS, PLACE, POSE, suffixed
 from nls.io.mission.solution import Elevations
 from nls.io.mission.table import csv_text
 from nls.values import Values
 
-__all__ = ["MAP", "TRAJECTORY", "map_text", "trajectory_text"]
+__all__ = ["MAP", "TRAJECTORY", "Extra", "beacons_text", "calibration_text", "map_text", "trajectory_text"]
 
-x, l = kinds("x", "l")
-TRAJECTORY = (*COLUMNS["truth"], *suffixed(COLUMNS["truth"][1:]))
+x, l, b = kinds("x", "l", "b")
+TRAJECTORY = (*POSE, *suffixed(POSE[1:]))
 UPPER = np.triu_indices(3)
 MAP = (
     *("landmark", *PLACE),
@@ -25,8 +29,28 @@ MAP = (
 )
 
 
-def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
-    """trajectory.csv: the Euler 6-vector of every pose and its standard deviations, empty where there are none.
+@dataclass(frozen=True)
+class Extra:
+    """Columns that a mission adds to the files: times, and coordinates on the Earth.
+
+    Attributes
+    ----------
+    names : of the columns.
+    numbers : (n, k) in the order of the rows.
+    """
+
+    names: tuple[str, ...] = ()
+    numbers: Array | None = None
+
+    def columns(self) -> tuple[Array, ...]:
+        return () if self.numbers is None else (self.numbers,)
+
+
+NOTHING = Extra()
+
+
+def trajectory_text(values: Values, marginals: Marginals | None, extra: Extra = NOTHING) -> bytes:
+    """trajectory.csv: the Euler 6-vector of every pose and its standard deviations, empty where a pose has none.
 
     Raises
     ------
@@ -34,34 +58,77 @@ def trajectory_text(values: Values, marginals: Marginals | None) -> bytes:
         A pose at gimbal lock.
     """
     stack = values.stack("x")
-    sigmas = None
-    if marginals is not None:
-        sigmas = np.sqrt(np.diagonal(marginals.all(x, view="euler"), axis1=1, axis2=2))
-    return csv_text(TRAJECTORY, stack.numbers, euler.from_se3(stack.X), _or_empty(sigmas, (len(stack), 6)))
+    sigmas = np.full((len(stack), 6), np.nan)
+    if marginals is not None and (known := determined(marginals, x, stack.numbers)).any():
+        Sigma = marginals.covariance(x[stack.numbers[known]], view="euler")
+        sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
+    names = (*TRAJECTORY, *extra.names)
+    return csv_text(names, stack.numbers, euler.from_se3(stack.X), _or_empty(sigmas), *extra.columns())
 
 
-def map_text(values: Values, marginals: Marginals | None, elevations: Elevations) -> bytes:
+def beacons_text(values: Values, marginals: Marginals | None, extra: Extra = NOTHING) -> bytes:
+    """beacons.csv: the estimated beacons ``b``, with the columns of the file of a mission."""
+    stack = values.stack("b")
+    sigmas = np.full((len(stack), 3), np.nan)
+    if marginals is not None and (known := determined(marginals, b, stack.numbers)).any():
+        Sigma = marginals.covariance(b[stack.numbers[known]])
+        sigmas[known] = np.sqrt(np.diagonal(Sigma, axis1=1, axis2=2))
+    names = ("beacon", *PLACE, *suffixed(PLACE), *extra.names)
+    return csv_text(names, stack.numbers, np.asarray(stack.X), _or_empty(sigmas), *extra.columns())
+
+
+def calibration_text(values: Values, marginals: Marginals | None) -> bytes:
+    """calibration.csv: the estimated calibrations and their standard deviations, as in the file of a mission."""
+    names = [name for name in values.stacks if name in NAMES]
+    sigmas = np.full((len(names), 1), np.nan)
+    for row, kind in enumerate(map(Kind, names)):
+        first = values.stack(kind).numbers[:1]
+        if marginals is not None and determined(marginals, kind, first).all():
+            sigmas[row] = np.sqrt(marginals.covariance(kind[int(first[0])])[0, 0])
+    numbers = np.array([[float(values.stack(name).X[0, 0])] for name in names])
+    return csv_text(COLUMNS["calibration"], names, numbers, _or_empty(sigmas))
+
+
+def determined(marginals: Marginals, kind: Kind, numbers: Numbers) -> Mask:
+    """Which variables (n,) of a kind have a covariance."""
+    known = ~np.isin(marginals.status(kind), EMPTY)
+    return np.asarray(known[marginals.values.stack(kind).index(kind[numbers])])
+
+
+def undetermined(marginals: Marginals, kind: Kind) -> Keys:
+    """The variables of a kind without a covariance."""
+    numbers = marginals.values.stack(kind).numbers
+    return kind[numbers[~determined(marginals, kind, numbers)]]
+
+
+def map_text(values: Values, marginals: Marginals | None, elevations: Elevations, extra: Extra = NOTHING) -> bytes:
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
     The elevation is the one in the frame of the sonar at the first view; at_limit is 1 where a hinge pushes it back
     into the aperture. Cells are empty where there are no sigmas: of all landmarks without marginals, else of those that
     are free.
     """
-    n, keys, known = len(elevations.landmarks), l[elevations.landmarks], np.isfinite(elevations.sigma)[:, None]
-    Sigma = (
-        None
-        if marginals is None
-        else np.where(known, elevations.bounded(marginals.covariance(keys))[:, *UPPER], np.nan)
-    )
-    sigma = None if marginals is None else elevations.sigma[:, None]
+    Sigma = np.full((len(elevations.landmarks), 6), np.nan)
+    if marginals is not None:
+        Sigma = landmark_covariances(marginals, elevations)[:, *UPPER]
     return csv_text(
-        MAP,
-        *(elevations.landmarks, values[keys], _or_empty(Sigma, (n, 6)), elevations.views, elevations.poses),
-        *(elevations.elevation[:, None], _or_empty(sigma, (n, 1)), elevations.pushed.astype(int)),
+        (*MAP, *extra.names),
+        *(elevations.landmarks, values[l[elevations.landmarks]], _or_empty(Sigma), elevations.views, elevations.poses),
+        *(elevations.elevation[:, None], _or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
+        *extra.columns(),
     )
 
 
-def _or_empty(numbers: Array | None, shape: tuple[int, int]) -> list[list[str]]:
+def landmark_covariances(marginals: Marginals, elevations: Elevations) -> Array:
+    """Covariances (n, 3, 3) of landmarks with what the aperture of the sonar says of them; nan where one is free."""
+    known = np.isfinite(elevations.sigma)
+    Sigma = np.full((len(known), 3, 3), np.nan)
+    if known.any():
+        Sigma[known] = marginals.covariance(l[elevations.landmarks[known]])
+        Sigma[known] = elevations.bounded(Sigma)[known]
+    return Sigma
+
+
+def _or_empty(rows: Array) -> list[list[str]]:
     """Cells, empty where a number is not known."""
-    rows = np.full(shape, np.nan) if numbers is None else numbers
     return [["" if np.isnan(number) else repr(number) for number in row] for row in rows.tolist()]

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from factors import Elevation, ElevationHinge, Factor, Isotropic, Prior, RangeAzimuth, SqrtInformation
+from factors import Elevation, ElevationHinge, Factor, Isotropic, RangeAzimuth
 from factors.keys import Keys, kinds
 from factors.noise import square
 from factors.sonar import first_contacts
@@ -32,7 +32,6 @@ from models import SE3, R
 from models.algebra import Array, Index, Mask, Numbers, dot
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
-from nls.analysis import landmark_information
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.io.mission.report import MissionReport
@@ -40,10 +39,9 @@ from nls.linear import LinearSolver
 from nls.metrics import TrajectoryError, ate
 from nls.values import Values
 
-__all__ = ["Elevations", "Track", "elevations", "held_free", "track_of"]
+__all__ = ["Elevations", "Track", "elevations", "track_of"]
 
 FOLLOWS = 1e-3  # rad
-FREE = 1e-10  # of the information along the best known direction: 1 km where that is known to 1 cm
 x, l, e = kinds("x", "l", "e")
 
 
@@ -154,45 +152,12 @@ class Elevations:
         )
 
 
-def held_free(graph: FactorGraph, values: Values) -> tuple[FactorGraph, Keys]:
-    r"""A graph with covariances for everything that is determined, and the landmarks that are not.
-
-    A landmark that was seen once may move along its arc, and no measurement notices: with H_l its own information,
-
-        H_l v = 0,   so A (0, ..., v, ..., 0) = 0
-
-    It is held along v, by a prior that says nothing else. As v is a direction of the null space, holding it changes no
-    covariance but that landmark's, which is none: it is named, so that it can be left out.
-
-    Parameters
-    ----------
-    graph : with landmarks ``l``.
-    values : where it is linearized, usually the optimum.
-
-    Returns
-    -------
-    graph : that graph and the priors.
-    free : the landmarks with a direction of less than `FREE` of the information along their best one.
-    """
-    landmark_marginals = landmark_information(graph, values, l)
-    w, V = np.linalg.eigh(landmark_marginals.information)
-    most = w[:, -1:]
-    unknown = w <= FREE * most
-    weak = unknown.any(axis=1)
-    keys = l[landmark_marginals.keys.numbers[weak]]
-    scale = np.sqrt(np.where(most > 0, most, 1.0))[weak]
-    W = (scale * unknown[weak])[:, :, None] * V[weak].mT
-    weak_ones = [Prior(keys, values[keys], SqrtInformation(W))] if len(keys) else []
-    return FactorGraph([*graph.factors, *weak_ones], graph.fixed), keys
-
-
 def elevations(
     graph: FactorGraph,
     values: Values,
     sigmas: bool = False,
     linear_solver: LinearSolver | None = None,
     gauge: str = "first",
-    free: Keys | None = None,
 ) -> Elevations:
     """The elevation of every landmark of a mission at its first view, and how well it is known.
 
@@ -200,14 +165,14 @@ def elevations(
     ----------
     graph : its `RangeAzimuth` factors; their offset is fixed, or a variable: its uncertainty then counts, too.
     values : poses ``x`` and landmarks ``l``.
-    sigmas : whether to compute the standard deviations, from the covariances at these values.
+    sigmas : whether to compute the standard deviations, from the covariances at these values. What the measurements
+        leave free has none.
     linear_solver, gauge : for the covariances, as in `nls.Marginals`.
-    free : landmarks that are free along a direction, which have no standard deviation, see `held_free`.
 
     Raises
     ------
     UnderconstrainedError
-        Sigmas where the measurements leave something free.
+        Sigmas where the measurements leave everything free.
     """
     contacts = [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
     pose = np.concatenate([factor.keys[0].numbers for factor in contacts])
@@ -229,8 +194,7 @@ def elevations(
     along = (SE3.rotation(S) @ J[:, :, 2:])[..., 0] / r[:, None]
     sigma = np.full(len(r), np.nan)
     if sigmas:
-        has_sigma = np.ones(len(r), dtype=bool) if free is None else ~np.isin(landmarks, free.numbers)
-        sigma[has_sigma] = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)[has_sigma]
+        sigma = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)
     hinges, limit = _limits(graph, values, landmarks)
     pushed, before, v = hinges > 0, sigma.copy(), limit**2 / 3 + elevation**2
     sigma = np.minimum(sigma, np.sqrt(v))
@@ -266,7 +230,7 @@ def _sigmas(
     solver: LinearSolver | None,
     gauge: str,
 ) -> Array:
-    """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`.
+    """Standard deviations (n,) of the elevations: those of variables e that follow them within `FOLLOWS`; nan: free.
 
     A variable that only follows adds nothing to what is known of the others, and its variance is H Sigma H' +
     FOLLOWS^2: all of them come out of one pass over the factor of A'A, where the joint covariances of every landmark
@@ -275,7 +239,11 @@ def _sigmas(
     followed = [_followed(view, e[rows], values) for rows, view in firsts if len(view)]
     wider = FactorGraph([*graph.factors, *followed], graph.fixed)
     with_elevations = Values.of([*values.stacks.values(), *Values({e: (R(1), elevation[:, None])}).stacks.values()])
-    return np.asarray(np.sqrt(Marginals(wider, with_elevations, solver, gauge).all(e)[:, 0, 0] - FOLLOWS**2))
+    marginals = Marginals(wider, with_elevations, solver, gauge)
+    known = np.array(marginals.status(e)) == "estimated"
+    sigma = np.full(len(elevation), np.nan)
+    sigma[known] = np.sqrt(marginals.covariance(e[np.flatnonzero(known)])[:, 0, 0] - FOLLOWS**2)
+    return sigma
 
 
 def _followed(view: Elevation, keys: Keys, values: Values) -> Factor:

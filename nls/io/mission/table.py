@@ -14,20 +14,24 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from models.advice import Advice
 from models.algebra import Array, Index, Mask, Numbers
 from models.errors import GraphError, GraphFileError
 from models.manifolds.euler import GIMBAL_LOCK
+from models.options import did_you_mean
 from nls.io.decimals import PAD
 from nls.io.files import read_bytes
 from nls.io.report import Source
 from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
+LONGEST = 100  # characters of a name that is compared with the names of columns
 SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
 TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
     ("time_s", 1e15, "seconds, within 1e15"),
     ("_m_s", 1e9, "meters per second, within 1e9"),
+    ("_rad_s", 100.0, "radians per second, within 100"),
     ("_rad", TURNS, "radians, -2 pi to 2 pi"),
     ("_deg", 360.0, "degrees, -360 to 360"),
     ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
@@ -76,15 +80,21 @@ class Table(Text):
         if not len(self.lines):
             raise self.error(f"is empty; expected a first line {expected} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
+        self._head = head
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
         self._refuse_no_names(head, expected)
-        for problem, some in (
+        for problem, wrong in (
             ("unknown", [name for name in names if name not in columns]),
             ("repeated", [name for name, count in Counter(names).items() if count > 1]),
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
-            if some:
-                raise self.error(f"{problem} column {_quoted(some[0])}; expected {expected}", head)
+            if wrong:
+                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}"
+                if problem != "unknown":
+                    raise self.error(message, head)
+                name = wrong[0][:LONGEST]
+                near = did_you_mean(name, [column for column in columns if column not in names])
+                raise self.error(message + near, head, self._renamed(name, near))
         if not len(self.lines):
             raise self.error("has no row below its names; leave the file out where nothing was measured", head)
         count = np.diff(self.first)[self.lines]
@@ -127,6 +137,11 @@ class Table(Text):
             raise self.error(f"the first line must name the columns: {expected}", head)
         if len(words) == 1 and (cure := _separators(words[0])):
             raise self.error(f"one column; expected {expected}{cure}", head)
+
+    def _renamed(self, name: str, near: str) -> list[Advice]:
+        """The line of a mapping that makes a column of this table of one that has another name."""
+        column = near.split("'")[1] if near else "COLUMN"
+        return [Advice("map column", (Path(self.path).name.split(".csv")[0], column, name))]
 
     def has(self, *names: str) -> bool:
         """Whether the file has all of these columns."""
@@ -217,7 +232,7 @@ class Table(Text):
         return self.whole(self.lines, self._place[name])
 
     def flags(self, name: str, meaning: str) -> Mask:
-        """Cells (n,) of one column that are 0 or 1.
+        """Cells (n,) of one column that are 0 or 1, also as a program writes them: 1.0, 0.000.
 
         Raises
         ------
@@ -226,10 +241,13 @@ class Table(Text):
         """
         cells = self._cells([name])[:, 0]
         first, second = self.characters(cells, 2).T
-        if (strange := ((first != ord("0")) & (first != ord("1"))) | (second != 0)).any():
-            k = int(np.argmax(strange))
-            raise self.at(k, f"{name} is {_quoted(printable(self.token(cells[k])))}; expected 0 or 1: {meaning}")
-        return np.asarray(first == ord("1"))
+        true = first == ord("1")
+        for k in np.flatnonzero(((first != ord("0")) & ~true) | (second != 0)):
+            word = self.token(cells[k])
+            if NUMBER.fullmatch(word) is None or float(word) not in (0.0, 1.0):
+                raise self.at(int(k), f"{name} is {_quoted(printable(word))}; expected 0 or 1: {meaning}")
+            true[k] = float(word) == 1.0
+        return np.asarray(true)
 
     def unique(self, name: str, noun: str) -> Numbers:
         """Whole numbers (n,) of one column, none of them twice.
@@ -259,7 +277,7 @@ class Table(Text):
         t = self.measured(name)[:, 0]
         if (late := t[1:] <= t[:-1]).any():
             k = int(np.argmax(late)) + 1
-            cure = "sort the rows by time" if t[k] < t[k - 1] else "delete one of the two rows"
+            cure = f"sort the rows by {name}" if t[k] < t[k - 1] else "delete one of the two rows"
             raise self.at(k, f"{name} {float(t[k])!r} does not rise over {float(t[k - 1])!r} before it; {cure}")
         return t
 
@@ -293,6 +311,10 @@ class Table(Text):
     def place(self, row: int) -> str:
         """Where a row stands, for a note about this folder: the file's name and its line."""
         return f"{Path(self.path).name}:{self.lines[row] + 1}"
+
+    def at_names(self, message: str) -> GraphFileError:
+        """An error at the line of names: about the columns."""
+        return self.error(message, self._head)
 
     def at(self, row: int, message: str) -> GraphFileError:
         """An error at a row."""

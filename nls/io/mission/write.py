@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from factors import XYH, ZPR, Diagonal, Elevation, Heading, Isotropic, Position, Prior, RangeAzimuth
+from factors import XYH, ZPR, Elevation, Heading, Position, Prior, RangeAzimuth
 from factors.base import Factor
 from models import SE3, euler
 from models.algebra import Array, Numbers
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
-from nls.io.mission.columns import COLUMNS, TRACK
+from nls.io.mission.columns import COLUMNS, POSE, TRACK
+from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
 from nls.io.mission.table import csv_text
+from nls.io.mission.write_positions import positioned, positioned_files, positioned_poses
 from nls.values import Values
 
 if TYPE_CHECKING:
@@ -44,8 +46,9 @@ def write_mission(
     ----------
     folder : where.
     graph : `XYH` and `ZPR` of poses ``x``; the anchor, a `Prior` of x, y and yaw, or `Position` and `Heading`;
-        `RangeAzimuth` of landmarks ``l``. Factors of the elevation have no file: sonar.csv says the aperture, and
-        `read_mission` makes them. Of an anchor that is a `Prior`, x, y and yaw are written.
+        `RangeAzimuth` of landmarks ``l``; `Position` without a `Heading`, `Between` of poses, `Range` to beacons ``b``
+        and their `Prior`, also under robust kernels. Factors of the elevation have no file: sonar.csv says the
+        aperture, and `read_mission` makes them. Of an anchor that is a `Prior`, x, y and yaw are written.
     sonar, offset : the sonar and its mounting (7,), SE3; None where it saw nothing, and where it is the vehicle.
     truth : true poses ``x`` and landmarks ``l``.
     times : (n,) of the poses, s, in the order of their numbers.
@@ -119,10 +122,15 @@ def mission_files(
             "anchor is a Position of x and y and a Heading, or a Prior of x, y and yaw",
             [first],
         )
+    tables = positioned_files(factors)
+    positioned_at, of_tables = positioned_poses(factors), positioned(factors)
+    factors = [factor for k, factor in enumerate(factors) if k not in of_tables]
     for factor in factors:
         if (name := _file_of(factor, mount)) in MEASURED:
             numbers = [keys.numbers for keys in factor.keys]
-            rows.setdefault(name, []).append((*numbers, _z(factor), _sigmas(factor, MEASURED[name])))
+            rows.setdefault(name, []).append(
+                (*numbers, measured_numbers(factor), standard_deviations(factor, MEASURED[name]))
+            )
     if anchors := _anchors(factors):
         rows["anchor"] = anchors
     if sonar is not None:
@@ -137,14 +145,16 @@ def mission_files(
         raise GraphError("write_mission: the graph has contacts; give the sonar that saw them")
     if "contacts" not in rows and sonar is not None:
         raise GraphError("write_mission: the graph has no contacts; leave the sonar out")
-    poses = _refuse_stray(rows)
+    poses = _refuse_stray(rows, positioned_at)
     if times is not None:
         rows["poses"] = [_times(poses, times)]
     return {
-        f"{name}.csv": csv_text(names, *(np.concatenate(column) for column in zip(*rows[name], strict=True)))
+        f"{name}.csv": csv_text(
+            POSE if name == "truth" else names, *(np.concatenate(column) for column in zip(*rows[name], strict=True))
+        )
         for name, names in COLUMNS.items()
         if name in rows
-    }
+    } | tables
 
 
 def _file_of(factor: Factor, mount: Array) -> str:
@@ -159,23 +169,23 @@ def _file_of(factor: Factor, mount: Array) -> str:
     observes_landmark = isinstance(factor, RangeAzimuth | Elevation)
     expected = ["x", "l"] if observes_landmark else ["x"] * len(kinds)
     if kinds != expected:
-        raise _no_file(factor, f"its variables are {kinds}, expected {expected}")
+        raise no_file(factor, f"its variables are {kinds}, expected {expected}")
     if factor.kernel is not None:
-        raise _no_file(factor, "it has a robust kernel; write the graph without")
+        raise no_file(factor, "it has a robust kernel; write the graph without")
     if isinstance(factor, RangeAzimuth | Elevation):
         own = SE3.identity() if factor.offset is None else np.asarray(factor.offset)
         if not (own == mount).all():
-            raise _no_file(factor, "its offset is not the one given for sonar.csv")
+            raise no_file(factor, "its offset is not the one given for sonar.csv")
         return "contacts" if isinstance(factor, RangeAzimuth) else ""
     if isinstance(factor, XYH) and factor.form != "levelled":
-        raise _no_file(factor, "odometry.csv holds the levelled form")
+        raise no_file(factor, "odometry.csv holds the levelled form")
     for name, kind in (("odometry", XYH), ("zpr", ZPR), ("anchor", Prior), ("anchor", Position), ("anchor", Heading)):
         if isinstance(factor, kind):
             return name
-    raise _no_file(factor, "files hold XYH, ZPR, RangeAzimuth, and an anchor: Prior, or Position and Heading")
+    raise no_file(factor, "files hold XYH, ZPR, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor")
 
 
-def _refuse_stray(rows: dict[str, list[Rows]]) -> Numbers:
+def _refuse_stray(rows: dict[str, list[Rows]], more: dict[str, Numbers]) -> Numbers:
     """Numbers of the poses of the track, rising; refuses what `read_mission` would.
 
     Raises
@@ -193,6 +203,9 @@ def _refuse_stray(rows: dict[str, list[Rows]]) -> Numbers:
             raise GraphError(
                 f"write_mission: x{unique_ids[np.argmax(count)]} is measured twice in {name}.csv; expected once"
             )
+    for name, numbers in more.items():
+        if len(stray := np.setdiff1d(numbers, poses)):
+            raise GraphError(f"write_mission: x{stray[0]} is in {name}.csv, but no XYH says where it is in the track")
     return poses
 
 
@@ -207,56 +220,26 @@ def _times(poses: Numbers, times: npt.ArrayLike) -> Rows:
     return poses[order], t[order]
 
 
-def _no_file(factor: Factor, why: str) -> GraphError:
-    return GraphError(f"{factor!r} has no file in a mission folder: {why}", factor.keys, factor.name)
-
-
 def _anchors(factors: list[Factor]) -> list[Rows]:
     """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading."""
     rows: list[Rows] = []
     for factor in factors:
         if isinstance(factor, Prior):
             if factor.components != ("x", "y", "yaw") or factor.offset is not None:
-                raise _no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
+                raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
             z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
-            rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], _sigmas(factor, ("x", "y", "yaw"))))
+            rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], standard_deviations(factor, ("x", "y", "yaw"))))
     positions = [factor for factor in factors if isinstance(factor, Position)]
     headings = [factor for factor in factors if isinstance(factor, Heading)]
     for p, h in zip_longest(positions, headings):
         if p is None or h is None or p.keys != h.keys or p.components != ("x", "y") or p.offset is not None:
-            raise _no_file(
+            raise no_file(
                 h if p is None else p,
                 "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose",
             )
-        sigmas = np.hstack([_sigmas(p, ("x", "y")), _sigmas(h, ("yaw",))])
-        rows.append((p.keys[0].numbers, np.hstack([_z(p), _z(h)]), sigmas))
+        sigmas = np.hstack([standard_deviations(p, ("x", "y")), standard_deviations(h, ("yaw",))])
+        rows.append((p.keys[0].numbers, np.hstack([measured_numbers(p), measured_numbers(h)]), sigmas))
     return rows
-
-
-def _z(factor: Factor) -> Array:
-    """Measurements (n, m); of one number each they may be (n,)."""
-    z = factor.z.reshape(-1, *factor.sizes())
-    return np.broadcast_to(z, (len(factor), z.shape[1]))
-
-
-def _sigmas(factor: Factor, names: tuple[str, ...]) -> Array:
-    """Standard deviations (n, m) of the named components of each measurement.
-
-    Raises
-    ------
-    GraphError
-        The noise has correlations, for which there are no columns.
-    """
-    noise, shape = factor.noise, (len(factor), len(names))
-    if isinstance(noise, Isotropic):
-        return np.broadcast_to(noise.sigma[:, None], shape)
-    if isinstance(noise, Diagonal) and noise.sigmas is not None:
-        return np.broadcast_to(noise.sigmas, shape)
-    if isinstance(noise, Diagonal):
-        return np.stack([np.broadcast_to(noise.named[name], shape[0]) for name in names], axis=1)
-    raise _no_file(
-        factor, f"its noise is {type(noise).__name__}; files hold standard deviations, Diagonal or Isotropic"
-    )
 
 
 def _sonar(sonar: ImagingSonar, mount: Array) -> Rows:

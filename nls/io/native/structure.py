@@ -146,4 +146,6 @@ def _same(a: Any, b: Any) -> bool:
         return a.keys() == b.keys() and all(_same(value, b[name]) for name, value in a.items())
     if isinstance(a, Noise):
         return _same(vars(a), vars(b))
+    if isinstance(a, Factor):
+        return not _lost(a, b)
     return bool(a == b)

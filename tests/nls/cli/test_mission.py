@@ -13,14 +13,15 @@ import pytest
 import nls
 from models import SE3, euler
 from nls.io import read_tum
-from nls.io.mission import elevations, held_free
+from nls.io.mission import elevations
 from nls.io.mission.results import MAP, TRAJECTORY
 from nls.io.mission.table import Table
 from tests.nls.cli.shell import Shell, row, rows
 from tests.nls.io.mission.mission_files import TINY, folder, raw
 
 x, l = nls.kinds("x", "l")
-FILES = ["trajectory.tum", "trajectory.csv", "map.csv", "track.png", "landmarks.png", "sonar.png"]
+TABLES = ["trajectory.tum", "trajectory.csv", "map.csv", "map.ply", "depth.asc"]
+FILES = [*TABLES, "track.png", "landmarks.png", "sonar.png"]
 ONCE = TINY["contacts"] + "0,20,4.0,0.0,0.01,0.004\n"
 LOST = {  # nothing measures the depth of x2
     "zpr": TINY["zpr"].replace("2,5.2461,0.041,-0.0405,0.01,0.002,0.002\n", ""),
@@ -53,6 +54,9 @@ def test_the_table_and_the_report(shell: Shell) -> None:
     assert solution["end_error_m"] == pytest.approx(end, rel=1e-6)
     assert solution["drift_percent"] == pytest.approx(100 * end / mission["distance_m"])
     assert solution["ate_alignment"] == "none"
+    level = np.hypot(*away[:, :2].T)
+    circles = [np.median(level), np.quantile(level, 0.95), 2 * np.sqrt((level**2).mean())]
+    assert [solution[name] for name in ("cep50_m", "cep95_m", "drms2_m")] == pytest.approx(circles, rel=1e-5)
     assert mission["landmark_rmse_m"] == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()), rel=1e-6)
     assert "elevation_sigma_deg" not in mission  # no covariances without files
     assert (mission["anchor"], mission["judge"]) == ("x0", "truth")
@@ -69,13 +73,48 @@ def test_without_truth_dead_reckoning_is_judged_by_the_solution(shell: Shell) ->
     assert 0 < mission["dead_reckoning"]["ate_rmse_m"] < 0.1
 
 
+@pytest.mark.parametrize("lost", [(0.0, 0.0), (5.0, 8.0)])
+def test_where_nothing_checks_dead_reckoning_it_has_a_sigma_and_no_drift(
+    shell: Shell, lost: tuple[float, float]
+) -> None:
+    """A hole in the attitude leaves a degree of freedom, of the yaw: it does not check the position."""
+    files = raw(lost)
+    if lost[1]:
+        rows_kept = [
+            row for row in files["ahrs"].splitlines() if not row[:1].isdigit() or not 8 < float(row.split(",")[0]) < 12
+        ]
+        files["ahrs"] = "\n".join(rows_kept)
+    folder(shell / "m", files)
+    out = shell("solve m --json r.json")
+    report = json.loads((shell / "r.json").read_text())
+    mission = report["mission"]
+    assert (report["dof"] > 0) == (lost[1] > 0)
+    assert (mission["checks"], mission["judge"]) == (0, None)
+    assert "dead_reckoning" not in mission
+    graph, values, _ = nls.load("m")
+    Sigma = nls.Marginals(graph, graph.optimize(values).values).covariance(x[30], view="position")
+    assert mission["end_sigma_m"] == pytest.approx(np.sqrt(np.trace(Sigma)), rel=1e-6)
+    assert mission["end_sigma_percent"] == pytest.approx(100 * mission["end_sigma_m"] / mission["distance_m"])
+    assert f"{mission['end_sigma_m']:.3g} m" in row(out, "end")
+
+
+def test_a_contact_from_two_places_checks_dead_reckoning(shell: Shell) -> None:
+    folder(shell / "once", contacts="\n".join(TINY["contacts"].splitlines()[:3]), truth=None, landmarks=None)
+    folder(shell / "often", truth=None, landmarks=None)
+    checks = {}
+    for name in ("once", "often"):
+        shell(f"solve {name} --json r.json")
+        checks[name] = json.loads((shell / "r.json").read_text())["mission"]["checks"]
+    assert checks == {"once": 0, "often": 13}
+
+
 def test_the_files(shell: Shell) -> None:
     folder(shell / "m", poses="i,time_s\n0,10\n1,10.5\n2,12\n3,12.25\n")
     printed = shell("solve m -o deep/out --json r.json")
     out, report = shell / "deep/out", json.loads((shell / "r.json").read_text())
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert report["written"] == [*(f"deep/out/{name}" for name in FILES), "r.json"]
-    assert all((out / name).read_bytes()[:4] == b"\x89PNG" for name in FILES[3:])
+    assert all((out / name).read_bytes()[:4] == b"\x89PNG" for name in FILES[5:])
     graph, values, _ = nls.load("m")
     values = graph.optimize(nls.initialize(graph, values)[0]).values
     marginals = nls.Marginals(graph, values)
@@ -83,7 +122,8 @@ def test_the_files(shell: Shell) -> None:
     times, poses = read_tum(out / "trajectory.tum")
     assert times.tolist() == [10.0, 10.5, 12.0, 12.25]
     assert SE3.local(poses, values[x]) == pytest.approx(np.zeros((4, 6)), abs=1e-9)
-    table = Table(out / "trajectory.csv", TRAJECTORY)
+    table = Table(out / "trajectory.csv", (*TRAJECTORY, "time_s"))
+    assert table.floats("time_s").T.tolist() == [times.tolist()]
     assert table.names[:7] == ["i", "roll_rad", "pitch_rad", "yaw_rad", "x_m", "y_m", "z_m"]
     assert table.integers("i").tolist() == [0, 1, 2, 3]
     assert table.floats(*TRAJECTORY[1:7]) == pytest.approx(euler.from_se3(values[x]), abs=1e-9)
@@ -109,7 +149,8 @@ def test_raw_logs_have_no_map_and_trajectories_the_order_of_time(shell: Shell, u
     printed = shell("solve m -o out")
     assert {path.name for path in (shell / "out").iterdir()} == {"trajectory.tum", "trajectory.csv", "track.png"}
     assert "bridged for 3 s" in printed
-    assert row(printed, "drift").startswith("dead reckoning 0 % (0 m) of the distance")
+    assert rows(printed, "drift") == rows(printed, "ATE") == []
+    assert row(printed, "unchecked").startswith("nothing checks dead reckoning")
     assert read_tum(shell / "out/trajectory.tum")[0].tolist() == np.arange(31.0).tolist()
     folder(shell / "n", raw() | {"poses": "i,time_s\n21,0.0\n7,3.3\n14,19.0\n"})
     shell("solve n -o out --quiet")
@@ -152,39 +193,31 @@ def test_a_landmark_seen_once_costs_no_sigmas_but_its_own(shell: Shell, undrawn:
     assert last == pytest.approx(0.2443 / np.sqrt(12), rel=0.01)
 
 
-def test_landmarks_that_nothing_is_known_of_and_others(tmp_path: Path) -> None:
-    """Twenty of them, more than are named one by one; and held along what is free alone."""
+def test_landmarks_that_nothing_is_known_of(tmp_path: Path) -> None:
+    """Twenty of them, more than are named one by one: all other elevations are those of the mission without them."""
     once = TINY["contacts"] + "".join(f"1,{k},4.0,{0.01 * (k - 30)!r},0.01,0.004\n" for k in range(20, 40))
-    graph, values, _ = nls.load(folder(tmp_path / "m", contacts=once))
-    values = graph.optimize(values, nls.LevenbergMarquardt()).values
-    marginals = nls.Marginals(graph, values)
-    held, free = held_free(graph, values)
-    assert free == l[np.arange(20, 40)]
-    assert marginals.status(l) == ["estimated"] * 3 + ["free"] * 20
-    poses = nls.Kind("x")
-    np.testing.assert_allclose(
-        marginals.all(poses, "body"), nls.Marginals(held, values).all(poses, "body"), rtol=1e-3, atol=1e-9
-    )
-    assert held.chi2(values) == pytest.approx(graph.chi2(values), rel=1e-12)
-    seen = elevations(held, values, sigmas=True, free=free)
-    assert np.isnan(seen.sigma).tolist() == [False] * 3 + [True] * 20
-    Sigma = nls.Marginals(held, values).all(l)[3:]
-    r = np.sqrt(np.einsum("ni,nij,nj->n", seen.along[3:], Sigma, seen.along[3:]))
-    assert (r < 1.0).all()  # held there, by no more than what is known across
+    found = []
+    for name, contacts in (("many", once), ("few", TINY["contacts"])):
+        graph, values, _ = nls.load(folder(tmp_path / name, contacts=contacts))
+        values = graph.optimize(values, nls.LevenbergMarquardt()).values
+        found.append(elevations(graph, values, sigmas=True))
+    assert np.isnan(found[0].sigma).tolist() == [False] * 3 + [True] * 20
+    np.testing.assert_allclose(found[0].sigma[:3], found[1].sigma, rtol=1e-3)
 
 
 @pytest.mark.filterwarnings("default::nls.GraphWarning")
-def test_no_sigmas_where_there_are_none(shell: Shell, undrawn: None) -> None:
+def test_no_sigmas_where_there_are_none_and_all_others(shell: Shell, undrawn: None) -> None:
     folder(shell / "m", **LOST)
     printed, _ = shell.both("solve m -o out --covariance m.csv")
     status = {"".join(cells[:2]): cells[2] for cells in csv.reader((shell / "m.csv").read_text().splitlines()[1:])}
     assert {name for name, word in status.items() if word != "estimated"} == {"x2"}
-    assert "note        the files have no sigmas: 3 unknowns have factors that do not react" in printed
+    assert "note        no sigmas of x2, all others are given: 3 unknowns have factors that do not react" in printed
     assert "x2: z, roll, pitch" in printed
-    assert rows(printed, "elevation") == []
     assert {path.name for path in (shell / "out").iterdir()} == set(FILES)
-    assert all(row.endswith(",,,,,,") for row in (shell / "out/trajectory.csv").read_text().splitlines()[1:])
-    assert all(row.split(",")[4:10] == [""] * 6 for row in (shell / "out/map.csv").read_text().splitlines()[1:])
+    _, *poses = csv.reader((shell / "out/trajectory.csv").read_text().splitlines())
+    assert [all(row[7:]) for row in poses] == [True, True, False, True]
+    assert poses[2][7:] == [""] * 6
+    assert all(all(row.split(",")[4:10]) for row in (shell / "out/map.csv").read_text().splitlines()[1:])
     folder(shell / "n")
     printed, _ = shell.both("solve n -o out --init file --max-iterations 1 --allow-unconverged")
     assert "the files have no sigmas: this is no optimum" in printed
@@ -219,6 +252,7 @@ def test_no_percent_of_no_distance(shell: Shell) -> None:
     folder(shell / "one", truth="".join(lines["truth"][:3:2]))
     still = {"odometry": lines["odometry"][0] + "0,1,0,0,0,0.02,0.02,0.005\n"}
     still["zpr"] = lines["zpr"][0] + "0,5,0,0,0.01,0.002,0.002\n1,5,0,0,0.01,0.002,0.002\n"
+    still["truth"] = lines["truth"][0] + "0,0,0,0,0,0,5\n1,0,0,0,0,0,5\n"
     folder(shell / "still", still)
     for name in ("one", "still"):
         out = shell(f"solve {name} --json r.json")

@@ -24,7 +24,10 @@ GROUP = ("Between(x3, x9)", "Between(x4, x10)")
 CARRIED = {"factors": GROUP, "redundancy": 0.01, "meters": 12.0, "rms": 4.0, "sigmas": 40.0}
 FALL = {"chi2": 4000.0, "chi2_otherwise": 110.0, "dof": 100}
 OUT = {"factor": "Between(x3, x4)", "value": 1e9, "others": 1.0}
+SPEED = {"check": "speed", "file": "dvl.csv", "line": 2, "column": "vx_m_s", "measured": 1400.0, "limit": 10.0}
+MM = {"cause": "unit", "file": "dvl.csv", "column": "vx_m_s", "factor": 1000.0}
 FINDINGS = (
+    Finding(Kind.IMPLAUSIBLE, (), SPEED | {"unit": "m/s", "readings": (MM,)}),
     Finding(Kind.NOT_CONVERGED, (), {"reason": "something is free", "values": "at the start"}),
     Finding(Kind.NO_OPTIMUM, (), {"fall": 12.3, "chi2": 45.6}),
     Finding(Kind.LOCAL_MINIMUM, (), {"lower": 12.3, "chi2": 45.6}),

@@ -49,6 +49,7 @@ def test_reports_are_as_their_schema(text: str, tmp_path: Path) -> None:
     case=[
         (PLANE, ["--certify", "--covariance", "c.csv"]),
         (PLANE + WRONG, ["--robust", "gnc-tls"]),
+        (PLANE + WRONG, ["--sigmas", "estimate"]),
         (PLANE + FREE, []),
         (PLANE, ["--gauge", "none"]),
         (PLANE, ["--init", "file", "--max-iterations", "1"]),

@@ -46,7 +46,7 @@ def in_kinds_of_files(sample: Sample, count: int = 3) -> tuple[Factor, Values]:
     names: list[str] = []
     for k, manifold in enumerate(sample.manifolds):
         pose, point = manifold in (SE2, SE3), manifold in (R(2), R(3))
-        names.append("o" if pose and k == 2 else "x" if pose else "l" if point else "abc"[k])
+        names.append("o" if pose and k == 2 else "x" if pose else "l" if point else "abcd"[k])
     keys = tuple(Keys(name, 10 * k + np.arange(count)) for k, name in enumerate(names))
     stacks: dict[str, tuple[Manifold, object, object]] = {}
     for name, manifold, elements, k in zip(names, sample.manifolds, X, keys, strict=True):

@@ -6,7 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["TINY", "folder", "raw"]
+from nls.io.mission.columns import COLUMNS, POSE
+
+__all__ = ["RAW", "TINY", "folder", "raw"]
+
+RAW = {
+    **COLUMNS,
+    "truth": POSE,
+    "dvl": COLUMNS["dvl"][:5],
+    "noise": COLUMNS["noise"][:7],
+}  # without what may be left out
 
 TINY = {
     "sonar": """\

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 import nls
 from models.errors import LeadlineError, SingularGeometryError
 from nls import EvaluationError, GraphFileError, GraphWarning, ResourceLimitError
-from nls.io.mission.columns import COLUMNS
 from tests.combinations import for_all
 from tests.nls.io.g2o_files import assert_refused, cases
-from tests.nls.io.mission.mission_files import TINY, folder, raw
+from tests.nls.io.mission.mission_files import RAW, TINY, folder, raw
 
 EXOTIC = ["inf", "1_0", "\uff11", "0x1A", "1e999", "--1", "north", "1 2", '"1"', "1;2", '"', "-"]
 WORDS = [*EXOTIC, "nan", "#", ",", ",,", ""]
@@ -96,7 +95,7 @@ sonar | -0.5236 | -30 | 2 | pitch_rad is -30.0
 sonar | 0.3,0.0,0.1 | 9e18,0.0,0.1 | 2 | x_m is 9e+18
 dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,2 | 4 | valid is '2'; expected 0 or 1
 dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,true | 4 | valid is 'true'
-dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,1.0 | 4 | valid is '1.0'
+dvl | 0.5,1.0,0.0,0.0,1 | 0.5,1.0,0.0,0.0,1.5 | 4 | valid is '1.5'
 dvl | 0.5,1.0 | 0.25,1.0 | 4 | time_s 0.25 does not rise over 0.25 before it; delete one
 dvl | 0.5,1.0 | 0.125,1.0 | 4 | time_s 0.125 does not rise over 0.25 before it; sort
 dvl | 0.5,1.0 | 0.5,1e308 | 4 | vx_m_s is 1e+308; expected meters per second, within 1e9
@@ -241,4 +240,4 @@ def test_damage_of_any_kind(edits: list[tuple[str, str, int, str]], tmp_path: Pa
 def test_the_undamaged_folder_is_read_and_every_file_has_its_columns(tmp_path: Path) -> None:
     assert read_or_refused(folder(tmp_path / "m"))
     for name, text in {**TINY, **raw()}.items():
-        assert tuple(text.splitlines()[0].split(",")) == COLUMNS[name]
+        assert tuple(text.splitlines()[0].split(",")) == RAW[name]

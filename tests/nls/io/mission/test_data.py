@@ -11,10 +11,9 @@ import pytest
 
 from nls.cli import main
 from nls.io.logs import read_auv_dvl
-from nls.io.mission.columns import COLUMNS
 from nls.io.mission.table import csv_text
 from tests.combinations import for_all
-from tests.nls.io.mission.mission_files import folder
+from tests.nls.io.mission.mission_files import RAW, folder
 
 SIGMA_ATTITUDE, SIGMA_Z = (0.002, 0.002, 0.005), 0.05
 
@@ -37,7 +36,7 @@ def test_the_drift_of_a_real_log(number: int, data: Path, tmp_path: Path, capsys
         "poses": (poses, t[poses]),
         "truth": (poses, log.rpy[poses], log.p[poses]),
     }
-    files = {name: csv_text(COLUMNS[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
+    files = {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
     assert main(["solve", str(folder(tmp_path / str(number), files)), "--json", "-"]) == 0
     report = json.loads(capsys.readouterr().out)
     mission = report["mission"]

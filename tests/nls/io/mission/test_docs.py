@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nls.cli import main
-from nls.io.mission.columns import COLUMNS
+from nls.io.mission.columns import COLUMNS, POSE
 from nls.io.mission.results import MAP, TRAJECTORY
 from tests.nls.io.mission.mission_files import TINY, folder
 
@@ -26,11 +26,19 @@ def test_the_folder_it_shows_is_solved(tmp_path: Path, capsys: pytest.CaptureFix
     shown = dict(re.findall(r"^`(\w+)\.csv`\n\n```text\n(.*?)^```$", section(), re.M | re.S))
     assert shown == TINY
     assert main(["solve", str(folder(tmp_path / "m", shown)), "-o", str(tmp_path / "out")]) == 0
-    written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert written == set(
-        re.findall(r"^\| `(\S+\.(?:tum|csv|png))` \| \S*(?:the|`)", section().split("it writes into")[1], re.M)
-    )
+    outputs, more = section().split("it writes into")[1].split("Where the mission says more")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == files(outputs)
     assert "converged" in capsys.readouterr().out
+
+    charted = folder(tmp_path / "charted", shown | {"origin": "lat_deg,lon_deg\n54.1,10.2\n"})
+    assert main(["solve", str(charted), "-o", str(tmp_path / "chart")]) == 0
+    added = {path.name for path in (tmp_path / "chart").iterdir()} - files(outputs)
+    assert added == files(more) - {"beacons.csv", "calibration.csv"} == {"track.geojson", "track.kml"}
+
+
+def files(text: str) -> set[str]:
+    """The files in the first column of a table."""
+    return set(re.findall(r"^\| `(\w+\.\w+)` \|", text, re.M))
 
 
 def test_every_file_and_column_is_defined_and_no_other() -> None:
@@ -45,7 +53,7 @@ def test_every_file_and_column_is_defined_and_no_other() -> None:
 def test_the_columns_of_the_outputs() -> None:
     text = section().split("it writes into")[1]
     assert TRAJECTORY[0] == "i"
-    assert TRAJECTORY[:7] == COLUMNS["truth"]
+    assert TRAJECTORY[:7] == POSE
     assert (TRAJECTORY[7], TRAJECTORY[-1]) == ("sigma_roll_rad", "sigma_z_m")
     for name in (*TRAJECTORY[7::5], *MAP[:5], *MAP[9:]):
         assert f"`{name}`" in text, name

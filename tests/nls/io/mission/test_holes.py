@@ -18,7 +18,7 @@ from nls.io.mission.columns import COLUMNS
 from nls.io.mission.holes import holes_of
 from nls.io.mission.table import Table, csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.io.mission.mission_files import folder, raw
+from tests.nls.io.mission.mission_files import RAW, folder, raw
 
 (x,) = nls.kinds("x")
 LAST, RATE = 90.0, 200
@@ -63,7 +63,7 @@ def log(
         "depth": (FINE[k_z], p[k_z, 2:] + rng.normal(0, SIGMA_Z, (len(k_z), 1))),
         "noise": ([[SIGMA_V, 0.0, 0.05, *sigmas, SIGMA_Z]],),
     }
-    return {name: csv_text(COLUMNS[name], *r).decode() for name, r in rows.items()}, np.column_stack([rpy, p])[::RATE]
+    return {name: csv_text(RAW[name], *r).decode() for name, r in rows.items()}, np.column_stack([rpy, p])[::RATE]
 
 
 def test_what_is_known_in_holes_is_known(tmp_path: Path) -> None:

@@ -13,10 +13,9 @@ from factors import XYH
 from models import SE3, euler
 from models.manifolds.so3 import rotation3
 from nls import GraphFileError
-from nls.io.mission.columns import COLUMNS
 from nls.io.mission.table import csv_text
 from tests.nls.io.g2o_files import assert_refused
-from tests.nls.io.mission.mission_files import folder, raw
+from tests.nls.io.mission.mission_files import RAW, folder, raw
 
 (x,) = nls.kinds("x")
 
@@ -31,7 +30,7 @@ def log(t: np.ndarray, valid: np.ndarray | None = None) -> dict[str, str]:
         "depth": (t, 2 * ones),
         "noise": ([[0.01, 0.002, 0.05, 0.002, 0.002, 0.01, 0.05]],),
     }
-    return {name: csv_text(COLUMNS[name], *columns).decode() for name, columns in rows.items()}
+    return {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}
 
 
 def test_the_last_pose_is_in_the_log_despite_rounding(tmp_path: Path) -> None:
@@ -107,7 +106,7 @@ def test_yaw_is_as_well_known_as_its_covariance_says(tmp_path: Path) -> None:
             "depth": (fine[at], p[at, 2:] + rng.normal(0, sigma_z, (n, 1))),
             "noise": ([[sigma_v, 0.0, 0.05, sigma_tilt, sigma_tilt, sigma_yaw, sigma_z]],),
         }
-        files = {name: csv_text(COLUMNS[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
+        files = {name: csv_text(RAW[name], *columns).decode() for name, columns in rows.items()}  # type: ignore[arg-type]
         graph, values, _ = nls.load(folder(tmp_path / "m", files))
         values = graph.optimize(values).values
         Sigma = nls.Marginals(graph, values).all(x, view="euler")

@@ -13,6 +13,7 @@ from factors import XYH, ZPR, Elevation, ElevationHinge, Heading, Position, Rang
 from models import euler
 from nls import GraphWarning, OptionError
 from nls.io.mission import MissionReport, elevations, read_mission, track_of
+from tests.combinations import for_all
 from tests.nls.io.mission.mission_files import TINY, folder, raw
 
 x, l = nls.kinds("x", "l")
@@ -249,3 +250,27 @@ def test_a_track_in_pieces_and_landmarks_that_nothing_judges(tmp_path: Path) -> 
         (note,) = notes(given[0][:1], given)
         assert words in note
     assert notes("none", [one], contacts=None, sonar=None) == ["landmarks.csv is not used: there is no contacts.csv"]
+
+
+def test_a_truth_of_times_is_interpolated_to_the_poses(tmp_path: Path) -> None:
+    """The vehicle goes 1 m/s; its yaw crosses pi between two rows; the truth ends before the track."""
+    truth = "time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n-1.5,0,0,3.0,-1.5,0,2\n4.5,0,0,-3.0,4.5,6,5\n"
+    report = nls.load(folder(tmp_path / "m", raw(), truth=truth))[2]
+    known = report.truth[x[[0, 4]]]
+    turn = (2 * np.pi - 6.0) / 6.0  # rad/s, the short way
+    assert euler.from_se3(known)[0] == pytest.approx([0, 0, 3.0 + 1.5 * turn, 0.0, 1.5, 2.75])
+    assert euler.from_se3(known)[1] == pytest.approx([0, 0, 3.0 + 5.5 * turn - 2 * np.pi, 4.0, 5.5, 4.75])
+    assert len(report.truth.stack("x")) == 5
+    assert any("errors are of 5 poses, not of 26 before or after it" in note for note in report.notes)
+
+
+@for_all(
+    truth=[
+        ("roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n0,0,0,0,0,0\n", "has neither i nor time_s"),
+        ("i,time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n0,0,0,0,0,0,0,0\n", "has both i and time_s"),
+        ("time_s,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m\n50,0,0,0,0,0,0\n", "no time in common"),
+    ]
+)
+def test_a_truth_of_no_time(truth: tuple[str, str], tmp_path: Path) -> None:
+    with pytest.raises(nls.GraphFileError, match=truth[1]):
+        nls.load(folder(tmp_path / "m", raw(), truth=truth[0]))

@@ -2,13 +2,18 @@ r"""How far an estimated trajectory is from the true one, in meters, after a nam
 
 The absolute trajectory error compares positions, pose by pose, after one motion T = (R, t) of the whole estimate:
 
-    e_i = q_i - (R p_i + t),   rmse = sqrt(sum |e_i|^2 / n),   p estimated, q true
+    e_i = q_i - (s R p_i + t),   rmse = sqrt(sum |e_i|^2 / n),   p estimated, q true
 
 - ``none``: T is the identity: both are in one frame, and every error counts
 - ``first``: T = Q_0 o P_0^-1 takes the first estimated pose to the first true one: drift from the start
+- ``yaw``: the T of least rmse whose rotation is about the vertical: roll and pitch are measured, by gravity
 - ``rigid``: the T of least rmse: the shape of the trajectory alone
+- ``similarity``: the T and the scale s of least rmse: the shape, whatever its size
 
-The last is that of `models.alignment`. No scale is estimated: sonar and odometry measure meters.
+The last three are those of `models.alignment`. s = 1 but for the last: sonar and odometry measure meters.
+
+Source: J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, section V.B; Z. Zhang, D.
+Scaramuzza, "A tutorial on quantitative trajectory evaluation for visual(-inertial) odometry", IROS 2018.
 """
 
 from __future__ import annotations
@@ -20,14 +25,14 @@ import numpy.typing as npt
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
-from models.alignment import align
+from models.alignment import align, align_similarity, align_yaw
 from models.errors import GraphError, OptionError, SingularGeometryError
 from models.finite import numbers
 from models.sensors import SingularAt
 
 __all__ = ["ALIGNMENTS", "TrajectoryError", "ate", "displacements"]
 
-ALIGNMENTS = ("none", "first", "rigid")
+ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,8 @@ class TrajectoryError:
     align : the alignment, one of `ALIGNMENTS`.
     T : (3,) or (7,) the motion in SE2 or SE3 that was applied to the estimate.
     distances : (n,) array, m.
+    scale : that was applied to the estimate, 1 but for ``similarity``.
+    errors : (n, 2) or (n, 3) array, e_i along the axes of the truth, m.
     """
 
     rmse: float
@@ -48,11 +55,14 @@ class TrajectoryError:
     align: str
     T: Array = field(repr=False)
     distances: Array = field(repr=False)
+    scale: float
+    errors: Array = field(repr=False)
 
     def __str__(self) -> str:
+        scaled = f", scale {self.scale:.6g}" if self.align == "similarity" else ""
         return (
             f"ATE {self.rmse:.4g} m rmse, {self.mean:.4g} m mean, {self.largest:.4g} m at most over "
-            f"{len(self.distances)} poses (alignment: {self.align})"
+            f"{len(self.distances)} poses (alignment: {self.align}{scaled})"
         )
 
 
@@ -63,7 +73,7 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     ----------
     estimate, truth : (n, 3) SE2 or (n, 7) SE3, the same n poses in the same order. Of the orientations only those of
         the first poses matter, and only for ``first``.
-    align : ``none``, ``first`` or ``rigid``, see the module.
+    align : one of `ALIGNMENTS`, see the module. In the plane ``yaw`` is ``rigid``.
 
     Returns
     -------
@@ -76,7 +86,8 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     OptionError
         No such alignment.
     SingularGeometryError
-        ``rigid`` over positions that do not determine the rotation: all on one spot, or on one line of space.
+        ``yaw``, ``rigid`` or ``similarity`` over positions that do not determine the rotation: all on one spot, on
+        one line of space, for ``yaw`` on one vertical line.
 
     Examples
     --------
@@ -90,23 +101,36 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     """
     if align not in ALIGNMENTS:
         raise OptionError("align", align, "one of " + ", ".join(ALIGNMENTS))
-    P, Q = (np.atleast_2d(numbers("ate", name, X)) for name, X in (("estimate", estimate), ("truth", truth)))
-    group = {3: SE2, 7: SE3}.get(P.shape[-1])
-    if group is None or P.shape != Q.shape or P.ndim != 2 or not len(P):
-        raise GraphError(f"ate: shapes {P.shape} and {Q.shape}, expected the same: (n, 3) for SE2 or (n, 7) for SE3")
-    P, Q = group.stack(P), group.stack(Q)
+    group, P, Q = group_of("ate", estimate, truth)
     p, q = group.position(P), group.position(Q)
-    T = group.identity()
+    T, scale = group.identity(), 1.0
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused below
         if align == "first":
             T = group.compose(Q[:1], group.inverse(P[:1]))
-        elif align == "rigid":
-            T = _rigid(group, p, q)
-        distances = np.linalg.norm(q - group.act(T, p), axis=1)
+        elif align != "none":
+            T, scale = _least(group, p, q, align)
+        errors = q - group.act(T, scale * p)
+        distances = np.linalg.norm(errors, axis=1)
         rmse = float(np.sqrt(np.mean(distances**2)))
     if not np.isfinite(rmse):
         raise _too_far()
-    return TrajectoryError(rmse, float(distances.mean()), float(distances.max()), align, T[0], distances)
+    largest = float(distances.max())
+    return TrajectoryError(rmse, float(distances.mean()), largest, align, T[0], distances, scale, errors)
+
+
+def group_of(who: str, estimate: npt.ArrayLike, truth: npt.ArrayLike) -> tuple[LieGroup, Array, Array]:
+    """SE2 or SE3, and the poses of two trajectories (n, size), pose by pose.
+
+    Raises
+    ------
+    GraphError
+        Different or wrong shapes, no poses, no numbers.
+    """
+    P, Q = (np.atleast_2d(numbers(who, name, X)) for name, X in (("estimate", estimate), ("truth", truth)))
+    group = {3: SE2, 7: SE3}.get(P.shape[-1])
+    if group is None or P.shape != Q.shape or P.ndim != 2 or not len(P):
+        raise GraphError(f"{who}: shapes {P.shape} and {Q.shape}, expected the same: (n, 3) for SE2 or (n, 7) for SE3")
+    return group, group.stack(P), group.stack(Q)
 
 
 def displacements(p: Array, q: Array) -> Array:
@@ -126,14 +150,18 @@ def _too_far() -> GraphError:
     )
 
 
-def _rigid(group: LieGroup, p: Array, q: Array) -> Array:
-    """The motion (1, size) that takes the points p (n, d) closest to q."""
+def _least(group: LieGroup, p: Array, q: Array, how: str) -> tuple[Array, float]:
+    """The motion (1, size) and the scale that take the points p (n, d) closest to q."""
     try:
-        return align(q, p)[None]
+        if how == "similarity":
+            T, scale = align_similarity(q, p)
+            return T[None], float(scale)
+        return (align_yaw if how == "yaw" and group is SE3 else align)(q, p)[None], 1.0
     except SingularAt as error:
-        shape = "on one spot" if group is SE2 else "on one line"
+        line = "a vertical line" if how == "yaw" else "one line"
+        shape = "on one spot" if group is SE2 else f"on {line}"
         raise SingularGeometryError(
-            f"ate: {len(p)} positions {shape} do not determine the rotation of a rigid alignment; use align='first'"
+            f"ate: {len(p)} positions {shape} do not determine the rotation of the alignment {how}; use align='first'"
         ) from error
     except GraphError as error:  # the positions are finite: their squares are not
         raise _too_far() from error

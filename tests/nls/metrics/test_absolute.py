@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
@@ -41,6 +43,49 @@ def test_a_motion_of_the_whole_is_found(group: LieGroup) -> None:
         found = ate(estimate, truth, align)
         assert found.rmse < 1e-13
         assert np.abs(group.local(motion[0], found.T)).max() < 1e-13
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0.01, 100.0))
+@settings(deadline=None, max_examples=25)
+def test_a_similarity_is_removed_by_its_alignment_alone(group: LieGroup, seed: int, scale: float) -> None:
+    """A motion, a yaw, a scale: each alignment leaves what it does not know, and the result does not depend on it."""
+    rng = np.random.default_rng(seed)
+    truth, d = walk(group, 20, rng), group.point_dim
+    turned = group.compose(group.exp(rng.normal(size=(1, group.dim))), truth)
+    scaled = turned.copy()
+    scaled[:, :d] *= scale
+    size = float(np.abs(truth[:, :d]).max())
+    error = ate(scaled, truth, "similarity")
+    assert error.rmse < 1e-10 * size
+    assert error.scale == pytest.approx(1 / scale, rel=1e-9)
+    assert error.errors.shape == (20, d)
+    noisy = moved(group, truth, 0.3, rng)
+    assert ate(group.compose(turned[:1], noisy), truth, "rigid").rmse == pytest.approx(ate(noisy, truth, "rigid").rmse)
+    levelled = group.compose(yawed(group, rng), noisy)
+    assert ate(levelled, truth, "yaw").rmse == pytest.approx(ate(noisy, truth, "yaw").rmse)
+    order = [ate(noisy, truth, align).rmse for align in ("similarity", "rigid", "yaw", "none")]
+    assert order == sorted(order)
+
+
+def yawed(group: LieGroup, rng: np.random.Generator) -> Array:
+    """A random motion (1, size) that turns about the vertical."""
+    delta = 3 * rng.normal(size=(1, group.dim))
+    if group is SE3:
+        delta[:, 3:5] = 0.0
+    return np.asarray(group.exp(delta))
+
+
+def test_yaw_leaves_roll_and_pitch() -> None:
+    truth = walk(SE3, 20, np.random.default_rng(7))
+    tilted = SE3.compose(SE3.exp([[0.0, 0, 0, 0.1, 0, 0]]), truth)
+    assert ate(tilted, truth, "rigid").rmse < 1e-12 < 0.05 < ate(tilted, truth, "yaw").rmse
+    T = ate(SE3.compose(SE3.exp([[1.0, 2, 3, 0, 0, 2.5]]), truth), truth, "yaw").T
+    assert SE3.log(T)[3:] == pytest.approx([0, 0, -2.5])
+    down = np.tile(SE3.identity()[0], (4, 1))
+    down[:, 2] = np.arange(4)
+    with pytest.raises(SingularGeometryError, match="4 positions on a vertical line do not determine"):
+        ate(down, down, "yaw")
 
 
 @pytest.mark.parametrize("group", GROUPS, ids=str)
@@ -85,7 +130,7 @@ def test_mistakes() -> None:
             ate(estimate, truth)
     with pytest.raises(GraphError, match="not finite"):
         ate(X * np.nan, X)
-    with pytest.raises(OptionError, match="one of none, first, rigid"):
+    with pytest.raises(OptionError, match="one of none, first, yaw, rigid, similarity"):
         ate(X, X, "umeyama")
 
 
@@ -93,7 +138,7 @@ def test_errors_beyond_the_largest_number() -> None:
     """Squares of 1e200 have no sum; one that overflows before the alignment does not hide it."""
     far = [[0, 0, 0], [1e200, 0, 0], [0, 1e308, 0.5]]
     near = [[0, 1, 0], [1, 0, 0], [-1e308, 0, 0.5]]
-    for align in ("none", "first", "rigid"):
+    for align in ("none", "first", "yaw", "rigid", "similarity"):
         for estimate, truth in ((far, near), (near, far)):
             with pytest.raises(GraphError, match="ate: the squares of these positions are beyond the largest number"):
                 ate(estimate, truth, align)

@@ -1,0 +1,189 @@
+"""``nls evaluate``: an estimated trajectory beside the true one."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nls.cli.outputs import refuse_unwritable, write_json
+
+if TYPE_CHECKING:
+    from models.algebra import Array, Index
+    from nls.io.poses import Poses
+    from nls.metrics import TrajectoryError
+
+SCHEMA = "evaluate 1"
+
+
+def evaluate(options: argparse.Namespace) -> int:
+    """Read both, match, align, compare, print; returns the exit status."""
+    from nls.io.poses import read_poses
+
+    distances = _distances(options.distances)
+    refuse_unwritable(json=options.json, read=options.file)
+    refuse_unwritable(json=options.json, read=options.truth)
+    options.phase.doing = f"while reading {options.file}"
+    estimate = read_poses(options.file)
+    options.phase.doing = f"while reading {options.truth}"
+    truth = read_poses(options.truth)
+    options.phase.doing = f"while comparing {options.file} with {options.truth}"
+    record = compared(estimate, truth, options.align, distances, options.tolerance)
+    options.phase.now("while writing the report")
+    write_json(record, options.json)
+    if options.json != "-":
+        print("\n".join(lines(record)))
+    return 0
+
+
+def _distances(text: str) -> list[float]:
+    """The distances of ``--distances``."""
+    from models.errors import OptionError
+
+    try:
+        distances = [float(word) for word in text.split(",")]
+    except ValueError:
+        distances = [0.0]
+    if not all(0 < distance < np.inf for distance in distances):
+        raise OptionError("--distances", text, "meters above 0 with commas between, such as 10,50,100")
+    return distances
+
+
+def compared(
+    estimate: Poses, truth: Poses, align: str, distances: list[float], tolerance: float | None
+) -> dict[str, Any]:
+    """The report for programs.
+
+    Parameters
+    ----------
+    estimate, truth : as read.
+    align : one of `nls.metrics.ALIGNMENTS`.
+    distances : of the relative errors, m.
+    tolerance : for matching by time, s.
+
+    Raises
+    ------
+    GraphError
+        Poses that cannot be matched.
+    SingularGeometryError
+        Positions that do not determine the alignment.
+    """
+    from nls.metrics import ate, cep, drms2, rpe
+
+    how, rows, P, Q = _pairs(estimate, truth, tolerance)
+    error = ate(P, Q, align)
+    return {
+        "schema": SCHEMA,
+        "estimate": estimate.path,
+        "truth": truth.path,
+        "estimated_poses": len(estimate.X),
+        "true_poses": len(truth.X),
+        **how,
+        "align": align,
+        "scale": error.scale,
+        "T": error.T.tolist(),
+        "ate": {"rmse_m": error.rmse, "mean_m": error.mean, "largest_m": error.largest},
+        "horizontal": {
+            "cep50_m": cep(error.errors),
+            "cep95_m": cep(error.errors, 0.95),
+            "drms2_m": drms2(error.errors),
+        },
+        "vertical_rmse_m": float(np.sqrt(np.mean(np.square(error.errors[:, 2])))),
+        "rpe": [
+            {
+                "distance_m": pair.distance,
+                "pairs": pair.pairs,
+                "way_m": pair.way,
+                "translation_percent": 100 * pair.translation,
+                "rotation_deg_m": float(np.degrees(pair.rotation)),
+            }
+            for pair in rpe(P, Q, distances)
+        ],
+        "squared_error_over_variance": _consistency(estimate, rows, error),
+    }
+
+
+def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict[str, Any], Index, Array, Array]:
+    """How poses were matched, the rows of the estimate, and the poses of both in the order of time."""
+    from models.errors import GraphError, OptionError
+    from nls.metrics import matched
+
+    out: dict[str, Any] = {"outside": 0, "gaps": 0, "tolerance_s": None}
+    if estimate.numbers is not None and truth.numbers is not None:
+        numbers, rows, k = np.intersect1d(estimate.numbers, truth.numbers, return_indices=True)
+        order = np.argsort(numbers if truth.times is None else truth.times[k], kind="stable")
+        rows, k = rows[order], k[order]
+        P, Q, out["matched_by"] = estimate.X[rows], truth.X[k], "number"
+        if not len(rows):
+            raise GraphError(f"{estimate.path} and {truth.path} have no number i in common")
+    elif estimate.times is not None and truth.times is not None:
+        pairs = matched(estimate.times, estimate.X, truth.times, truth.X, tolerance)
+        rows, P, Q, out["matched_by"] = pairs.rows, pairs.estimate, pairs.truth, "time"
+        out |= {"outside": pairs.outside, "gaps": pairs.gaps, "tolerance_s": pairs.tolerance}
+    else:
+        names = [
+            f"{poses.path} has {'rows' if kinds == [] else ' and '.join(kinds)} alone"
+            for poses in (estimate, truth)
+            for kinds in [[n for n, v in (("times", poses.times), ("numbers", poses.numbers)) if v is not None]]
+        ]
+        if any(v is not None for poses in (estimate, truth) for v in (poses.times, poses.numbers)):
+            raise GraphError(
+                f"{'; '.join(names)}. Expected times in both, numbers in both, or rows alone in both: KITTI files"
+            )
+        if len(estimate.X) != len(truth.X):
+            raise GraphError(
+                f"{estimate.path} has {len(estimate.X)} poses, {truth.path} {len(truth.X)}; without times and numbers "
+                "they are matched row by row, which takes the same count"
+            )
+        rows, P, Q, out["matched_by"] = np.arange(len(truth.X)), estimate.X, truth.X, "row"
+    if tolerance is not None and out["matched_by"] != "time":
+        raise OptionError(
+            "--tolerance", tolerance, f"nothing: the poses are matched by {out['matched_by']}, not by time"
+        )
+    return {**out, "matched": len(rows)}, rows, P, Q
+
+
+def _consistency(estimate: Poses, rows: Index, error: TrajectoryError) -> dict[str, float] | None:
+    """Mean of (error / sigma)^2 along each axis, where the estimate has sigmas and nothing was aligned."""
+    if estimate.sigmas is None or error.align != "none":
+        return None
+    sigma = estimate.sigmas[rows]
+    squares = np.square(np.divide(error.errors, sigma, out=np.full(sigma.shape, np.nan), where=sigma > 0))
+    known = np.isfinite(squares)
+    if not known.any(axis=0).all():
+        return None
+    means = np.where(known, squares, 0.0).sum(axis=0) / known.sum(axis=0)
+    return dict(zip("xyz", means.tolist(), strict=True))
+
+
+def lines(record: dict[str, Any]) -> list[str]:
+    """The table, from the report for programs."""
+    ate, level = record["ate"], record["horizontal"]
+    left = [f"{record[name]} {words} left out" for name, words in LEFT.items() if record[name]]
+    scale = f", scale {record['scale']:.6g}" if record["align"] == "similarity" else ""
+    out = [
+        f"estimate    {record['estimate']}: {record['estimated_poses']} poses",
+        f"truth       {record['truth']}: {record['true_poses']} poses",
+        f"matched     {record['matched']} poses by {record['matched_by']}"
+        + (f", gaps of the truth up to {record['tolerance_s']:.4g} s bridged" if record["tolerance_s"] else "")
+        + "".join(f"; {words}" for words in left),
+        f"alignment   {record['align']}{scale}",
+        f"ATE         {ate['rmse_m']:.4g} m rmse, {ate['mean_m']:.4g} m mean, {ate['largest_m']:.4g} m at most",
+        f"horizontal  CEP {level['cep50_m']:.4g} m (50 %), {level['cep95_m']:.4g} m (95 %), 2DRMS "
+        f"{level['drms2_m']:.4g} m; vertical {record['vertical_rmse_m']:.4g} m rmse",
+    ]
+    for pair in record["rpe"]:
+        errors = f"{pair['translation_percent']:.3g} %, {pair['rotation_deg_m']:.3g} deg/m ({pair['pairs']} pairs"
+        longer = f", {pair['way_m']:.4g} m in the mean)" if pair["way_m"] > 1.05 * pair["distance_m"] else ")"
+        out.append(
+            f"RPE         over {pair['distance_m']:g} m: "
+            + (errors + longer if pair["pairs"] else "the track is shorter")
+        )
+    if (ratio := record["squared_error_over_variance"]) is not None:
+        means = ", ".join(f"{axis} {value:.3g}" for axis, value in ratio.items())
+        out.append(f"sigmas      mean of (error / sigma)^2: {means}; 1 expected")
+    return out
+
+
+LEFT = {"outside": "before or after the truth", "gaps": "in gaps of the truth"}

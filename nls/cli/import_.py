@@ -1,0 +1,31 @@
+"""``nls import``: logs as a mission folder by a mapping; without one a draft of it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+
+def import_logs(options: argparse.Namespace) -> int:
+    """Write a mission, or print a draft of a mapping; returns the exit status."""
+    from models.errors import OptionError
+    from nls.io.importing import draft, import_logs, read_mapping, write_imported
+
+    options.phase.now(f"while reading {options.logs[0]}")
+    if options.map is None:
+        if options.output is not None:
+            wanted = "a mapping beside -o; a draft of one: nls import LOG > mapping.toml"
+            raise OptionError("map", None, wanted)
+        print(draft(options.logs), end="")
+        print("nls: this is a draft: save it as mapping.toml, correct it, and give it by --map", file=sys.stderr)
+        return 0
+    if options.output is None:
+        raise OptionError("output", None, "a folder for the mission: -o mission")
+    imported = import_logs(options.logs, read_mapping(options.map))
+    options.phase.now(f"while writing {options.output}")
+    options.phase.written += write_imported(options.output, imported, [*options.logs, options.map])
+    print(f"input       {', '.join(options.logs)}")
+    print(f"written     {options.output}: " + ", ".join(f"{name} {count}" for name, count in imported.rows.items()))
+    for note in imported.notes:
+        print(f"note        {note}")
+    return 0

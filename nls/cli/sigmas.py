@@ -1,0 +1,80 @@
+"""``nls solve --sigmas estimate``: scales on the stated sigmas, and what table and report say of them."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nls.analysis import VarianceComponents
+    from nls.graph import FactorGraph
+    from nls.io import LoadReport
+
+__all__ = ["CHOICES", "record"]
+
+CHOICES = ("stated", "estimate", "estimate:units", "estimate:components")
+
+
+def refuse(sigmas: str, robust: str | None) -> None:
+    """Refuse scales from measurements that were chosen by the stated sigmas.
+
+    Raises
+    ------
+    OptionError
+    """
+    from models.errors import OptionError
+    from nls.cli import outliers
+
+    if sigmas != "stated" and outliers.is_gnc(robust):
+        allowed = (
+            f"stated with --robust {robust}, which rejects by the stated sigmas; a kernel such as cauchy goes with it"
+        )
+        raise OptionError("--sigmas", sigmas, allowed)
+
+
+def rescaled_report(report: LoadReport, before: FactorGraph, after: FactorGraph) -> LoadReport:
+    """The report of the rescaled graph: its times; the matrices of the lines do not hold any more."""
+    times = {id(factor): times for factor, times in report.factor_times}
+    pairs = zip(before.factors, after.factors, strict=True)
+    return replace(
+        report, factor_times=[(new, times[id(old)]) for old, new in pairs if id(old) in times], statements=[]
+    )
+
+
+def record(estimated: VarianceComponents) -> dict[str, Any]:
+    """For programs."""
+    return {
+        "settled": estimated.settled,
+        "rounds": estimated.rounds,
+        "kinds": [
+            {
+                "kind": c.name,
+                "measurements": c.measurements,
+                "numbers": c.numbers,
+                "redundancy": c.redundancy,
+                "scale": c.scale,
+                "scale_sigma": c.sigma,
+                "known": c.known,
+            }
+            for c in estimated.components
+        ],
+        "correlation": estimated.correlation.tolist(),
+    }
+
+
+def rows(estimated: VarianceComponents) -> list[str]:
+    """For the table."""
+    return [f"sigmas      {component}" for component in estimated.components]
+
+
+def unsettled(estimated: VarianceComponents | None) -> bool:
+    """Whether the scales are no estimate; said on standard error."""
+    if estimated is None or estimated.settled:
+        return False
+    print(
+        f"nls: the scales of the sigmas did not settle in {estimated.rounds} rounds; start from a better point with "
+        "--init, or estimate fewer scales with --sigmas estimate",
+        file=sys.stderr,
+    )
+    return True

@@ -1,0 +1,197 @@
+"""Bags of ROS 1 (.bag), ROS 2 (a folder with metadata.yaml, .db3) and MCAP as tables: a topic, its fields as columns.
+
+A field of a message is a column under its dotted path, ``twist.twist.linear.x``; one entry of a short array has its
+number there, ``twist.covariance.0``. ``header.stamp`` is one whole number of nanoseconds, and ``bag_time`` the time the
+message was recorded. Needs the package `rosbags`, in the extra ``ros``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.algebra import Array, Index
+from models.errors import GraphFileError
+from nls.io.importing.text_log import Log
+
+__all__ = ["Bag", "BagLog", "is_bag"]
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+LONGEST = 36  # entries of an array that are columns: a covariance, but no scan and no picture
+RECORDED = "bag_time"
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether a path is that of a bag, by its name; of a folder by the file that every bag of ROS 2 has.
+
+    Examples
+    --------
+    >>> is_bag("dive.bag"), is_bag("dive.csv")
+    (True, False)
+    """
+    return Path(path).suffix.lower() in SUFFIXES or os.path.isfile(os.path.join(path, "metadata.yaml"))
+
+
+class BagLog(Log):
+    """The messages of one topic as a table.
+
+    Parameters
+    ----------
+    path : of the bag.
+    topic : its name.
+    columns : of all messages, by dotted path.
+    """
+
+    def __init__(self, path: str, topic: str, columns: dict[str, list[Any]]) -> None:
+        title = f"{Path(path).name} {topic}"
+        super().__init__(path, title, list(columns), len(columns[RECORDED]))
+        self.columns = columns
+        self.units = {name: "ns" for name in columns if name == RECORDED or name.split(".")[-1] == "stamp"}
+
+    def words(self, name: str) -> list[str]:
+        """See `Log`."""
+        return [
+            str(value).lower() if isinstance(value, bool | np.bool_) else str(value) for value in self.columns[name]
+        ]
+
+    def numbers(self, name: str) -> Array:
+        """See `Log`."""
+        try:
+            return np.array(self.columns[self.column(name)], dtype=float)
+        except ValueError as error:
+            raise GraphFileError(f"{self.title}: {name} is no number: {error}", self.path) from error
+
+    def whole(self, name: str) -> Index | None:
+        """See `Log`."""
+        values = self.columns[self.column(name)]
+        if not all(isinstance(value, int | np.integer) for value in values):
+            return None
+        return np.array(values, dtype=np.int64)
+
+    def error(self, row: int, message: str) -> GraphFileError:
+        """See `Log`."""
+        return GraphFileError(f"{self.title.split(' ', 1)[1]}, message {row + 1}: {message}", self.path)
+
+    def place(self, row: int) -> str:
+        """See `Log`."""
+        return f"{self.title}, message {row + 1}"
+
+
+class Bag:
+    """A bag, whose topics are read when they are asked for.
+
+    Parameters
+    ----------
+    path : a file, or the folder of a bag of ROS 2.
+
+    Attributes
+    ----------
+    topics : type and number of messages by name; of those that have messages.
+
+    Raises
+    ------
+    GraphFileError
+        No bag, a damaged one; the package that reads it is not installed.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = str(path)
+        with _reading(self.path) as reader:
+            self.topics = {
+                name: (topic.msgtype or "several types", topic.msgcount)
+                for name, topic in sorted(reader.topics.items())
+                if topic.msgcount
+            }
+
+    def log(self, topic: str, most: int | None = None) -> BagLog:
+        """All messages of a topic as a table, or the first of them.
+
+        Raises
+        ------
+        KeyError
+            No such topic.
+        GraphFileError
+            Messages that cannot be read, or are not all of one form.
+        """
+        if topic not in self.topics:
+            raise KeyError(topic)
+        columns: dict[str, list[Any]] = {RECORDED: []}
+        with _reading(self.path) as reader:
+            connections = [connection for connection in reader.connections if connection.topic == topic]
+            for k, (connection, recorded, raw) in enumerate(reader.messages(connections)):
+                if most is not None and k == most:
+                    break
+                row = dict(_fields(reader.deserialize(raw, connection.msgtype), ""))
+                row[RECORDED] = recorded
+                if k == 0:
+                    columns = {name: [] for name in row}
+                if row.keys() != columns.keys():
+                    other = sorted(row.keys() ^ columns.keys())[0]
+                    raise GraphFileError(
+                        f"{topic}: message {k + 1} has other fields than the first: {other}", self.path
+                    )
+                for name, value in row.items():
+                    columns[name].append(value)
+        return BagLog(self.path, topic, columns)
+
+
+def _fields(message: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """The numbers, flags and words of a message with their dotted paths."""
+    if hasattr(message, "nanosec") and hasattr(message, "sec"):
+        yield path, int(message.sec) * 1_000_000_000 + int(message.nanosec)
+        return
+    names = getattr(message, "__dataclass_fields__", None)
+    parts: Any = ()
+    if names is not None:
+        parts = [(name, getattr(message, name)) for name in names if not name.startswith("__")]
+    elif isinstance(message, np.ndarray | list | tuple):
+        parts = enumerate(message) if len(message) <= LONGEST else ()
+    elif isinstance(message, bool | int | float | str | np.generic):
+        yield path, message.item() if isinstance(message, np.generic) else message
+    for name, part in parts:
+        yield from _fields(part, f"{path}.{name}" if path else str(name))
+
+
+class _reading:
+    """An open reader; what goes wrong in the package becomes an error of this one."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __enter__(self) -> Any:
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise GraphFileError(
+                'is a bag, which the package rosbags reads; install it with pip install "leadline[ros]"', self.path
+            ) from error
+        try:
+            store = get_typestore(Stores.ROS1_NOETIC if self.path.endswith(".bag") else Stores.ROS2_HUMBLE)
+            self.reader = AnyReader([Path(self.path)], default_typestore=store)
+            self.reader.open()
+        except _failures() as error:
+            raise GraphFileError(f"cannot be read as a bag: {error}", self.path) from error
+        return self.reader
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        self.reader.close()
+        if error is not None and isinstance(error, _failures()) and not isinstance(error, GraphFileError | KeyError):
+            raise GraphFileError(f"is a damaged bag: {error}", self.path) from error
+
+
+def _failures() -> tuple[type[Exception], ...]:
+    """What the package raises for a file that is no bag, or a damaged one."""
+    import sqlite3
+    import struct
+
+    from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Reader1Error
+    from rosbags.rosbag2 import ReaderError as Reader2Error
+
+    ours = (AnyReaderError, Reader1Error, Reader2Error, sqlite3.Error, struct.error)
+    return (*ours, OSError, ValueError, IndexError, AssertionError)

@@ -1,0 +1,169 @@
+"""A first mapping for a log: a guess a line, what is not known is marked; to be read before it is used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nls.io.importing.bags import Bag, is_bag
+from nls.io.importing.guess import guess, plain
+from nls.io.importing.text_log import Log, TextLog
+from nls.io.importing.units import dimension, header_unit, mission_unit
+from nls.io.mission.columns import ANGLES, PLACE
+
+__all__ = ["NOISE", "draft"]
+
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
+TABLES = {  # what must be there, what may be
+    "dvl": (("time_s", *VELOCITY), ("valid",)),
+    "ahrs": (("time_s", *ANGLES), ()),
+    "depth": (("time_s", "z_m"), ()),
+    "fixes": (("time_s", "lat_deg", "lon_deg"), ()),
+    "truth": (("time_s", *ANGLES, *PLACE), ()),
+}
+NOISE = """\
+[noise]                          # one sigma each, from the data sheets
+sigma_v_m_s = 0.02               # of one velocity of the DVL
+scale = 0.005                    # of its scale, a fraction
+sigma_bridge_m_s_sqrt_s = 0.05   # of the velocity after a second without bottom lock
+sigma_roll_rad = 0.005
+sigma_pitch_rad = 0.005
+sigma_yaw_rad = 0.02
+sigma_z_m = 0.05
+"""
+MESSAGES = {  # sections by type of message; {topic} is filled in
+    "Imu": ["[ahrs]", 'quaternion = "orientation"', 'frame = "ENU"   # as of ROS; "NED" where the driver says so'],
+    "TwistStamped": ["[dvl]", *(f'v{a}_m_s = "twist.linear.{a}"' for a in "xyz"), 'frame = "FLU"'],
+    "TwistWithCovarianceStamped": ["[dvl]", *(f'v{a}_m_s = "twist.twist.linear.{a}"' for a in "xyz"), 'frame = "FLU"'],
+    "FluidPressure": [
+        "[depth]",
+        "# meters a Pascal in sea water, 1 / (1026 kg/m3 9.81 m/s2); less the pressure of the air",
+        'z_m = { column = "fluid_pressure", scale = 9.936e-5, offset = -10.07 }',
+    ],
+    "NavSatFix": [
+        "[fixes]",
+        'lat_deg = "latitude"',
+        'lon_deg = "longitude"',
+        "sigma_x_m = 2.0",
+        "sigma_y_m = 2.0",
+    ],
+    "Odometry": [
+        "[truth]   # if it is one",
+        'quaternion = "pose.pose.orientation"',
+        *(f'{a}_m = "pose.pose.position.{a}"' for a in "xyz"),
+        'frame = "ENU"',
+    ],
+}
+
+
+def draft(paths: Sequence[str | Path]) -> str:
+    """A mapping of logs, as TOML: the columns that look like those of a mission.
+
+    Parameters
+    ----------
+    paths : text files with a header, and bags.
+
+    Raises
+    ------
+    GraphFileError
+        A log that cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = Path(folder, "log.csv")
+    ...     _ = log.write_text("stamp,depth (cm),temperature\\n0,250,4\\n")
+    ...     print(draft([log]).split("# [dvl]")[0])
+    # a draft: each line is a guess by the name of a column; read it, correct it
+    <BLANKLINE>
+    # log.csv has: 'stamp', 'depth (cm)', 'temperature'
+    [depth]
+    time_s = "stamp"
+    z_m = "depth (cm)"
+    # not used: 'temperature'
+    <BLANKLINE>
+    """
+    lines = ["# a draft: each line is a guess by the name of a column; read it, correct it", ""]
+    tables: list[str] = []
+    for path in paths:
+        lines += _of_bag(Bag(path), tables) if is_bag(path) else _of_text(TextLog(path), len(paths) > 1, tables)
+    for table in ("dvl", "ahrs", "depth"):
+        if table not in tables:
+            lines += [f"# [{table}]   # no columns look like it, and nls solve needs it", ""]
+    return "\n".join([*lines, NOISE])
+
+
+def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
+    """The sections of a text file."""
+    lines = [f"# {log.title} has: {', '.join(map(repr, log.names))}"]
+    used: set[str] = set()
+    for table, (needed, possible) in TABLES.items():
+        chosen: dict[str, str] = {}
+        for column in (*needed, *possible):
+            if (name := guess(column, log.names, list(chosen.values()))) is not None:
+                chosen[column] = name
+        if table == "truth" and {"lat_deg", "lon_deg"} & set(chosen_places := _places(log)):
+            chosen = {name: value for name, value in chosen.items() if name not in ("x_m", "y_m")} | chosen_places
+            needed = ("time_s", *ANGLES, "lat_deg", "lon_deg", "z_m")
+        if table in tables or not set(needed) <= set(chosen):
+            continue
+        if table == "fixes" and {*ANGLES} <= {c for c in ANGLES if guess(c, log.names)}:
+            continue  # a whole pose: it is a truth
+        tables.append(table)
+        used |= set(chosen.values())
+        lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
+        lines += [_line(column, name, log) for column, name in chosen.items()]
+        if table == "fixes":
+            lines += ["sigma_x_m = 2.0   # a guess", "sigma_y_m = 2.0"]
+        lines.append("")
+    unused = [name for name in log.names if name not in used]
+    if unused:
+        lines = [*lines[: -1 if lines[-1] == "" else None], f"# not used: {', '.join(map(repr, unused))}", ""]
+    return lines
+
+
+def _places(log: Log) -> dict[str, str]:
+    """The latitude and longitude of a log."""
+    chosen = {column: guess(column, log.names) for column in ("lat_deg", "lon_deg")}
+    return {column: name for column, name in chosen.items() if name is not None}
+
+
+def _line(column: str, name: str, log: Log) -> str:
+    """A line of a mapping; says which unit is taken where the log names none."""
+    quoted = json.dumps(name, ensure_ascii=False)
+    kind, own = mission_unit(column)
+    if column == "z_m" and {"altitude", "height", "alt"} & set(plain(name).split()):
+        return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
+    if kind and kind != "time" and not dimension(header_unit(name)[0]):
+        unit, why = own, "its header names no unit"
+        if own == "rad" and float(np.nanmax(np.abs(log.numbers(name)), initial=0.0)) > 2 * np.pi:
+            unit, why = "deg", "by its size"
+        return f'{column} = {{ column = {quoted}, unit = "{unit}" }}   # {why}{_constant(log, name)}'
+    return f"{column} = {quoted}{_constant(log, name)}"
+
+
+def _constant(log: Log, name: str) -> str:
+    """A mark on a column whose cells are all the same: the sensor may not have it."""
+    words = set(log.words(name))
+    return f"   # all its cells are {words.pop()}" if len(words) == 1 and len(log) > 1 else ""
+
+
+def _of_bag(bag: Bag, tables: list[str]) -> list[str]:
+    """The sections of a bag, by the types of its messages."""
+    lines = [f"# {Path(bag.path).name}"]
+    for topic, (kind, count) in bag.topics.items():
+        log = bag.log(topic, 1)
+        section = MESSAGES.get(kind.rsplit("/", 1)[-1])
+        table = section[0].split("]")[0][1:] if section else ""
+        fields = ", ".join(map(repr, log.names[:30]))
+        lines.append(f"# topic {topic!r}, {count} messages of {kind}: {fields}")
+        if section is None or table in tables:
+            continue
+        tables.append(table)
+        stamp = next((name for name in log.names if name.endswith("stamp")), "bag_time")
+        lines += [section[0], f"topic = {json.dumps(topic)}", f'time_s = "{stamp}"', *section[1:], ""]
+    return [*lines, ""]

@@ -1,0 +1,85 @@
+"""Which column of a log may be which of a mission, by its name: for drafts and for advice, never used in silence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+from nls.io.importing.units import BRACKET, dimension, header_unit, mission_unit
+
+__all__ = ["PATTERNS", "guess", "nearest", "plain"]
+
+AXIS = r"(?:dvl|vel(?:ocity)?|v|speed|bottom|body|inst(?:rument)?|linear)"
+PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; of names as `plain` makes them
+    "time_s": (
+        r"time",
+        r"(?:time ?)?stamp",
+        r"header stamp",
+        r".*\b(?:time ?)?stamp",
+        r"(?:utc|date ?time|epoch|t)",
+        r".*\btime\b.*",
+    ),
+    "vx_m_s": (rf".*\b{AXIS} ?(?:x|0)", r"(?:surge|forward)\b.*", r".*\bu", rf".*{AXIS}.*\bx", r".*\blinear x"),
+    "vy_m_s": (rf".*\b{AXIS} ?(?:y|1)", r"(?:sway|starboard)\b.*", rf".*{AXIS}.*\by", r".*\blinear y"),
+    "vz_m_s": (rf".*\b{AXIS} ?(?:z|2)", r"(?:heave|down)\b.*", rf".*{AXIS}.*\bz", r".*\blinear z"),
+    "valid": (r".*\b(?:valid|lock|flag)",),
+    "roll_rad": (r"roll", r".*\broll"),
+    "pitch_rad": (r"pitch", r".*\bpitch"),
+    "yaw_rad": (r"yaw", r"heading", r".*\b(?:yaw|heading)"),
+    "z_m": (r"depth", r".*\bdepth", r"altitude", r"height", r"z", r".*\bposition z"),
+    "x_m": (r"x", r"north(?:ing)?", r".*\bposition x", r".*\bx"),
+    "y_m": (r"y", r"east(?:ing)?", r".*\bposition y", r".*\by"),
+    "lat_deg": (r"lat(?:itude)?", r".*\blat(?:itude)?"),
+    "lon_deg": (r"lon(?:gitude)?|lng", r".*\b(?:lon(?:gitude)?|lng)"),
+    "range_m": (r"range", r"distance", r".*\b(?:range|distance).*"),
+    "sound_speed_m_s": (r".*sound.*(?:speed|velocity).*", r".*\bsvp?\b.*"),
+}
+HEADINGS = re.compile(r"\b(north|east|down|earth|imu|acc\w*|gyro|angular|water|air)\b")  # no velocity along own axes
+
+
+def plain(name: str) -> str:
+    """A header as words: without unit and signs, in lower case.
+
+    Examples
+    --------
+    >>> plain("DVL X [m/s]"), plain("field.velocityInst0"), plain("v_mm_s")
+    ('dvl x', 'field velocity inst 0', 'v')
+    """
+    unit, bracket = header_unit(name)
+    text = BRACKET.sub("", name) if bracket else name
+    if unit and not bracket:
+        text = text[: -len(unit) - 1]
+    text = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", " ", text)
+    return re.sub(r"[^a-z0-9]+", " ", text.lower()).strip()
+
+
+def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str | None:
+    """The column of a log that is most likely a mission column; None where none looks like it.
+
+    Examples
+    --------
+    >>> guess("vx_m_s", ["Time [s]", "DVL X [m/s]", "V East [m/s]"]), guess("z_m", ["Time [s]"])
+    ('DVL X [m/s]', None)
+    """
+    kind = mission_unit(column)[0]
+    fitting = []
+    for name in names:
+        unit = header_unit(name)[0]
+        other = dimension(unit) not in ("", kind)
+        if name in taken or other or (kind == "velocity" and HEADINGS.search(plain(name))):
+            continue
+        fitting.append(name)
+    if column in fitting:
+        return column
+    for pattern in PATTERNS.get(column, ()):
+        for name in fitting:
+            if re.fullmatch(pattern, plain(name)):
+                return name
+    return None
+
+
+def nearest(column: str, name: str, names: Sequence[str]) -> str | None:
+    """The column of a log that a misspelt name is closest to; else the one a mission column may be."""
+    close = get_close_matches(name, names, 1)
+    return close[0] if close else guess(column, names)

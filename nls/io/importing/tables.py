@@ -1,0 +1,353 @@
+"""The rows of mission tables from the columns of logs: units, flags, empty cells, order of time, axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from models.algebra import Array, Index, Mask
+from models.errors import GraphFileError, OptionError
+from models.listing import several
+from nls.io.importing.frames import angles_of, axes, turn
+from nls.io.importing.guess import guess, nearest, plain
+from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.text_log import MISSING, Log
+from nls.io.importing.times import Stamps, stamps
+from nls.io.importing.units import dimension, factor, header_unit, mission_unit
+from nls.io.mission.columns import ANGLES
+
+__all__ = ["Rows", "rows_of"]
+
+TIMES = ("time_s", "time_i_s", "time_j_s")
+WORDS = ("name", "kernel")
+WHOLE = ("i", "j", "landmark", "beacon", "beams", "bins", "ways")
+STRICT = ("dvl", "ahrs", "depth", "poses", "truth", "ship")  # tables of one row a time
+FLAGS = {"1": True, "0": False, "true": True, "false": False}
+FULL_TURN = 2 * np.pi
+
+
+@dataclass
+class Rows:
+    """The rows of one section.
+
+    Attributes
+    ----------
+    section : of the mapping.
+    log : they are from; None of constants.
+    numbers : (n,) by column, with units and axes of the mission.
+    words : (n,) by column.
+    times : (n,) by column.
+    notes : what was assumed and left out.
+    """
+
+    section: Section
+    log: Log | None
+    numbers: dict[str, Array] = field(default_factory=dict)
+    words: dict[str, list[str]] = field(default_factory=dict)
+    times: dict[str, Stamps] = field(default_factory=dict)
+    rows: Index = field(default_factory=lambda: np.zeros(1, dtype=np.intp))
+    notes: list[str] = field(default_factory=list)
+
+
+def rows_of(section: Section, log: Log | None) -> Rows:
+    """The rows of a section.
+
+    Parameters
+    ----------
+    section : of the mapping.
+    log : that has its columns; None where all are constants, which are one row.
+
+    Raises
+    ------
+    GraphFileError
+        A column that is not there or not in the log, a cell that is no number, a unit that cannot be, times that do
+        not rise: with its line in the log or in the mapping.
+    """
+    rows = Rows(section, log)
+    _refuse_missing(section, log)
+    count = 1 if log is None else len(log)
+    for column, cell in section.cells.items():
+        if column in TIMES and cell.columns:
+            assert log is not None
+            rows.times[column] = stamps(log, _known(section, column, cell, log), column, rows.notes)
+        elif column in WORDS:
+            rows.words[column] = _words(section, column, cell, log, count)
+        else:
+            rows.numbers[column] = _numbers(section, column, cell, log, count, rows.notes)
+    if section.rotation is not None:
+        _rotate(section, log, rows, count)
+    rows.rows = np.arange(count)
+    _keep(rows, *_complete(rows, count))
+    if (between := section.options.get("rows")) is not None:
+        _take(rows, np.arange(len(rows.rows))[slice(*between)])
+        if not len(rows.rows):
+            raise section.error("rows", f"rows = {between} leaves no row")
+    if "time_s" in rows.times:
+        _order(rows)
+    for column, cell in section.cells.items():
+        if cell.row is not None:
+            rows.numbers[column] = np.asarray(
+                (cell.row + np.arange(len(rows.rows))) * cell.scale + cell.offset, dtype=np.float64
+            )
+    _turned(rows)
+    return rows
+
+
+def _refuse_missing(section: Section, log: Log | None) -> None:
+    """Refuse a section without a column that its table needs; says the line to write."""
+    given = {*section.cells, *(ANGLES if section.rotation else ())}
+    if {"lat_deg", "lon_deg"} & given:
+        given |= {"x_m", "y_m"}
+    if absent := [name for name in required(section.table) if name not in given]:
+        names = log.names if log else []
+        near = guess(absent[0], names)
+        write = f'{absent[0]} = "{near}"' if near else f'{absent[0]} = "COLUMN OF THE LOG", or a number'
+        raise section.error("", f"[{section.table}] has no {absent[0]}; write {write}")
+
+
+def _known(section: Section, column: str, cell: Cell, log: Log) -> Cell:
+    """The cell itself, whose columns the log has."""
+    for name in cell.columns:
+        if name not in log.names:
+            near = nearest(column, name, log.names)
+            write = f'; write {column} = "{near}"' if near else ""
+            listed = ", ".join(map(repr, log.names[:20])) + (", ..." if len(log.names) > 20 else "")
+            raise section.error(column, f"{log.title} has no column {name!r}{write}; it has {listed}")
+        log.column(name)
+    return cell
+
+
+def _words(section: Section, column: str, cell: Cell, log: Log | None, count: int) -> list[str]:
+    if cell.columns:
+        assert log is not None
+        return log.words(_known(section, column, cell, log).columns[0])
+    return [str(cell.constant)] * count
+
+
+def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: int, notes: list[str]) -> Array:
+    """The numbers (n,) of a column in the unit of the mission; nan where there is none."""
+    if cell.row is not None:
+        return np.arange(count, dtype=float)  # numbered when it is known which rows there are
+    if not cell.columns:
+        if isinstance(cell.constant, str):
+            raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
+        return np.full(count, float(cell.constant))
+    assert log is not None
+    (name,) = _known(section, column, cell, log).columns
+    if column == "valid" or cell.equals is not None or cell.above is not None:
+        return _flags(section, column, cell, log)
+    numbers = log.numbers(name).copy()
+    if cell.missing is not None:
+        numbers[numbers == cell.missing] = np.nan
+    numbers[~np.isfinite(numbers)] = np.nan
+    if column == "z_m" and cell.up is None and not cell.scaled and cell.scale > 0:
+        _refuse_unsaid_height(section, name)
+    scale = 1.0 if cell.scaled else _factor(section, column, cell, log, numbers, notes)
+    factor_of = scale * cell.scale
+    if factor_of != 1.0:
+        numbers = numbers * factor_of
+    numbers = numbers + cell.offset
+    if mission_unit(column)[0] == "angle" and column not in ("lat_deg", "lon_deg"):
+        half = 180.0 if column.endswith("_deg") else np.pi
+        far = np.abs(numbers) > half
+        numbers[far] = (numbers[far] + half) % (2 * half) - half
+    return numbers
+
+
+def _refuse_unsaid_height(section: Section, name: str) -> None:
+    """Refuse a depth from a column that says height, unless its sign is said or its frame has z up."""
+    world = axes(str(section.options.get("frame", "NED")))[0]
+    if world == "NED" and any(word in plain(name).split() for word in ("altitude", "height", "alt", "up")):
+        write = f'z_m = {{ column = "{name}", up = true }}'
+        raise section.error("z_m", f"z_m is down, and {name!r} sounds like up; write {write}, or up = false")
+
+
+def _factor(section: Section, column: str, cell: Cell, log: Log, numbers: Array, notes: list[str]) -> float:
+    """What one of a column's unit is in the unit of the mission."""
+    kind, own = mission_unit(column)
+    (name,) = cell.columns
+    named, bracket = header_unit(name)
+    unit = cell.unit or log.units.get(name, "")
+    if cell.unit and dimension(named) == kind and kind and factor(named, column) != factor(cell.unit, column):
+        notes.append(f"{log.title}: {name!r} is taken to be {cell.unit}, as the mapping says")
+    if not kind:
+        return 1.0
+    if not unit and dimension(named) == kind:
+        unit = named
+    if not unit and bracket and (dimension(named) or len(named) < 8):
+        known = dimension(named) or "an unknown unit"
+        write = f'{column} = {{ column = "{name}", unit = "{own}" }}'
+        cure = "scale and offset turn a pressure into a depth" if known == "pressure" else f"write {write} if it is"
+        raise section.error(column, f"{name!r} is in {named}, {known}; {column} is a {kind}, {own}; {cure}")
+    if not unit:
+        largest = float(np.nanmax(np.abs(numbers), initial=0.0))
+        if own == "rad" and largest > FULL_TURN:
+            write = f'{column} = {{ column = "{name}", unit = "deg" }}'
+            raise section.error(column, f"{name!r} names no unit and is up to {largest:.6g}, no radians; write {write}")
+        notes.append(f"{log.title}: {name!r} names no unit; it is taken to be {own}")
+        unit = own
+    return factor(unit, column)
+
+
+def _flags(section: Section, column: str, cell: Cell, log: Log) -> Array:
+    """1 where a flag is true, 0 where it is not, nan where its cell is empty."""
+    (name,) = cell.columns
+    if cell.above is not None:
+        numbers = log.numbers(name)
+        return np.where(np.isnan(numbers), np.nan, (numbers > cell.above).astype(float))
+    words = log.words(name)
+    if cell.equals is not None:
+        target = str(cell.equals).lower() if isinstance(cell.equals, bool) else cell.equals
+        if isinstance(target, str):
+            return np.array([float(word.lower() == target.lower()) for word in words])
+        return np.asarray((log.numbers(name) == target).astype(float))
+    kinds = {word: _flag(word) for word in set(words)}
+    if strange := next((word for word, flag in kinds.items() if flag is None), None):
+        write = f'{column} = {{ column = "{name}", equals = "{strange}" }}, or above = NUMBER'
+        raise log.error(
+            words.index(strange),
+            f"{name}: {strange[:40]!r} is neither 0 or 1, nor true or false; write {write} in [{section.table}]",
+        )
+    return np.array([kinds[word] for word in words], dtype=float)
+
+
+def _flag(word: str) -> float | None:
+    """The value of a flag; nan of an empty cell, None where it is none."""
+    if word.lower() in MISSING:
+        return float("nan")
+    if word.lower() in FLAGS:
+        return float(FLAGS[word.lower()])
+    try:
+        number = float(word)
+    except ValueError:
+        return None
+    return number if number in (0.0, 1.0) else None
+
+
+def _rotate(section: Section, log: Log | None, rows: Rows, count: int) -> None:
+    """Roll, pitch and yaw from a quaternion or a matrix."""
+    assert section.rotation is not None
+    kind, names = section.rotation
+    if isinstance(names[0], str):
+        assert log is not None
+        _known(section, kind, Cell(names), log)
+        parts = np.column_stack([log.numbers(name) for name in names])
+    else:
+        parts = np.tile(np.array(names, dtype=float), (count, 1))
+    rpy, present = np.full((count, 3), np.nan), np.isfinite(parts).all(axis=1)
+    try:
+        rpy[present] = angles_of(kind, parts[present])
+    except ValueError as error:
+        k, sentence = error.args
+        problem = f"{sentence}; is the order of its numbers right?"
+        if log is None or not isinstance(names[0], str):
+            raise section.error(kind, problem) from error
+        raise log.error(int(np.flatnonzero(present)[k]), problem) from error
+    rows.numbers |= dict(zip(ANGLES, rpy.T, strict=True))
+
+
+def _complete(rows: Rows, count: int) -> tuple[Mask, Mask]:
+    """Rows (n,) whose times are there, and rows of which nothing else is missing; makes the flag of a DVL."""
+    timed, whole = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
+    for stamp in rows.times.values():
+        timed &= stamp.present
+    flag = rows.numbers.pop("valid", None) if rows.section.table == "dvl" else None
+    for numbers in rows.numbers.values():
+        whole &= np.isfinite(numbers)
+    for words in rows.words.values():
+        whole &= np.array([bool(word) for word in words])
+    if rows.section.table == "dvl":
+        rows.numbers["valid"] = (whole & (flag == 1 if flag is not None else True)).astype(float)
+        for name in VELOCITY:
+            rows.numbers[name] = np.where(np.isfinite(rows.numbers[name]), rows.numbers[name], 0.0)
+        if flag is None:
+            rows.notes.append("dvl: no column says valid: rows with a velocity are")
+    return timed, whole
+
+
+def _keep(rows: Rows, timed: Mask, whole: Mask) -> None:
+    """Leave out rows without a time or a number; of a DVL one without a velocity stays, not valid."""
+    name, log = rows.section.table, rows.log
+    lost = "valid = 0" if name == "dvl" else "left out"
+    for bad, problem, effect in ((~timed, "time", "left out"), (timed & ~whole, "number", lost)):
+        if bad.any():
+            if log is None:
+                raise rows.section.error("", f"[{name}] has an empty {problem}")
+            first = log.place(int(np.argmax(bad)))
+            count = f"{several(int(bad.sum()), 'row')} of {len(bad)}"
+            rows.notes.append(f"{name}: {count} without a {problem}, {first} the first: {effect}")
+    _take(rows, np.flatnonzero(timed if name == "dvl" else timed & whole))
+    if not len(rows.rows) and log is not None:
+        raise GraphFileError(f"no row has all that [{name}] needs", log.path)
+
+
+def _take(rows: Rows, index: Index) -> None:
+    """Keep these rows, in this order."""
+    rows.rows = rows.rows[index]
+    rows.numbers = {name: numbers[index] for name, numbers in rows.numbers.items()}
+    rows.words = {name: [words[k] for k in index] for name, words in rows.words.items()}
+    rows.times = {
+        name: Stamps(
+            stamp.present[index],
+            None if stamp.seconds is None else stamp.seconds[index],
+            None if stamp.nanoseconds is None else stamp.nanoseconds[index],
+        )
+        for name, stamp in rows.times.items()
+    }
+
+
+def _order(rows: Rows) -> None:
+    """Rows in the order of time: refused where they are not, unless the mapping says what to do."""
+    section, log = rows.section, rows.log
+    assert log is not None
+    stamp = rows.times["time_s"]
+    t = stamp.seconds if stamp.nanoseconds is None else stamp.nanoseconds
+    assert t is not None
+    if section.options.get("sort") and (t[1:] < t[:-1]).any():
+        back = int((t[1:] < t[:-1]).sum())
+        rows.notes.append(f"{section.table}: sorted by time; {several(back, 'row')} came before the one above")
+        order = np.argsort(t, kind="stable")
+        _take(rows, order)
+        t = t[order]
+    late = t[1:] < t[:-1]
+    if late.any():
+        k = int(np.argmax(late)) + 1
+        raise log.error(
+            int(rows.rows[k]),
+            f"the time falls from the row before; write sort = true in [{section.table}] of the mapping if the "
+            "rows are of one clock",
+        )
+    if section.table not in STRICT:
+        return
+    again = np.append(False, t[1:] == t[:-1])
+    if again.any() and section.options.get("duplicates") == "first":
+        rows.notes.append(
+            f"{section.table}: {several(int(again.sum()), 'row')} with the time of the one before, "
+            f"{log.place(int(rows.rows[np.argmax(again)]))} the first: left out"
+        )
+        _take(rows, np.flatnonzero(~again))
+    elif again.any():
+        k = int(np.argmax(again))
+        raise log.error(
+            int(rows.rows[k]),
+            f'the time is that of the row before; write duplicates = "first" in [{section.table}] of the mapping to '
+            "leave such rows out",
+        )
+
+
+def _turned(rows: Rows) -> None:
+    """The axes of the mission in the place of those of the log."""
+    section = rows.section
+    if (frame := section.options.get("frame")) is None:
+        return
+    world, body = axes(frame)
+    if "z_m" in section.cells and section.cells["z_m"].up is not None and world != "NED":
+        raise section.error("z_m", f"up and frame = {frame!r} both say where z points; leave up out")
+    before = rows.numbers
+    try:
+        rows.numbers = turn(section.table, before, frame)
+    except OptionError as error:
+        raise section.error("frame", str(error)) from error
+    if any(not np.array_equal(before.get(name, ()), numbers) for name, numbers in rows.numbers.items()):
+        rows.notes.append(f"{section.table}: {world} and {body} axes of the log are turned into NED and FRD")

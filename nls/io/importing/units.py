@@ -1,0 +1,119 @@
+"""Units: those that a header or a mapping names, and the factor to the unit that the name of a mission column says.
+
+A header names its unit in brackets at its end, ``Roll [deg]`` or ``speed (m/s)``, or behind its last underscores,
+``depth_mm`` or ``v_mm_s``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+__all__ = ["dimension", "factor", "header_unit", "known_units", "mission_unit"]
+
+FOOT, KNOT = 0.3048, 1852 / 3600  # m, m/s
+UNITS: dict[str, dict[str, float]] = {  # by dimension, in SI units
+    "velocity": {"m/s": 1, "mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1 / 3.6, "kn": KNOT, "ft/s": FOOT},
+    "length": {"m": 1, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": FOOT, "fathom": 6 * FOOT, "nmi": 1852.0},
+    "angle": {"rad": 1, "deg": math.pi / 180, "mrad": 1e-3, "gon": math.pi / 200},
+    "rate": {"rad/s": 1, "deg/s": math.pi / 180, "mrad/s": 1e-3},
+    "time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60, "h": 3600},
+    "pressure": {"Pa": 1, "hPa": 100, "mbar": 100, "kPa": 1e3, "dbar": 1e4, "bar": 1e5, "psi": 6894.757293168},
+    "fraction": {"1": 1, "%": 1e-2, "ppm": 1e-6},
+}
+ALIASES = {
+    **dict.fromkeys(("mps", "m/sec", "ms-1", "m s-1", "m.s-1", "m s^-1"), "m/s"),
+    **dict.fromkeys(("knot", "knots", "kt", "kts"), "kn"),
+    **dict.fromkeys(("kmh", "kph", "km/hr"), "km/h"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("feet", "foot"), "ft"),
+    **dict.fromkeys(("degree", "degrees", "°", "degs"), "deg"),
+    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
+    **dict.fromkeys(("dps", "°/s", "deg/sec"), "deg/s"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("µs", "μs", "usec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("nsec", "nanosecond", "nanoseconds", "nanosec"), "ns"),
+    **dict.fromkeys(("pascal", "pa"), "Pa"),
+    **dict.fromkeys(("percent",), "%"),
+    **{unit.lower(): unit for units in UNITS.values() for unit in units},
+}
+OF_COLUMNS = (  # the end of the name of a mission column, its dimension and its unit there
+    ("_m_s_sqrt_s", "", ""),
+    ("_kg_m3", "", ""),
+    ("_m_s", "velocity", "m/s"),
+    ("_rad_s", "rate", "rad/s"),
+    ("_deg_s", "rate", "deg/s"),
+    ("_rad", "angle", "rad"),
+    ("_deg", "angle", "deg"),
+    ("_dbar", "pressure", "dbar"),
+    ("_pa", "pressure", "Pa"),
+    ("_m", "length", "m"),
+    ("_s", "time", "s"),
+)
+BRACKET = re.compile(r"[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]\s*$")
+
+
+def mission_unit(column: str) -> tuple[str, str]:
+    """The dimension of a mission column and its unit there; empty where it is a plain number.
+
+    Examples
+    --------
+    >>> mission_unit("vx_m_s"), mission_unit("lat_deg"), mission_unit("valid")
+    (('velocity', 'm/s'), ('angle', 'deg'), ('', ''))
+    """
+    return next(((kind, unit) for end, kind, unit in OF_COLUMNS if column.endswith(end)), ("", ""))
+
+
+def dimension(unit: str) -> str:
+    """The dimension of a unit under any of its names; empty where it is none.
+
+    Examples
+    --------
+    >>> dimension("knots"), dimension("Degrees"), dimension("furlong")
+    ('velocity', 'angle', '')
+    """
+    name = _plain(unit)
+    return next((kind for kind, units in UNITS.items() if name in units), "")
+
+
+def known_units(kind: str) -> str:
+    """The units of a dimension, for messages."""
+    return ", ".join(UNITS[kind]) if kind else "none: it is a plain number"
+
+
+def factor(unit: str, column: str) -> float:
+    """What one of this unit is in the unit of a mission column of the same dimension.
+
+    Examples
+    --------
+    >>> factor("mm/s", "vx_m_s"), factor("deg", "lat_deg"), round(factor("deg", "yaw_rad"), 6)
+    (0.001, 1.0, 0.017453)
+    """
+    kind, own = mission_unit(column)
+    name = _plain(unit)
+    return 1.0 if name == own else UNITS[kind][name] / UNITS[kind][own]
+
+
+def header_unit(header: str) -> tuple[str, bool]:
+    """The unit that a header names and whether it stands in brackets; empty where it names none.
+
+    Examples
+    --------
+    >>> header_unit("Roll [deg]"), header_unit("v_mm_s"), header_unit("field.depth"), header_unit("state [raw]")
+    (('deg', True), ('mm/s', False), ('', False), ('raw', True))
+    """
+    if bracket := BRACKET.search(header):
+        return bracket[1], True
+    words = header.strip().split("_")
+    for count in (2, 1):
+        name = "/".join(words[-count:])
+        if len(words) > count and dimension(name):
+            return _plain(name), False
+    return "", False
+
+
+def _plain(unit: str) -> str:
+    """The name that `UNITS` has for a unit."""
+    text = unit.strip()
+    return text if any(text in units for units in UNITS.values()) else ALIASES.get(text.lower(), text)

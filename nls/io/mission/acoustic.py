@@ -1,0 +1,272 @@
+"""beacons.csv, ranges.csv, usbl.csv and ship.csv: the places of beacons, and ranges and directions by sound.
+
+    r = c (t - turn_around) / ways                       a travel time t as a range
+    p_s = (1 - k) p_0 + k p_1,   k = (t - t_0) / (t_1 - t_0)     the ship between two rows, and so its angles
+
+The pose of the ship at a row of usbl.csv is a variable of kind ``s`` that is held: it costs nothing in the solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from factors import BearingRange, Diagonal, Prior, Range, ScaledRange
+from factors.base import Factor
+from factors.keys import Kind, kinds
+from models import SE3, Manifold, R, euler
+from models.algebra import Array, Index, Mask, Numbers
+from models.listing import some as listed
+from nls.graph import FactorGraph
+from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import ANGLES, PLACE, USBL, suffixed
+from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import add_rows, arms, columns_together, horizontal
+from nls.io.mission.sound import NOMINAL, Profile
+from nls.io.mission.table import Table
+from nls.io.mission.timeline import Timeline, one_of
+
+__all__ = ["Acoustics"]
+
+x, b, s = kinds("x", "b", "s")
+MOMENT = 0.5  # s, before and after, over which the ship moves
+SCALE = "sound_speed_scale"
+
+
+class Acoustics:
+    """What was measured by sound: its factors, added to a graph, and the variables they need.
+
+    Parameters
+    ----------
+    graph, report : of the mission, which get factors and their lines.
+    tables, timeline, calibrations : of its folder.
+    depth : (n,) of the poses, m, in the order of their numbers.
+
+    Attributes
+    ----------
+    numbers : (m,) of the beacons that were measured, rising.
+    places : (m, 3) where they are by beacons.csv, nan where it does not say.
+    ship : (k, 7) poses of the ship, variables ``s`` that are held.
+    ship_twist : (k, 6) how they move, m/s and rad/s, in their own axes.
+
+    Raises
+    ------
+    GraphFileError
+        Columns that do not fit together, no such pose, time or ship, a range that cannot be.
+    """
+
+    def __init__(
+        self,
+        graph: FactorGraph,
+        report: MissionReport,
+        tables: dict[str, Table],
+        timeline: Timeline,
+        calibrations: Calibrations,
+        depth: Array,
+    ) -> None:
+        self._graph, self._report, self._tables, self._timeline = graph, report, tables, timeline
+        ranges, usbl = tables.get("ranges"), tables.get("usbl")
+        self._rows = {t: timeline.poses(name, t) for name in ("ranges", "usbl") if (t := tables.get(name)) is not None}
+        beacons = [t.integers("beacon")[rows] for t, (_, rows) in self._rows.items() if t.has("beacon")]
+        self.numbers: Numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *beacons]))
+        self.places = np.full((len(self.numbers), 3), np.nan)
+        self.ship, self.ship_twist = np.zeros((0, SE3.size)), np.zeros((0, SE3.dim))
+        self._beacons(tables.get("beacons"))
+        if ranges is not None:
+            self._ranges(ranges, calibrations, depth)
+        if usbl is not None:
+            self._usbl(usbl)
+        self._unused()
+
+    def spaces(self) -> dict[Kind, tuple[Manifold, Array, Numbers]]:
+        """The beacons and the ship, for `nls.Values`; a beacon of unknown place at 0."""
+        out: dict[Kind, tuple[Manifold, Array, Numbers]] = {}
+        if len(self.numbers):
+            out[b] = (R(3), np.nan_to_num(self.places), self.numbers)
+        if len(self.ship):
+            out[s] = (SE3, self.ship, np.arange(len(self.ship)))
+        return out
+
+    @property
+    def absolute(self) -> list[str]:
+        """The files among them that say where in the world the vehicle is."""
+        placed = bool(np.isfinite(self.places).all(axis=1).any())
+        return ["beacons.csv"] * placed + ["ship.csv"] * bool(len(self.ship))
+
+    def _beacons(self, table: Table | None) -> None:
+        """Priors of the beacons: their place, or their depth alone."""
+        if table is None:
+            return
+        ids = table.unique("beacon", "beacon")
+        depths, sigma_z = table.measured("z_m"), table.positive("sigma_z_m")
+        sigmas_xy = suffixed(PLACE[:2])
+        names: tuple[str, ...] = ("z",)
+        z, sigmas = depths, sigma_z
+        if table.has("x_m") or table.has("lat_deg") or columns_together(table, *sigmas_xy):
+            z = np.hstack([horizontal(table, self._report.plane), depths])
+            if not columns_together(table, *sigmas_xy):
+                raise table.at_names("has places and no sigma_x_m and sigma_y_m, how well they are known")
+            names, sigmas = ("x", "y", "z"), np.hstack([table.positive(*sigmas_xy), sigma_z])
+        used = np.isin(ids, self.numbers)
+        if not used.all():
+            self._report.notes.append(
+                f"beacons.csv has {int((~used).sum())} of {len(ids)} beacons that nothing measures, the first is "
+                f"{ids[~used][0]}: not used"
+            )
+        if not used.any():
+            return
+        rows = np.flatnonzero(used)
+        self.places[np.searchsorted(self.numbers, ids[rows]), 3 - len(names) :] = z[rows]
+        value = z[rows] if len(names) == 3 else np.column_stack([np.zeros((len(rows), 2)), z[rows]])
+        components = None if len(names) == 3 else names
+        self._graph.add(Prior(b[ids[rows]], value, Diagonal(sigmas[rows]), components=components))
+        self._report.sources.append(table.source(rows))
+
+    def _ranges(self, table: Table, calibrations: Calibrations, depth: Array) -> None:
+        poses, rows = self._rows[table]
+        beacon, mount = table.integers("beacon"), _mount(table)
+        if one_of(table, ("range_m", "sigma_range_m"), ("travel_time_s", "sigma_travel_time_s")):
+            for name in ("turn_around_s", "ways"):
+                if table.has(name):
+                    raise table.at_names(f"has range_m and {name}, which is of travel_time_s; leave it out")
+            table.measured("range_m")  # within what a meter may be
+            z, sigmas = table.positive("range_m")[:, 0], table.positive("sigma_range_m")[:, 0]
+        else:
+            z, sigmas = self._meters(table, poses[:, 0], beacon, depth)
+        scale, value = calibrations.variable(SCALE), calibrations.value(SCALE)
+        if scale is None:
+            z, sigmas = z / (1 + value), sigmas / (1 + value)
+
+        def make(k: Index) -> Factor:
+            pose, target, noise = x[poses[k, 0]], b[beacon[k]], Diagonal(sigmas[k][:, None])
+            offset = None if mount is None else mount[k]
+            if scale is None:
+                return Range(pose, target, z[k], noise, offset)
+            return ScaledRange(pose, target, scale, z[k], noise, offset)
+
+        add_rows(self._graph, self._report, table, rows, make)
+
+    def _meters(self, table: Table, poses: Numbers, beacon: Numbers, depth: Array) -> tuple[Array, Array]:
+        """Ranges (n,) and their standard deviations from travel times, m."""
+        t, sigma = table.measured("travel_time_s")[:, 0], table.positive("sigma_travel_time_s")[:, 0]
+        wait = table.measured("turn_around_s")[:, 0] if table.has("turn_around_s") else np.zeros(len(t))
+        ways = table.integers("ways") if table.has("ways") else np.full(len(t), 2)
+        for wrong, message in (
+            (~np.isin(ways, (1, 2)), "ways is {ways}; expected 1, or 2 where the sound went there and back"),
+            (wait < 0, "turn_around_s is {wait!r}; expected seconds, 0 or more"),
+            (t - wait <= 0, "travel_time_s is {t!r}, of which {wait!r} s are the turn-around; expected more than that"),
+        ):
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                raise table.at(k, message.format(ways=ways[k], wait=float(wait[k]), t=float(t[k])))
+        c: Array | float = NOMINAL
+        if (profile := self._tables.get("sound-speed")) is None:
+            self._report.notes.append(f"there is no sound-speed.csv: travel times at {NOMINAL:g} m/s")
+        else:
+            at = depth[np.minimum(np.searchsorted(self._timeline.numbers, poses), len(depth) - 1)]
+            to = self.places[np.minimum(np.searchsorted(self.numbers, beacon), len(self.numbers) - 1), 2]
+            if (unknown := np.isnan(to)).any():
+                self._report.notes.append(
+                    f"no depth of beacon {beacon[unknown][0]} in beacons.csv: the speed of sound is taken at the depth "
+                    "of the vehicle"
+                )
+            c = Profile(profile).mean(at, np.where(unknown, at, to))
+        return c * (t - wait) / ways, c * sigma / ways
+
+    def _usbl(self, table: Table) -> None:
+        poses, rows = self._rows[table]
+        table.positive("range_m")
+        z = table.measured(*USBL)[:, [1, 2, 0]]  # azimuth, elevation, range
+        if (steep := ~(np.abs(z[:, 1]) <= np.pi / 2)).any():
+            k = int(np.argmax(steep))
+            raise table.at(k, f"elevation_rad is {float(z[k, 1])!r}; expected radians, -pi/2 to pi/2, down is positive")
+        noise, mount = table.positive(*suffixed(USBL))[:, [1, 2, 0]], _mount(table)
+        if table.has("beacon"):
+            beacon = table.integers("beacon")
+
+            def to_beacon(k: Index) -> Factor:
+                offset = None if mount is None else mount[k]
+                return BearingRange(x[poses[k, 0]], b[beacon[k]], z[k], Diagonal(noise[k]), offset)
+
+            add_rows(self._graph, self._report, table, rows, to_beacon)
+            return
+        if mount is not None:
+            raise table.at_names(
+                "the ship measured the vehicle, whose transponder is taken to be at its center; leave arm_x_m, arm_y_m "
+                "and arm_z_m out, or 0"
+            )
+        place, rows = self._ship(table, poses[:, 0], rows)
+        self._graph.fix(s[np.arange(len(self.ship))])
+
+        def to_vehicle(k: Index) -> Factor:
+            return BearingRange(s[place[k]], x[poses[k, 0]], z[k], Diagonal(noise[k]))
+
+        add_rows(self._graph, self._report, table, rows, to_vehicle)
+
+    def _ship(self, table: Table, poses: Numbers, rows: Mask) -> tuple[Index, Mask]:
+        """The number of the pose of the ship (n,) of every row, and which rows (n,) have one."""
+        if (ship := self._tables.get("ship")) is None:
+            raise table.at_names(
+                "has no column beacon, so the ship measured the vehicle; write ship.csv with the poses of its "
+                "transceiver, or name the beacon"
+            )
+        t_s = ship.rising("time_s")
+        rpy, p = (
+            np.unwrap(ship.attitude(*ANGLES), axis=0),
+            np.column_stack([horizontal(ship, self._report.plane), ship.measured("z_m")]),
+        )
+        rowed = self._timeline.rows.get("usbl")
+        t = self._timeline.at(poses) if rowed is None else rowed[:, 0]
+        inside = (t >= t_s[0]) & (t <= t_s[-1])
+        if (away := rows & ~inside).any():
+            k = int(np.argmax(away))
+            span = f"ship.csv, {float(t_s[0])!r} to {float(t_s[-1])!r} s"
+            if not (rows & inside).any():
+                raise table.at(k, f"is of {float(t[k])!r} s, and no row is within the times of {span}")
+            self._report.notes.append(
+                f"{table.place(k)}: the first row of {int(away.sum())} that are left out, of {len(table)}: not within "
+                f"the times of {span}"
+            )
+        rows = rows & inside
+
+        def pose(t: Array) -> Array:
+            return euler.to_se3(np.column_stack([np.interp(t, t_s, column) for column in np.hstack([rpy, p]).T]))
+
+        self.ship = pose(t[rows])
+        before, after = np.maximum(t[rows] - MOMENT, t_s[0]), np.minimum(t[rows] + MOMENT, t_s[-1])
+        step = SE3.local(pose(before), pose(after))
+        self.ship_twist = step / np.maximum(after - before, MOMENT)[:, None]
+        return np.cumsum(rows) - 1, rows
+
+    def _unused(self) -> None:
+        """Files without effect."""
+        ranges, usbl = self._tables.get("ranges"), self._tables.get("usbl")
+        for name, needed in (
+            ("beacons", len(self.numbers) > 0),
+            ("sound-speed", ranges is not None and ranges.has("travel_time_s")),
+            ("ship", usbl is not None and not usbl.has("beacon")),
+        ):
+            if name in self._tables and not needed:
+                self._report.notes.append(f"{name}.csv is not used: nothing in this mission needs it")
+        unknown = self.numbers[np.isnan(self.places[:, 2])]
+        if len(unknown):
+            self._report.notes.append(
+                f"{_beacons(unknown)} not in beacons.csv: estimated, with a start below the vehicle. On a track of one "
+                "depth ranges fit as well above it; a row of beacon, z_m and sigma_z_m decides"
+            )
+
+
+def _beacons(numbers: Sequence[int] | Numbers) -> str:
+    """Beacons by name, with their verb."""
+    names = listed([str(number) for number in numbers])
+    return f"beacon {names} is" if len(numbers) == 1 else f"beacons {names} are"
+
+
+def _mount(table: Table) -> Array | None:
+    """Poses (n, 7) of the transducer on the vehicle, along its axes; None where it is at its center."""
+    if (arm := arms(table)) is None:
+        return None
+    mount = SE3.identity(len(arm))
+    mount[:, :3] = arm
+    return mount

@@ -1,0 +1,86 @@
+r"""Clocks of fixes, ranges and directions that are late by an unknown time: a variable of calibration.csv.
+
+A row measured c before its time belongs to the pose at t - c. The pose of the row is that at t_0 = t - c_0, with c_0 of
+calibration.csv, so to first order in c - c_0
+
+    h(X(t - c)) = h(X(t_0)) + G (c - c_0),   G = -dh/dt = -sum H_k xi_k
+
+with the twist xi of the vehicle by dead reckoning, that of the ship by ship.csv. With z + G c_0 instead of z this is a
+`factors.Shifted`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import Shifted
+from factors.base import Factor
+from factors.keys import Keys, kinds
+from factors.replaced import replaced
+from models import SE3
+from models.algebra import Array, apply
+from nls.graph import FactorGraph
+from nls.io.mission.calibration import Calibrations
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.io.mission.timeline import Timeline
+from nls.values import Values
+
+__all__ = ["CLOCKED", "shift_clocks"]
+
+CLOCKED = ("fixes", "ranges", "usbl")
+x, s = kinds("x", "s")
+
+
+def shift_clocks(
+    graph: FactorGraph,
+    report: MissionReport,
+    start: Values,
+    tables: dict[str, Table],
+    timeline: Timeline,
+    calibrations: Calibrations,
+    ship: Array,
+) -> None:
+    """Put the factors of every file whose clock is a variable under a `Shifted` of that variable.
+
+    Parameters
+    ----------
+    graph : its factors are replaced, each in its place.
+    start : poses whose track gives the rates.
+    ship : (k, 6) twists of the ship at its poses, in its own axes.
+    """
+    twists = {s.name: ship}
+    for name in CLOCKED:
+        clock = calibrations.variable(f"{name}_clock_s") if name in timeline.rows else None
+        if clock is None:
+            continue
+        if x.name not in twists:
+            twists[x.name] = _twists(start, timeline)
+        for k, source in enumerate(report.sources):
+            if source.path == tables[name].path:
+                graph.factors[k] = _shifted(graph.factors[k], start, twists, clock)
+
+
+def _shifted(factor: Factor, start: Values, twists: dict[str, Array], clock: Keys) -> Shifted:
+    """A factor whose rows are late by the clock."""
+    model, X = start.gather(factor)
+    H = factor.predict(model.manifolds, *X)[1]
+    assert H is not None
+    G = np.zeros((len(factor), model.space.dim))
+    for keys, block in zip(factor.keys, H, strict=True):
+        if keys.kind in twists:
+            G -= apply(np.asarray(block), twists[keys.kind][start.stack(keys.kind).index(keys)])
+    return Shifted(replaced(factor, z=model.z + G * start[clock]), G[:, :, None], clock)
+
+
+def _twists(start: Values, timeline: Timeline) -> Array:
+    """Body twists (n, 6) of the poses, m/s and rad/s, in the order of their stack: over the legs before and after."""
+    t = timeline.at(start.stack(x).numbers)
+    order = np.argsort(t)
+    X, dt = start[x][order], np.diff(t[order])
+    step = SE3.local(X[:-1], X[1:])
+    zero = np.zeros((1, SE3.dim))
+    total = np.concatenate([step, zero]) + np.concatenate([zero, step])
+    twists: Array = np.zeros(total.shape)
+    twists[order] = total / (np.append(dt, 0.0) + np.append(0.0, dt))[:, None]
+    return twists

@@ -1,0 +1,75 @@
+"""What a check returns: numbers, and where they stand; `words` makes sentences of them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from models.finite import finite_or_none
+
+__all__ = ["Cause", "Implausible", "Reading"]
+
+
+class Cause(StrEnum):
+    """The probable cause of an implausible number."""
+
+    UNIT = "unit"  # the number is `factor` times the one in the unit of the column
+    SIGN = "sign"
+    SWAPPED = "swapped"  # two columns are exchanged
+    AXES = "axes"  # x ahead, y to port, z up
+    TURNED = "turned"  # by `factor` degrees
+    NORTH = "north"  # counted from east, counterclockwise
+    CLOCK = "clock"  # late by `factor` seconds
+    INVERTED = "inverted"
+    ZEROS = "zeros"
+    STUCK = "stuck"
+    OUTLIERS = "outliers"
+    SIGMA = "sigma"  # too small by `factor`
+    FAR = "far"
+    WAYS = "ways"  # one way and both ways are mixed up
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A cause, of which file and column, with its factor, degrees or seconds; 1 where it has none."""
+
+    cause: Cause
+    file: str
+    column: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Implausible:
+    """A number that measurements of a vehicle do not have.
+
+    Attributes
+    ----------
+    check : name of the check.
+    file, line, column : where the number stands; the first line that shows it, counted from 1.
+    measured, limit : the number, and the limit it is beyond.
+    unit : of both; empty for a ratio.
+    readings : what explains it, the most probable first; more than one where the log does not tell them apart.
+    """
+
+    check: str
+    file: str
+    line: int
+    column: str
+    measured: float
+    limit: float
+    unit: str
+    readings: tuple[Reading, ...]
+
+    @property
+    def place(self) -> str:
+        """``dvl.csv:2``."""
+        return f"{self.file}:{self.line}"
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Fields by name; a cause by its identifier."""
+        plain: dict[str, Any] = finite_or_none(asdict(self))
+        return plain

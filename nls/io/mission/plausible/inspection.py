@@ -1,0 +1,106 @@
+"""All checks of a mission, and which of their findings are left when one explains another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.algebra import Array
+from models.geodesy import LocalPlane
+from nls.io.mission.plausible.acoustics import of_ranges, sound_speeds
+from nls.io.mission.plausible.agreement import WRONG, compared, doubtful, explained
+from nls.io.mission.plausible.checks import ALONE
+from nls.io.mission.plausible.findings import Cause, Implausible, Reading
+from nls.io.mission.plausible.fixes import of_fixes
+from nls.io.mission.plausible.log import Log, read_log
+from nls.io.mission.plausible.readings import alternatives
+from nls.io.mission.plausible.track import of_track
+from nls.io.mission.table import Table
+
+__all__ = ["implausible", "of_log"]
+ALIKE = 3  # readings that are named
+
+
+def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Implausible]:
+    """What is implausible in the tables of a mission.
+
+    Parameters
+    ----------
+    tables : by name, as read.
+    plane : where x = y = 0 is on the Earth; None where no file says it.
+
+    Raises
+    ------
+    GraphFileError
+        A cell that is no number, as when the tables are read.
+    """
+    log = read_log(tables, plane) if "dvl" in tables else None
+    out = of_track(tables) if log is None else of_log(log)
+    if log is not None and not out and (log.fixes is not None or {"anchor", "truth"} & tables.keys()):
+        out = of_ranges(tables, log.thinned(), _start(tables, log.thinned()))
+    out += sound_speeds(tables.get("sound-speed"))
+    return [_placed(entry, tables) for entry in out]
+
+
+def _start(tables: dict[str, Table], log: Log) -> Array:
+    """Where dead reckoning begins (2,): by the fixes, else where the anchor or the truth holds its first pose."""
+    if log.fixes is not None:
+        way = np.column_stack([np.interp(log.fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
+        return np.asarray(np.median(log.fixes.p - way, axis=0))
+    return np.asarray(tables["anchor" if "anchor" in tables else "truth"].floats("x_m", "y_m")[0])
+
+
+def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
+    """With the line of its row, and the name of the file as it is."""
+    table = tables[entry.file.removesuffix(".csv")]
+    return replace(entry, line=int(table.lines[entry.line]) + 1)
+
+
+def of_log(log: Log) -> list[Implausible]:
+    """What is implausible in a raw log; lines are rows, counted from 0."""
+    alone = [entry for check in ALONE for entry in check(log)]
+    thin = log.thinned()
+    if any(map(_breaks, alone)) or len(thin.t_v) < 2:
+        return alone
+    together = _agreement(thin)
+    explained_units = {r.file for entry in together for r in entry.readings if r.cause is Cause.UNIT}
+    alone = [entry for entry in alone if entry.check != "scatter" or entry.file not in explained_units]
+    readings = together[0].readings if together else ()
+    named = {(r.cause, r.file) for r in readings}
+    if any(_names(entry, named) for entry in alone):  # one sensor alone shows it, and the others say which unit it is
+        return [_narrowed(entry, readings) if _names(entry, named) else entry for entry in alone]
+    return alone + (together or of_fixes(log))
+
+
+def _names(entry: Implausible, causes: set[tuple[Cause, str]]) -> bool:
+    """Whether a finding has one of these causes in one of these files."""
+    return any((reading.cause, reading.file) in causes for reading in entry.readings)
+
+
+def _narrowed(entry: Implausible, readings: tuple[Reading, ...]) -> Implausible:
+    """A finding with those of the readings that are of its own causes and files."""
+    own = {(reading.cause, reading.file) for reading in entry.readings}
+    return replace(entry, readings=tuple(r for r in readings if (r.cause, r.file) in own))
+
+
+def _breaks(entry: Implausible) -> bool:
+    """Whether no other sensor can be compared after this."""
+    upside_down = entry.check == "tilt" and entry.readings[0].cause is Cause.AXES
+    return upside_down or entry.check in ("time step", "bottom lock")
+
+
+def _agreement(log: Log) -> list[Implausible]:
+    """What is wrong when DVL, attitude, depth and fixes do not fit each other."""
+    windows = compared(log)
+    m, readings = explained(log, windows, alternatives(log))
+    worst, limit = doubtful(m, windows)
+    if not readings:
+        if not m[worst] > WRONG:
+            return []
+        limit = WRONG
+        readings = (Reading(Cause.UNKNOWN, ("depth.csv", "fixes.csv")[worst], ("z_m", "x_m, y_m")[worst]),)
+    first = readings[0]
+    columns = first.column.split(", ")
+    check = ("way down", "way between fixes")[worst]
+    return [Implausible(check, first.file, 0, columns[0], float(m[worst]), limit, "of the way", readings[:ALIKE])]

@@ -1,0 +1,104 @@
+"""Columns that several files of a mission share: places in meters or degrees, lever arms, robust kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from factors.base import Factor
+from factors.robust import Kernel, kernel_from_text
+from models.algebra import Array, Index, Mask
+from models.errors import NoiseModelError, OptionError
+from models.geodesy import REACH, LocalPlane
+from nls.graph import FactorGraph
+from nls.io.mission.columns import ARM, GEODETIC
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.io.mission.timeline import one_of
+
+__all__ = ["add_rows", "arms", "columns_together", "horizontal"]
+
+NO_KERNEL = "none"
+
+
+def horizontal(table: Table, plane: LocalPlane | None) -> Array:
+    """North and east (n, 2) of the places of a file, m, from x and y or from latitude and longitude.
+
+    Raises
+    ------
+    GraphFileError
+        Both, neither, or a latitude without origin.csv or far from it.
+    """
+    if one_of(table, ("x_m", "y_m"), GEODETIC):
+        return table.measured("x_m", "y_m")
+    lat_lon = table.measured(*GEODETIC)
+    if (beyond := np.abs(lat_lon[:, 0]) > 90).any():
+        k = int(np.argmax(beyond))
+        raise table.at(k, f"lat_deg is {float(lat_lon[k, 0])!r}; expected degrees, -90 to 90")
+    if plane is None:
+        first = ",".join(repr(number) for number in lat_lon[0].tolist())
+        raise table.at_names(
+            "has latitudes, and no file says where x = y = 0 is; write origin.csv with one row of lat_deg,lon_deg, "
+            f"such as {first}"
+        )
+    p = plane.local(*lat_lon.T)
+    far = np.linalg.norm(p, axis=1)
+    if (beyond := ~(far <= REACH)).any():
+        k = int(np.argmax(beyond))
+        raise table.at(k, f"is {far[k] / 1000:.6g} km from origin.csv; expected at most 1,000 km")
+    return p
+
+
+def columns_together(table: Table, *names: str) -> bool:
+    """Whether a file has columns that need each other.
+
+    Raises
+    ------
+    GraphFileError
+        It has some of them.
+    """
+    here = [name for name in names if table.has(name)]
+    if here and len(here) < len(names):
+        missing = next(name for name in names if name not in here)
+        raise table.at_names(f"has {here[0]} and no {missing}; they need each other")
+    return bool(here)
+
+
+def arms(table: Table) -> Array | None:
+    """Lever arms (n, 3) of the rows, m; None where the antenna is at the center of the vehicle."""
+    a = table.measured(*ARM) if columns_together(table, *ARM) else np.zeros((1, 3))
+    return a if a.any() else None
+
+
+def add_rows(
+    graph: FactorGraph, report: MissionReport, table: Table, rows: Mask, make: Callable[[Index], Factor]
+) -> None:
+    """Add factors of the rows that count, one for each robust kernel in the order of the file; note their lines.
+
+    Parameters
+    ----------
+    make : the factor of some rows.
+
+    Raises
+    ------
+    GraphFileError
+        No such kernel.
+    """
+    index = np.flatnonzero(rows)
+    kernels: dict[str, Kernel | None] = {}
+    words = table.text_of("kernel") if table.has("kernel") else [NO_KERNEL] * len(table)
+    for row, word in enumerate(words):
+        if word not in kernels:
+            try:
+                kernels[word] = None if word == NO_KERNEL else kernel_from_text(word)
+            except (OptionError, NoiseModelError) as error:
+                raise table.at(
+                    row, f"kernel is {word!r}; expected one such as huber:1.345, or none: {error}"
+                ) from error
+    column = np.array(words)
+    for word, kernel in kernels.items():
+        if len(some := index[column[index] == word]):
+            factor = make(some)
+            graph.add(factor if kernel is None else factor.robust(kernel))
+            report.sources.append(table.source(some))

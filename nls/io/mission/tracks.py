@@ -1,0 +1,203 @@
+r"""Tracks without a raw log: the path of another program, and a vehicle whose motion no sensor measures.
+
+`path.csv` holds poses that a program or a vehicle has reckoned, which drift. What it says are the steps between them,
+
+    XYH = h(X_i, X_i+1),    ZPR = (z, pitch, roll),
+
+with the standard deviations of a step in the row it leads to. Columns that are not there are 0 and known: a vehicle on
+the surface, or at a depth that does not matter.
+
+`motion.csv` is for a log of fixes or ranges alone. Between them the vehicle may be anywhere it can have gone: a random
+walk of density s, m/sqrt(s), axes parallel to those of the world,
+
+    X_i+1 = X_i Exp(d),    d ~ N(0, s^2 (t_i+1 - t_i))  in x, y and z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import XYH, ZPR, Between, Diagonal, Prior, SqrtInformation
+from factors.base import Factor
+from factors.keys import kinds
+from models import SE3, euler
+from models.algebra import Array, Numbers
+from models.errors import GraphFileError
+from models.sensors import levelled
+from nls.io.mission.calibration import Calibrations
+from nls.io.mission.columns import ANGLES, ARM, LEVEL, PLACE, TILT, UPRIGHT, suffixed
+from nls.io.mission.report import MissionReport
+from nls.io.mission.table import Table
+from nls.io.mission.timeline import Times, poses_of_rows, united
+from nls.sparse.components import connected
+
+__all__ = ["track"]
+
+LEVEL_SIGMA = 1e-3  # m and rad, of a depth and a tilt that the file takes to be 0
+(x,) = kinds("x")
+
+
+def track(
+    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
+) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising, and the factors between and at them, from the files that say them.
+
+    Parameters
+    ----------
+    tables, calibrations : of the folder.
+    times : of its rows, see `nls.io.mission.timeline`.
+    report : gets notes, the lines of the factors, and the times of the poses.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    if "odometry" in tables:
+        return _odometry(tables, report)
+    if "path" in tables:
+        return _reckoned(tables, times, report)
+    if "motion" in tables:
+        return _walking(tables, times, report)
+    return _log(tables, calibrations, times, report)
+
+
+def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, rising, and the factors of odometry.csv and zpr.csv."""
+    odometry, zpr = tables["odometry"], tables["zpr"]
+    i, j = odometry.integers("i"), odometry.integers("j")
+    if (same := i == j).any():
+        k = int(np.argmax(same))
+        raise odometry.at(k, f"the step joins pose {i[k]} to itself")
+    numbers = np.unique(np.concatenate([i, j]))
+    pieces = np.unique(connected(numbers.searchsorted(i), numbers.searchsorted(j), len(numbers)))
+    if len(pieces) > 1:
+        report.warn(
+            f"odometry.csv leaves the track in {len(pieces)} pieces, the second begins at pose {numbers[pieces[1]]}: "
+            "only landmarks that both saw, or an anchor of each, say where they are to each other; is a row missing?"
+        )
+    again = len(i) - len(np.unique(np.stack([i, j]), axis=1).T)
+    if again:
+        report.notes.append(f"odometry.csv measures {again} steps more than once: all of them count")
+    tilted = zpr.unique("i", "pose")
+    zpr.known("i", numbers, "odometry.csv has no such pose")
+    if len(bare := np.setdiff1d(numbers, tilted)):
+        report.warn(f"{len(bare)} poses have no row in zpr.csv, the first is {bare[0]}: their depth and tilt are free")
+    if "poses" in tables:
+        report.vertex_times["x"] = _times(tables["poses"], numbers)
+    report.sources += [odometry.source(), zpr.source()]
+    return numbers, [
+        XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
+        ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
+    ]
+
+
+def _times(poses: Table, numbers: Numbers) -> Array:
+    """Times (n,) of the poses, s, in the order of their numbers."""
+    ids, t = poses.unique("i", "pose"), poses.rising("time_s")
+    poses.known("i", numbers, "nothing measures this pose; leave it out")
+    if len(missing := np.setdiff1d(numbers, ids)):
+        raise poses.at(
+            len(poses) - 1, f"this is the last row, and pose {missing[0]} has none; give a time for every pose"
+        )
+    return t[np.argsort(ids)]
+
+
+def _log(
+    tables: dict[str, Table], calibrations: Calibrations, times: Times, report: MissionReport
+) -> tuple[Numbers, list[Factor]]:
+    """The factors of a raw log; an error names what is implausible in it, which may be its cause."""
+    from nls.io.mission.log import integrated
+    from nls.io.mission.plausible.words import sentence
+
+    try:
+        return integrated(tables, report, calibrations, times)
+    except GraphFileError as error:
+        if not report.findings:
+            raise
+        where = f"{error.path}:" if error.line is None else f"{error.path}:{error.line}:"
+        message = "; ".join([str(error).removeprefix(where).strip(), *map(sentence, report.findings)])
+        raise GraphFileError(message, error.path, error.line, advice=error.advice) from error
+
+
+def _reckoned(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses, at the times of path.csv and of other files, and `XYH` and `ZPR` between and at them.
+
+    Between two rows the path is straight, and the variance of its step grows evenly.
+
+    Raises
+    ------
+    GraphFileError
+        Times that do not rise, one pose, numbers that cannot be.
+    """
+    path = tables["path"]
+    t_p = path.rising("time_s")
+    if len(t_p) < 2:
+        raise path.at(0, "one pose; a track has at least two")
+    absent = [name for name in UPRIGHT if not path.has(name)]
+    if absent:
+        report.notes.append(f"path.csv has no {', '.join(absent)}: taken as 0, within 1 mm and 1 mrad")
+    t = united(t_p, float(t_p[-1]), times, tables)
+    numbers = np.arange(len(t))
+    row = np.searchsorted(t_p, t)  # the first one that is not before
+    state = {name: np.interp(t, t_p, _column(path, name, 0.0)) for name in (*ANGLES, *PLACE)}
+    part = np.sqrt(np.diff(t) / np.diff(t_p)[row[1:] - 1])[:, None]
+    X = euler.to_se3(np.column_stack([state[name] for name in (*ANGLES, *PLACE)]))
+    step, _ = levelled(X[:-1], X[1:])
+    sigmas = np.column_stack([_column(path, f"sigma_{name}", LEVEL_SIGMA)[row] for name in TILT])
+    sigmas *= poses_of_rows(t_p, t)[:, None]
+    report.vertex_times["x"] = t
+    report.sources += [path.source(row[1:]), path.source(row)]
+    return numbers, [
+        XYH(x[numbers[:-1]], x[numbers[1:]], step, Diagonal(path.positive(*suffixed(LEVEL))[row[1:]] * part)),
+        ZPR(x[numbers], np.column_stack([state[name] for name in TILT]), Diagonal(sigmas)),
+    ]
+
+
+def _column(path: Table, name: str, absent: float) -> Array:
+    """A column (n,) of the path: an angle without turns, a standard deviation above 0; a number where it is absent."""
+    if not path.has(name):
+        return np.full(len(path), absent)
+    if name.startswith("sigma_"):
+        return path.positive(name)[:, 0]
+    column = path.attitude(name)[:, 0]
+    return np.unwrap(column) if name in ANGLES else column
+
+
+def _walking(tables: dict[str, Table], times: Times, report: MissionReport) -> tuple[Numbers, list[Factor]]:
+    """Numbers of the poses at the times of other files, rising, and the random walk between them.
+
+    Raises
+    ------
+    GraphFileError
+        A second row; fewer than two times.
+    """
+    motion = tables["motion"]
+    if len(motion) > 1:
+        raise motion.at(1, "a second row; expected one")
+    rows = np.concatenate([np.zeros(0), *(rows.ravel() for rows in times.values())])
+    t = united(rows.min(keepdims=True), float(rows.max()), times, tables) if len(rows) else rows
+    if len(t) < 2:
+        raise motion.at(0, "fewer than two times of fixes or ranges; a track has at least two poses")
+    for name in times:
+        if name == "usbl" and tables[name].has("beacon"):
+            raise tables[name].at(
+                0, "is a direction from the vehicle, whose heading nothing measures beside motion.csv"
+            )
+        if tables[name].has(*ARM) and tables[name].measured(*ARM).any():
+            raise tables[name].at(
+                0, "has a lever arm, and nothing measures the heading beside motion.csv; leave the arm out"
+            )
+    density = float(motion.positive("sigma_walk_m_sqrt_s")[0, 0])
+    numbers, W = np.arange(len(t)), np.zeros((len(t) - 1, 6, 6))
+    W[:, range(3), range(3)] = 1 / (density * np.sqrt(np.diff(t)))[:, None]  # of x, y and z alone
+    report.vertex_times["x"] = t
+    report.sources += [motion.source(np.zeros(len(W), dtype=int)), motion.source(np.zeros(len(t), dtype=int))]
+    report.notes.append(
+        f"no sensor measures the motion: {len(t)} poses at the times of the measurements, each within {density:g} m "
+        "times the root of the seconds since the one before; the vehicle is taken to head north and level"
+    )
+    stay = np.broadcast_to(SE3.identity(), (len(W), SE3.size))
+    return numbers, [
+        Between(x[numbers[:-1]], x[numbers[1:]], stay, SqrtInformation(W)),
+        Prior(x[numbers], SE3.identity(), Diagonal([LEVEL_SIGMA] * 3), components=("roll", "pitch", "yaw")),
+    ]

@@ -1,0 +1,136 @@
+"""``nls evaluate``: what is printed is what the library computes; poses are matched by time, number or row."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from models import SE3, euler
+from models.algebra import Array
+from nls.cli import parser
+from nls.io import write_kitti, write_tum
+from nls.metrics import ALIGNMENTS, ate, cep, drms2, rpe
+from tests.nls.cli.shell import Shell, row, rows
+from tests.nls.graphs import moved, walk
+from tests.nls.io.mission.mission_files import folder
+
+HEAD = "i,roll_rad,pitch_rad,yaw_rad,x_m,y_m,z_m"
+
+
+def pair(n: int = 60) -> tuple[Array, Array]:
+    rng = np.random.default_rng(3)
+    truth = walk(SE3, n, rng)
+    return moved(SE3, truth, 0.05, rng), truth
+
+
+def table(X: Array, numbers: Array, head: str = HEAD) -> str:
+    lines = [
+        ",".join([str(i), *map(repr, state)]) for i, state in zip(numbers, euler.from_se3(X).tolist(), strict=True)
+    ]
+    return "\n".join([head, *lines]) + "\n"
+
+
+def test_the_choices_are_those_of_the_library() -> None:
+    assert parser.ALIGNMENTS == ALIGNMENTS
+
+
+@pytest.mark.parametrize("align", ALIGNMENTS)
+def test_the_table_and_the_report(shell: Shell, align: str) -> None:
+    P, Q = pair()
+    write_tum(shell / "a.tum", np.arange(60.0), P)
+    write_tum(shell / "b.tum", np.arange(60.0), Q)
+    out = shell(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6 --json r.json")
+    record, error, drift = json.loads((shell / "r.json").read_text()), ate(P, Q, align), rpe(P, Q, [5, 20])
+    assert record["ate"]["rmse_m"] == pytest.approx(error.rmse, rel=1e-9)
+    assert record["horizontal"]["cep50_m"] == pytest.approx(cep(error.errors))
+    assert record["horizontal"]["cep95_m"] == pytest.approx(cep(error.errors, 0.95))
+    assert record["horizontal"]["drms2_m"] == pytest.approx(drms2(error.errors))
+    assert record["scale"] == pytest.approx(error.scale)
+    assert [r["translation_percent"] for r in record["rpe"][:2]] == pytest.approx([100 * d.translation for d in drift])
+    assert [r["rotation_deg_m"] for r in record["rpe"][:2]] == pytest.approx([np.degrees(d.rotation) for d in drift])
+    assert record["rpe"][2]["translation_percent"] is None
+    assert row(out, "matched") == "60 poses by time, gaps of the truth up to 2 s bridged"
+    assert row(out, "ATE").startswith(f"{error.rmse:.4g} m rmse")
+    assert row(out, "alignment").split(",")[0] == align
+    assert rows(out, "RPE")[2] == "over 1e+06 m: the track is shorter"
+    assert json.loads(shell(f"evaluate a.tum b.tum --align {align} --distances 5,20,1e6 --json -")) == record
+
+
+def test_poses_are_matched_by_time_number_or_row(shell: Shell) -> None:
+    P, Q = pair()
+    write_tum(shell / "a.tum", np.arange(60.0) + 0.5, P)
+    write_tum(shell / "b.tum", np.r_[0.0:20, 30:60], np.delete(Q, np.s_[20:30], axis=0))
+    assert row(shell("evaluate a.tum b.tum"), "matched") == (
+        "48 poses by time, gaps of the truth up to 2 s bridged; 1 before or after the truth left out; "
+        "11 in gaps of the truth left out"
+    )
+    assert row(shell("evaluate a.tum b.tum --tolerance 20"), "matched").startswith("59 poses by time")
+    numbers = np.arange(60) * 2
+    (shell / "a.csv").write_text(table(P, numbers))
+    (shell / "b.csv").write_text("# true\n" + table(Q[::-1], numbers[::-1] + 10))
+    record = json.loads(shell("evaluate a.csv b.csv --json -"))
+    assert (record["matched_by"], record["matched"]) == ("number", 55)
+    assert record["ate"]["rmse_m"] == pytest.approx(ate(P[5:], Q[:55]).rmse)
+    assert record["rpe"][0]["translation_percent"] == pytest.approx(100 * rpe(P[5:], Q[:55], [10])[0].translation)
+    write_kitti(shell / "a.kitti", P)
+    write_kitti(shell / "b.kitti", Q)
+    assert row(shell("evaluate a.kitti b.kitti"), "matched") == "60 poses by row"
+
+
+def test_the_trajectory_of_a_mission_beside_its_truth(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
+    folder(shell / "m")
+    shell("solve m -o solved --json r.json")
+    out = shell("evaluate solved/trajectory.csv m/truth.csv --distances 1 --json e.json")
+    solution = json.loads((shell / "r.json").read_text())["mission"]["solution"]
+    assert json.loads((shell / "e.json").read_text())["ate"]["rmse_m"] == pytest.approx(solution["ate_rmse_m"])
+    assert row(out, "sigmas").startswith("mean of (error / sigma)^2: x ")
+    assert rows(shell("evaluate solved/trajectory.csv m/truth.csv --align rigid"), "sigmas") == []
+
+
+def test_refusals(shell: Shell) -> None:
+    P, Q = pair(4)
+    write_tum(shell / "a.tum", np.arange(4.0), P)
+    write_tum(shell / "late.tum", np.arange(4.0) + 100, Q)
+    write_kitti(shell / "a.kitti", P)
+    write_kitti(shell / "b.kitti", Q[:3])
+    files = {
+        "n.csv": table(P, np.arange(4)),
+        "m.csv": table(P, np.arange(4) + 50),
+        "typo.csv": table(P, np.arange(4), HEAD.replace("yaw_rad", "yaw_deg")),
+        "none.csv": table(P, np.arange(4), HEAD.replace("i,", "k,")),
+        "twice.csv": table(P, np.array([0, 1, 1, 2])),
+        "word.csv": f"{HEAD}\n0,0,0,0,1,2,deep\n",
+        "short.csv": f"{HEAD}\n\n0,0,0,0,1,2\n",
+        "half.csv": f"{HEAD}\n0.5,0,0,0,1,2,3\n",
+        "empty.csv": f"{HEAD}\n",
+        "image.csv": b"\x89PNG\xff\n\xfe",
+    }
+    for name, text in files.items():
+        shell.file(text, name)
+    for words, message in (
+        ("a.tum late.tum", "none of 4 poses has a match"),
+        ("a.tum n.csv", "a.tum has times alone; n.csv has numbers alone. Expected times in both"),
+        ("a.kitti n.csv", "a.kitti has rows alone; n.csv has numbers alone"),
+        ("a.kitti b.kitti", "a.kitti has 4 poses, b.kitti 3"),
+        ("n.csv m.csv", "have no number i in common"),
+        ("typo.csv n.csv", "typo.csv:1: no column 'yaw_rad'; did you mean 'yaw_deg'"),
+        ("none.csv n.csv", "no column 'i' and none 'time_s'"),
+        ("twice.csv n.csv", "twice.csv:4: pose 1 was given before"),
+        ("n.csv word.csv", "word.csv:2: z_m is 'deep'; expected a finite number"),
+        ("n.csv short.csv", "short.csv:3: 6 cells, expected 7"),
+        ("n.csv half.csv", "half.csv:2: i is '0.5'; expected a whole number"),
+        ("n.csv empty.csv", "empty.csv: has no poses"),
+        ("n.csv image.csv", "image.csv: is no text"),
+        ("n.csv lost.csv", "lost.csv"),
+        ("n.csv graph.g2o", "a file ending in .tum, .kitti or .csv"),
+        ("n.csv n.csv --distances 0,5", "meters above 0 with commas between"),
+        ("n.csv n.csv --distances far", "meters above 0 with commas between"),
+        ("n.csv n.csv --tolerance 1", "the poses are matched by number, not by time"),
+        ("n.csv n.csv --align umeyama", "invalid choice: 'umeyama'"),
+        ("n.csv m.csv --json n.csv", "another name: this is the input"),
+        ("n.csv m.csv --json m.csv", "another name: this is the input"),
+    ):
+        assert message in shell.refused(f"evaluate {words}"), words

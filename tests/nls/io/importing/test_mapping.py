@@ -1,0 +1,64 @@
+"""A mapping that is none: each mistake with its line and what to write."""
+
+from __future__ import annotations
+
+import pytest
+
+from nls import GraphFileError
+from nls.io.importing import Mapping
+from tests.combinations import for_all
+
+
+@for_all(
+    case=[
+        ("[dvl\n", "m.toml:1: is no TOML"),
+        ('a = 1\n\nb = "x\n', "m.toml:3: is no TOML"),
+        ("", "has no section"),
+        ("[dvll]\n", "m.toml:1: [dvll] is no table of a mission; did you mean 'dvl'?"),
+        (
+            "seperator = ';'\n[dvl]\n",
+            "m.toml:1: 'seperator' is no table of a mission and no option; did you mean 'separator'?",
+        ),
+        (
+            '[depth]\nz_m = 1\n\n[dvl]\nvx = "u"\n',
+            "m.toml:5: dvl.csv has no column 'vx'; did you mean 'vx_m_s'?; write vx_m_s = \"u\"",
+        ),
+        ('dvl.vx = "u"\n', "m.toml:1: dvl.csv has no column 'vx'"),
+        ('dvl = { time_s = "t", vx = "u" }\n', "m.toml:1: dvl.csv has no column 'vx'"),
+        (
+            '[dvl]\nvelocity = ["a", "b"]\n',
+            "m.toml:2: velocity is ['a', 'b']; expected a list for vx_m_s, vy_m_s, vz_m_s",
+        ),
+        (
+            '[dvl]\nvx_m_s = { colum = "a" }\n',
+            "m.toml:2: vx_m_s: 'colum' is no key of a column; did you mean 'column'?",
+        ),
+        ('[dvl]\nvx_m_s = { column = "a", unit = "m" }\n', "unit 'm' is not one of m/s, mm/s"),
+        ('[dvl]\nvx_m_s = { column = "a", sign = 2 }\n', "sign is 2; expected 1 or -1"),
+        ('[dvl]\nvx_m_s = { column = "a", unit = "m/s", scale = 2 }\n', "unit and scale are both given"),
+        ('[dvl]\nvx_m_s = { column = "a", up = true }\n', "up = true is for z_m alone"),
+        ('[dvl]\nframe = "ENV"\n', "m.toml:2: frame is 'ENV'; expected one of NED, ENU"),
+        ("[dvl]\nskip = -1\n", "skip is -1; expected a whole number"),
+        ("[ahrs]\nquaternion = [1, 2]\n", "expected a list of 4 columns, or of 4 numbers: x, y, z, w"),
+        ("[dvl]\nvx_m_s = [1]\n", "vx_m_s: [1] is not possible; expected the name of a column"),
+    ]
+)
+def test_mistakes(case: tuple[str, str]) -> None:
+    with pytest.raises(GraphFileError) as error:
+        Mapping(case[0], "m.toml")
+    assert case[1] in str(error.value)
+
+
+def test_what_stands_above_all_sections() -> None:
+    """It is for every table that has it; a section may say otherwise, and a row of a pose has no time."""
+    text = 'time_s = "t"\nsort = true\ndepth.z_m = "z"\nnoise.scale = 0.1\n'
+    text += 'ahrs = { time_s = "u", sort = false }\ntruth.i = "k"\n'
+    depth, noise, ahrs, truth = Mapping(text, "m.toml").sections
+    assert [depth.cells["time_s"].columns, ahrs.cells["time_s"].columns] == [("t",), ("u",)]
+    assert [depth.options["sort"], ahrs.options["sort"]] == [True, False]
+    assert ("time_s" in noise.cells, "time_s" in truth.cells) == (False, False)
+
+
+def test_an_option_above_all_sections_has_its_own_line() -> None:
+    with pytest.raises(GraphFileError, match=r"m\.toml:2: separator is 'ab'"):
+        Mapping('time_s = "t"\nseparator = "ab"\n\n[depth]\nz_m = "z"\n', "m.toml")

@@ -1,0 +1,149 @@
+"""Columns of a log as columns of a mission: units, flags, empty cells, order; and what a refusal says to write."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nls import GraphFileError
+from tests.combinations import for_all
+from tests.nls.io.importing.logs import imported, table
+
+DVL = '[dvl]\ntime_s = "t [s]"\nvx_m_s = {vx}\nvy_m_s = 0\nvz_m_s = 0\n'
+
+
+@for_all(
+    case=[
+        ("v [mm/s]", '"v [mm/s]"', "1500", 1.5),
+        ("v_cm_s", '"v_cm_s"', "150", 1.5),
+        ("v (kn)", '"v (kn)"', "10", 10 * 1852 / 3600),
+        ("speed", '{ column = "speed", unit = "km/h" }', "36", 10.0),
+        ("speed", '{ column = "speed", unit = "ft/s", sign = -1, offset = 1 }', "10", -2.048),
+        ("speed", '{ column = "speed", scale = 2, offset = 0.5 }', "10", 20.5),
+    ]
+)
+def test_units_of_velocities(case: tuple[str, str, str, float], tmp_path: Path) -> None:
+    head, cell, word, expected = case
+    result = imported(tmp_path, DVL.format(vx=cell), log=f"t [s],{head}\n0,{word}\n1,{word}\n")
+    assert table(result, "dvl")["vx_m_s"] == pytest.approx([expected, expected], rel=1e-15)
+    assert not any("taken to be m/s" in note for note in result.notes)
+
+
+def test_a_unit_nobody_names_is_noted(tmp_path: Path) -> None:
+    result = imported(tmp_path, DVL.format(vx='"speed"'), log="t [s],speed\n0,1\n1,1\n")
+    assert "log.csv: 'speed' names no unit; it is taken to be m/s" in result.notes
+
+
+def test_angles_in_degrees_are_wrapped(tmp_path: Path) -> None:
+    mapping = 'ahrs = { time_s = "t", attitude = ["r [deg]", "p [deg]", "y [deg]"] }'
+    rows = table(imported(tmp_path, mapping, log="t,r [deg],p [deg],y [deg]\n0,3,358.5,270\n"), "ahrs")
+    assert [rows[n][0] for n in ("roll_rad", "pitch_rad", "yaw_rad")] == pytest.approx(np.radians([3, -1.5, -90]))
+
+
+def test_an_awkward_file(tmp_path: Path) -> None:
+    """Gzip, byte-order mark, comments, semicolons, decimal commas, Windows lines, a last separator, Latin-1."""
+    text = "# made by a logger\r\n%zeit;tiefe [cm];Temp °C;\r\n0,5;250,5;4,1;\r\n\r\n# pause\r\n1,5;260;4,2;\r\n"
+    log = gzip.compress(b"\xef\xbb\xbf" + text.encode("latin-1"))
+    rows = table(imported(tmp_path, 'depth = { time_s = "zeit", z_m = "tiefe [cm]" }', log=log), "depth")
+    assert (rows["time_s"].tolist(), rows["z_m"].tolist()) == ([0.5, 1.5], [2.505, 2.6])
+
+
+@for_all(sign=["\t", "  ", " , "])
+def test_separators(sign: str, tmp_path: Path) -> None:
+    log = sign.join(("time_s", "depth_m")) + "\n" + sign.join(("0", "2")) + "\n" + sign.join(("1", "3")) + "\n"
+    rows = table(imported(tmp_path, 'depth = { time_s = "time_s", z_m = "depth_m" }', log=log), "depth")
+    assert rows["z_m"].tolist() == [2, 3]
+
+
+def test_empty_cells_and_nan(tmp_path: Path) -> None:
+    """Rows of depth without a number are left out; those of a DVL stay, without bottom lock."""
+    mapping = DVL.format(vx='"v [m/s]"') + '[depth]\ntime_s = "t [s]"\nz_m = "z [m]"\n'
+    result = imported(tmp_path, mapping, log="t [s],v [m/s],z [m]\n0,1,5\n1,NaN,6\n2,,\n,1,8\n4,1,9\n")
+    dvl, depth = table(result, "dvl"), table(result, "depth")
+    assert (dvl["time_s"].tolist(), dvl["valid"].tolist()) == ([0, 1, 2, 4], [1, 0, 0, 1])
+    assert depth["time_s"].tolist() == [0, 1, 4]
+    for note in (
+        "dvl: 1 row of 5 without a time, log.csv:5 the first: left out",
+        "dvl: 2 rows of 5 without a number, log.csv:3 the first: valid = 0",
+        "depth: 1 row of 5 without a number, log.csv:4 the first: left out",
+    ):
+        assert note in result.notes
+
+
+@for_all(
+    case=[
+        ('"ok"', ("1", "0.0", "true", "FALSE", ""), [1, 0, 1, 0, 0]),
+        ('{ column = "ok", equals = "A" }', ("A", "V", "a", "", "B"), [1, 0, 1, 0, 0]),
+        ('{ column = "ok", above = 2 }', ("3", "2", "4", "nan", "0"), [1, 0, 1, 0, 0]),
+        ('{ column = "ok", equals = 2 }', ("2", "2.0", "4", "nan", "0"), [1, 1, 0, 0, 0]),
+    ]
+)
+def test_flags(case: tuple[str, tuple[str, ...], list[int]], tmp_path: Path) -> None:
+    cell, words, expected = case
+    log = "t [s],ok\n" + "".join(f"{k},{word}\n" for k, word in enumerate(words))
+    rows = table(imported(tmp_path, DVL.format(vx="1") + f"valid = {cell}\n", log=log), "dvl")
+    assert rows["valid"].tolist() == expected
+
+
+def test_order_of_time(tmp_path: Path) -> None:
+    mapping, log = 'depth = {{ time_s = "t", z_m = "z", {} }}', "t,z\n0,1\n2,3\n1,2\n2,4\n"
+    for options, problem in (
+        ("file = 'log.csv'", r"log\.csv:4: the time falls .* sort = true in \[depth\]"),
+        ("sort = true", r"log\.csv:5: the time is that of the row before; write duplicates = \"first\""),
+    ):
+        with pytest.raises(GraphFileError, match=problem):
+            imported(tmp_path, mapping.format(options), log=log)
+    result = imported(tmp_path, mapping.format('sort = true, duplicates = "first"'), log=log)
+    assert table(result, "depth")["z_m"].tolist() == [1, 2, 3]
+    assert "depth: sorted by time; 1 row came before the one above" in result.notes
+    assert "depth: 1 row with the time of the one before, log.csv:5 the first: left out" in result.notes
+
+
+@for_all(
+    case=[
+        ('time_s = "t"\nz_m = "dept"', "mapping.toml:3: log.csv has no column 'dept'; write z_m = \"depth\"; it has"),
+        ('time_s = "t"', 'mapping.toml:1: [depth] has no z_m; write z_m = "depth"'),
+        ('time_s = "t"\nz_m = "Altitude [m]"', 'write z_m = { column = "Altitude [m]", up = true }, or up = false'),
+        ('time_s = "t"\nz_m = "p [dbar]"', "'p [dbar]' is in dbar, pressure; z_m is a length, m; scale and offset"),
+        ('time_s = "t"\nz_m = { column = "depth", unit = "dbar" }', "; of a pressure give scale"),
+        ('time_s = "t"\nz_m = "word"', "log.csv:2: word: 'deep' is not a number [0,5,deep"),
+        ('time_s = "word"\nz_m = "depth"', "log.csv:2: word: 'deep' is not a number"),
+        ('time_s = 3\nz_m = "depth"', "time_s is a constant, and times rise"),
+        ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, which is no unit of time"),
+        ('time_s = { column = "t", scale = 1e10 }\nz_m = "depth"', "log.csv:3: t: 1e+10 s is no time"),
+    ]
+)
+def test_refusals_say_what_to_write(case: tuple[str, str], tmp_path: Path) -> None:
+    log = "t,depth,word,Altitude [m],p [dbar]\n0,5,deep,-5,5\n1,5,deep,-5,5\n"
+    with pytest.raises(GraphFileError) as error:
+        imported(tmp_path, f"[depth]\n{case[0]}\n", log=log)
+    assert case[1] in str(error.value)
+
+
+def test_degrees_that_nobody_names_are_refused(tmp_path: Path) -> None:
+    mapping = 'ahrs = { time_s = "t", roll_rad = 0, pitch_rad = 0, yaw_rad = "heading" }'
+    with pytest.raises(GraphFileError, match=r'no radians; write yaw_rad = { column = "heading", unit = "deg" }'):
+        imported(tmp_path, mapping, log="t,heading\n0,270\n")
+
+
+def test_dates(tmp_path: Path) -> None:
+    """A date and a time in two columns, no zone; a date that is none has its line."""
+    mapping = 'depth = { time_s = { column = ["date", "time"] }, z_m = "z_m" }'
+    log = "date,time,z_m\n2024-02-29,10:00:00,1\n2024-02-29,10:00:01.5,2\n"
+    result = imported(tmp_path, mapping, log=log)
+    assert table(result, "depth")["time_s"].tolist() == [0, 1.5]
+    assert "log.csv: 'time' names no zone; its times are taken to be UTC" in result.notes
+    for wrong in ("2023-02-29", "29.02.2024"):
+        with pytest.raises(GraphFileError, match=r"log\.csv:3: "):
+            imported(tmp_path, mapping, log="date,time,z_m\n2024-02-28,10:00:00,1\n" + f"{wrong},10:00:00,1\n")
+
+
+def test_many_rows(tmp_path: Path) -> None:
+    t = np.arange(200_000)
+    log = "t_ms,z [mm]\n" + "\n".join(f"{5 * k},{k % 997}" for k in t.tolist()) + "\n"
+    rows = table(imported(tmp_path, 'depth = { time_s = "t_ms", z_m = "z [mm]" }', log=log), "depth")
+    assert np.array_equal(rows["z_m"], (t % 997) * 1e-3)
+    assert rows["time_s"][-1] == pytest.approx(999.995)

@@ -1,0 +1,141 @@
+"""Tables of a mission folder that are implausible, from the files to the findings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+import sim
+from nls.cli import main
+from nls.io.mission.plausible import Log
+from nls.io.mission.plausible.words import sentence
+from nls.io.mission.table import csv_text
+from nls.io.mission.write import write_mission
+from tests.combinations import for_all
+from tests.nls.io.mission.mission_files import RAW, TINY, folder
+from tests.nls.io.mission.plausible.spoils import SPOILS
+from tests.nls.io.mission.plausible.vehicle import clean
+
+BEACONS = np.array([[200.0, -150.0, 60.0], [-300.0, 100.0, 55.0]])
+
+
+def files_of(log: Log, extra: dict[str, str] | None = None) -> dict[str, str]:
+    """The files of a log; `extra` ones beside them."""
+    names = list(log.sigmas)
+    tables = {
+        "dvl": csv_text(RAW["dvl"], log.t_v, log.v, log.valid.astype(int)),
+        "ahrs": csv_text(RAW["ahrs"], log.t_a, log.rpy),
+        "depth": csv_text(RAW["depth"], log.t_z, log.z),
+        "noise": csv_text(names, np.array([[log.sigmas[name] for name in names]])),
+    }
+    return {name: text.decode() for name, text in tables.items()} | (extra or {})
+
+
+def ranges(log: Log, factor: float, column: str = "range_m") -> dict[str, str]:
+    """Ranges to two beacons along the track by dead reckoning, which begins at 0."""
+    thin = log.thinned()
+    t = thin.t_v[5::20]
+    p = np.column_stack([np.interp(t, thin.t_v, column) for column in thin.way().T])
+    p[:, 2] = np.interp(t, log.t_z, log.z)
+    k = np.arange(len(t)) % 2
+    r = np.linalg.norm(p - BEACONS[k], axis=1)
+    z = factor * r if column == "range_m" else factor * 2 * r / 1500.0
+    sigma = f"sigma_{column}"
+    rows = csv_text(["time_s", "beacon", column, sigma], t, k, z, np.full(len(t), 0.5))
+    beacons = csv_text(
+        ["beacon", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m"],
+        np.arange(2),
+        BEACONS,
+        np.full((2, 3), 0.1),
+    )
+    return {"ranges": rows.decode(), "beacons": beacons.decode()}
+
+
+def findings_of(path: Path) -> list[str]:
+    """Sentences about a folder."""
+    return [sentence(entry) for entry in nls.load(path)[2].findings]  # type: ignore[attr-defined]
+
+
+@for_all(
+    case=[
+        (1.0, "range_m", ""),
+        (1.02, "range_m", ""),  # a speed of sound that is 2 % wrong is for calibration.csv
+        (3.2808, "range_m", "looks like ft"),
+        (0.001, "range_m", "looks like km"),
+        (0.5, "range_m", "both ways"),
+        (1.0, "travel_time_s", ""),
+        (1e3, "travel_time_s", "looks like ms"),
+        (0.5, "travel_time_s", "both ways"),
+    ]
+)
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_ranges_in_another_unit(case: tuple[float, str, str], tmp_path: Path) -> None:
+    factor, column, cause = case
+    log = clean(1, minutes=6.0, drop_outs=False)
+    start = "time_s,x_m,y_m,sigma_x_m,sigma_y_m\n0.0,0,0,1,1\n"  # where the ranges are from
+    files = files_of(log, ranges(log, factor, column))
+    path = folder(tmp_path / f"{factor}{column}", files | {"fixes": start})
+    findings = findings_of(path)
+    assert len(findings) == (1 if cause else 0)
+    assert not cause or cause in findings[0]
+
+
+@for_all(case=[(1500.0, ""), (4921.0, "divide by 3.2808"), (1.5, "multiply by 1000"), (1200.0, "none of the usual")])
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_speeds_of_sound_that_water_does_not_have(case: tuple[float, str], tmp_path: Path) -> None:
+    c, cause = case
+    table = f"z_m,sound_speed_m_s\n0,1490\n10,{c}\n"
+    findings = findings_of(folder(tmp_path / f"{c}", {**TINY, "sound-speed": table}))
+    assert len(findings) == (1 if cause else 0)
+    assert not cause or (cause in findings[0] and findings[0].startswith("sound-speed.csv:3: "))
+
+
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_an_integrated_track(tmp_path: Path) -> None:
+    up = TINY["zpr"].replace(",5.", ",-5.")
+    assert "z is down" in findings_of(folder(tmp_path / "up", zpr=up))[0]
+    degrees = TINY["zpr"].replace("0.0479", "0.9").replace("0.03,", "1.1,")
+    assert "roll_rad" in findings_of(folder(tmp_path / "degrees", zpr=degrees))[0]
+    fast = findings_of(folder(tmp_path / "fast", poses="i,time_s\n0,0\n1,0.001\n2,0.002\n3,0.003\n"))
+    assert "the middle speed is" in fast[0]
+    assert findings_of(folder(tmp_path / "right", poses="i,time_s\n0,0\n1,1\n2,2\n3,3\n")) == []
+
+
+def test_a_simulated_sonar_mission_is_plausible(tmp_path: Path) -> None:
+    for seed in range(3):
+        mission = sim.hauv_floor(np.random.default_rng(seed), legs=2, per_leg=6)
+        write_mission(tmp_path / str(seed), mission.graph, mission.sonar, mission.offset, mission.truth)
+        assert findings_of(tmp_path / str(seed)) == []
+
+
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_solve_and_explain_name_the_doubt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = SPOILS["velocity in mm/s"][0](clean(1, minutes=4.0))
+    path = str(folder(tmp_path / "m", files_of(log)))
+    assert main(["solve", path, "--json", str(tmp_path / "r.json")]) == 0
+    table = capsys.readouterr().out
+    (result,) = [line for line in table.splitlines() if line.startswith("result ")]
+    assert "converged" in result
+    assert "but implausible: speed (dvl.csv)" in result
+    (finding,) = json.loads((tmp_path / "r.json").read_text())["findings"]
+    assert 'divide by 1000, or unit = "mm/s" in the mapping of nls import' in finding["sentence"]
+    assert (finding["file"], finding["line"], finding["readings"][0]["factor"]) == ("dvl.csv", 2, 1000.0)
+    assert main(["explain", path, "--json", str(tmp_path / "e.json")]) == 0
+    assert "1. dvl.csv:2: vx_m_s is implausible" in capsys.readouterr().out
+    assert json.loads((tmp_path / "e.json").read_text())["findings"][0]["kind"] == "implausible"
+
+
+def test_an_error_of_the_reader_names_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = SPOILS["yaw in degrees"][0](clean(1, minutes=4.0))
+    fixes = log.fixes
+    assert fixes is not None
+    sigma = np.column_stack([fixes.sigma, fixes.sigma]) / np.sqrt(2)
+    text = csv_text(["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"], fixes.t, fixes.p, sigma).decode()
+    assert main(["solve", str(folder(tmp_path / "m", files_of(log, {"fixes": text})))]) == 2
+    error = capsys.readouterr().err
+    assert "expected radians, -2 pi to 2 pi" in error
+    assert "yaw_rad of ahrs.csv looks like deg: divide by 57.296" in error
