@@ -27,6 +27,7 @@ __all__ = ["landmark_map", "track"]
 SOLUTION, DEAD, TRUE, POINT = "#0b4f6c", "#e07a2f", "#202020", "#3f8f4f"
 HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
+THOUSAND = 1e3  # m, from which three digits would be written as a power of ten
 WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 x, l = kinds("x", "l")
@@ -67,14 +68,15 @@ def track(
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
     for (name, error), color in zip((errors or {}).items(), (DEAD, SOLUTION), strict=False):
         axes[1].plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
-        axes[1].set(xlabel="distance travelled [m]", ylabel="error of the position [m]", title="Error along the way")
-        axes[1].legend(loc="upper left", fontsize=8)
+        axes[1].set(xlabel="distance travelled [m]", ylabel=f"away from the {error.against} [m]", title="Along the way")
+        axes[1].legend(loc="best", fontsize=8)
     if errors:
         most = max([LEAST, *(float(error.error.max()) for error in errors.values())])
         axes[1].set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
         ends = ", ".join(f"{name} {round(error.end, 4):.2g} m" for name, error in errors.items())
         first = next(iter(errors.values()))
-        figure.suptitle(f"After {first.distance:.3g} m: {ends} from the {first.against}")
+        travelled = f"{first.distance:,.0f}" if first.distance >= THOUSAND else f"{first.distance:.3g}"
+        figure.suptitle(f"After {travelled} m: {ends} from the {first.against}")
     return figure
 
 
