@@ -35,7 +35,7 @@ def explain(options: argparse.Namespace) -> int:
     graph = prepare(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
-        explanation, how = _explained(graph, start, progress)
+        explanation, how = _explained(graph, start, progress, report)
         if report.has_lines:
             explanation = explanation.placed(report.place)
         explanation = _with_tables(explanation, report)
@@ -50,6 +50,15 @@ def explain(options: argparse.Namespace) -> int:
     return 0
 
 
+def _dives(graph: FactorGraph, report: LoadReport) -> list[str] | None:
+    """The dive that each factor is of; None where there is one mission, or none."""
+    from nls.io.mission import DivesReport
+
+    if not isinstance(report, DivesReport) or len(report.dive_of) != len(graph.factors):
+        return None
+    return report.dive_of
+
+
 def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     """With what is implausible in the tables of a mission, first."""
     from nls.explanation.findings import Finding, FindingKind
@@ -61,7 +70,7 @@ def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     return replace(explanation, findings=(*findings, *explanation.findings))
 
 
-def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[Explanation, str]:
+def _explained(graph: FactorGraph, start: Values, progress: Progress, report: LoadReport) -> tuple[Explanation, str]:
     """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
     import nls
     from models.advice import Advice
@@ -86,7 +95,7 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress) -> tuple[E
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
-            return nls.explain(graph, result.values), how
+            return nls.explain(graph, result.values, _dives(graph, report)), how
         values, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")

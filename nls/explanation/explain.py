@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -41,13 +42,14 @@ FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise wha
 
 
 @single_thread()
-def explain(graph: FactorGraph, values: Values) -> Explanation:
+def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = None) -> Explanation:
     """What is determined and what is free, whether the measurements agree with each other, and what would help.
 
     Parameters
     ----------
     graph : as for `FactorGraph.optimize`; not changed. Measurements under a robust kernel count with their weight.
     values : usually the optimum, ``graph.optimize(...).values``. Elsewhere the findings begin with that.
+    groups : a name for each factor, such as its dive: chi2 is counted for each kind of measurement and name.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     Raises
     ------
     GraphError
-        Nothing to explain; a factor's variable without a value.
+        Nothing to explain; another number of names than of factors; a factor's variable without a value.
     EvaluationError
         The values cannot be evaluated.
     ResourceLimitError
@@ -86,6 +88,10 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     refuse_other("explain", graph, values)
     if not len(graph):
         raise GraphError("the graph has no factors: nothing to explain")
+    if groups is not None and len(groups) != len(graph.factors):
+        raise GraphError(
+            f"explain: {len(groups)} names of groups; expected one for each of {len(graph.factors)} factors"
+        )
     whole = graph.pattern(values)
     fixed, touched = fixed_variables(graph.fixed, values), touched_variables(whole)
     idle = ~touched & ~fixed
@@ -101,6 +107,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     tests: list[Tested] | None = None
     outliers: Suspects | None = None
     parts: tuple[Part, ...] = ()
+    grouped: tuple[Part, ...] = ()
     worst: tuple[Measurement, ...] = ()
     weakest: tuple[Weak, ...] = ()
     promised = float("nan")
@@ -109,7 +116,9 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
     else:
         promised = free.checked.promised
         tests = checks(free.checked, len(graph.factors))
-        parts = _parts(pattern, [factor.chi2(values) for factor in graph.factors], tests)
+        squares = [factor.chi2(values) for factor in graph.factors]
+        parts = _parts(pattern, squares, tests)
+        grouped = parts if groups is None else _parts(pattern, squares, tests, groups=groups)
         worst = _worst(pattern, values, tests)
         weakest = _weakest(free, pattern, values, idle)
         fall = _fall(graph, values, pattern.expand(free.checked.dx)) if promised > _little(chi2) else 0.0
@@ -153,7 +162,7 @@ def explain(graph: FactorGraph, values: Values) -> Explanation:
         promised=promised,
         robust=robust,
         findings=tuple(findings),
-        parts=parts,
+        parts=grouped,
         worst=worst,
         suspects=() if outliers is None else doubts.taken_out(outliers, graph, whole, values),
         chi2_without=None if outliers is None or not outliers.places else (outliers.chi2, outliers.dof),
@@ -209,11 +218,27 @@ def _unmeasured(pattern: Pattern, idle: Mask) -> list[Finding]:
 
 
 def _parts(
-    pattern: Pattern, s: list[Array], tests: list[Tested], accepted: list[Array] | None = None
+    pattern: Pattern,
+    s: list[Array],
+    tests: list[Tested],
+    accepted: list[Array] | None = None,
+    groups: Sequence[str] | None = None,
 ) -> tuple[Part, ...]:
-    """chi2 by kind of measurement, from squared residuals s by batch; of those accepted, 1 and not 0, where given."""
+    """chi2 by kind of measurement, and by group where there are names of them, from squared residuals s by batch.
+
+    Of those accepted, 1 and not 0, where given.
+    """
     out = []
-    for name, kind in kinds_of(pattern, len(tests)).items():
+    sorts = kinds_of(pattern, len(tests))
+    if groups is not None:
+        names = list(dict.fromkeys(groups))
+        split = {
+            (kind, name): [b for b in batches if groups[b[0]] == name]
+            for kind, batches in sorts.items()
+            for name in names
+        }
+        sorts = {f"{kind}, {name}": batches for (kind, name), batches in split.items() if batches}
+    for name, kind in sorts.items():
         if accepted is not None:
             kind = [(k, indices[accepted[k][indices] > 0]) for k, indices in kind]
         dof = round(float(sum(tests[k].dof[indices].sum() for k, indices in kind)), 6) + 0.0

@@ -64,9 +64,11 @@ class DivesReport(MissionReport):
     Attributes
     ----------
     dives : in the order they were given.
+    dive_of : the name of the dive that each factor is of; a closure between dives is of the one that saw it.
     """
 
     dives: list[Dive] = field(default_factory=list)
+    dive_of: list[str] = field(default_factory=list, repr=False)
 
 
 def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple[FactorGraph, Values, DivesReport]:
@@ -101,10 +103,12 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
         first = k * stride
         own = _renumbered(without_known_beacons(own, own_report, graph), first)
         graph = FactorGraph([*graph.factors, *own.factors], [*graph.fixed, *own.fixed])
+        report.dive_of += [names[k]] * len(own.factors)
         _add_report(report, own_report, Dive(names[k], first, first + stride, own_report))
     values = _together([(values, k * stride) for k, values in placed.items()])
     for k in range(len(dives)):
         _add_closures(graph, report, k, values)
+        report.dive_of += [names[k]] * (len(graph.factors) - len(report.dive_of))
     report.truth = _together([(own_report.truth, k * stride) for k, (_, _, own_report) in enumerate(dives)])
     return graph, values, report
 

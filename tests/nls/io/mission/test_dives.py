@@ -157,6 +157,8 @@ def test_the_command_line_writes_a_map_and_a_track_of_each(
     assert rows["i"].tolist() == list(range(1113, 1247))
     assert (rows["sigma_x_m"] > 0).all()
     assert main(["explain", *map(str, dives)]) == 0
+    rows = [line.split(",")[:2] for line in capsys.readouterr().out.splitlines() if line.startswith("RangeAzimuth, ")]
+    assert [row[1].split()[0] for row in rows] == ["first", "second"]
     assert main(["solve", *map(str, dives), "-o", str(dives[1])]) == 2
 
 
