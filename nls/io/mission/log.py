@@ -17,8 +17,8 @@ What is assumed: the error of the heading lasts through a leg, so it turns the l
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that: as far as the heading goes, the covariances are on the safe side.
 
-Where poses are denser than the rows of a sensor, those that one row is all there is of share it: the sigmas of their
-`Heading` and `ZPR` grow by the root of their number, so that they say together what the row says.
+Where poses are denser than the rows of a sensor, the sigmas of their `Heading` and `ZPR` grow by the root of how many
+poses there are for a row, so that together they say what the rows say.
 
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
 from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x

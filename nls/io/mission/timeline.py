@@ -20,6 +20,7 @@ from nls.io.mission.table import Table
 
 __all__ = ["Timeline", "Times", "measured_times", "poses_of_rows", "united"]
 
+AROUND = 5  # rows of a log, over which poses are counted
 SAME = 1e-3  # s: 2 mm at 2 m/s
 TIMED = ("fixes", "ranges", "usbl", "closures")
 NUMBERED = ("contacts", "anchor", "truth", *TIMED)  # files that may name poses
@@ -99,13 +100,16 @@ def united(b: Array, end: float, times: Times, tables: dict[str, Table]) -> Arra
 
 
 def poses_of_rows(t: Array, b: Array) -> Array:
-    """Root of how many poses (n,) at times b share one row of a log with rising times t: their sigmas grow by it.
+    """Root of how many poses (n,) at times b there are for a row of a log at rising times t, 1 or more.
 
-    Poses between two rows are interpolated from the same two: each counts as a measurement of its own, so together
-    they must not say more than one row does.
+    Poses between rows are interpolated, and each counts as a measurement of its own. Where they are denser than the
+    rows, counted over `AROUND` of these, their sigmas grow by this: together they say no more than the rows do.
     """
-    row = np.searchsorted(t, b, side="right")
-    return np.asarray(np.sqrt(np.bincount(row, minlength=len(t) + 1)[row]))
+    reach = AROUND / 2 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+    rows, poses = (
+        np.searchsorted(times, b + reach, side="right") - np.searchsorted(times, b - reach) for times in (t, np.sort(b))
+    )
+    return np.asarray(np.sqrt(np.maximum(1.0, poses / np.maximum(rows, 1))))
 
 
 @dataclass(frozen=True)
