@@ -116,7 +116,7 @@ def report(data: Path) -> list[str]:
             "",
             "The fixes are made of the same ranges, and many rows repeat the one before: their small scale says how",
             "well they fit these, not how right they are. There is no truth. The ranges of one ping differ by",
-            "decimeters at tens of meters: four receivers a meter apart give a range, and a direction that is poorly known.",
+            "decimeters at tens of meters: four receivers a meter apart give a range, and a poorly known direction.",
             "",
             "The caves have no heading sensor in the log: `nls import` reads DVL and depth, and says what is missing.",
         ]
