@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from factors.base import Factor
 from factors.keys import Keys, Kind, kinds
 from models import SE3, Manifold, euler
 from models.algebra import Array, Numbers
@@ -89,22 +90,25 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
         No mission; a folder twice; dives with other origins on the Earth; numbers too large for so many dives.
     """
     names = _names(folders)
-    dives = [read_mission(folder, elevation, anchored=False) for folder in folders]
-    if not any(report.anchored for _, _, report in dives):
-        dives[0] = read_mission(folders[0], elevation)
+    others = [read_mission(folder, elevation, anchored=False) for folder in folders[1:]]
+    alone = not any(report.anchored for _, _, report in others)
+    dives = [read_mission(folders[0], elevation, anchored=alone), *others]
     _refuse_other_origins([report for _, _, report in dives])
     stride = _stride([values for _, values, _ in dives], str(folders[0]))
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")
     report.plane = dives[0][2].plane
     placed = _placed(dives, names)
     refuse_moved_beacons([(graph, report) for graph, _, report in dives])
-    graph = FactorGraph()
+    factors: list[Factor] = []
+    fixed: list[Keys] = []
     for k, (own, _, own_report) in enumerate(dives):
         first = k * stride
-        own = _renumbered(without_known_beacons(own, own_report, graph), first)
-        graph = FactorGraph([*graph.factors, *own.factors], [*graph.fixed, *own.fixed])
+        own = _renumbered(without_known_beacons(own, own_report, factors), first)
+        factors += own.factors
+        fixed += own.fixed
         report.dive_of += [names[k]] * len(own.factors)
         _add_report(report, own_report, Dive(names[k], first, first + stride, own_report))
+    graph = FactorGraph(factors, fixed)
     values = _together([(values, k * stride) for k, values in placed.items()])
     for k in range(len(dives)):
         _add_closures(graph, report, k, values)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from factors import Diagonal, Prior
+from factors.base import Factor
 from models.algebra import Array
 from models.errors import GraphFileError
 from nls.graph import FactorGraph
@@ -18,9 +19,9 @@ __all__ = ["refuse_moved_beacons", "without_known_beacons"]
 APART = 5.0  # sigmas: one beacon in two places
 
 
-def _beacon_priors(graph: FactorGraph) -> list[tuple[int, Prior]]:
-    """The priors of beacons, and their place in the graph."""
-    return [(k, f) for k, f in enumerate(graph.factors) if isinstance(f, Prior) and f.keys[0].kind == "b"]
+def _beacon_priors(factors: Sequence[Factor]) -> list[tuple[int, Prior]]:
+    """The priors of beacons, and their place among the factors."""
+    return [(k, f) for k, f in enumerate(factors) if isinstance(f, Prior) and f.keys[0].kind == "b"]
 
 
 def refuse_moved_beacons(dives: Sequence[tuple[FactorGraph, MissionReport]]) -> None:
@@ -32,7 +33,7 @@ def refuse_moved_beacons(dives: Sequence[tuple[FactorGraph, MissionReport]]) -> 
     """
     places: dict[int, tuple[Array, Array, str]] = {}
     for graph, report in dives:
-        for k, prior in _beacon_priors(graph):
+        for k, prior in _beacon_priors(graph.factors):
             sigmas = np.asarray(prior.noise.sigmas) if isinstance(prior.noise, Diagonal) else np.zeros(0)
             for row, number in enumerate(prior.keys[0].numbers.tolist()):
                 z, sigma, where = prior.z[row], sigmas[row], report.place(k, row)
@@ -47,16 +48,16 @@ def refuse_moved_beacons(dives: Sequence[tuple[FactorGraph, MissionReport]]) -> 
                     )
 
 
-def without_known_beacons(own: FactorGraph, report: MissionReport, graph: FactorGraph) -> FactorGraph:
-    """A dive without the rows of its beacons.csv that another dive has word by word: one survey counts once."""
+def without_known_beacons(own: FactorGraph, report: MissionReport, others: Sequence[Factor]) -> FactorGraph:
+    """A dive without rows of its beacons.csv that the factors of others have word by word: one survey counts once."""
     known = {
         (number, *prior.z[row].tolist(), *np.asarray(prior.noise.sigmas)[row].tolist())
-        for _, prior in _beacon_priors(graph)
+        for _, prior in _beacon_priors(others)
         if isinstance(prior.noise, Diagonal)
         for row, number in enumerate(prior.keys[0].numbers.tolist())
     }
     factors, sources = list(own.factors), list(report.sources)
-    for k, prior in reversed(_beacon_priors(own)):
+    for k, prior in reversed(_beacon_priors(own.factors)):
         assert isinstance(prior.noise, Diagonal)
         sigmas = np.asarray(prior.noise.sigmas)
         rows = [
