@@ -27,6 +27,7 @@ from nls.graph import FactorGraph
 from nls.io.kind_names import with_keys
 from nls.io.mission.columns import LEVEL
 from nls.io.mission.fixes import closures
+from nls.io.mission.placing import turn_to
 from nls.io.mission.read import read_mission
 from nls.io.mission.report import MissionReport
 from nls.io.mission.rows import add_rows
@@ -244,9 +245,12 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
         _, values, report = dives[k]
         p, q = _shared(values, world)
         if len(p) >= (1 if report.compass else 2):
-            motion = np.append(np.mean(q - p, axis=0), 0.0) if report.compass else align(q, p)
+            x_m, y_m, yaw = np.append(np.mean(q - p, axis=0), 0.0) if report.compass else align(q, p)
+            T = euler.to_se3([0.0, 0.0, yaw, x_m, y_m, 0.0])
         elif (closed := _closed(k, dives, names, placed)) is not None:
-            motion = _onto(*closed, report.compass)
+            pose, target = closed
+            _, _, yaw, x_m, y_m, _ = euler.from_se3(target)
+            T = turn_to(pose, x_m, y_m, euler.from_se3(pose)[2] if report.compass else yaw)
         else:
             raise GraphFileError(
                 f"nothing says where this dive is beside {names[min(placed)]}: it has no anchor.csv and no fixes.csv, "
@@ -254,7 +258,7 @@ def _placed(dives: Sequence[Read], names: Sequence[str]) -> dict[int, Values]:
                 "give it one of these files",
                 report.path,
             )
-        placed[k] = _moved(values, motion)
+        placed[k] = _moved(values, T)
     return placed
 
 
@@ -285,14 +289,6 @@ def _level(X: Array) -> Array:
     return np.atleast_2d(euler.to_se3([0.0, 0.0, state[2], *state[3:5], 0.0]))
 
 
-def _onto(pose: Array, target: Array, compass: bool) -> Array:
-    """The motion (3,) of the horizontal plane that brings a pose to a target; without a turn beside a compass."""
-    p, q = (euler.from_se3(np.atleast_2d(X))[0] for X in (pose, target))
-    yaw = 0.0 if compass else float(q[2] - p[2])
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([*(q[3:5] - np.array([[c, -s], [s, c]]) @ p[3:5]), yaw])
-
-
 def _shared(values: Values, world: Values) -> tuple[Array, Array]:
     """Where a dive has the landmarks and beacons that others know, and where these have them: (n, 2) each."""
     p, q = [np.zeros((0, 2))], [np.zeros((0, 2))]
@@ -305,9 +301,8 @@ def _shared(values: Values, world: Values) -> tuple[Array, Array]:
     return np.concatenate(p), np.concatenate(q)
 
 
-def _moved(values: Values, motion: Array) -> Values:
-    """Poses and points of a dive after a motion (3,) of the horizontal plane: x, y, m, and yaw, rad."""
-    T = euler.to_se3([0.0, 0.0, motion[2], motion[0], motion[1], 0.0])
+def _moved(values: Values, T: Array) -> Values:
+    """Poses and points of a dive after a motion (7,)."""
     moved = values.copy()
     for kind, stack in values.stacks.items():
         if stack.manifold is SE3:
