@@ -178,6 +178,24 @@ def test_one_survey_of_a_beacon_counts_once_and_two_that_contradict_are_refused(
         nls.load([a, b])
 
 
+def test_beacons_are_compared_where_both_dives_measure_them(tmp_path: Path) -> None:
+    """A depth alone beside a place: no contradiction at one depth, one at another, and the depth counts once."""
+    depth, place = (
+        "beacon,z_m,sigma_z_m\n1,{},0.1\n",
+        "beacon,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n1,9,4,6,1,1,0.1\n",
+    )
+    ranges = "i,beacon,range_m,sigma_range_m\n0,1,10,1\n3,1,9,1\n"
+    track = {name: TINY[name] for name in ("odometry", "zpr")}
+    anchor = "i,x_m,y_m,yaw_rad,sigma_x_m,sigma_y_m,sigma_yaw_rad\n0,0,0,0,1,1,0.1\n"
+    beacons = {"a": depth.format(6.1), "b": place, "c": depth.format(6.1)}
+    dives = [folder(tmp_path / k, track, anchor=anchor, beacons=v, ranges=ranges) for k, v in beacons.items()]
+    graph, _, _ = nls.load(dives)
+    assert [f.components for f in graph.factors if isinstance(f, Prior) and f.keys[0].kind == "b"] == [("z",), None]
+    (dives[0] / "beacons.csv").write_text(depth.format(7))
+    with pytest.raises(GraphFileError, match=r"b/beacons\.csv:2: beacon 1 is 1 m from where .*a/beacons\.csv:2 has it"):
+        nls.load(dives)
+
+
 def test_a_closure_places_a_dive_without_an_anchor(tmp_path: Path) -> None:
     """Pose 12 of one dive is pose 2 of the other, so their tracks lie on each other, from whichever side it is said."""
     track = {name: TINY[name] for name in ("odometry", "zpr")}
