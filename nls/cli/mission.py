@@ -120,27 +120,30 @@ class Solved:
     @cached_property
     def end_sigma(self) -> float | None:
         """Standard deviation of the last position, m; None where it has none."""
-        from nls.covariance import Marginals
-
-        if not self.result.converged:
-            return None
+        marginals, _ = self._covariances
         try:
-            return sigma_at_the_end(Marginals(self.graph, self.values, self.solver, self.gauge), self.report)
+            return None if marginals is None else sigma_at_the_end(marginals, self.report)
         except UnderconstrainedError:
             return None
 
     @cached_property
-    def marginals(self) -> Marginals | None:
-        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
+    def _covariances(self) -> tuple[Marginals | None, str]:
+        """Covariances at the optimum; None and the reason where there are none."""
         from nls.covariance import Marginals
 
         if not self.result.converged:
-            self.report.notes.append("the files have no sigmas: this is no optimum")
-            return None
+            return None, "this is no optimum"
         try:
-            marginals = Marginals(self.graph, self.values, self.solver, self.gauge)
+            return Marginals(self.graph, self.values, self.solver, self.gauge), ""
         except UnderconstrainedError as error:
-            self.report.notes.append(f"the files have no sigmas: {error}")
+            return None, str(error)
+
+    @cached_property
+    def marginals(self) -> Marginals | None:
+        """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
+        marginals, reason = self._covariances
+        if marginals is None:
+            self.report.notes.append(f"the files have no sigmas: {reason}")
             return None
         seen_once = (
             l[[]] if self.report.sonar is None or l.name not in self.values.stacks else undetermined(marginals, l)
@@ -167,9 +170,8 @@ class Solved:
         """What the measurements say of the calibrations."""
         from nls.io.mission.determination import determinations
 
-        return determinations(
-            self.graph, self.values, self.report, self.solver, self.gauge, bool(self.result.converged)
-        )
+        marginals = self._covariances[0] if self.report.calibrations else None
+        return determinations(self.values, self.report, marginals)
 
     @property
     def judge(self) -> str | None:

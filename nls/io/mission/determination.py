@@ -13,11 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import Kind
-from models.errors import UnderconstrainedError
 from nls.covariance import Marginals
-from nls.graph import FactorGraph
 from nls.io.mission.report import MissionReport
-from nls.linear import LinearSolver
 from nls.values import Values
 
 __all__ = ["Determination", "determinations"]
@@ -58,28 +55,14 @@ class Determination:
         return None if self.share is None else self.share <= LEFT
 
 
-def determinations(
-    graph: FactorGraph,
-    values: Values,
-    report: MissionReport,
-    solver: LinearSolver | None = None,
-    gauge: str = "first",
-    sigmas: bool = True,
-) -> list[Determination]:
+def determinations(values: Values, report: MissionReport, marginals: Marginals | None) -> list[Determination]:
     """The calibrations of a solved mission, in the order of calibration.csv.
 
     Parameters
     ----------
-    graph, values, report : a mission and its solution.
-    solver, gauge : for the covariances, as in `nls.Marginals`.
-    sigmas : whether there are covariances; not where the solution is no optimum.
+    values, report : the solution of a mission.
+    marginals : its covariances; None where there are none, so that no sigma is known.
     """
-    marginals = None
-    if report.calibrations and sigmas:
-        try:
-            marginals = Marginals(graph, values, solver, gauge)
-        except UnderconstrainedError:
-            marginals = None
     rows = []
     for name, (believed, before) in report.calibrations.items():
         kind, sigma = Kind(name), None
