@@ -1,13 +1,10 @@
 r"""A cruising AUV at sea, 400 s a trajectory at 1 Hz: its DVL, and position and attitude of a post-processed INS.
 
-Files ``DVL_trajectoryN.csv`` and ``GT_trajectoryN.csv``. Geodetic positions become meters north, east and down of the
-first by the radii of curvature M and N of the WGS 84 ellipsoid there, good to millimeters over a kilometer:
-
-    north = (lat - lat_0) (M + altitude_0),   east = (lon - lon_0) (N + altitude_0) cos lat_0
+Files ``DVL_trajectoryN.csv`` and ``GT_trajectoryN.csv``. Latitudes and longitudes become meters north and east of the
+first in its plane (`models.geodesy.LocalPlane`); down is the fall of the altitude.
 
 Source of the data: N. Cohen, I. Klein, "Adaptive Kalman-informed transformer", Engineering Applications of Artificial
-Intelligence 146, 2025; of the radii: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
-Systems, 2013, section 2.4.
+Intelligence 146, 2025.
 """
 
 from __future__ import annotations
@@ -19,11 +16,11 @@ import numpy as np
 
 from models.algebra import Array
 from models.errors import GraphFileError
+from models.geodesy import LocalPlane
 from nls.io.logs.table import columns
 
 __all__ = ["AuvDvl", "read_auv_dvl"]
 
-SEMI_MAJOR, FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
 INS = (
     "Longitude [rad],Latitude [rad],Altitude [m],V North [m/s],V East [m/s],V Down [m/s],"
     "Roll [rad],Pitch [rad],Yaw [rad]"
@@ -63,10 +60,7 @@ def read_auv_dvl(folder: str | Path, number: int) -> AuvDvl:
     true = columns(ins, ("Time [s]", *INS.split(",")))
     if not np.array_equal(measured[:, 0], true[:, 0]):
         raise GraphFileError(f"its times are not those of {ins.name}", str(dvl))
-    lon, lat, altitude = true[:, 1:4].T
-    e2 = FLATTENING * (2 - FLATTENING)
-    N = SEMI_MAJOR / np.sqrt(1 - e2 * np.sin(lat[0]) ** 2)
-    M = N * (1 - e2) / (1 - e2 * np.sin(lat[0]) ** 2)
-    north, east = (lat - lat[0]) * (M + altitude[0]), (lon - lon[0]) * (N + altitude[0]) * np.cos(lat[0])
-    p = np.column_stack([north, east, altitude[0] - altitude])
+    lon, lat = np.degrees(true[:, 1:3].T)
+    altitude = true[:, 3]
+    p = np.column_stack([LocalPlane(lat[0], lon[0]).local(lat, lon), altitude[0] - altitude])
     return AuvDvl(true[:, 0], measured[:, 1:], p, true[:, 4:7], true[:, 7:])
