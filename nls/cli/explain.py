@@ -50,13 +50,11 @@ def explain(options: argparse.Namespace) -> int:
     return 0
 
 
-def _dives(graph: FactorGraph, report: LoadReport) -> list[str] | None:
+def _dives(report: LoadReport) -> list[str] | None:
     """The dive that each factor is of; None where there is one mission, or none."""
     from nls.io.mission import DivesReport
 
-    if not isinstance(report, DivesReport) or len(report.dive_of) != len(graph.factors):
-        return None
-    return report.dive_of
+    return report.dive_of if isinstance(report, DivesReport) else None
 
 
 def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
@@ -95,11 +93,11 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress, report: Lo
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
-            return nls.explain(graph, result.values, _dives(graph, report)), how
+            return nls.explain(graph, result.values, _dives(report)), how
         values, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
-    explanation = nls.explain(graph, values)
+    explanation = nls.explain(graph, values, _dives(report))
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, values))
     finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
     findings = tuple(entry for entry in explanation.findings if entry.kind is not FindingKind.NO_OPTIMUM)

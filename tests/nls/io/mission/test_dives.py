@@ -162,6 +162,21 @@ def test_the_command_line_writes_a_map_and_a_track_of_each(
     assert main(["solve", *map(str, dives), "-o", str(dives[1])]) == 2
 
 
+def test_explain_counts_dives_apart_where_there_is_no_optimum(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise nls.EvaluationError("no number")
+
+    a, b = folder(tmp_path / "a", TINY), folder(tmp_path / "b", TINY)
+    monkeypatch.setattr(FactorGraph, "optimize", refused)
+    assert main(["explain", str(a), str(b)]) == 0
+    out = capsys.readouterr().out
+    assert "no optimum was found (no number)" in out
+    assert "\nXYH, a " in out
+    assert "\nXYH, b " in out
+
+
 def test_one_survey_of_a_beacon_counts_once_and_two_that_contradict_are_refused(tmp_path: Path) -> None:
     beacons = "beacon,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n1,9,4,6,0.1,0.1,0.1\n"
     ranges = "i,beacon,range_m,sigma_range_m\n0,1,10,1\n3,1,9,1\n"
