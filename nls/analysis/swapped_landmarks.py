@@ -154,7 +154,10 @@ def _without(now: Fit, pair: Keys) -> Fit | None:
 def _best(
     now: Fit, candidates: list[tuple[Fit, Keys]], tries: int
 ) -> tuple[Fit, Keys, tuple[tuple[int, int], ...], int] | None:
-    """The exchange of one pair after which chi2 is lowest, where it is decisive; the first that noise explains."""
+    """The exchange of one pair after which chi2 is lowest, where it is decisive; the first that noise explains.
+
+    Pairs are compared after the first iterations of each solve; the graph of the best one is solved to its end.
+    """
     best = None
     for without, pair in candidates:
         exchange = _exchange(now, without.values, pair)
@@ -167,7 +170,11 @@ def _best(
             best = fit, pair, places, count
             if expected(fit):
                 break
-    return best
+    if best is None:
+        return None
+    begun, pair, places, count = best
+    optimum = solved(begun.graph, begun.values, start=False)
+    return None if optimum is None else (optimum, pair, places, count)
 
 
 def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int, int], ...], int] | None:
@@ -185,7 +192,7 @@ def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int
     exchanged, points = best
     start = start.copy()
     start[pair] = points
-    fit = solved(sightings.whole(exchanged), start, start=False)
+    fit = solved(sightings.whole(exchanged), start, False, FIRST)
     for _ in range(TURNS):
         if fit is None:
             return None
@@ -193,7 +200,7 @@ def _exchange(now: Fit, start: Values, pair: Keys) -> tuple[Fit, tuple[tuple[int
         if (nearer == exchanged).all():
             break
         exchanged = nearer
-        fit = solved(sightings.whole(exchanged), fit.values, start=False)
+        fit = solved(sightings.whole(exchanged), fit.values, False, FIRST)
     if fit is None or exchanged.sum() < FEWEST:
         return None
     return fit, sightings.places(exchanged), math.comb(len(exchanged), int(exchanged.sum()))
