@@ -166,6 +166,33 @@ class Scene:
         cosine[none], surface[none] = 0.0, -1
         return Hits(r.reshape(yaw.shape), cosine.reshape(yaw.shape), surface.reshape(yaw.shape))
 
+    def visible_rocks(self, pose: npt.ArrayLike) -> Array:
+        """Rocks that no surface hides, in the frame of a level sonar.
+
+        Parameters
+        ----------
+        pose : (3,) x, y and yaw of the sonar in the world, m and rad.
+
+        Returns
+        -------
+        (k, 3) m; z is 0.
+
+        Raises
+        ------
+        GraphError
+            A pose that is not three finite numbers.
+
+        Examples
+        --------
+        >>> Scene(piles=[[3, 0, 0.5]], rocks=[[2, 1], [4, 0]]).visible_rocks([0, 0, 0])
+        array([[2., 1., 0.]])
+        """
+        ((x, y, yaw),) = _rows("pose", np.asarray(pose, dtype=float)[None], (3,))
+        to = self.rocks - [x, y]
+        p = np.stack([to @ [np.cos(yaw), np.sin(yaw)], to @ [-np.sin(yaw), np.cos(yaw)], np.zeros(len(to))], axis=1)
+        first = self.hits([[x, y, yaw]], np.arctan2(p[:, 1], p[:, 0])).range[0]
+        return np.asarray(p[np.hypot(p[:, 0], p[:, 1]) <= first])
+
     def _walls(self, o: Array, d: Array) -> tuple[Array, Array]:
         """Range and cosine of rays at walls, (rays, n)."""
         e = self.walls[:, 1] - self.walls[:, 0]
