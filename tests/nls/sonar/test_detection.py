@@ -64,6 +64,26 @@ def test_multipliers_agree_with_the_sums_of_the_papers() -> None:
                 assert false_alarm_rate(detector, sides, 20, T) == pytest.approx(rate, rel=1e-8)
 
 
+@for_all(detector=detectors(), guard=[0, 2])
+def test_windows_are_the_stated_cells(detector: str, guard: int) -> None:
+    """Cell by cell, as the definition reads; a cut window is its other side."""
+    sonar, train, rate = ImagingSonar("small", 3, 30, 1.0, 0.2, (1.0, 4.0)), 4, 0.3
+    image = np.random.default_rng(4).rayleigh(1.0, (3, 30))
+    expected = []
+    for b, k in np.ndindex(3, 30):
+        x = image[b] ** 2
+        sides = [x[k - guard - train : k - guard], x[k + guard + 1 : k + guard + train + 1]]
+        whole = [side for side, fits in zip(sides, (k >= guard + train, k + guard + train < 30), strict=True) if fits]
+        T, sums = multiplier(detector, len(whole), train, rate), [side.sum() for side in whole]
+        ordered = np.sort(np.concatenate(whole))
+        Z = {"ca": sum(sums), "soca": min(sums), "goca": max(sums), "os": ordered[3 * len(ordered) // 4 - 1]}[detector]
+        expected += [(b, k)] if x[k] > T * Z else []
+    detections = detect(image, sonar, detector, rate, train, guard)
+    beam, bin = sonar.beam(detections.azimuth), sonar.bin(detections.range)
+    assert list(zip(beam.tolist(), bin.tolist(), strict=True)) == expected
+    assert 15 < len(expected) < 40
+
+
 @for_all(detector=detectors(), bin=[0, 24, 25, 300, 486, 487, 511], level=[1e-3, 1e3])
 def test_an_echo_is_detected_in_its_cell(detector: str, bin: int, level: float) -> None:
     image = np.random.default_rng(1).rayleigh(level, (96, 512))
