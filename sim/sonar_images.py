@@ -132,8 +132,8 @@ def sonar_image(
 def contacts(image: Array, sonar: ImagingSonar, threshold: float) -> Array:
     """Contacts in an image: cells above the threshold that no cell within two beams and bins exceeds.
 
-    Two points closer than that are one contact. `nls.sonar.detect` gives all cells of an echo, at a threshold that follows
-    the noise.
+    Two points closer than that are one contact. `nls.sonar.detect` gives all cells of an echo, above a threshold that
+    follows the noise.
 
     Parameters
     ----------
