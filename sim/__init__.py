@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from sim.corrupt import outliers
     from sim.landmark_world import LandmarkWorld
     from sim.mission import Mission
+    from sim.scene import Scene
     from sim.sonar_images import contacts, sonar_image
     from sim.spoil import drop_contacts, exchange_contacts, false_contacts, poor_odometry
     from sim.survey_log import SurveyLog
@@ -32,6 +33,7 @@ _WHERE = {
     "sim.corrupt": "outliers",
     "sim.landmark_world": "LandmarkWorld",
     "sim.mission": "Mission",
+    "sim.scene": "Scene",
     "sim.sonar_images": "contacts sonar_image",
     "sim.spoil": "drop_contacts exchange_contacts false_contacts poor_odometry",
     "sim.survey_log": "SurveyLog",
@@ -64,6 +66,7 @@ __all__ = [
     "Mission",
     "Rig",
     "RigErrors",
+    "Scene",
     "SurveyLog",
     "World",
     "chain",

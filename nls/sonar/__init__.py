@@ -1,11 +1,14 @@
-"""Two views of an imaging sonar: what they leave unknown, a factor that claims no more, and motions that show it.
+"""Imaging sonar: detections in its images; two views, a factor between them, and motions that show the elevation.
+
+`detect` finds the cells of an image that stand out of the noise, at a stated rate of false alarms.
 
 `two_views` makes a factor between two poses that says nothing along what is not seen, and `elevation_information` tells
 how to fly so that the elevation is. Weak directions of landmarks: `nls.analysis.landmark_information`, and
 `nls.linear.truncated_inverse`, which leaves them out of a step.
 """
 
+from nls.sonar.detection import Detections, detect
 from nls.sonar.elevation import elevation_information
 from nls.sonar.two_view import TwoView, two_views
 
-__all__ = ["TwoView", "elevation_information", "two_views"]
+__all__ = ["Detections", "TwoView", "detect", "elevation_information", "two_views"]

@@ -13,6 +13,7 @@ from models import SE3
 from models.errors import GraphError, OptionError
 from models.sensors import ARIS_3000, DIDSON_HIGH, DIDSON_LOW, ImagingSonar, cartesian, range_azimuth
 from nls import kinds
+from sim import Scene
 from tests.combinations import for_all
 
 x, l = kinds("x", "l")
@@ -110,6 +111,40 @@ def test_speckle_of_an_echo() -> None:
     assert peaks.mean() == pytest.approx(1.0 + 0.05**2 / 2, abs=4 * 0.05 / np.sqrt(150))
 
 
+def test_speckle_of_k_distributed_amplitudes() -> None:
+    """Mean square 2 w^2; the mean fourth power over its square is 2 (1 + 1 / nu), 2 for Rayleigh."""
+    for nu in (0.5, 2.0):
+        image = sim.sonar_image(np.zeros((0, 3)), NEAR, np.random.default_rng(2), speckle="k", nu=nu)
+        power = image**2
+        assert power.mean() == pytest.approx(2 * 0.05**2, rel=0.05)
+        assert (power**2).mean() / power.mean() ** 2 == pytest.approx(2 * (1 + 1 / nu), rel=0.1)
+
+
+def test_a_wall_has_the_stated_amplitude() -> None:
+    """Root mean square: the echo at right angles, half of it at 60 deg. A bell squared has the sum sqrt(pi) s."""
+    wall = Scene(walls=[[[-9.0, 0.0], [9.0, 0.0]]])
+    for turn, amplitude in ((0.0, 2.0), (np.pi / 3, 1.0)):
+        pose = [0.0, -2.5, np.pi / 2 - turn]
+        image = sim.sonar_image(wall, NEAR, np.random.default_rng(0), echo=2.0, background=0.0, pose=pose)
+        power = (image[40:56] ** 2).sum(axis=1) / np.sqrt(np.pi)
+        assert np.sqrt(power.mean()) == pytest.approx(amplitude, rel=0.1)
+
+
+def test_a_pile_hides_the_wall_and_the_rock_behind_it() -> None:
+    scene = Scene(walls=[[[5.0, -9.0], [5.0, 9.0]]], piles=[[3.0, 0.0, 0.2]], rocks=[[4.0, 0.0], [4.0, 0.7]])
+    image = sim.sonar_image(scene, NEAR, np.random.default_rng(0), pose=[0, 0, 0])
+    bins = (np.array([2.8, np.hypot(4, 0.7), 5.0]) - 1) / 5 * 512
+    pile, rock, wall = np.rint(bins).astype(int)
+    beam = int((np.arctan2(0.7, 4) / NEAR.fan + 0.5) * 96)
+    open_water = image[2:20, 250:350].mean()
+    shade = image[40:56, pile + 10 : wall + 50]
+    assert image[44:52, pile - 1 : pile + 2].mean() > 5 * open_water
+    assert image[2:20].max(axis=1).min() > 4 * open_water  # the wall beside it
+    assert shade.max() < 0.1  # neither rock nor wall
+    assert shade.mean() == pytest.approx(0.3 * open_water, rel=0.05)
+    assert image[beam, rock - 1 : rock + 2].max() > 0.7
+
+
 @every_sonar
 def test_a_seed_gives_the_same_bits(sonar: ImagingSonar) -> None:
     p = spread_points(sonar, 0)
@@ -150,5 +185,18 @@ def test_mistakes_are_named() -> None:
     for option, value in {"echo": -1.0, "background": -0.1, "spread": 0.0}.items():
         with pytest.raises(OptionError, match=option):
             sim.sonar_image(np.zeros((0, 3)), NEAR, np.random.default_rng(0), **{option: value})
+    for options, match in (
+        ({"speckle": "weibull"}, "'rayleigh' or 'k'"),
+        ({"speckle": "k"}, "nu: None"),
+        ({"nu": 1.0}, "speckle='k'"),
+        ({"speckle": "k", "nu": 0.0}, "nu"),
+        ({"shadow": 1.5}, "shadow"),
+        ({"pose": [0, 0, 0]}, "points are in the frame of the sonar"),
+    ):
+        with pytest.raises((OptionError, GraphError), match=match):
+            sim.sonar_image(np.zeros((0, 3)), NEAR, np.random.default_rng(0), **options)
+    for pose in (None, [0.0, 0.0]):
+        with pytest.raises(GraphError, match=r"a scene needs a pose \(3,\)"):
+            sim.sonar_image(Scene(), NEAR, np.random.default_rng(0), pose=pose)
     with pytest.raises(OptionError, match="a generator such as"):
         sim.sonar_image(np.zeros((0, 3)), NEAR, 1)
