@@ -12,6 +12,7 @@ from factors.between import Between
 from factors.between_sensors import BetweenSensors
 from factors.bundle import BundleProjection
 from factors.check import check_jacobians
+from factors.drifting_step import DriftingStep
 from factors.dvl_leg import DvlLeg
 from factors.elevation import Elevation, ElevationHinge
 from factors.epipolar_arc import EpipolarArc
@@ -45,6 +46,7 @@ __all__ = [
     "Cauchy",
     "Covariance",
     "Diagonal",
+    "DriftingStep",
     "DvlLeg",
     "Elevation",
     "ElevationHinge",

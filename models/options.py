@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
 from models.errors import OptionError
 
-__all__ = ["check_between", "check_whole", "did_you_mean", "is_number", "is_whole"]
+__all__ = ["MAX_SIZE", "check_between", "check_positive", "check_whole", "did_you_mean", "is_number", "is_whole"]
+
+MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two stay finite
 
 
 def is_number(value: Any) -> bool:
@@ -59,6 +62,19 @@ def check_between(option: str, value: Any, low: float, high: float, expected: st
     if not is_number(value) or not low < value < high:
         raise OptionError(option, value, expected)
     return float(value)
+
+
+def check_positive(**options: float) -> None:
+    """Numbers above 0 whose squares and ratios are finite, by option.
+
+    Raises
+    ------
+    OptionError
+    """
+    for option, value in options.items():
+        check_between(option, value, 0, math.inf, "a number above 0")
+        if not 1 / MAX_SIZE <= value <= MAX_SIZE:
+            raise OptionError(option, value, f"a number from {1 / MAX_SIZE:g} to {MAX_SIZE:g}")
 
 
 def did_you_mean(name: object, names: Iterable[str]) -> str:

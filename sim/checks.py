@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from models.errors import OptionError
-from models.options import check_between, is_number, is_whole
+from models.options import MAX_SIZE, is_number, is_whole
 
 MAX_POSES = 10_000_000  # 560 MB of truth in three dimensions; more is a slip of the keyboard
-MAX_SIZE = 1e30  # of a length, a sigma or a scale: squares of a product of two stay finite
 
 
 def check_rng(rng: Any) -> None:
@@ -45,19 +44,6 @@ def check_poses(option: str, poses: int) -> None:
     """
     if poses > MAX_POSES:
         raise OptionError(option, poses, f"at most {MAX_POSES} poses")
-
-
-def check_positive(**options: float) -> None:
-    """Numbers above 0 whose squares and ratios are finite, by option.
-
-    Raises
-    ------
-    OptionError
-    """
-    for option, value in options.items():
-        check_between(option, value, 0, math.inf, "a number above 0")
-        if not 1 / MAX_SIZE <= value <= MAX_SIZE:
-            raise OptionError(option, value, f"a number from {1 / MAX_SIZE:g} to {MAX_SIZE:g}")
 
 
 def check_not_negative(**options: float) -> None:

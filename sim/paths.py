@@ -9,7 +9,8 @@ from models import SO3
 from models.algebra import Array, Index
 from models.errors import ResourceLimitError
 from models.manifolds.so3 import quaternion_from_matrix
-from sim.checks import check_not_negative, check_positive, check_rng, check_size
+from models.options import check_positive
+from sim.checks import check_not_negative, check_rng, check_size
 from sim.world import chain
 
 __all__ = ["attitudes", "grid_walk", "meetings", "quarter_turns"]

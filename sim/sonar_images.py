@@ -34,8 +34,9 @@ import numpy.typing as npt
 
 from models.algebra import Array
 from models.errors import GraphError, OptionError
+from models.options import check_positive
 from models.sensors import ImagingSonar, range_azimuth
-from sim.checks import check_fraction, check_not_negative, check_positive, check_rng
+from sim.checks import check_fraction, check_not_negative, check_rng
 from sim.scene import Scene
 
 __all__ = ["contacts", "sonar_image"]

@@ -18,8 +18,9 @@ from models import LieGroup
 from models.algebra import Array, Index
 from models.dead_reckoning.chain import chain
 from models.errors import GraphError
+from models.options import check_positive
 from nls import FactorGraph, Values, kinds
-from sim.checks import check_not_negative, check_positive, check_rng
+from sim.checks import check_not_negative, check_rng
 
 __all__ = ["World", "chain", "measure", "position_error", "reflected"]
 

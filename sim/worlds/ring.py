@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from models import SE2
-from sim.checks import check_not_negative, check_poses, check_positive, check_rng, check_size
+from models.options import check_positive
+from sim.checks import check_not_negative, check_poses, check_rng, check_size
 from sim.paths import meetings
 from sim.world import World, build
 

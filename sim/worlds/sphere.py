@@ -6,7 +6,8 @@ import numpy as np
 
 from models import SE3
 from models.manifolds.se3 import join
-from sim.checks import check_poses, check_positive, check_size
+from models.options import check_positive
+from sim.checks import check_poses, check_size
 from sim.paths import attitudes
 from sim.world import World, build
 

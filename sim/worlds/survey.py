@@ -8,8 +8,8 @@ import numpy as np
 
 from models.errors import OptionError
 from models.geodesy import LocalPlane
-from models.options import is_number
-from sim.checks import check_fraction, check_not_negative, check_poses, check_positive, check_rng, check_size
+from models.options import check_positive, is_number
+from sim.checks import check_fraction, check_not_negative, check_poses, check_rng, check_size
 from sim.survey_log import SurveyLog, Tables
 from sim.survey_sensors import DVL_PERIOD, USBL_PERIOD, Errors, Sensors
 from sim.survey_sonar import sonar_tables

@@ -7,7 +7,8 @@ import numpy as np
 from models import SE3
 from models.errors import OptionError
 from models.manifolds.se3 import join
-from sim.checks import check_fraction, check_poses, check_positive, check_rng, check_size
+from models.options import check_positive
+from sim.checks import check_fraction, check_poses, check_rng, check_size
 from sim.paths import attitudes
 from sim.world import World, build
 

@@ -1,0 +1,24 @@
+"""From the points of scans to closures and a map: fields, matches, submaps, candidates, and the rounds of closing."""
+
+from nls.sonar.scans.closing import Closing, Matches, Round, close
+from nls.sonar.scans.dead_reckoning import Drift, dead_reckoning
+from nls.sonar.scans.field import Field
+from nls.sonar.scans.matching import Match, match
+from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.verdicts import Verdict
+
+__all__ = [
+    "Closing",
+    "Drift",
+    "Field",
+    "Match",
+    "Matches",
+    "Round",
+    "Scans",
+    "Verdict",
+    "close",
+    "dead_reckoning",
+    "match",
+    "submap",
+]

@@ -1,0 +1,69 @@
+"""Which submaps may show the same place: pairs whose footprints overlap at the present estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from models.algebra import Array, Index
+from nls.sonar.scans.scans import Scans, in_world
+
+__all__ = ["centers", "pairs"]
+
+HALF = 4  # keyframes on either side of the middle of a submap
+STEP = 4  # keyframes from middle to middle
+POINTS = 60  # least points of a submap
+CELL = 5.0  # m, side of the cells in which footprints are compared
+OVERLAP = 0.25  # least share of the smaller footprint
+APART = 20  # keyframes between submaps at least: nearer ones share points
+SPREAD = 12  # keyframes of the track from which one partner is taken
+PARTNERS = 6  # of one submap at most
+
+
+def centers(scans: Scans) -> Index:
+    """Middle keyframes (n,) of the submaps that have points enough."""
+    k = np.arange(HALF, len(scans) - HALF, STEP)
+    count = scans.starts[k + HALF + 1] - scans.starts[k - HALF]
+    return k[count >= POINTS]
+
+
+def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
+    """Earlier and later submap (n,) of each pair to be matched, as rows of `middle`.
+
+    A submap is paired with those at least `APART` keyframes before it whose footprint overlaps with its own, the one of
+    largest overlap of every `SPREAD` keyframes, `PARTNERS` at most.
+    """
+    cells = _footprints(poses, scans, middle)
+    shared = sp.coo_array(sp.triu(cells @ cells.T, k=1))
+    size = cells.sum(axis=1)
+    i, j, overlap = shared.row, shared.col, shared.data / np.minimum(size[shared.row], size[shared.col])
+    good = (overlap >= OVERLAP) & (middle[j] - middle[i] >= APART)
+    i, j, overlap = i[good], j[good], overlap[good]
+    order = np.lexsort((-overlap, middle[i] // SPREAD, j))
+    i, j, overlap = i[order], j[order], overlap[order]
+    first = _first_of(j, middle[i] // SPREAD)
+    i, j, overlap = i[first], j[first], overlap[first]
+    order = np.lexsort((-overlap, j))
+    i, j = i[order], j[order]
+    rank = np.arange(len(j)) - np.searchsorted(j, j)
+    return i[rank < PARTNERS].astype(np.intp), j[rank < PARTNERS].astype(np.intp)
+
+
+def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:
+    """(submaps, cells) 1 where a submap has a point in a cell of the world."""
+    cell = np.unique(np.floor(in_world(poses, scans) / CELL).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    by_scan = sp.csr_array((np.ones(len(cell)), (scans.keyframe, cell)), shape=(len(scans), int(cell.max()) + 1))
+    around = middle[:, None] + np.arange(-HALF, HALF + 1)
+    rows = np.repeat(np.arange(len(middle)), around.shape[1])
+    members = sp.csr_array((np.ones(around.size), (rows, around.ravel())), shape=(len(middle), len(scans)))
+    cells = (members @ by_scan).tocsr()
+    cells.data[:] = 1.0
+    return cells
+
+
+def _first_of(*columns: Index) -> Index:
+    """Rows that begin a run of equal rows."""
+    rows = np.column_stack(columns)
+    change = np.ones(len(rows), dtype=bool)
+    change[1:] = (rows[1:] != rows[:-1]).any(axis=1)
+    return np.flatnonzero(change)

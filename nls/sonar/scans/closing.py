@@ -1,0 +1,267 @@
+"""From scans to a map: match submaps that may overlap, keep the closures that agree, and begin again from there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors import Between, Cauchy, Covariance, Robust
+from factors.keys import kinds
+from models import SE2
+from models.algebra import Array, Index, Mask
+from models.errors import GraphError, OptionError
+from models.options import check_whole
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.metrics.absolute import displacements
+from nls.optimizers import Result
+from nls.robust import gnc
+from nls.sonar.scans import candidates
+from nls.sonar.scans.field import Field
+from nls.sonar.scans.matching import match
+from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.verdicts import ACCEPTED, verdicts
+from nls.values import Values
+
+__all__ = ["SELECTIONS", "Closing", "Matches", "Round", "close"]
+
+SELECTIONS = ("gnc", "cauchy", "none")
+SIGMAS = 3.0  # of the relative pose, half width of a window
+WINDOW = ((3.0, 20.0), (np.radians(3.0), np.radians(10.0)))  # least and largest half width: m, rad
+SETTLED = 0.1  # m rms by which a round changes the shape of the track, below which it is the last
+x = kinds("x")[0]
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The matched candidates of a round, one row each.
+
+    Attributes
+    ----------
+    i, j : (n,) keyframes in the middle of the earlier and of the later submap.
+    pose : (n, 3) of j in the frame of i: x, y, m, and yaw, rad.
+    covariance : (n, 3, 3) in the frame of j.
+    score, ratio, edge, spread : (n,) of the match, see `Match`.
+    window : (n, 2) half widths of the search, m and rad.
+    verdict : (n,) `Verdict`, accepted or why not.
+    kept : (n,) whether the selection kept it.
+    """
+
+    i: Index
+    j: Index
+    pose: Array
+    covariance: Array
+    score: Array
+    ratio: Array
+    edge: Array
+    spread: Array
+    window: Array
+    verdict: Index
+    kept: Mask
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    @property
+    def accepted(self) -> Mask:
+        """(n,) whether the selection was to judge it."""
+        return np.asarray(self.verdict == ACCEPTED)
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of closing.
+
+    Attributes
+    ----------
+    matches : all candidates.
+    poses : (count, 3) keyframes after it.
+    chi2_dof : chi2 over degrees of freedom.
+    moved : by how much it changed the shape of the track, m rms after a rigid motion.
+    """
+
+    matches: Matches
+    poses: Array
+    chi2_dof: float
+    moved: float
+
+    def __str__(self) -> str:
+        m = self.matches
+        return (
+            f"{len(m)} candidates, {int(m.accepted.sum())} accepted, {int(m.kept.sum())} kept; "
+            f"chi2/dof {self.chi2_dof:.2f}; keyframes moved {self.moved:.2f} m rms"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Closing:
+    """A map from scans; ``print`` gives the rounds.
+
+    Attributes
+    ----------
+    graph : the graph with the closures that were kept.
+    result : its optimization.
+    rounds : one `Round` each.
+    settled : whether the last round changed nothing any more.
+    """
+
+    graph: FactorGraph
+    result: Result
+    rounds: tuple[Round, ...]
+    settled: bool
+
+    @property
+    def values(self) -> Values:
+        """The estimate."""
+        return self.result.values
+
+    @property
+    def matches(self) -> Matches:
+        """Those of the last round."""
+        return self.rounds[-1].matches
+
+    def __repr__(self) -> str:
+        return f"Closing({len(self.rounds)} rounds, {self.rounds[-1]})"
+
+    def __str__(self) -> str:
+        lines = [f"round {number}: {line}" for number, line in enumerate(self.rounds, 1)]
+        return "\n".join([*lines, str(self.result)])
+
+
+def close(
+    graph: FactorGraph,
+    values: Values,
+    scans: Scans,
+    rounds: int = 8,
+    select: str = "gnc",
+    report: Callable[[Round], None] | None = None,
+) -> Closing:
+    """Close the loops of a graph of keyframes by their scans.
+
+    Every round pairs submaps whose footprints overlap at the present estimate, matches them in windows as wide as three
+    sigmas of their relative pose, accepts matches that are neither ambiguous nor at the rim nor wide (`verdicts`),
+    chooses among them, and solves. The next begins at the better estimate, with submaps built anew and from nothing
+    else: a closure is no reason for itself.
+
+    Parameters
+    ----------
+    graph, values : the keyframes x (SE2), numbered as in the scans, and what else measures them; see
+        `nls.sonar.scans.dead_reckoning`. Both stay as they are.
+    scans : the points.
+    rounds : at most.
+    select : ``gnc``, graduated non-convexity; ``cauchy``, a kernel on all accepted; ``none``, least squares of all.
+    report : called after every round.
+
+    Raises
+    ------
+    GraphError
+        Keyframes that are not those of the scans; no two submaps that overlap.
+    OptionError
+        No such selection; fewer than one round.
+    """
+    check_whole("rounds", rounds, 1)
+    if select not in SELECTIONS:
+        raise OptionError("select", select, "one of " + ", ".join(SELECTIONS))
+    refuse_other_keyframes(values, scans)
+    history: list[Round] = []
+    closed, settled = graph, False
+    result = graph.optimize(values)
+    for _ in range(rounds):
+        matches = match_all(closed, result.values, scans)
+        start = result.values
+        closed, result, kept = _selected(graph, start, matches, select)
+        matches.kept[matches.accepted] = kept
+        moved = float(np.sqrt(np.mean(displacements(result.values[x][:, :2], start[x][:, :2]) ** 2)))
+        history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
+        if report is not None:
+            report(history[-1])
+        if settled := moved < SETTLED:
+            break
+    return Closing(closed, result, tuple(history), settled)
+
+
+def refuse_other_keyframes(values: Values, scans: Scans) -> None:
+    """Refuse values whose poses x are not the keyframes of the scans.
+
+    Raises
+    ------
+    GraphError
+    """
+    stack = values.stack(x)
+    if stack.manifold is not SE2 or not np.array_equal(stack.numbers, np.arange(len(scans))):
+        raise GraphError(
+            f"close: poses x of {stack.manifold}, {len(stack)} of them; expected SE2, x0 to x{len(scans) - 1}, one for "
+            "each keyframe of the scans"
+        )
+
+
+def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
+    """All candidates of a round, matched and judged.
+
+    Raises
+    ------
+    GraphError
+        No submap with points enough, or none that overlaps with another.
+    """
+    poses = values[x]
+    middle = candidates.centers(scans)
+    a, b = candidates.pairs(poses, scans, middle) if len(middle) else (middle, middle)
+    if not len(a):
+        raise GraphError(
+            f"close: {len(middle)} submaps with {candidates.POINTS} points or more, none overlaps with another that is "
+            f"{candidates.APART} keyframes away: these scans close no loop"
+        )
+    i, j = middle[a], middle[b]
+    guess = SE2.between(poses[i], poses[j])
+    window = windows(graph, values, middle, a, b)
+    maps = {int(k): submap(poses, scans, int(k), candidates.HALF) for k in np.unique(np.append(i, j))}
+    fields: dict[int, Field] = {}
+    fits = []
+    for row, (k, l) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+        if k not in fields:
+            fields[k] = Field(maps[k])
+        fits.append(match(fields[k], maps[l], guess[row], (window[row, 0], window[row, 1])))
+    score, ratio, edge, spread = np.array([(m.score, m.ratio, m.edge, m.spread) for m in fits]).T
+    return Matches(
+        i=i,
+        j=j,
+        pose=np.array([m.pose for m in fits]),
+        covariance=np.array([m.covariance for m in fits]),
+        score=score,
+        ratio=ratio,
+        edge=edge,
+        spread=spread,
+        window=window,
+        verdict=verdicts(score, ratio, edge, spread),
+        kept=np.zeros(len(i), dtype=bool),
+    )
+
+
+def windows(graph: FactorGraph, values: Values, middle: Index, a: Index, b: Index) -> Array:
+    """Half widths (n, 2), m and rad, of the search for pairs a, b (rows of `middle`): sigmas of their relative pose."""
+    C = Marginals(graph, values).joint(x[middle], frame="body").matrix.reshape(len(middle), 3, len(middle), 3)
+    C = C.transpose(0, 2, 1, 3)
+    Ad = SE2.adjoint_inverse(SE2.between(values[x][middle[a]], values[x][middle[b]]))
+    cross = Ad @ C[a, b]
+    relative = Ad @ C[a, a] @ Ad.transpose(0, 2, 1) + C[b, b] - cross - cross.transpose(0, 2, 1)
+    sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
+    return np.column_stack([np.clip(SIGMAS * sigma[:, k], *WINDOW[k]) for k in range(2)])
+
+
+def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) -> tuple[FactorGraph, Result, Mask]:
+    """The graph with the chosen closures, its optimization, and which of the accepted are kept (n,)."""
+    chosen = matches.accepted
+    if not chosen.any():
+        result = graph.optimize(start)
+        return graph, result, np.zeros(0, dtype=bool)
+    noise = Covariance(matches.covariance[chosen])
+    stated = Robust(noise, Cauchy(1.0)) if select == "cauchy" else noise
+    closures = Between(x[matches.i[chosen]], x[matches.j[chosen]], matches.pose[chosen], stated)
+    closed = FactorGraph([*graph.factors, closures], graph.fixed)
+    if select != "gnc":
+        return closed, closed.optimize(start), np.ones(int(chosen.sum()), dtype=bool)
+    robust = gnc(closed, start, doubted=[closures])
+    return robust.graph, robust.result, robust.weights[-1] > 0

@@ -1,0 +1,188 @@
+r"""Scan matching by correlation: every pose in a window is scored, so that a second answer cannot hide.
+
+    S(T) = sum_k L(T p_k)        over the points p_k of a scan, L the field of the map, T = (x, y, yaw)
+
+For one yaw, S over all x and y is a correlation, and so a product of Fourier transforms. The best cell of the window is
+the start of Gauss-Newton on S, with the residuals and the Jacobian
+
+    r_k = sqrt(2 (L_max - L(T p_k))),      J_k = -(1 / r_k) (dL/dq) (dq/dT)
+
+The covariance is that of the scores as a probability, P(T) = exp(S(T) / t) / sum: along a wall the scores hardly fall,
+and the covariance is wide. Points of one surface are no independent witnesses: however many there are, they count as
+`INDEPENDENT`, t = n / INDEPENDENT.
+
+Source: E. Olson, "Real-time correlative scan matching", ICRA 2009 (window, covariance from the scores); K. Konolige,
+K. Chou, "Markov localization using correlation", IJCAI 1999 (temper).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2
+from models.algebra import Array, wrap
+from models.errors import GraphError
+from models.options import check_positive
+from nls.sonar.scans.field import STRAY, Field
+
+__all__ = ["Match", "match"]
+
+INDEPENDENT = 40.0  # independent points in a match: with as many or fewer, every point counts
+YAW_STEP = float(np.radians(1.0))
+AWAY = 2.0  # m from the best pose, where another is a second answer
+FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas, m m rad, below which no match is: cells, and a map that is not rigid
+STEPS = 10  # Gauss-Newton steps at most
+HALVINGS = 4  # of a step that does not raise the score
+NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
+
+
+@dataclass(frozen=True)
+class Match:
+    """Where a scan fits into a map.
+
+    Attributes
+    ----------
+    pose : (3,) of the scan in the frame of the map: x, y, m, and yaw, rad.
+    covariance : (3, 3) of x, y and yaw in the frame of the scan, m and rad, as `factors.Between` takes it.
+    score : log-likelihood for every point, from 0, nothing fits, to 3, all do.
+    second : the best score farther than 2 m from the pose; 0 where the window has no such place.
+    edge : probability at the rim of the window, where the search ended and not the map.
+    """
+
+    pose: Array
+    covariance: Array
+    score: float
+    second: float
+    edge: float
+
+    @property
+    def ratio(self) -> float:
+        """Second score over the first: near 1 the match is ambiguous."""
+        return self.second / self.score if self.score > 0 else 1.0
+
+    @property
+    def spread(self) -> float:
+        """Largest standard deviation of the position, m."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]))
+
+
+def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tuple[float, float]) -> Match:
+    """The pose at which points fit best into a field, among all in a window around a guess.
+
+    Parameters
+    ----------
+    field : of the map.
+    points : (n, 2) of the scan, m, in its own frame.
+    guess : (3,) pose of the scan in the frame of the map.
+    window : half widths of the search: in x and y, m, and in yaw, rad.
+
+    Raises
+    ------
+    GraphError
+        No points, wrong shapes, numbers that are not finite.
+    OptionError
+        A window that is not above 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corner = np.array([[k, 0.0] for k in range(10)] + [[0.0, k] for k in range(1, 10)])
+    >>> shifted = corner - [0.7, -0.4]
+    >>> pose = match(Field(corner), shifted, guess=[0.0, 0.0, 0.0], window=(2.0, 0.1)).pose
+    >>> bool(np.abs(pose - [0.7, -0.4, 0.0]).max() < 0.1)
+    True
+    """
+    p, T = np.asarray(points, dtype=float), np.asarray(guess, dtype=float)
+    if p.ndim != 2 or p.shape[1:] != (2,) or not len(p) or T.shape != (3,):
+        raise GraphError(f"match: points {p.shape} and guess {T.shape}; expected (n, 2), at least one, and (3,)")
+    if not (np.isfinite(p).all() and np.isfinite(T).all()):
+        raise GraphError("match: points or guess are not finite")
+    check_positive(position_window=window[0], yaw_window=window[1])
+    S, yaws, offsets = scores(field.coarse, p, T, window)
+    best = np.unravel_index(S.argmax(), S.shape)
+    peak = float(S[best])
+    away = np.hypot(*np.meshgrid(offsets - offsets[best[1]], offsets - offsets[best[2]])).T > AWAY
+    second = float(S.max(axis=0)[away].max()) if away.any() else 0.0
+    P = np.exp((S - peak) * min(1.0, INDEPENDENT / len(p)), dtype=np.float64)
+    P /= P.sum()
+    start = np.array([T[0] + offsets[best[1]], T[1] + offsets[best[2]], T[2] + yaws[best[0]]])
+    pose = _refined(field, p, start)
+    R = SE2.rotation(pose[None])[0]
+    C = _moments(P, yaws, offsets)
+    C[:2] = R.T @ C[:2]
+    C[:, :2] = C[:, :2] @ R
+    return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), _rim(P))
+
+
+def scores(
+    field: Field, p: Array, guess: Array, window: tuple[float, float]
+) -> tuple[npt.NDArray[np.float32], Array, Array]:
+    """S (yaws, n, n) of all poses in a window, with the yaws and the x and y (n,) it has them at, from the guess."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    reach, turns = int(np.ceil(window[0] / field.resolution)), int(np.ceil(window[1] / YAW_STEP))
+    yaws: Array = np.arange(-turns, turns + 1) * float(YAW_STEP)
+    offsets: Array = np.arange(-reach, reach + 1) * field.resolution
+    shape = tuple(next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
+    poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
+    q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
+    cell = field.cells(q) + reach  # cell (0, 0) of the field is at (reach, reach)
+    inside = ((cell >= 0) & (cell < np.array(field.L.shape) + 2 * reach)).all(axis=1)
+    image = np.repeat(np.arange(len(yaws)), len(p))[inside]
+    flat = (image * shape[0] + cell[inside, 0]) * shape[1] + cell[inside, 1]
+    counts = np.bincount(flat, minlength=len(yaws) * shape[0] * shape[1]).astype(np.float32)
+    spectra = rfft2(counts.reshape(len(yaws), *shape), axes=(1, 2))
+    S: npt.NDArray[np.float32] = irfft2(np.conj(spectra) * field.spectrum(shape), shape, axes=(1, 2))
+    shift = np.arange(-reach, reach + 1) - reach
+    return S[:, shift[:, None], shift], yaws, offsets
+
+
+def _moments(P: Array, yaws: Array, offsets: Array) -> Array:
+    """Covariance (3, 3) of x, y and yaw under probabilities P (yaws, n, n)."""
+    C = np.zeros((3, 3))
+    axes, values = (1, 2, 0), (offsets, offsets, yaws)
+    mean = [P.sum(axis=tuple(o for o in range(3) if o != axis)) @ v for axis, v in zip(axes, values, strict=True)]
+    centered = [v - m for v, m in zip(values, mean, strict=True)]
+    for a in range(3):
+        for b in range(a, 3):
+            if a == b:
+                C[a, a] = P.sum(axis=tuple(o for o in range(3) if o != axes[a])) @ centered[a] ** 2
+            else:
+                joint = P.sum(axis=next(o for o in range(3) if o not in (axes[a], axes[b])))
+                row, column = (centered[a], centered[b]) if axes[a] < axes[b] else (centered[b], centered[a])
+                C[a, b] = C[b, a] = row @ joint @ column
+    return C
+
+
+def _rim(P: Array) -> float:
+    """Probability on the faces of the window."""
+    within = tuple(slice(1, -1) if side > 2 else slice(None) for side in P.shape)
+    return float(1.0 - P[within].sum())
+
+
+def _refined(field: Field, p: Array, T: Array) -> Array:
+    """Gauss-Newton on the field. A direction that the field does not show is not moved along."""
+
+    def moved(T: Array) -> tuple[Array, Array, Array]:
+        turned = SE2.act(np.array([[0.0, 0.0, T[2]]]), p)
+        return turned, *field.at(turned + T[:2])
+
+    turned, L, slope = moved(T)
+    for _ in range(STEPS):
+        J = np.column_stack([slope, slope[:, 1] * turned[:, 0] - slope[:, 0] * turned[:, 1]])  # dL/dT
+        r2 = np.maximum(2 * (-np.log(STRAY) - L), 1e-2)
+        step = np.linalg.lstsq((J / r2[:, None]).T @ J, J.sum(axis=0), rcond=NARROW)[0]
+        for halving in range(HALVINGS + 1):
+            candidate = T + step / 2**halving
+            turned_there, L_there, slope_there = moved(candidate)
+            if L_there.sum() > L.sum():
+                break
+        else:
+            break
+        T, turned, L, slope = candidate, turned_there, L_there, slope_there
+        if np.abs(step).max() < 1e-3:
+            break
+    return np.append(T[:2], wrap(T[2]))

@@ -1,0 +1,98 @@
+"""The points a sensor measured, keyframe by keyframe, in the frame of the vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2
+from models.algebra import Array, Index
+from models.errors import GraphError
+
+__all__ = ["Scans"]
+
+
+class Scans:
+    """Points in the plane by keyframe: of an imaging sonar, a laser, any sensor that measures points.
+
+    Parameters
+    ----------
+    points : (n, 2) x ahead and y to the side to which yaw turns, in the frame of the sensor, m.
+    keyframe : (n,) number of the keyframe of each point, from 0.
+    count : keyframes; those without points are allowed.
+    mount : (3,) pose of the sensor on the vehicle, x, y, m, and yaw, rad.
+
+    Attributes
+    ----------
+    points : (n, 2) in the frame of the vehicle, by keyframe.
+    keyframe : (n,) ascending.
+    starts : (count + 1,) the points of keyframe k are those from ``starts[k]`` to ``starts[k + 1]``.
+
+    Raises
+    ------
+    GraphError
+        Wrong shapes, numbers that are not finite, a keyframe outside 0 to count - 1.
+
+    Examples
+    --------
+    >>> scans = Scans([[5.0, 0.0], [6.0, 1.0], [7.0, 0.0]], keyframe=[2, 0, 2], count=4, mount=[0.5, 0.0, 0.0])
+    >>> scans
+    Scans(3 points in 2 of 4 keyframes)
+    >>> scans[2]
+    array([[5.5, 0. ],
+           [7.5, 0. ]])
+    """
+
+    def __init__(
+        self, points: npt.ArrayLike, keyframe: npt.ArrayLike, count: int, mount: npt.ArrayLike = (0.0, 0.0, 0.0)
+    ) -> None:
+        p, k, T = np.array(points, dtype=float), np.asarray(keyframe), np.asarray(mount, dtype=float)
+        if p.ndim != 2 or p.shape[1:] != (2,) or k.shape != p.shape[:1] or T.shape != (3,):
+            raise GraphError(
+                f"Scans: points {p.shape}, keyframe {k.shape}, mount {T.shape}; expected (n, 2), (n,) and (3,)"
+            )
+        if bad := np.flatnonzero(~np.isfinite(p).all(axis=1)).tolist():
+            raise GraphError(f"Scans: point {bad[0]} is {p[bad[0]].tolist()}; expected finite numbers, m")
+        if not np.isfinite(T).all():
+            raise GraphError(f"Scans: mount {T.tolist()}; expected finite numbers: x, y, m, and yaw, rad")
+        if len(k) and (k.dtype.kind not in "iu" or k.min() < 0 or k.max() >= count):
+            raise GraphError(f"Scans: keyframes {k.min()} to {k.max()}; expected whole numbers from 0 to {count - 1}")
+        order = np.argsort(k, kind="stable")
+        self.keyframe: Index = k[order].astype(np.intp)
+        self.points: Array = SE2.act(np.broadcast_to(T, (len(p), 3)), p[order]) if len(p) else p
+        self.starts: Index = np.searchsorted(self.keyframe, np.arange(count + 1))
+        self.mount = T
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, k: int) -> Array:
+        if not 0 <= k < len(self):
+            raise IndexError(f"keyframe {k}; expected 0 to {len(self) - 1}")
+        return self.points[self.starts[k] : self.starts[k + 1]]
+
+    def __repr__(self) -> str:
+        return f"Scans({len(self.points)} points in {int(self.with_points.sum())} of {len(self)} keyframes)"
+
+    @property
+    def with_points(self) -> npt.NDArray[np.bool_]:
+        """(count,) whether a keyframe has points."""
+        return np.diff(self.starts) > 0
+
+    def at(self, mount: npt.ArrayLike) -> Scans:
+        """The same points of a sensor that is mounted elsewhere, (3,)."""
+        return Scans(self._in_sensor, self.keyframe, len(self), mount)
+
+    def mirrored(self) -> Scans:
+        """The same points with azimuths of the other sign."""
+        return Scans(self._in_sensor * [1.0, -1.0], self.keyframe, len(self), self.mount)
+
+    @property
+    def _in_sensor(self) -> Array:
+        back = SE2.inverse(self.mount[None])
+        return SE2.act(np.broadcast_to(back, (len(self.points), 3)), self.points) if len(self.points) else self.points
+
+
+def in_world(poses: Array, scans: Scans) -> Array:
+    """All points (n, 2) in the world, seen from poses (count, 3)."""
+    return SE2.act(poses[scans.keyframe], scans.points)

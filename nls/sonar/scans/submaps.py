@@ -1,0 +1,46 @@
+"""Submaps: the points of neighboring keyframes in the frame of the middle one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models import SE2
+from models.algebra import Array
+from models.errors import OptionError
+from nls.sonar.scans.scans import Scans
+
+__all__ = ["submap"]
+
+
+def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int]) -> Array:
+    """Points (n, 2) of the keyframes around one of them, in the frame of that one, m.
+
+    Parameters
+    ----------
+    poses : (count, 3) of the keyframes, SE2.
+    scans : their points.
+    center : number of the keyframe in whose frame the points are.
+    half : keyframes on either side of it; or how many before and after it. Those beyond the ends are left out.
+
+    Raises
+    ------
+    OptionError
+        No such keyframe; a number below 0 on one side.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scans = Scans([[5.0, 0.0], [4.0, 0.0]], keyframe=[0, 1], count=2)
+    >>> submap(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), scans, center=1, half=1)
+    array([[3., 0.],
+           [4., 0.]])
+    """
+    before, after = (half, half) if isinstance(half, int) else half
+    if not 0 <= center < len(scans):
+        raise OptionError("center", center, f"a keyframe, 0 to {len(scans) - 1}")
+    if min(before, after) < 0:
+        raise OptionError("half", half, "numbers of keyframes from 0")
+    first, last = max(0, center - before), min(len(scans), center + after + 1)
+    rows = slice(scans.starts[first], scans.starts[last])
+    T = SE2.between(np.broadcast_to(poses[center], (last - first, 3)), poses[first:last])
+    return np.asarray(SE2.act(T[scans.keyframe[rows] - first], scans.points[rows]))
