@@ -124,8 +124,8 @@ def scores(
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     reach, turns = int(np.ceil(window[0] / field.resolution)), int(np.ceil(window[1] / YAW_STEP))
-    yaws: Array = np.arange(-turns, turns + 1) * float(YAW_STEP)
-    offsets: Array = np.arange(-reach, reach + 1) * field.resolution
+    yaws = np.asarray(YAW_STEP * np.arange(-turns, turns + 1), dtype=np.float64)
+    offsets = np.asarray(field.resolution * np.arange(-reach, reach + 1), dtype=np.float64)
     shape = tuple(next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
     poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
     q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
