@@ -22,6 +22,7 @@ from nls.sonar.scans import candidates
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.sequential import sequential_matches
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 from nls.values import Values
@@ -31,7 +32,7 @@ __all__ = ["SELECTIONS", "Closing", "Matches", "Round", "close"]
 SELECTIONS = ("gnc", "cauchy", "none")
 SIGMAS = 3.0  # of the relative pose, half width of a window
 WINDOW = ((3.0, 20.0), (np.radians(3.0), np.radians(10.0)))  # least and largest half width: m, rad
-SETTLED = 0.1  # m rms by which a round changes the shape of the track, below which it is the last
+SETTLED = 0.2  # m rms by which a round changes the shape of the track, below which it is the last
 x = kinds("x")[0]
 
 
@@ -137,14 +138,15 @@ def close(
     scans: Scans,
     rounds: int = 8,
     select: str = "gnc",
+    sequential: bool = True,
     report: Callable[[Round], None] | None = None,
 ) -> Closing:
     """Close the loops of a graph of keyframes by their scans.
 
     Every round pairs submaps whose footprints overlap at the present estimate, matches them in windows as wide as three
     sigmas of their relative pose, accepts matches that are neither ambiguous nor at the rim nor wide (`verdicts`),
-    chooses among them, and solves. The next begins at the better estimate, with submaps built anew and from nothing
-    else: a closure is no reason for itself.
+    chooses among them, and solves. The next begins at the better estimate, with submaps built anew and with new
+    matches: no closure of a round stays because it was there.
 
     Parameters
     ----------
@@ -153,6 +155,7 @@ def close(
     scans : the points.
     rounds : at most.
     select : ``gnc``, graduated non-convexity; ``cauchy``, a kernel on all accepted; ``none``, least squares of all.
+    sequential : match every scan with those just before it too.
     report : called after every round.
 
     Raises
@@ -172,7 +175,9 @@ def close(
     for _ in range(rounds):
         matches = match_all(closed, result.values, scans)
         start = result.values
-        closed, result, kept = _selected(graph, start, matches, select)
+        steps = sequential_matches(start[x], scans) if sequential else None
+        measured = graph if steps is None else FactorGraph([*graph.factors, steps], graph.fixed)
+        closed, result, kept = _selected(measured, start, matches, select)
         matches.kept[matches.accepted] = kept
         moved = float(np.sqrt(np.mean(displacements(result.values[x][:, :2], start[x][:, :2]) ** 2)))
         history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
@@ -235,7 +240,7 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
         edge=edge,
         spread=spread,
         window=window,
-        verdict=verdicts(score, ratio, edge, spread),
+        verdict=verdicts(score, ratio, edge, spread, window[:, 0]),
         kept=np.zeros(len(i), dtype=bool),
     )
 
@@ -252,16 +257,25 @@ def windows(graph: FactorGraph, values: Values, middle: Index, a: Index, b: Inde
 
 
 def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) -> tuple[FactorGraph, Result, Mask]:
-    """The graph with the chosen closures, its optimization, and which of the accepted are kept (n,)."""
+    """The graph with the chosen closures, its optimization, and which of the accepted are kept (n,).
+
+    Every closure is judged by its own covariance. In the estimate a covariance counts as many times as its two submaps
+    take part in closures, on average: closures of one submap share its points, and its error.
+    """
     chosen = matches.accepted
-    if not chosen.any():
-        result = graph.optimize(start)
-        return graph, result, np.zeros(0, dtype=bool)
-    noise = Covariance(matches.covariance[chosen])
-    stated = Robust(noise, Cauchy(1.0)) if select == "cauchy" else noise
-    closures = Between(x[matches.i[chosen]], x[matches.j[chosen]], matches.pose[chosen], stated)
-    closed = FactorGraph([*graph.factors, closures], graph.fixed)
-    if select != "gnc":
-        return closed, closed.optimize(start), np.ones(int(chosen.sum()), dtype=bool)
-    robust = gnc(closed, start, doubted=[closures])
-    return robust.graph, robust.result, robust.weights[-1] > 0
+    kept = np.ones(int(chosen.sum()), dtype=bool)
+    if not len(kept):
+        return graph, graph.optimize(start), kept
+    i, j, z, C = matches.i[chosen], matches.j[chosen], matches.pose[chosen], matches.covariance[chosen]
+    if select == "gnc":
+        closures = Between(x[i], x[j], z, Covariance(C))
+        robust = gnc(FactorGraph([*graph.factors, closures], graph.fixed), start, doubted=[closures])
+        start, kept = robust.result.values, robust.weights[-1] > 0
+        if not kept.any():
+            return graph, graph.optimize(start), kept
+    i, j, z = i[kept], j[kept], z[kept]
+    uses = np.bincount(np.append(i, j), minlength=int(j.max()) + 1)
+    shared = Covariance(C[kept] * (uses[i] + uses[j])[:, None, None] / 2)
+    noise = Robust(shared, Cauchy(1.0)) if select == "cauchy" else shared
+    closed = FactorGraph([*graph.factors, Between(x[i], x[j], z, noise)], graph.fixed)
+    return closed, closed.optimize(start), kept

@@ -20,12 +20,13 @@ def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int])
     poses : (count, 3) of the keyframes, SE2.
     scans : their points.
     center : number of the keyframe in whose frame the points are.
-    half : keyframes on either side of it; or how many before and after it. Those beyond the ends are left out.
+    half : keyframes on either side of it; or how many before and after it, -1 after it for none and not its own.
+        Those beyond the ends are left out.
 
     Raises
     ------
     OptionError
-        No such keyframe; a number below 0 on one side.
+        No such keyframe; no keyframe at all.
 
     Examples
     --------
@@ -38,8 +39,8 @@ def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int])
     before, after = (half, half) if isinstance(half, int) else half
     if not 0 <= center < len(scans):
         raise OptionError("center", center, f"a keyframe, 0 to {len(scans) - 1}")
-    if min(before, after) < 0:
-        raise OptionError("half", half, "numbers of keyframes from 0")
+    if before + after < 0:
+        raise OptionError("half", half, "at least one keyframe")
     first, last = max(0, center - before), min(len(scans), center + after + 1)
     rows = slice(scans.starts[first], scans.starts[last])
     T = SE2.between(np.broadcast_to(poses[center], (last - first, 3)), poses[first:last])
