@@ -8,18 +8,17 @@ from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array
+from nls.sonar.scans import verdicts
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import submap
-from nls.sonar.scans.verdicts import EDGE, SCORE, SPREAD
 
 __all__ = ["sequential_matches"]
 
 BACK = 6  # keyframes before it with which a scan is matched
 POINTS = (20, 40)  # least points of the scan, and of those before it
 WINDOW = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
-SHARED = BACK + 2  # matches in which the points of one scan take part: their covariances count so many times
 x = kinds("x")[0]
 
 
@@ -39,12 +38,12 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
         if len(own) < POINTS[0] or len(before) < POINTS[1]:
             continue
         fit = match(Field(before), own, np.zeros(3), WINDOW)
-        if fit.score >= SCORE and fit.edge <= EDGE and fit.spread <= SPREAD:
+        if verdicts.fits(fit.score, fit.edge, fit.spread):
             first = max(0, k - (BACK + 1) // 2)
             i.append(first)
             j.append(k)
             z.append(SE2.compose(SE2.between(poses[[first]], poses[[k]]), fit.pose[None])[0])
-            C.append(SHARED * fit.covariance)
+            C.append((BACK + 2) * fit.covariance)  # its points take part in so many matches
     if not i:
         return None
     return Between(x[np.array(i)], x[np.array(j)], np.array(z), Robust(Covariance(np.array(C)), Cauchy(1.0)))
