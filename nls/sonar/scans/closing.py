@@ -242,9 +242,16 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
 
 def windows(graph: FactorGraph, values: Values, middle: Index, a: Index, b: Index) -> Array:
     """Half widths (n, 2), m and rad, of the search for pairs a, b (rows of `middle`): sigmas of their relative pose."""
-    C = Marginals(graph, values).joint(x[middle], frame="body").matrix.reshape(len(middle), 3, len(middle), 3)
-    C = C.transpose(0, 2, 1, 3)
-    Ad = SE2.adjoint_inverse(SE2.between(values[x][middle[a]], values[x][middle[b]]))
+    return half_widths(Marginals(graph, values), middle[a], middle[b])
+
+
+def half_widths(marginals: Marginals, i: Index, j: Index) -> Array:
+    """Half widths (n, 2), m and rad, of the search for keyframe j from i (n,): sigmas of their relative pose."""
+    used, rows = np.unique(np.append(i, j), return_inverse=True)
+    C = marginals.joint(x[used], frame="body").matrix.reshape(len(used), 3, len(used), 3).transpose(0, 2, 1, 3)
+    a, b = rows[: len(i)], rows[len(i) :]
+    poses = marginals.values[x]
+    Ad = SE2.adjoint_inverse(SE2.between(poses[i], poses[j]))
     cross = Ad @ C[a, b]
     relative = Ad @ C[a, a] @ Ad.transpose(0, 2, 1) + C[b, b] - cross - cross.transpose(0, 2, 1)
     sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
