@@ -182,11 +182,12 @@ class OnlineClosing:
         i = middle[a[middle[b] == newest]]
         if not len(i):
             return
-        found = self._matched(poses, scans, i, newest)
-        self._matches.append(found)
-        if (good := found.accepted).any():
-            noise = Covariance(found.covariance[good])
-            self._waiting.append(Between(x[found.i[good]], x[found.j[good]], found.pose[good], noise))
+        new = self._matched(poses, scans, i, newest)
+        self._matches.append(new)
+        if (good := new.accepted).any():
+            self._waiting.append(
+                Between(x[new.i[good]], x[new.j[good]], new.pose[good], Covariance(new.covariance[good]))
+            )
         waiting, there = sum(map(len, self._waiting)), sum(map(len, self._closures))
         if waiting > self.enough * there:
             self.judge()
