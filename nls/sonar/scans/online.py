@@ -207,11 +207,14 @@ class OnlineClosing:
         """The submap around a keyframe, matched with those around older ones (n,)."""
         j = np.full(len(i), newest)
         guess = SE2.between(poses[i], poses[j])
-        window = half_widths(self.smoother.marginals(), i, j)
+        C = self.smoother.marginals().joint(x[np.append(i, newest)], frame="body").matrix
+        C = C.reshape(len(i) + 1, 3, len(i) + 1, 3).transpose(0, 2, 1, 3)
+        k = np.arange(len(i))
+        window = half_widths(guess, C[k, k], C[k, -1], C[[-1] * len(i), -1])
         points = submap(poses, scans, newest, candidates.HALF)
         fits = [
-            match(Field(submap(poses, scans, k, candidates.HALF)), points, T, (w[0], w[1]))
-            for k, T, w in zip(i.tolist(), guess, window, strict=True)
+            match(Field(submap(poses, scans, a, candidates.HALF)), points, T, (w[0], w[1]))
+            for a, T, w in zip(i.tolist(), guess, window, strict=True)
         ]
         score, ratio, edge, spread = np.array([(fit.score, fit.ratio, fit.edge, fit.spread) for fit in fits]).T
         return Matches(
