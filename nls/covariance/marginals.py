@@ -209,6 +209,48 @@ class Marginals:
         J, _ = self._axes(keys, frame, view)
         return turned(J, self._diagonal[kind.name].copy())
 
+    def cross(self, i: Keys, j: Keys, frame: str | None = None, view: str | None = None) -> Array:
+        """Cross-covariance (n, d_i, d_j) of pairs of variables that share a factor, however many: one pass for all.
+
+        A factor without information, ``SqrtInformation(np.zeros((3, 3)))``, makes any two share one.
+
+        Parameters
+        ----------
+        i, j : the pairs, as many of one as of the other.
+        frame, view : as in `covariance`.
+
+        Raises
+        ------
+        GraphError
+            Not as many of one as of the other; a pair that shares no factor.
+        UnderconstrainedError
+            One of them has no covariance, see `status`.
+        """
+        (J_i, _), (J_j, _) = self._axes(i, frame, view), self._axes(j, frame, view)
+        if len(i) != len(j):
+            raise GraphError(f"Marginals.cross: {len(i)} and {len(j)} variables; expected pairs", [i, j])
+        pattern = self._pattern
+        u, v = (pattern.offsets[keys.kind] + self.values.stack(keys.kind).index(keys) for keys in (i, j))
+        free, number = ~(pattern.held[u] | pattern.held[v]), np.cumsum(~pattern.held) - 1
+        a, b = number[u[free]], number[v[free]]
+        pairs, V = self._factorization.hessian.elimination, len(pattern.held)
+        apart = (a != b) & ~np.isin(a * V + b, np.append(pairs.u * V + pairs.v, pairs.v * V + pairs.u))
+        if apart.any():
+            k = int(np.flatnonzero(free)[np.argmax(apart)])
+            raise GraphError(
+                f"Marginals.cross: {i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or let a Between "
+                "without information join them",
+                [i[[k]], j[[k]]],
+            )
+        columns_i, columns_j = self._columns(i), self._columns(j)
+        Sigma = np.zeros((len(i), columns_i.shape[1], columns_j.shape[1]))
+        blocks = self._factorization.inverse_blocks(a, b, self.memory_limit)
+        Sigma[free] = blocks.reshape(-1, *Sigma.shape[1:])
+        if self._free is not None:
+            Sigma = self._free.moved(Sigma, columns_i, columns_j)
+        Sigma = Sigma if J_i is None else J_i @ Sigma
+        return Sigma if J_j is None else Sigma @ J_j.mT
+
     def joint(self, keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
         """Joint covariance of any set of variables, of one kind or several, with names on its rows.
 

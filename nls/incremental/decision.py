@@ -50,12 +50,24 @@ class Decision:
                 self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
         return self.every is not None and self._new >= self.every
 
-    def judge(self, models: Sequence[Model], values: Values) -> tuple[Robustified, list[Mask]]:
-        """The choice among all that have come, and which measurements (n,) of each factor are believed."""
+    def judge(
+        self, models: Sequence[Model], values: Values, doubted: Mask | None = None
+    ) -> tuple[Robustified, list[Mask]]:
+        """The choice among all that have come, and which measurements (n,) of each factor are believed.
+
+        Parameters
+        ----------
+        models : all factors.
+        values : the start.
+        doubted : which of the factors (k,) may be wrong; the loop closures when omitted.
+        """
         self._new = 0
-        decided = gnc(FactorGraph(joined(models)), values)
+        suspect = np.zeros(len(models), dtype=bool) if doubted is None else doubted
+        parts = [[model for model, s in zip(models, suspect, strict=True) if s == which] for which in (False, True)]
+        trusted, suspects = map(joined, parts)
+        decided = gnc(FactorGraph([*trusted, *suspects]), values, doubted=None if doubted is None else suspects)
         kept: dict[int, Mask] = {}
-        for group, weights in zip(grouped(models), decided.weights, strict=True):
+        for group, weights in zip([*grouped(parts[0]), *grouped(parts[1])], decided.weights, strict=True):
             ends = np.cumsum([len(model.factor) for model in group])
             kept |= {id(model): part > 0 for model, part in zip(group, np.split(weights, ends[:-1]), strict=True)}
         return decided, [kept[id(model)] for model in models]

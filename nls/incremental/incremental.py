@@ -156,8 +156,13 @@ class Incremental:
             self._system.catch_up()
         self._arrivals.reach()
 
-    def decide(self) -> Robustified:
+    def decide(self, doubted: Sequence[Factor] | None = None) -> Robustified:
         """Judge all loop closures that have come by `nls.gnc`: take out those it rejects, take in again the others.
+
+        Parameters
+        ----------
+        doubted : factors as they were given whose measurements may be wrong, all others are trusted. Needed where the
+            graph is no pose graph: where steps have biases, or landmarks are seen.
 
         Returns
         -------
@@ -167,11 +172,13 @@ class Incremental:
         Raises
         ------
         GraphError
-            No pose graph, or one without closures.
+            No pose graph, or one without closures; nothing that is doubted has come.
         """
         count = len(self._places)
         pairs = [*((given, factor) for given, factor, _, _ in self._places), *self._decision.rejected]
-        decided, keeps = self._decision.judge([self._bound_model(factor) for _, factor in pairs], self.values)
+        named = None if doubted is None else {id(factor) for factor in doubted}
+        suspect = None if named is None else np.array([id(given) in named for given, _ in pairs], dtype=bool)
+        decided, keeps = self._decision.judge([self._bound_model(factor) for _, factor in pairs], self.values, suspect)
         parts = [(g, f, keep) for (g, f), keep in zip(pairs, keeps, strict=True)]
         self._decision.rejected = [(g, out) for g, f, keep in parts if (out := part(f, ~keep)) is not None]
         dropped = {id(batch): np.zeros(len(batch), dtype=bool) for batch in self._system.batches}
@@ -346,9 +353,13 @@ class Incremental:
         """What was given and is not used yet: it waits for a variable, or is too little to hold the map."""
         return *self._arrivals.pending, *self._undecided
 
+    def marginals(self) -> Marginals:
+        """All covariances at the present values."""
+        return Marginals(FactorGraph([batch.model().factor for batch in self._system.batches]), self.values)
+
     def covariance(self, keys: Keys, **options: Any) -> Array:
         """Covariance of a variable, or of several: `Marginals.covariance` at the present values."""
-        return Marginals(self.graph, self.values).covariance(keys, **options)
+        return self.marginals().covariance(keys, **options)
 
     @property
     def linear_solver(self) -> str:

@@ -4,6 +4,7 @@ from nls.sonar.scans.closing import Closing, Matches, Round, close
 from nls.sonar.scans.dead_reckoning import Drift, dead_reckoning
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import Match, match
+from nls.sonar.scans.online import OnlineClosing
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import Verdict
@@ -14,6 +15,7 @@ __all__ = [
     "Field",
     "Match",
     "Matches",
+    "OnlineClosing",
     "Round",
     "Scans",
     "Verdict",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Between, Cauchy, Covariance, Robust
+from factors import Between, Cauchy, Covariance, Robust, SqrtInformation
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array, Index, Mask
@@ -247,11 +247,19 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
 
 def windows(graph: FactorGraph, values: Values, middle: Index, a: Index, b: Index) -> Array:
     """Half widths (n, 2), m and rad, of the search for pairs a, b (rows of `middle`): sigmas of their relative pose."""
-    C = Marginals(graph, values).joint(x[middle], frame="body").matrix.reshape(len(middle), 3, len(middle), 3)
-    C = C.transpose(0, 2, 1, 3)
-    Ad = SE2.adjoint_inverse(SE2.between(values[x][middle[a]], values[x][middle[b]]))
-    cross = Ad @ C[a, b]
-    relative = Ad @ C[a, a] @ Ad.transpose(0, 2, 1) + C[b, b] - cross - cross.transpose(0, 2, 1)
+    (i, j), poses = (x[middle[a]], x[middle[b]]), values[x]
+    T = SE2.between(poses[i.numbers], poses[j.numbers])
+    nothing = Between(i, j, T, SqrtInformation(np.zeros((3, 3))))  # what shares a factor has a covariance in one pass
+    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
+    C = marginals.all(x, frame="body")
+    return half_widths(T, C[i.numbers], marginals.cross(i, j, frame="body"), C[j.numbers])
+
+
+def half_widths(T: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
+    """Half widths (n, 2), m and rad, of the search for poses j at T (n, 3) from poses i, by their covariances."""
+    Ad = SE2.adjoint_inverse(T)
+    cross = Ad @ C_ij
+    relative = Ad @ C_ii @ Ad.mT + C_jj - cross - cross.mT
     sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
     return np.column_stack([np.clip(SIGMAS * sigma[:, k], *WINDOW[k]) for k in range(2)])
 

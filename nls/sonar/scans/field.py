@@ -94,12 +94,12 @@ class Field:
 
     def at(self, q: npt.ArrayLike) -> tuple[Array, Array]:
         """L (n,) and its gradient (n, 2), 1/m, at points (n, 2), linear between the centers of cells."""
-        u = (np.asarray(q, dtype=float) - self.origin) / self.resolution
-        i = np.floor(u).astype(np.intp)
-        inside = ((i >= 0) & (i < np.array(self.L.shape) - 1)).all(axis=1)
-        i[~inside] = 0
-        (f, g), (k, l) = (u - i).T, i.T
-        a, b, c, d = self.L[k, l], self.L[k + 1, l], self.L[k, l + 1], self.L[k + 1, l + 1]
+        u = ((np.asarray(q, dtype=float) - self.origin) / self.resolution).T
+        k, l = i = np.floor(u).astype(np.intp)
+        (nx, ny), L = self.L.shape, self.L.reshape(-1)
+        inside = (k >= 0) & (k < nx - 1) & (l >= 0) & (l < ny - 1)
+        (f, g), corner = u - i, np.where(inside, k * ny + l, 0)
+        a, b, c, d = L[corner], L[corner + ny], L[corner + 1], L[corner + ny + 1]
         low, high = a + (b - a) * f, c + (d - c) * f
         slope = np.column_stack([(b - a) * (1 - g) + (d - c) * g, high - low]) / self.resolution
         return (low + (high - low) * g) * inside, slope * inside[:, None]

@@ -121,39 +121,34 @@ def scores(
     field: Field, p: Array, guess: Array, window: tuple[float, float]
 ) -> tuple[npt.NDArray[np.float32], Array, Array]:
     """S (yaws, n, n) of all poses in a window, with the yaws and the x and y (n,) it has them at, from the guess."""
-    from scipy.fft import irfft2, next_fast_len, rfft2
+    from scipy.fft import ifft, irfft, next_fast_len, rfft2
 
     reach, turns = int(np.ceil(window[0] / field.resolution)), int(np.ceil(window[1] / YAW_STEP))
     yaws = np.asarray(YAW_STEP * np.arange(-turns, turns + 1), dtype=np.float64)
     offsets = np.asarray(field.resolution * np.arange(-reach, reach + 1), dtype=np.float64)
-    shape = tuple(next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
+    nx, ny = (next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
     poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
     q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
-    cell = field.cells(q) + reach  # cell (0, 0) of the field is at (reach, reach)
-    inside = ((cell >= 0) & (cell < np.array(field.L.shape) + 2 * reach)).all(axis=1)
-    image = np.repeat(np.arange(len(yaws)), len(p))[inside]
-    flat = (image * shape[0] + cell[inside, 0]) * shape[1] + cell[inside, 1]
-    counts = np.bincount(flat, minlength=len(yaws) * shape[0] * shape[1]).astype(np.float32)
-    spectra = rfft2(counts.reshape(len(yaws), *shape), axes=(1, 2))
-    S: npt.NDArray[np.float32] = irfft2(np.conj(spectra) * field.spectrum(shape), shape, axes=(1, 2))
-    shift = np.arange(-reach, reach + 1) - reach
-    return S[:, shift[:, None], shift], yaws, offsets
+    image, k, l = np.repeat(np.arange(len(yaws)), len(p)), *field.cells(q).T
+    sides = field.L.shape
+    inside = (k >= -reach) & (k < sides[0] + reach) & (l >= -reach) & (l < sides[1] + reach)
+    row, column = (k[inside] - reach) % nx, (l[inside] - reach) % ny  # so that the offset -reach is the first of S
+    counts = np.zeros((len(yaws), nx, ny), dtype=np.float32)
+    np.add.at(counts.reshape(-1), (image[inside] * nx + row) * ny + column, np.float32(1.0))
+    spectra = np.conj(rfft2(counts, axes=(1, 2))) * field.spectrum((nx, ny))
+    lines = ifft(spectra, axis=1, overwrite_x=True)[:, : 2 * reach + 1]
+    S: npt.NDArray[np.float32] = irfft(lines, ny, axis=2)[:, :, : 2 * reach + 1]
+    return S, yaws, offsets
 
 
 def _moments(P: Array, yaws: Array, offsets: Array) -> Array:
     """Covariance (3, 3) of x, y and yaw under probabilities P (yaws, n, n)."""
-    C = np.zeros((3, 3))
-    axes, values = (1, 2, 0), (offsets, offsets, yaws)
-    mean = [P.sum(axis=tuple(o for o in range(3) if o != axis)) @ v for axis, v in zip(axes, values, strict=True)]
-    centered = [v - m for v, m in zip(values, mean, strict=True)]
-    for a in range(3):
-        for b in range(a, 3):
-            if a == b:
-                C[a, a] = P.sum(axis=tuple(o for o in range(3) if o != axes[a])) @ centered[a] ** 2
-            else:
-                joint = P.sum(axis=next(o for o in range(3) if o not in (axes[a], axes[b])))
-                row, column = (centered[a], centered[b]) if axes[a] < axes[b] else (centered[b], centered[a])
-                C[a, b] = C[b, a] = row @ joint @ column
+    xy, tx, ty = P.sum(axis=0), P.sum(axis=2), P.sum(axis=1)  # of two of them, t is the yaw
+    single = [(offsets, xy.sum(axis=1)), (offsets, xy.sum(axis=0)), (yaws, tx.sum(axis=1))]
+    dx, dy, dt = (v - weight @ v for v, weight in single)
+    C = np.diag([weight @ e**2 for e, (_, weight) in zip((dx, dy, dt), single, strict=True)])
+    C[0, 1], C[0, 2], C[1, 2] = dx @ xy @ dy, dt @ tx @ dx, dt @ ty @ dy
+    C[[1, 2, 2], [0, 0, 1]] = C[[0, 0, 1], [1, 2, 2]]
     return C
 
 
@@ -167,7 +162,7 @@ def _refined(field: Field, p: Array, T: Array) -> Array:
     """Gauss-Newton on the field. A direction that the field does not show is not moved along."""
 
     def moved(T: Array) -> tuple[Array, Array, Array]:
-        turned = SE2.act(np.array([[0.0, 0.0, T[2]]]), p)
+        turned = p @ SE2.rotation(T[None])[0].T
         return turned, *field.at(turned + T[:2])
 
     turned, L, slope = moved(T)

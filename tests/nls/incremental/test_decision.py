@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 import nls
 import sim
-from factors import Between, Diagonal
+from factors import Between, Diagonal, Factor
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Values, kinds
@@ -64,8 +65,8 @@ def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pyte
     drive(smoother, world.graph, world)
     before, n, judge = smoother.values, len(smoother.graph), nls.incremental.decision.gnc
 
-    def wary(graph: FactorGraph, values: Values) -> nls.Robustified:
-        found = judge(graph, values)
+    def wary(graph: FactorGraph, values: Values, doubted: Sequence[Factor] | None) -> nls.Robustified:
+        found = judge(graph, values, doubted=doubted)
         loops = [np.abs(f.keys[0].numbers - f.keys[1].numbers) == 1 for f in graph.factors]
         object.__setattr__(found, "weights", [mask.astype(float) for mask in loops])
         return found
