@@ -38,7 +38,8 @@ class GrowingBatch:
         self.variables, self._first, self.kernel = variables, model, model.factor.kernel
         factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
         own = {name: getattr(factor, name) for name in factor.per_measurement}
-        self._own = {name: Growing(np.atleast_2d(v)[:0]) for name, v in own.items() if isinstance(v, np.ndarray)}
+        n = len(model.z)
+        self._own = {name: Growing(_stack(v, n)[:0]) for name, v in own.items() if isinstance(v, np.ndarray)}
         self._numbers = [Growing(np.zeros(0, dtype=np.int64)) for _ in variables]
         self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
         self._z, self._W = Growing(model.z[:0], "F"), Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
@@ -71,7 +72,7 @@ class GrowingBatch:
         self._z.append(model.z)
         self._W.append(np.broadcast_to(model.W, (n, *model.W.shape[1:])))
         for name, own in self._own.items():
-            own.append(np.broadcast_to(np.atleast_2d(getattr(model.factor, name)), (n, *own.rows.shape[1:])))
+            own.append(np.broadcast_to(_stack(getattr(model.factor, name), n), (n, *own.rows.shape[1:])))
         rows, self._sparse = slice(begin, begin + n), None
         for part in (self._A, self._columns, self._b, self._cost):
             part.append(np.zeros((n, *part.rows.shape[1:]), part.rows.dtype))
@@ -193,6 +194,11 @@ class GrowingBatch:
     def blocks(self) -> tuple[Array, ...]:
         """A (n, m, d) of every slot."""
         return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
+
+
+def _stack(own: Array, n: int) -> Array:
+    """What n measurements have of their own, one row each, or the one row (1, ...) that all share."""
+    return own if len(own) in (1, n) else own[None]
 
 
 def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:
