@@ -71,6 +71,8 @@ def test_what_does_not_fit() -> None:
     for points in (np.empty((0, 2)), [1.0, 2.0], np.zeros((3, 3))):
         refused(lambda points=points: Field(points), GraphError, r"Field: points of shape .*; expected \(n, 2\)")
     refused(lambda: Field([[0, 0], [np.nan, 1]]), GraphError, "point 1 is not finite")
-    refused(lambda: Field([[0, 0], [1e5, 1e5]]), GraphError, "cells of 0.2 m; expected at most 40,000,000: take a larger")
+    refused(
+        lambda: Field([[0, 0], [1e5, 1e5]]), GraphError, "cells of 0.2 m; expected at most 40,000,000: take a larger"
+    )
     for sigma, resolution in ((0.0, 0.2), (-1.0, 0.2), (0.5, 0.0), (0.5, np.nan)):
         refused(lambda s=sigma, r=resolution: Field(POINTS, s, r), OptionError, "sigma|resolution")

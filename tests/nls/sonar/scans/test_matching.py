@@ -61,7 +61,7 @@ def test_scores_are_sums_over_the_field() -> None:
 def test_a_scan_that_lies_partly_outside_the_field_does_not_wrap_around() -> None:
     """A transform repeats its image: what leaves on one side must not come back on the other."""
     field = Field(WALL, 0.5, 0.4)
-    far = np.concatenate([WALL, WALL + [14.0, 0.0], WALL - [0.0, 9.0], WALL + [200.0, 0.0]])
+    far = np.concatenate([WALL + np.array(shift) for shift in ([0.0, 0.0], [14.0, 0.0], [0.0, -9.0], [200.0, 0.0])])
     volume, _, offsets = scores(field, far, np.zeros(3), (4.0, 0.01))
     middle = np.argmin(np.abs(offsets))
     alone, _, _ = scores(field, WALL, np.zeros(3), (4.0, 0.01))
@@ -100,7 +100,7 @@ def test_a_row_of_piles_fits_one_pile_further() -> None:
         row = np.concatenate([[period * k, 0.0] + 0.3 * RING for k in range(10)])
         true = np.array([3.5 * period, -3.0, 0.1])
         some = np.abs(row[:, 0] - 3.5 * period) < 3 * period
-        guess = true + [0.5 * period, 0.2, 0.02]  # two places are in the window
+        guess = true + np.array([0.5 * period, 0.2, 0.02])  # two places are in the window
         m = match(Field(row), seen_from(true, row[some], 0.05), guess, (period, 0.1))
         assert m.ratio > 0.95
         assert verdict(m) == reason
