@@ -8,9 +8,9 @@ import pytest
 from factors import Cauchy, Robust
 from models import SE2, SE3
 from models.errors import GraphError, OptionError
-from nls import Marginals, Values, kinds
+from nls import FactorGraph, Marginals, Values, kinds
 from nls.metrics import ate
-from nls.sonar.scans import Closing, Matches, Round, Scans, Verdict, close, dead_reckoning
+from nls.sonar.scans import Closing, Drift, Matches, Round, Scans, Verdict, close, dead_reckoning
 from nls.sonar.scans.closing import SELECTIONS, SETTLED, WINDOW, windows
 from sim import Scene
 from tests.combinations import for_all
@@ -60,7 +60,9 @@ def test_a_round_is_what_its_graph_says(closing: Closing) -> None:
     assert closing.rounds[-1].moved < SETTLED <= closing.rounds[-2].moved
     same(closing.rounds[-1].poses, closing.values[x])
     same(closing.rounds[-1].chi2_dof, closing.result.chi2_final / closing.result.dof)
-    kept = closing.graph.factors[-1]
+    assert closing.rounds[1].matches.window.mean() < closing.rounds[0].matches.window.mean(), "of the better estimate"
+    *others, kept = closing.graph.factors
+    assert len(others) == len(dead_reckoning(ROOM.reckoned)[0].factors), "no closures of earlier rounds"
     assert len(kept) == closing.matches.kept.sum()
     same(kept.z, closing.matches.pose[closing.matches.kept])
     lines = str(closing).splitlines()
@@ -112,15 +114,16 @@ def test_windows_are_three_sigmas_of_the_relative_pose_within_their_limits() -> 
     assert width[0, 0] < width[1, 0] < width[2, 0]
 
 
-def test_a_window_by_propagation_from_the_end_of_the_drive() -> None:
-    """With the earlier keyframe fixed, the relative pose is the later one: its marginal covariance is the window's."""
-    way = np.column_stack([np.arange(41.0), np.zeros(41), np.zeros(41)])
-    graph, values = dead_reckoning(way)
-    (width,) = windows(graph, values, np.array([0, 30]), np.array([0]), np.array([1]))
-    C = Marginals(graph, values).covariance(x[30], frame="body")
-    expected = 3 * np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1])
-    same(width[0], min(expected, 20.0), rtol=1e-6)
-    assert 3 < expected
+def test_a_window_is_that_of_the_later_pose_where_the_earlier_is_fixed() -> None:
+    """Steps alone: which pose is fixed does not matter to the relative pose, and one that is fixed has no errors."""
+    drift = Drift(mean=0.1, stretch=0.1, yaw=0.008, heading=None)
+    graph, values = dead_reckoning(TRUTH[:51], drift)
+    ((position, yaw),) = windows(graph, values, np.array([20, 50]), np.array([0]), np.array([1]))
+    C = Marginals(FactorGraph(graph.factors, [x[20]]), values).covariance(x[50], frame="body")
+    same(position, 3 * np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1]), rtol=1e-6)
+    same(yaw, 3 * np.sqrt(C[2, 2]), rtol=1e-6)
+    assert WINDOW[0][0] < position < WINDOW[0][1]
+    assert WINDOW[1][0] < yaw < WINDOW[1][1]
 
 
 def test_a_straight_corridor_closes_no_loop() -> None:
