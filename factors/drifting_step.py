@@ -35,7 +35,7 @@ class DriftingStep(Factor):
     Raises
     ------
     GraphError
-        Variables in other spaces; lengths that are not one number from 0 for every step.
+        Variables in other spaces; z of another shape; lengths that are not one number from 0 for every step.
 
     Notes
     -----
@@ -65,8 +65,16 @@ class DriftingStep(Factor):
         self, i: Keys, j: Keys, drift: Keys, z: npt.ArrayLike, noise: Noise, length: npt.ArrayLike | None = None
     ) -> None:
         super().__init__([i, j, drift], z, noise)
-        steps = np.reshape(np.asarray(z, dtype=float), (-1, 3))[:, :2] if length is None else None
-        self.length = np.array(length if steps is None else np.linalg.norm(steps, axis=1), dtype=float)
+        if self._z.ndim not in (1, 2) or self._z.shape[-1] != 3:
+            raise GraphError(
+                f"{self!r}: z has shape {self._z.shape}, expected (n, 3): x, y, m, and yaw, rad", self.keys, self.name
+            )
+        ways = np.linalg.norm(np.atleast_2d(self._z)[:, :2], axis=1)
+        ways = np.repeat(ways, len(self)) if len(ways) == 1 else ways  # one step that all measured
+        try:
+            self.length = np.array(ways if length is None else length, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise GraphError(f"{self!r}: lengths are no numbers: {error}", self.keys, self.name) from error
         if self.length.shape != (len(self),) or not (np.isfinite(self.length) & (self.length >= 0)).all():
             raise GraphError(
                 f"{self!r}: lengths of shape {self.length.shape}, expected ({len(self)},), numbers from 0",

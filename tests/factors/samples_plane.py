@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors import Line, Wheels
-from models import LINE, SE2, Measured
+from factors import DriftingStep, Line, Wheels
+from models import LINE, SE2, Measured, R
 from tests.factors.samples import Sample
 from tests.factors.samples_sensors import mounted
 
@@ -44,6 +44,27 @@ def wheels(name: str, base: float, turned: float) -> Sample:
     )
 
 
+def reckoned(length: float, X_i: Array, X_j: Array, d: Array) -> Array:
+    """The step as it was, and the drift for every meter of it."""
+    out = []
+    for a, b, drift in zip(X_i, X_j, d, strict=True):
+        way = complex(*(b - a)[:2]) * np.exp(-1j * a[2]) + length * complex(*drift)
+        out.append([way.real, way.imag, np.angle(np.exp(1j * (b[2] - a[2])))])
+    return np.array(out)
+
+
+def drifting(name: str, length: float, turned: float) -> Sample:
+    return Sample(
+        f"DriftingStep-{name}",
+        (SE2, SE2, R(2)),
+        Measured("x", "y", "yaw"),
+        3,
+        lambda keys, z, noise: DriftingStep(*keys, z, noise, np.full(len(z), length)),
+        lambda X_i, X_j, d: reckoned(length, X_i, X_j, d),
+        around=(np.array([1.0, -2.0, 3.0]), np.array([2.0, -1.5, turned]), np.array([0.1, -0.2])),
+    )
+
+
 PLANE_SAMPLES = [
     *(
         mounted(f"Line-{name}", Line, mode, LINE, LINE, line_in_sensor, (np.array(pose), np.array(wall)))
@@ -55,4 +76,7 @@ PLANE_SAMPLES = [
     ),
     wheels("ahead", 0.5, 3.1),
     wheels("over pi", 1.2, -2.9),
+    drifting("ahead", 1.5, 3.1),
+    drifting("over pi", 0.7, -2.9),
+    drifting("standing", 0.0, 3.0),
 ]

@@ -1,0 +1,160 @@
+"""From scans to a map: a room gone around twice, a corridor without a loop, what is chosen and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import Cauchy, Robust
+from models import SE2, SE3
+from models.errors import GraphError, OptionError
+from nls import FactorGraph, Marginals, Values, kinds
+from nls.metrics import ate
+from nls.sonar.scans import Closing, Drift, Matches, Round, Scans, Verdict, close, dead_reckoning
+from nls.sonar.scans.closing import SELECTIONS, SETTLED, WINDOW, windows
+from sim import Scene
+from tests.combinations import for_all
+from tests.factors.evaluated import Array, refused, same
+from tests.nls.sonar.scans.rooms import drive, laps
+
+(x,) = kinds("x")
+TRUTH = laps()
+ROOM = drive(TRUTH)
+
+
+@pytest.fixture(scope="module")
+def closing() -> Closing:
+    return close(*dead_reckoning(ROOM.reckoned), ROOM.scans)
+
+
+@pytest.fixture(scope="module")
+def once() -> dict[str, Closing]:
+    """One round with every selection."""
+    return {select: close(*dead_reckoning(ROOM.reckoned), ROOM.scans, 1, select) for select in SELECTIONS}
+
+
+def errors(matches: Matches) -> Array:
+    """(n, 3) of the matched poses, m and rad."""
+    return np.abs(SE2.local(SE2.between(TRUTH[matches.i], TRUTH[matches.j]), matches.pose))
+
+
+def rmse(poses: Array) -> float:
+    return ate(poses, TRUTH, align="rigid").rmse
+
+
+def test_two_laps_in_a_room(closing: Closing) -> None:
+    assert closing.settled
+    assert rmse(ROOM.reckoned) > 1.5
+    assert rmse(closing.values[x]) < rmse(ROOM.reckoned) / 5
+    last = closing.matches
+    assert last.kept.sum() > 40
+    assert errors(last)[last.kept].max(axis=0)[0] < 1.5
+    wrong = (errors(last) > [2.0, 2.0, 0.2]).any(axis=1)
+    assert wrong.any(), "some candidates do not match"
+    assert not (wrong & last.kept).any()
+    assert set(np.flatnonzero(last.kept)) <= set(np.flatnonzero(last.accepted))
+
+
+def test_a_round_is_what_its_graph_says(closing: Closing) -> None:
+    assert 2 <= len(closing.rounds) <= 8
+    assert closing.rounds[-1].moved < SETTLED <= closing.rounds[-2].moved
+    same(closing.rounds[-1].poses, closing.values[x])
+    same(closing.rounds[-1].chi2_dof, closing.result.chi2_final / closing.result.dof)
+    assert closing.rounds[1].matches.window.mean() < closing.rounds[0].matches.window.mean(), "of the better estimate"
+    *others, kept = closing.graph.factors
+    assert len(others) == len(dead_reckoning(ROOM.reckoned)[0].factors), "no closures of earlier rounds"
+    assert len(kept) == closing.matches.kept.sum()
+    same(kept.z, closing.matches.pose[closing.matches.kept])
+    lines = str(closing).splitlines()
+    assert lines[0].startswith("round 1: ")
+    assert f"{len(closing.matches)} candidates" in lines[len(closing.rounds) - 1]
+    assert "rounds, " in repr(closing)
+
+
+def test_the_input_stays_and_the_world_may_lie_anywhere(once: dict[str, Closing]) -> None:
+    T = np.tile([[50.0, -35.0, 0.0]], (len(TRUTH), 1))  # by whole cells of the footprints
+    graph, values = dead_reckoning(SE2.compose(T, ROOM.reckoned))
+    before, factors, heard = values[x].copy(), list(graph.factors), list[Round]()
+    moved = close(graph, values, ROOM.scans, rounds=1, report=heard.append)
+    assert list(graph.factors) == factors
+    assert np.array_equal(values[x], before)
+    assert heard == list(moved.rounds)
+    assert not moved.settled, "one round says not whether another would change anything"
+    same(SE2.compose(SE2.inverse(T), moved.values[x]), once["gnc"].values[x], atol=0.05)
+
+
+@for_all(select=["cauchy", "none"])
+def test_other_selections_keep_all_that_are_accepted(once: dict[str, Closing], select: str) -> None:
+    closing = once[select]
+    assert np.array_equal(closing.matches.kept, closing.matches.accepted)
+    noise = closing.graph.factors[-1].noise
+    assert isinstance(noise, Robust) == (select == "cauchy")
+    if isinstance(noise, Robust):
+        assert isinstance(noise.kernel, Cauchy)
+
+
+def test_gnc_leaves_out_wrong_ones_that_the_others_swallow(once: dict[str, Closing]) -> None:
+    """In the first round, from dead reckoning."""
+    chosen, everything = once["gnc"], once["none"]
+    out = everything.matches.kept & ~chosen.matches.kept
+    assert out.any()
+    assert errors(chosen.matches)[out].mean() > 2 * errors(chosen.matches)[chosen.matches.kept].mean()
+    assert rmse(chosen.values[x]) < rmse(everything.values[x])
+
+
+def test_windows_are_three_sigmas_of_the_relative_pose_within_their_limits() -> None:
+    graph, values = dead_reckoning(ROOM.reckoned)
+    middle = np.array([4, 8, 60, 100])
+    a, b = np.array([0, 0, 0, 2]), np.array([1, 2, 3, 3])
+    width = windows(graph, values, middle, a, b)
+    assert width.shape == (4, 2)
+    for k in range(2):
+        assert (width[:, k] >= WINDOW[k][0]).all()
+        assert (width[:, k] <= WINDOW[k][1]).all()
+    assert width[0, 0] < width[1, 0] < width[2, 0]
+
+
+def test_a_window_is_that_of_the_later_pose_where_the_earlier_is_fixed() -> None:
+    """Steps alone: which pose is fixed does not matter to the relative pose, and one that is fixed has no errors."""
+    drift = Drift(mean=0.1, stretch=0.1, yaw=0.008, heading=None)
+    graph, values = dead_reckoning(TRUTH[:51], drift)
+    ((position, yaw),) = windows(graph, values, np.array([20, 50]), np.array([0]), np.array([1]))
+    C = Marginals(FactorGraph(graph.factors, [x[20]]), values).covariance(x[50], frame="body")
+    same(position, 3 * np.sqrt(np.linalg.eigvalsh(C[:2, :2])[-1]), rtol=1e-6)
+    same(yaw, 3 * np.sqrt(C[2, 2]), rtol=1e-6)
+    assert WINDOW[0][0] < position < WINDOW[0][1]
+    assert WINDOW[1][0] < yaw < WINDOW[1][1]
+
+
+def test_a_straight_corridor_closes_no_loop() -> None:
+    k = np.arange(80.0)
+    truth = np.column_stack([2 * k, 0 * k, 0 * k])
+    corridor = Scene(walls=[[[-50.0, 5.0], [300.0, 5.0]], [[-50.0, -5.0], [300.0, -5.0]]])
+    way = drive(truth, corridor)
+    named = "18 submaps with 60 points or more, none overlaps .* 20 keyframes away: these scans close no loop"
+    refused(lambda: close(*dead_reckoning(way.reckoned), way.scans), GraphError, named)
+    empty = Scans(np.empty((0, 2)), np.empty(0, dtype=int), 80)
+    refused(lambda: close(*dead_reckoning(way.reckoned), empty), GraphError, "0 submaps")
+
+
+def test_no_match_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dead reckoning is the answer, and nothing changes any more."""
+    monkeypatch.setattr("nls.sonar.scans.closing.verdicts", lambda score, *_: np.full(len(score), Verdict.NO_FIT))
+    graph, values = dead_reckoning(ROOM.reckoned)
+    closing = close(graph, values, ROOM.scans)
+    assert len(closing.rounds) == 1
+    assert closing.settled
+    assert closing.graph is graph
+    assert not closing.matches.kept.any()
+    same(closing.values[x], ROOM.reckoned, atol=1e-9)
+
+
+def test_what_does_not_fit() -> None:
+    graph, values = dead_reckoning(ROOM.reckoned)
+    refused(lambda: close(graph, values, ROOM.scans, rounds=0), OptionError, "rounds")
+    refused(lambda: close(graph, values, ROOM.scans, select="best"), OptionError, "select.*gnc, cauchy, none")
+    more = Scans(ROOM.scans.points, ROOM.scans.keyframe, len(TRUTH) + 3)
+    named = rf"poses x of SE2, {len(TRUTH)} of them; expected SE2, x0 to x{len(TRUTH) + 2}"
+    refused(lambda: close(graph, values, more), GraphError, named)
+    space = Values({x: (SE3, SE3.identity(len(TRUTH)))})
+    refused(lambda: close(graph, space, ROOM.scans), GraphError, "poses x of SE3")
