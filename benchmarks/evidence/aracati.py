@@ -202,7 +202,7 @@ def page(mission: Mission, quick: bool) -> list[str]:
     lines += [
         "## Covariances",
         "",
-        f"Squared errors of the positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.",
+        f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.",
         "The position of DGPS is that of a float on a line, and its own error is part of it.",
         "",
         "## Other selections",
