@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from models.advice import listed
 from nls.cli import outliers
+from nls.cli.scan_mission import GRAPH
+from nls.io.scan_mission import is_scan_mission
 
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
@@ -26,6 +29,9 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     options : of ``nls solve``.
     written : files that exist by now.
     """
+    if is_scan_mission(options.file):
+        graph = next((name for name in written if os.path.basename(name) == GRAPH), None)
+        return shlex.join(["nls", "explain", graph] if graph else ["nls", "solve", _named(options.file), "-o", "OUT"])
     wrong = outliers.is_gnc(options.robust)
     if wrong and options.output in written and options.to is None:
         return shlex.join(["nls", "explain", _named(options.output)])
