@@ -88,7 +88,9 @@ def refuse_explanation(folder: str) -> None:
     OptionError
     """
     if is_scan_mission(folder):
-        allowed = f"a graph: this scan mission has no closures yet; nls solve {folder} -o OUT, then nls explain OUT/{GRAPH}"
+        allowed = (
+            f"a graph: this scan mission has no closures yet; nls solve {folder} -o OUT, then nls explain OUT/{GRAPH}"
+        )
         raise OptionError("FILE", folder, allowed)
 
 

@@ -37,7 +37,10 @@ def write_outputs(job: Job) -> None:
     try:
         with new_folder(options.output):
             solved = job.solved
-            attempt(job, outputs_of(solved, options.output) if isinstance(solved, Solved) else solved.outputs(options.output))
+            attempt(
+                job,
+                outputs_of(solved, options.output) if isinstance(solved, Solved) else solved.outputs(options.output),
+            )
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)

@@ -55,12 +55,12 @@ def scan_map(
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
     axes = figure.add_subplot()
     every = max(1, -(-len(points) // MOST))
-    axes.scatter(*points[::every].T, s=0.5, color=POINT, alpha=0.25, linewidths=0, rasterized=True)
+    axes.scatter(*points[::every].T, s=0.8, color=POINT, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
     axes.plot(*dead[:, :2].T, color=DEAD, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
         rejected = matches.accepted & ~matches.kept
         _joined(axes, poses, matches, rejected, REJECTED, 0.35, f"{int(rejected.sum())} closures rejected")
-        _joined(axes, poses, matches, matches.kept, KEPT, 0.6, f"{int(matches.kept.sum())} closures kept")
+        _joined(axes, poses, matches, matches.kept, KEPT, 0.35, f"{int(matches.kept.sum())} closures kept")
     title = f"{len(poses):,} keyframes, {len(points):,} points"
     if truth is not None:
         error = truth.ate(poses)
@@ -77,7 +77,7 @@ def scan_map(
     margin = 0.03 * side.max()
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal")
     points_of_legend = axes.scatter([], [], s=9, color=POINT, label="points of the scans")
     handles, _ = axes.get_legend_handles_labels()
     handles = [points_of_legend, *(handle for handle in handles if handle is not points_of_legend)]
@@ -92,4 +92,6 @@ def _joined(axes: Axes, poses: Array, matches: Matches, rows: Mask, color: str, 
     ends: tuple[Index, Index] = matches.i[rows], matches.j[rows]
     if len(ends[0]):
         segments = np.stack([poses[end, :2] for end in ends], axis=1)
-        axes.add_collection(LineCollection(list(segments), colors=color, linewidths=0.8, alpha=alpha, label=label))
+        axes.add_collection(
+            LineCollection(list(segments), colors=color, linewidths=0.7, alpha=alpha, label=label, zorder=1)
+        )

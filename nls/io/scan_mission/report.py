@@ -56,3 +56,13 @@ class ScanReport(LoadReport):
     intensity: Array | None = field(default=None, compare=False, repr=False)
     drift: Drift = field(default_factory=Drift)
     truth: Truth | None = field(default=None, compare=False)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Keyframes, points, and keyframes that have some."""
+        return {
+            "keyframes": len(self.numbers),
+            "keyframes_with_points": int(self.scans.with_points.sum()),
+            "points": len(self.scans.points),
+            "keyframes_with_truth": 0 if self.truth is None else len(self.truth.rows),
+        }

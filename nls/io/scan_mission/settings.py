@@ -1,11 +1,11 @@
 """mission.toml of a scan mission: how the sonar is mounted, and how wrong dead reckoning is.
 
-    [sonar]
-    azimuth = "left"       positive to the left, or "right"
-    x_m = 0.0              place of the sonar on the vehicle, x ahead, y to the left; also y_m
-    yaw_rad = 0.0          where it looks, positive to the left
-    [drift]                see `nls.sonar.scans.Drift`: mean, stretch, length, step, yaw, heading
-    heading = false        no compass
+[sonar]
+azimuth = "left"       positive to the left, or "right"
+x_m = 0.0              place of the sonar on the vehicle, x ahead, y to the left; also y_m
+yaw_rad = 0.0          where it looks, positive to the left
+[drift]                see `nls.sonar.scans.Drift`: mean, stretch, length, step, yaw, heading
+heading = false        no compass
 """
 
 from __future__ import annotations
@@ -72,7 +72,9 @@ def read_settings(path: str | Path) -> Settings:
     side = sonar.get("azimuth", "left")
     if not isinstance(side, str) or side not in SIDES:
         near = did_you_mean(side, SIDES) if isinstance(side, str) else ""
-        raise file.error("sonar", "azimuth", f"azimuth is {side!r}; expected the positive side, 'left' or 'right'{near}")
+        raise file.error(
+            "sonar", "azimuth", f"azimuth is {side!r}; expected the positive side, 'left' or 'right'{near}"
+        )
     for name in MOUNT:
         limit, unit = (TURN, "rad") if name == "yaw_rad" else (FAR, "m")
         if not is_number(value := sonar.get(name, 0.0)) or not abs(value) <= limit:
@@ -102,7 +104,9 @@ class _Toml:
         for section, content in self.tree.items():
             known = " and ".join(f"[{name}]" for name in KEYS)
             if section not in KEYS:
-                raise self.error(section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, KEYS)}")
+                raise self.error(
+                    section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, KEYS)}"
+                )
             if not isinstance(content, dict):
                 raise self.error(section, "", f"{section} is {content!r}; expected a section, [{section}]")
             for key in content:
