@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from models.advice import listed
 from nls.cli import outliers
-from nls.cli.scan_mission import GRAPH
+from nls.cli.solved_scans import GRAPH
 from nls.io.scan_mission import is_scan_mission
 
 if TYPE_CHECKING:

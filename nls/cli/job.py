@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from nls.analysis import VarianceComponents
     from nls.certificate import Certificate
     from nls.cli.mission import Solved
-    from nls.cli.scan_mission import SolvedScans
+    from nls.cli.solved_scans import SolvedScans
     from nls.cli.timing import Clock
     from nls.graph import FactorGraph
     from nls.io import LoadReport

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
     from nls.cli.mission import Solved
-    from nls.cli.scan_mission import SolvedScans
+    from nls.cli.solved_scans import SolvedScans
     from nls.optimizers import Result
 
 

@@ -66,10 +66,11 @@ def _covariance(job: Job, path: str) -> None:
 
 
 def _plot(job: Job, path: str) -> None:
+    from nls.cli.solved_scans import SolvedScans
     from nls.plot import before_after
     from nls.plot.picture import write_picture
 
-    if job.select is not None:
+    if isinstance(job.solved, SolvedScans):
         job.solved.draw(path)
         return
     write_picture(path, before_after(job.graph, job.before, job.result, title=Path(job.report.path).name))

@@ -141,9 +141,9 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
 
         lines += worth(report["mission"])
     if "scans" in report:
-        from nls.cli.scan_mission import lines as worth
+        from nls.cli.scan_mission import lines as mapped
 
-        lines += worth(report["scans"])
+        lines += mapped(report["scans"])
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:

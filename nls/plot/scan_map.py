@@ -55,7 +55,16 @@ def scan_map(
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
     axes = figure.add_subplot()
     every = max(1, -(-len(points) // MOST))
-    axes.scatter(*points[::every].T, s=0.8, color=POINT, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
+    axes.scatter(
+        points[::every, 0],
+        points[::every, 1],
+        s=0.8,
+        color=POINT,
+        alpha=0.35,
+        linewidths=0,
+        rasterized=True,
+        zorder=1.5,
+    )
     axes.plot(*dead[:, :2].T, color=DEAD, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
         rejected = matches.accepted & ~matches.kept

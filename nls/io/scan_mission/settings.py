@@ -86,7 +86,8 @@ def read_settings(path: str | Path) -> Settings:
             none = ", or false: no compass" if name == "heading" else ""
             raise file.error("drift", name, f"{name} is {value!r}; expected a number above 0{none}")
     x, y, yaw = (float(sonar.get(name, 0.0)) for name in MOUNT)
-    return Settings(SIDES[side], (x, y, yaw), Drift(**{k: None if v is False else float(v) for k, v in drift.items()}))
+    given: dict[str, Any] = {name: None if value is False else float(value) for name, value in drift.items()}
+    return Settings(SIDES[side], (x, y, yaw), Drift(**given))
 
 
 class _Toml:
