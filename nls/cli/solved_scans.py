@@ -16,8 +16,6 @@ from nls.io.scan_mission.results import verdict_words
 from nls.metrics import cep, drms2
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from models.algebra import Array
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
@@ -123,8 +121,8 @@ class SolvedScans:
             out[name] |= {"drms2_m": drms2(error.errors)}
         return out
 
-    def picture(self) -> Figure:
-        """The map from above."""
+    def picture(self) -> Any:
+        """The map from above, a figure of matplotlib."""
         from nls.plot.scan_map import scan_map
 
         return scan_map(
