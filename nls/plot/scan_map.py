@@ -22,6 +22,7 @@ __all__ = ["scan_map"]
 SOLUTION, DEAD, TRUE, POINT, KEPT, REJECTED = "#0b4f6c", "#e07a2f", "#000000", "#8b9196", "#2a9d4a", "#d1383d"
 LONG, SHORT = 9.0, 4.5  # inches of the map
 MOST = 200_000  # points that are drawn
+MARKS = 5e4  # square points of ink that all points of the scans have together
 
 
 def scan_map(
@@ -55,21 +56,14 @@ def scan_map(
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
     axes = figure.add_subplot()
     every = max(1, -(-len(points) // MOST))
-    axes.scatter(
-        points[::every, 0],
-        points[::every, 1],
-        s=0.8,
-        color=POINT,
-        alpha=0.35,
-        linewidths=0,
-        rasterized=True,
-        zorder=1.5,
-    )
+    size = float(np.clip(MARKS / max(len(points), 1), 0.8, 4.0))
+    style = {"color": POINT, "alpha": 0.35, "linewidths": 0, "rasterized": True, "zorder": 1.5}
+    axes.scatter(points[::every, 0], points[::every, 1], s=size, **style)
     axes.plot(*dead[:, :2].T, color=DEAD, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
         rejected = matches.accepted & ~matches.kept
         _joined(axes, poses, matches, rejected, REJECTED, 0.35, f"{int(rejected.sum())} closures rejected")
-        _joined(axes, poses, matches, matches.kept, KEPT, 0.35, f"{int(matches.kept.sum())} closures kept")
+        _joined(axes, poses, matches, matches.kept, KEPT, 0.45, f"{int(matches.kept.sum())} closures kept")
     title = f"{len(poses):,} keyframes, {len(points):,} points"
     if truth is not None:
         error = truth.ate(poses)
