@@ -55,10 +55,9 @@ def scan_map(
     width, height = np.clip(LONG * side / side.max(), SHORT, LONG)
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
     axes = figure.add_subplot()
-    every = max(1, -(-len(points) // MOST))
     size = float(np.clip(MARKS / max(len(points), 1), 0.8, 4.0))
-    style = {"color": POINT, "alpha": 0.35, "linewidths": 0, "rasterized": True, "zorder": 1.5}
-    axes.scatter(points[::every, 0], points[::every, 1], s=size, **style)
+    drawn = points[:: max(1, -(-len(points) // MOST))]
+    axes.scatter(drawn[:, 0], drawn[:, 1], s=size, color=POINT, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
     axes.plot(*dead[:, :2].T, color=DEAD, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
         rejected = matches.accepted & ~matches.kept

@@ -63,7 +63,7 @@ def room(laps: int = 2, side: float = 1.0, mount: Array | None = None) -> dict[s
     return {
         "keyframes": csv_text(("keyframe", "time", "x", "y", "yaw"), numbers, times, reckoned),
         "scans": csv_text(("keyframe", "range", "azimuth"), i, r, side * azimuth),
-        "truth": csv_text(("time", "x", "y", "yaw"), np.concatenate([[[0.0, *true[0]]], later])),
+        "truth": csv_text(("time", "x", "y", "yaw"), np.concatenate([[[4.0, *true[0]]], later])),
     }
 
 

@@ -1,4 +1,4 @@
-"""Scan missions: points in the frame of the vehicle, numbers of keyframes, the truth; and tables that cannot be right."""
+"""Scan missions: points in the frame of the vehicle, keyframes, the truth; and tables that cannot be right."""
 
 from __future__ import annotations
 
