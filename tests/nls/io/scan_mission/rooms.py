@@ -59,11 +59,11 @@ def room(laps: int = 2, side: float = 1.0, mount: Array | None = None) -> dict[s
         ):
             column.append(values)
     i, r, azimuth = (np.concatenate(column) for column in rows)
-    later = np.column_stack([times + 0.5, true])
+    known = np.column_stack([times, true])
     return {
         "keyframes": csv_text(("keyframe", "time", "x", "y", "yaw"), numbers, times, reckoned),
         "scans": csv_text(("keyframe", "range", "azimuth"), i, r, side * azimuth),
-        "truth": csv_text(("time", "x", "y", "yaw"), np.concatenate([[[4.0, *true[0]]], later])),
+        "truth": csv_text(("time", "x", "y", "yaw"), known),
     }
 
 
