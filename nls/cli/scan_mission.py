@@ -17,6 +17,7 @@ from nls.sonar.scans.closing import SELECTIONS
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
+    from nls.sonar.scans import Round
 
 __all__ = ["close_loops", "lines", "refuse_explanation", "selection_of", "unsettled"]
 
@@ -88,8 +89,12 @@ def close_loops(job: Job) -> None:
     scans, closing = job.report.scans, None
     middle = centers(scans)
     with Progress("match scans", ROUNDS, job.options.quiet) as progress:
+
+        def show(after: Round) -> None:
+            progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
+
         if len(middle) and len(pairs(job.values[x], scans, middle)[0]):
-            closing = close(job.graph, job.values, scans, ROUNDS, job.select, report=progress.say)
+            closing = close(job.graph, job.values, scans, ROUNDS, job.select, report=show)
             job.graph = job.as_read = closing.graph
             job.result = closing.result
         else:

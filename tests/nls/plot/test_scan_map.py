@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from factors.keys import kinds
-from nls.io.scan_mission import read_scan_mission
+from models import SE2
+from nls.io.scan_mission import Truth, read_scan_mission
 from nls.plot.scan_map import KEPT, REJECTED, scan_map
 from nls.sonar.scans import close
 from tests.nls.io.scan_mission.rooms import room, track, write
@@ -20,7 +21,9 @@ def test_what_is_drawn(tmp_path: Path) -> None:
     closing = close(graph, values, scans, rounds=1)
     matches = closing.matches
     matches.kept[np.flatnonzero(matches.kept)[:2]] = False
-    figure = scan_map(closing.values[x], values[x], scans, matches, report.truth)
+    assert report.truth is not None
+    elsewhere = SE2.compose(np.repeat([[30.0, -20.0, 2.0]], 90, axis=0), report.truth.poses)
+    figure = scan_map(closing.values[x], values[x], scans, matches, Truth(report.truth.rows, elsewhere))
     (axes,) = figure.axes
     lines = {str(line.get_label()): line for line in axes.lines}
     assert [*lines] == ["dead reckoning", "truth, aligned", "solution", "start"]
