@@ -50,7 +50,8 @@ def scan_map(
     points = in_world(poses, scans)
     shown = np.concatenate([poses[:, :2], points])
     low, high = np.percentile(shown, [0.2, 99.8], axis=0)  # single points far away do not shrink the map
-    low, high = np.minimum(low, poses[:, :2].min(axis=0)), np.maximum(high, poses[:, :2].max(axis=0))
+    tracks = np.concatenate([poses[:, :2], dead[:, :2]])
+    low, high = np.minimum(low, tracks.min(axis=0)), np.maximum(high, tracks.max(axis=0))
     side = np.maximum(high - low, 1e-3)
     width, height = np.clip(LONG * side / side.max(), SHORT, LONG)
     figure = Figure(figsize=(width + 0.8, height + 1.4), layout="constrained")
