@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,11 @@ def explain(options: argparse.Namespace) -> int:
         refuse_unwritable(json=options.json, read=file)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
+    for file in (options.file, *options.dives):
+        if os.path.isdir(file):
+            from nls.cli.scan_mission import refuse_explanation
+
+            refuse_explanation(file)
     as_read, values, report = read(options)
     options.phase.doing = f"while explaining {options.file}"
     graph = prepare(as_read, values, report, options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -26,6 +27,8 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     options : of ``nls solve``.
     written : files that exist by now.
     """
+    if os.path.isdir(options.file) and (command := _asking_of_scans(options.file, written)):
+        return command
     wrong = outliers.is_gnc(options.robust)
     if wrong and options.output in written and options.to is None:
         return shlex.join(["nls", "explain", _named(options.output)])
@@ -41,6 +44,17 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
     words += ["--repair-information"] * options.repair_information
     words += [word for kind in options.hold for word in ("--hold", kind)]
     return shlex.join(words)
+
+
+def _asking_of_scans(folder: str, written: Sequence[str]) -> str:
+    """The command that explains the graph with the closures of a scan mission, or writes it; empty for another one."""
+    from nls.cli.solved_scans import GRAPH
+    from nls.io.scan_mission import is_scan_mission
+
+    if not is_scan_mission(folder):
+        return ""
+    graph = next((name for name in written if os.path.basename(name) == GRAPH), None)
+    return shlex.join(["nls", "explain", graph] if graph else ["nls", "solve", _named(folder), "-o", "OUT"])
 
 
 def _named(file: str) -> str:

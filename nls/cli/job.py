@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from nls.analysis import VarianceComponents
     from nls.certificate import Certificate
     from nls.cli.mission import Solved
+    from nls.cli.solved_scans import SolvedScans
     from nls.cli.timing import Clock
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -29,6 +30,7 @@ class Job:
     ----------
     options, clock, solver, stop : of the command.
     form : format of the output; empty where none is written, or a mission.
+    select : how the matches of a scan mission are selected; None of other inputs.
     projection : of the coordinates in the files of a mission; None for local ones.
     as_read, values, report : of the file; without what was rejected.
     graph : under kernels, with kinds held; with ``--sigmas estimate`` rescaled, and `as_read`, too.
@@ -46,6 +48,7 @@ class Job:
     solver: LinearSolver
     stop: Stop
     form: str = ""
+    select: str | None = None
     projection: Projection | None = None
     as_read: FactorGraph = field(init=False)
     values: Values = field(init=False)
@@ -59,7 +62,7 @@ class Job:
     chi2_read: float | None = None
     stages: dict[str, float] = field(default_factory=dict)
     result: Result = field(init=False)
-    solved: Solved | None = None
+    solved: Solved | SolvedScans | None = None
     certificate: Certificate | None = None
     failed: list[LeadlineError] = field(default_factory=list)
 
@@ -77,7 +80,8 @@ class Job:
         """What a mission, scales, a choice and a certificate add to the report for programs."""
         from nls.cli import certificate, outliers, sigmas
 
-        record: dict[str, Any] = {} if self.solved is None else {"mission": self.solved.record()}
+        name = "mission" if self.select is None else "scans"
+        record: dict[str, Any] = {} if self.solved is None else {name: self.solved.record()}
         record |= {} if self.sigmas is None else {"sigmas": sigmas.record(self.sigmas)}
         record |= {} if self.choice is None else outliers.record(self.choice)
         return record | ({} if self.certificate is None else {"certificate": certificate.record(self.certificate)})

@@ -13,7 +13,10 @@ __all__ = ["parser"]
 
 ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")  # see nls.metrics; its import is not for start-up
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
-FILE = "graph file, folder of a mission or of a graph.npz or graph.g2o, or '-': standard input; files may be gzipped"
+FILE = (
+    "graph file, folder of a mission, of a scan mission or of a graph.npz or graph.g2o, or '-': standard input; files "
+    "may be gzipped"
+)
 OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
 RENUMBER = "new numbers for variables whose numbers clash in OUT; poses keep theirs, a note has the old names"
 ALONE = "thresholds that are not given are off then"
@@ -31,6 +34,7 @@ EXAMPLES = """examples:
   nls solve bundle.txt --hold k                        cameras and points, the lenses held
   nls solve dive1 dive2 -o both                        dives at one place: a track each, landmarks and beacons in common
   nls solve floor -o floor/solved                      a mission: track, sonar contacts and truth as CSV files
+  nls solve harbor -o harbor/solved                    a scan mission: keyframes and scans, matched to a map
   nls explain survey.g2o                               what is free, what does not fit, and what helps
   nls explain survey.g2o --robust cauchy:1 --json -    the same, outliers count less; as a report for programs
   nls info survey.g2o                                  what is in it, what holds it, what a solve would cost
@@ -149,7 +153,11 @@ def parser() -> Parser:
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
-    _problem(solve, "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them")
+    _problem(
+        solve,
+        "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them; of a scan "
+        "mission gnc (default), cauchy or none: how matches are selected",
+    )
     solve.add_argument(
         "--sigmas",
         default="stated",

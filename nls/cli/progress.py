@@ -37,6 +37,12 @@ class Progress:
             self.bar.set_postfix_str(f"chi2 {iteration.chi2:.6g}")
             self.bar.update()
 
+    def say(self, step: object) -> None:
+        """One more step, in its own words."""
+        if self.bar is not None:
+            self.bar.set_postfix_str(str(step))
+            self.bar.update()
+
     def next(self, title: str) -> None:
         """Something else is done now."""
         if self.bar is not None:

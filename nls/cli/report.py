@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from models.errors import UnderconstrainedError
     from nls.cli.job import Job
     from nls.cli.mission import Solved
+    from nls.cli.solved_scans import SolvedScans
     from nls.optimizers import Result
 
 
@@ -69,10 +70,13 @@ def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
     return {name: fact for name, fact in facts.items() if fact}
 
 
-def _pictures(solved: Solved) -> dict[str, Any]:
-    """The track of a mission, and its landmarks."""
+def _pictures(solved: Solved | SolvedScans) -> dict[str, Any]:
+    """The track of a mission, and its landmarks; of scans the map."""
+    from nls.cli.mission import Solved
     from nls.plot.mission import landmark_map, track
 
+    if not isinstance(solved, Solved):
+        return {"The map": solved.picture()}
     truth = solved.report.truth
     shown = {"The track": track(solved.values, solved.dead, truth, solved.marginals, solved.tracks)}
     if solved.contacts and solved.report.sonar is not None:

@@ -20,7 +20,10 @@ def solve(options: argparse.Namespace) -> int:
     job = _checked(options)
     _read(job)
     _check_graph(job)
-    _optimize(job)
+    if job.select is None:
+        _optimize(job)
+    else:
+        _close(job)
     _write(job)
     _certify(job)
     _draw(job)
@@ -47,6 +50,11 @@ def _checked(options: argparse.Namespace) -> Job:
     output_files = options.covariance, options.plot, options.report
     for file in (options.file, *options.dives):
         refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=file)
+    if mission:
+        from nls.cli.scan_mission import selection_of
+
+        if (select := selection_of(options)) is not None:
+            job.select, options.robust, options.init = select, None, "file"
     refuse(options.sigmas, options.robust)
     refuse_name("--plot", options.plot, PICTURES)
     refuse_name("--report", options.report, PAGES)
@@ -175,6 +183,13 @@ def _optimize(job: Job) -> None:
     job.clock.lap("optimize")
 
 
+def _close(job: Job) -> None:
+    """The map from scans."""
+    from nls.cli.scan_mission import close_loops
+
+    close_loops(job)
+
+
 def _estimate(job: Job, optimizer: Optimizer) -> None:
     """The scales of the sigmas, the graphs with rescaled noise, and the optimum."""
     from nls.analysis.variance_components import variance_components
@@ -282,6 +297,10 @@ def _status(job: Job) -> int:
         print("nls: refuted: this is a local optimum; another start (--init) may lead lower", file=sys.stderr)
     doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
     doubtful = sigmas.unsettled(job.sigmas) or doubtful
+    if job.select is not None:
+        from nls.cli.scan_mission import unsettled
+
+        doubtful = unsettled(job.solved) or doubtful
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:

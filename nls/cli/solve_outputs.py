@@ -20,6 +20,7 @@ def write_outputs(job: Job) -> None:
     """Write every output but the reports."""
     from models.errors import GraphFileError
     from nls.cli.dives import outputs_of
+    from nls.cli.mission import Solved
     from nls.io.files import new_folder
 
     options = job.options
@@ -35,7 +36,11 @@ def write_outputs(job: Job) -> None:
 
     try:
         with new_folder(options.output):
-            attempt(job, outputs_of(job.solved, options.output))
+            solved = job.solved
+            attempt(
+                job,
+                outputs_of(solved, options.output) if isinstance(solved, Solved) else solved.outputs(options.output),
+            )
     except GraphFileError as error:  # no folder, no files in it
         job.failed.append(error)
     attempt(job, outputs)
@@ -61,9 +66,13 @@ def _covariance(job: Job, path: str) -> None:
 
 
 def _plot(job: Job, path: str) -> None:
+    from nls.cli.solved_scans import SolvedScans
     from nls.plot import before_after
     from nls.plot.picture import write_picture
 
+    if isinstance(job.solved, SolvedScans):
+        job.solved.draw(path)
+        return
     write_picture(path, before_after(job.graph, job.before, job.result, title=Path(job.report.path).name))
 
 

@@ -117,7 +117,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
     from models.listing import several
 
     lines = result.steps if verbose else []
-    file = "dead reckoning" if "mission" in report else "file"  # a mission has no start in a file
+    file = "dead reckoning" if {"mission", "scans"} & report.keys() else "file"  # a mission has no start in a file
     start = ", ".join(f"{name.replace('file', file)} {chi2:.6g}" for name, chi2 in report["starts"].items())
     seconds = report["timings"]
     robust = f", robust kernel {report['robust']}" if report["robust"] and "rejected" not in report else ""
@@ -140,6 +140,10 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
         from nls.cli.mission import lines as worth
 
         lines += worth(report["mission"])
+    if "scans" in report:
+        from nls.cli.scan_mission import lines as mapped
+
+        lines += mapped(report["scans"])
     lines += [f"held        all {kind}" for kind in report["held"]]
     lines += [f"free        {direction}" for direction in report["underconstrained"][:SHOWN]]
     if (more := len(report["underconstrained"]) - SHOWN) > 0:

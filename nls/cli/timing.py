@@ -24,7 +24,7 @@ MEANINGS = {
     "check": "whether the output can hold the graph",
     "build": "gauge and pattern",
     "analyze": "elimination order, symbolic factorization",
-    "other": "stop rules, degrees of freedom",
+    "other": "stop rules, degrees of freedom; of scans the matching",
     "write": "files asked for",
     "certify": "optimum and eigenvalues in the SE-Sync cost",
     "report": "explanation, covariances and pictures of the page",

@@ -73,7 +73,8 @@ def load(
 
     Returns
     -------
-    graph, values, report : of a mission, dead reckoning as values, and a `nls.io.mission.MissionReport`.
+    graph, values, report : of a mission, dead reckoning as values, and a `nls.io.mission.MissionReport`; of a scan
+        mission a `nls.io.scan_mission.ScanReport`, which has the points.
 
     Raises
     ------
@@ -146,12 +147,17 @@ def _read(
     path = graph_file(path)
     if isinstance(path, str | os.PathLike) and os.path.isdir(path):
         from nls.io.mission import read_mission
+        from nls.io.scan_mission import is_scan_mission, read_scan_mission
 
         if dialect != "auto":
             raise OptionError("dialect", dialect, f"auto: {path} is a folder, and folders are missions")
         if repair_information:
             raise no_information(str(path), "mission")
         check_convention(convention)
+        if is_scan_mission(path):
+            _refuse_elevation(elevation, path)
+            graph, values, _, report = read_scan_mission(path)
+            return graph, values, report
         return read_mission(path, "hinge" if elevation is None else elevation)
     _refuse_elevation(elevation, path)
     with stage("read file"):

@@ -2,6 +2,7 @@
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
 yaw_rad, and i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
+Poses of the plane have x_m, y_m and yaw_rad alone. A scan mission calls its columns keyframe, time, x, y and yaw.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from nls.values import Values
 __all__ = ["Poses", "read_poses"]
 
 NEEDED = (*PLACE, *ANGLES)
+OF_SPACE = ("z_m", "roll_rad", "pitch_rad")  # 0 where a file has none of them
 SIGMAS = suffixed(PLACE)
+ALIASES = {"keyframe": "i", "time": "time_s", "x": "x_m", "y": "y_m", "yaw": "yaw_rad"}
 
 
 @dataclass(frozen=True)
@@ -85,8 +88,11 @@ def _table(path: str | Path) -> Poses:
     if len(rows) < 2:
         raise GraphFileError("has no poses; expected a line of names and a row for each pose", str(path))
     head, *body = ([cell.strip() for cell in cells] for cells in csv.reader(line for _, line in rows))
-    place = {name: k for k, name in enumerate(head)}
+    place = {ALIASES.get(name, name): k for k, name in enumerate(head)}
+    plane = place.keys().isdisjoint(OF_SPACE)
     for name in NEEDED:
+        if plane and name in OF_SPACE:
+            continue
         if name not in place:
             raise GraphFileError(
                 f"no column {name!r}{did_you_mean(name, head)}; expected {', '.join(NEEDED)}", str(path), 1
@@ -106,7 +112,7 @@ def _table(path: str | Path) -> Poses:
             ]
         )
 
-    state = np.column_stack([numbers(name) for name in (*ANGLES, *PLACE)])
+    state = np.column_stack([numbers(name) if name in place else np.zeros(len(body)) for name in (*ANGLES, *PLACE)])
     times = numbers("time_s") if "time_s" in place else None
     ids = numbers("i") if "i" in place else None
     if ids is not None and len(unique := np.unique(ids, return_index=True)[1]) < len(ids):

@@ -24,7 +24,8 @@ NOT_MISSED = (
 )  # for people, and the same graph in one file
 EXPECTED = (
     "a mission is odometry.csv and zpr.csv, or dvl.csv, ahrs.csv, depth.csv (or pressure.csv) and noise.csv, or "
-    "path.csv, or motion.csv, with contacts.csv and sonar.csv, both or none of these two"
+    "path.csv, or motion.csv, with contacts.csv and sonar.csv, both or none of these two; a scan mission is "
+    "keyframes.csv and scans.csv"
 )
 
 

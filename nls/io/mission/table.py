@@ -47,6 +47,7 @@ class Table(Text):
     path : the file, which may be gzip-compressed.
     columns : names of all its columns.
     optional : those of them that may be left out.
+    needed : whether the file itself may not be left out.
 
     Attributes
     ----------
@@ -72,7 +73,9 @@ class Table(Text):
            [1.  , 2.75]])
     """
 
-    def __init__(self, path: str | Path, columns: Sequence[str], optional: Sequence[str] = ()) -> None:
+    def __init__(
+        self, path: str | Path, columns: Sequence[str], optional: Sequence[str] = (), needed: bool = False
+    ) -> None:
         self._data = read_bytes(path)
         super().__init__(self._data.replace(b",", b" "), str(path))
         self.lines, self.comments = self._split()
@@ -96,7 +99,8 @@ class Table(Text):
                 near = did_you_mean(name, [column for column in columns if column not in names])
                 raise self.error(message + near, head, self._renamed(name, near))
         if not len(self.lines):
-            raise self.error("has no row below its names; leave the file out where nothing was measured", head)
+            cure = "expected one or more" if needed else "leave the file out where nothing was measured"
+            raise self.error(f"has no row below its names; {cure}", head)
         count = np.diff(self.first)[self.lines]
         if (wrong := count != len(names)).any():
             k = int(np.argmax(wrong))

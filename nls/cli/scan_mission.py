@@ -1,0 +1,146 @@
+"""``nls solve DIR`` of a folder of keyframes and scans: its options, its rounds, and the lines of the table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from factors.keys import kinds
+from models.errors import OptionError
+from models.options import did_you_mean
+from nls.cli.solved_scans import GRAPH, SolvedScans
+from nls.io.scan_mission import ScanReport, is_scan_mission
+from nls.sonar.scans import close
+from nls.sonar.scans.candidates import centers, pairs
+from nls.sonar.scans.closing import SELECTIONS
+
+if TYPE_CHECKING:
+    from nls.cli.job import Job
+    from nls.sonar.scans import Round
+
+__all__ = ["close_loops", "lines", "refuse_explanation", "selection_of", "unsettled"]
+
+WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
+ROUNDS = 8
+REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and why others have no effect
+    "elevation": (None, "a scan mission is of the plane"),
+    "crs": (None, "a scan mission has coordinates of its own"),
+    "init": ("auto", "a scan mission starts from dead reckoning"),
+    "method": ("auto", "the rounds of a scan mission choose their own"),
+    "linear_solver": ("auto", "the rounds of a scan mission choose their own"),
+    "max_iterations": (100, "the rounds of a scan mission stop by themselves"),
+    "update_tol": (None, "the rounds of a scan mission stop by themselves"),
+    "chi2_rtol": (None, "the rounds of a scan mission stop by themselves"),
+    "hold": ([], "a scan mission has only its keyframes and their drift"),
+    "sigmas": ("stated", "the sigmas of a scan mission are those of [drift] in mission.toml and of its matches"),
+    "gauge": ("first", "the first keyframe of a scan mission is held"),
+    "certify": (False, "the drifts of a scan mission are no poses"),
+    "convention": ("g2o", "a scan mission has its own residuals"),
+    "allow_doubtful": (False, "it goes with --robust gnc-tls, of graph files"),
+}
+x = kinds("x")[0]
+
+
+def selection_of(options: argparse.Namespace) -> str | None:
+    """How matches are selected, by ``--robust``; None where the input is no scan mission.
+
+    Raises
+    ------
+    OptionError
+        Several folders, or an option that does nothing here.
+    """
+    folders = [options.file, *options.dives]
+    if not any(map(is_scan_mission, folders)):
+        return None
+    if options.dives:
+        raise OptionError("DIVE", options.dives[0], "one folder: a scan mission is solved alone")
+    for name, (default, reason) in REFUSED.items():
+        if (value := getattr(options, name)) != default:
+            raise OptionError(f"--{name.replace('_', '-')}", value, f"nothing: {reason}")
+    select = options.robust or SELECTIONS[0]
+    if select not in SELECTIONS:
+        allowed = f"for a scan mission one of {', '.join(SELECTIONS)}: how its matches are selected"
+        raise OptionError("--robust", select, allowed + did_you_mean(select.partition(":")[0], SELECTIONS))
+    return str(select)
+
+
+def refuse_explanation(folder: str) -> None:
+    """Refuse to explain a scan mission, which has no closures before it is solved.
+
+    Raises
+    ------
+    OptionError
+    """
+    if is_scan_mission(folder):
+        allowed = (
+            f"a graph: this scan mission has no closures yet; nls solve {folder} -o OUT, then nls explain OUT/{GRAPH}"
+        )
+        raise OptionError("input", folder, allowed)
+
+
+def close_loops(job: Job) -> None:
+    """Match the scans and solve, round by round; dead reckoning where no two submaps overlap."""
+    from nls.cli.progress import Progress
+
+    assert isinstance(job.report, ScanReport)
+    assert job.select is not None
+    job.options.phase.now(f"while matching the scans of {job.options.file}")
+    scans, closing = job.report.scans, None
+    middle = centers(scans)
+    with Progress("match scans", ROUNDS, job.options.quiet) as progress:
+
+        def show(after: Round) -> None:
+            progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
+
+        if len(middle) and len(pairs(job.values[x], scans, middle)[0]):
+            closing = close(job.graph, job.values, scans, ROUNDS, job.select, report=show)
+            job.graph = job.as_read = closing.graph
+            job.result = closing.result
+        else:
+            job.result = job.graph.optimize(job.values)
+    job.solved = SolvedScans(job.graph, job.values[x], job.result, job.report, closing, job.select)
+    job.clock.lap("optimize")
+
+
+def lines(scans: dict[str, Any]) -> list[str]:
+    """The lines of the table that say what a map from scans is worth."""
+    out = [
+        f"scans       {scans['keyframes']:,} keyframes over {scans['distance_m']:.4g} m, {scans['points']:,} points in "
+        f"{scans['with_points']:,} of them"
+    ]
+    out += [
+        f"round {number:<5d} {r['candidates']} candidates, {r['accepted']} accepted, {r['kept']} kept; chi2/dof "
+        f"{r['chi2_dof']:.2f}; track moved {r['moved_m']:.2f} m rms"
+        for number, r in enumerate(scans["rounds"], 1)
+    ]
+    if not scans["closures"]:
+        why = "no candidate is a closure" if scans["rounds"] else "no two parts of the track show the same place"
+        out.append(f"unchecked   {why}: the solution is dead reckoning")
+        if (sigma := scans.get("end_sigma_m")) is not None:
+            out.append(f"end         1 sigma of the position at the end: {sigma:.3g} m, by the stated noise alone")
+    elif scans["settled"]:
+        out.append(f"settled     after {len(scans['rounds'])} rounds")
+    else:
+        out.append(f"settled     no: the last round moved the track by {scans['rounds'][-1]['moved_m']:.2f} m rms")
+    if "solution" in scans:
+        dead, solved = (scans[name]["ate_rmse_m"] for name in ("dead_reckoning", "solution"))
+        out.append(
+            f"ATE         dead reckoning {dead:.3g} m, solution {solved:.3g} m rmse of {scans['judged_keyframes']:,} "
+            f"keyframes against the truth ({scans['alignment']} alignment)"
+        )
+    return out
+
+
+def unsettled(solved: object) -> bool:
+    """Whether the last round still moved the track so far that it is no solution; said on standard error."""
+    if not isinstance(solved, SolvedScans) or solved.closing is None or not solved.kept or solved.closing.settled:
+        return False
+    if (moved := solved.closing.rounds[-1].moved) <= WILD:
+        return False
+    print(
+        f"nls: not settled: the last of {len(solved.closing.rounds)} rounds moved the track by {moved:.2f} m rms; "
+        "state the noise of dead reckoning in [drift] of mission.toml",
+        file=sys.stderr,
+    )
+    return True

@@ -1,0 +1,7 @@
+"""Scan missions: CSV files of keyframes and of the points that a sonar measured from them; and the files of a map."""
+
+from nls.io.scan_mission.columns import COLUMNS, is_scan_mission
+from nls.io.scan_mission.read import read_scan_mission
+from nls.io.scan_mission.report import ScanReport, Truth
+
+__all__ = ["COLUMNS", "ScanReport", "Truth", "is_scan_mission", "read_scan_mission"]

@@ -1,0 +1,171 @@
+"""A folder of keyframes and scans as the graph of its dead reckoning, its points and a report."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from models.algebra import Array, Numbers
+from models.errors import GraphFileError
+from models.listing import some
+from nls.graph import FactorGraph
+from nls.io.mission.table import TURNS, Table
+from nls.io.report import Source
+from nls.io.scan_mission.columns import COLUMNS, NEEDED, OPTIONAL, SETTINGS, file_of
+from nls.io.scan_mission.report import ScanReport, Truth
+from nls.io.scan_mission.settings import Settings, read_settings
+from nls.io.unused_lines import note_comments
+from nls.sonar.scans import Scans, dead_reckoning
+from nls.values import Values
+
+__all__ = ["read_scan_mission"]
+
+FAR = 1e9  # m
+LEAST = 2  # keyframes: of a track, and within the truth
+NOT_MISSED = (SETTINGS, "graph.npz", "truth.npz")
+
+
+def read_scan_mission(folder: str | Path) -> tuple[FactorGraph, Values, Scans, ScanReport]:
+    """The graph of dead reckoning of a scan mission, its start and its points; see the page on formats.
+
+    Parameters
+    ----------
+    folder : with ``keyframes.csv`` and ``scans.csv``, and where they are known ``truth.csv`` and ``mission.toml``; the
+        tables plain or gzip-compressed.
+
+    Returns
+    -------
+    graph, values : of `nls.sonar.scans.dead_reckoning`: keyframes x (SE2), numbered by their rows from 0.
+    scans : the points, m, in the frame of the vehicle: x ahead, y to the left.
+    report : the numbers of the keyframes in the file, their times, the intensities and the truth.
+
+    Raises
+    ------
+    GraphFileError
+        No scan mission, or one that cannot be right; says which file and line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     keyframes, scans = Path(folder, "keyframes.csv"), Path(folder, "scans.csv")
+    ...     _ = keyframes.write_text("keyframe,time,x,y,yaw\\n0,0,0,0,0\\n5,1,1,0,0\\n")
+    ...     _ = scans.write_text("keyframe,range,azimuth\\n5,10,0.1\\n")
+    ...     graph, values, scans, report = read_scan_mission(folder)
+    >>> scans, report.numbers.tolist()
+    (Scans(1 points in 1 of 2 keyframes), [0, 5])
+    """
+    tables, settings, report = _read_folder(folder)
+    table = tables["keyframes"]
+    numbers, times, poses = _keyframes(table)
+    graph, values = dead_reckoning(poses, settings.drift)
+    report.numbers, report.vertex_times, report.drift = numbers, {"x": times}, settings.drift
+    report.scans, report.intensity = _scans(tables["scans"], numbers, settings)
+    if "truth" in tables:
+        report.truth = _truth(tables["truth"], times, report)
+    of_steps, nowhere = table.source(slice(1, None)), np.zeros(1, dtype=np.intp)
+    for factor in graph.factors:
+        lines = {len(numbers) - 1: of_steps.lines, len(numbers): table.lines + 1}
+        placed = factor.keys[0].kind == "x"
+        at = lines[len(factor)] if placed else np.repeat(nowhere, len(factor))
+        report.sources.append(Source(table.path if placed else str(folder), at))
+    return graph, values, report.scans, report
+
+
+def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanReport]:
+    """The tables by name, the settings, and a report that counts rows and names what was not read."""
+    try:
+        names = sorted(os.listdir(folder))
+    except OSError as error:
+        raise GraphFileError(f"cannot be read: {error.strerror or error}", str(folder)) from error
+    for name in NEEDED:
+        if file_of(folder, name) is None:
+            message = f"has no {name}.csv; a scan mission is keyframes.csv and scans.csv"
+            raise GraphFileError(f"{message}; it has {some(names, 12)}", str(folder))
+    tables: dict[str, Table] = {}
+    for name, columns in COLUMNS.items():
+        if (file := file_of(folder, name)) is not None:
+            if f"{name}.csv" in names and f"{name}.csv.gz" in names:
+                raise GraphFileError(f"there is {name}.csv.gz beside it; leave one of them", str(file))
+            tables[name] = Table(file, columns, OPTIONAL.get(name, ()), needed=name in NEEDED)
+    path = Path(folder, SETTINGS)
+    settings = read_settings(path) if path.exists() else Settings()
+    report = ScanReport(str(folder), "scan mission", "2-D", "log", vertices_given=False, reason="a folder")
+    report.tags = {f"{name}.csv": len(table) for name, table in tables.items()}
+    note_comments(report, sum(table.comments for table in tables.values()))
+    _note_others(report, names, {Path(table.path).name for table in tables.values()})
+    return tables, settings, report
+
+
+def _note_others(report: ScanReport, names: list[str], read: set[str]) -> None:
+    """Name the files that were not read: CSV files in a warning, other files of data in a note."""
+    others = [name for name in names if name not in (*read, *NOT_MISSED) and not name.upper().startswith("README")]
+    reckoned = [name for name in others if name in ("odometry.csv", "odometry.csv.gz")]
+    if reckoned:
+        report.notes.append(f"not needed: {reckoned[0]}; the keyframes hold dead reckoning")
+    others = [name for name in others if name not in reckoned]
+    if tabular := [name for name in others if ".csv" in name.lower()]:
+        expected = ", ".join([*COLUMNS, SETTINGS])
+        report.warn(f"no file of a scan mission, not read: {some(tabular, 12)}; expected names: {expected}")
+    if unread := [name for name in others if name not in tabular]:
+        report.notes.append(f"not read: {some(unread, 12)}")
+
+
+def _keyframes(table: Table) -> tuple[Numbers, Array, Array]:
+    """Numbers (n,), times (n,) and reckoned poses (n, 3) of the keyframes."""
+    numbers, times = table.unique("keyframe", "keyframe"), table.rising("time")
+    if (falls := np.diff(numbers) < 0).any():
+        k = int(np.argmax(falls)) + 1
+        raise table.at(k, f"keyframe {numbers[k]} after {numbers[k - 1]}; expected numbers that rise, sort the rows")
+    if len(numbers) < LEAST:
+        raise table.at(0, "is the only keyframe; expected two or more")
+    within(table, FAR, "meters, within 1e9", "x", "y")
+    within(table, TURNS, "radians, -2 pi to 2 pi", "yaw")
+    return numbers, times, table.floats("x", "y", "yaw")
+
+
+def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, Array | None]:
+    """The points, and their intensities (n,) in the same order."""
+    problem = f"no such keyframe in keyframes.csv, which has {len(numbers)} from {numbers[0]} to {numbers[-1]}"
+    rows = np.searchsorted(numbers, table.known("keyframe", numbers, problem))
+    r = table.positive("range")[:, 0]
+    within(table, FAR, "meters, within 1e9", "range")
+    azimuth = settings.side * within(table, TURNS, "radians, -2 pi to 2 pi", "azimuth")[:, 0]
+    points = r[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    intensity = table.measured("intensity")[:, 0] if table.has("intensity") else None
+    order = np.argsort(rows, kind="stable")
+    scans = Scans(points[order], rows[order], len(numbers), settings.mount)
+    return scans, None if intensity is None else intensity[order]
+
+
+def _truth(table: Table, times: Array, report: ScanReport) -> Truth:
+    """True poses at the keyframes: on the line between two rows."""
+    t, p = table.rising("time"), within(table, FAR, "meters, within 1e9", "x", "y")
+    yaw = within(table, TURNS, "radians, -2 pi to 2 pi", "yaw")[:, 0] if table.has("yaw") else np.zeros(len(t))
+    inside = (times >= t[0]) & (times <= t[-1])
+    if (count := int(inside.sum())) < LEAST:
+        raise table.at(
+            0,
+            f"the truth is of {float(t[0])!r} to {float(t[-1])!r} s and the keyframes of {float(times[0])!r} to "
+            f"{float(times[-1])!r} s: {count} of these within, expected {LEAST} or more",
+        )
+    if outside := len(times) - count:
+        report.notes.append(f"errors are of {count} keyframes, not of {outside} before or after the truth")
+    columns = [*p.T, np.unwrap(yaw)]
+    return Truth(np.flatnonzero(inside), np.column_stack([np.interp(times[inside], t, c) for c in columns]))
+
+
+def within(table: Table, limit: float, expected: str, *names: str) -> Array:
+    """Numbers (n, k) of columns, none farther from 0 than a limit.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    numbers = table.floats(*names)
+    if (bad := np.abs(numbers) > limit).any():
+        k, column = divmod(int(np.argmax(bad)), len(names))
+        raise table.at(k, f"{names[column]} is {float(numbers[k, column])!r}; expected {expected}")
+    return numbers

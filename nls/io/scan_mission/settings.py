@@ -1,0 +1,133 @@
+"""mission.toml of a scan mission: how the sonar is mounted, and how wrong dead reckoning is.
+
+[sonar]
+azimuth = "left"       positive to the left, or "right"
+x_m = 0.0              place of the sonar on the vehicle, x ahead, y to the left; also y_m
+yaw_rad = 0.0          where it looks, positive to the left
+[drift]                see `nls.sonar.scans.Drift`: mean, stretch, length, step, yaw, heading
+heading = false        no compass
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from models.errors import GraphFileError
+from models.options import did_you_mean, is_number
+from nls.io.files import read_bytes
+from nls.sonar.scans import Drift
+
+__all__ = ["Settings", "read_settings"]
+
+SIDES = {"left": 1.0, "right": -1.0}
+MOUNT = ("x_m", "y_m", "yaw_rad")
+KEYS = {"sonar": ("azimuth", *MOUNT), "drift": tuple(entry.name for entry in fields(Drift))}
+FAR, TURN = 1e3, 6.2832  # m, rad: no sonar is mounted farther away, or turned by more
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a mission was sailed.
+
+    Attributes
+    ----------
+    side : 1 where azimuths are positive to the left, -1 to the right.
+    mount : pose of the sonar on the vehicle: x ahead and y to the left, m, and yaw, rad.
+    drift : how wrong dead reckoning is.
+    """
+
+    side: float = 1.0
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drift: Drift = field(default_factory=Drift)
+
+
+def read_settings(path: str | Path) -> Settings:
+    """The settings in a file.
+
+    Raises
+    ------
+    GraphFileError
+        No TOML, an unknown section or key, a value that cannot be: with file and line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder, "mission.toml")
+    ...     _ = file.write_text('[sonar]\\nazimuth = "right"\\nx_m = 0.4\\n')
+    ...     settings = read_settings(file)
+    >>> settings.side, settings.mount
+    (-1.0, (0.4, 0.0, 0.0))
+    """
+    try:
+        text = read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise GraphFileError(f"is not UTF-8 text: {error.reason}", str(path)) from error
+    file = _Toml(text, str(path))
+    sonar, drift = file.tree.get("sonar", {}), file.tree.get("drift", {})
+    side = sonar.get("azimuth", "left")
+    if not isinstance(side, str) or side not in SIDES:
+        near = did_you_mean(side, SIDES) if isinstance(side, str) else ""
+        raise file.error(
+            "sonar", "azimuth", f"azimuth is {side!r}; expected the positive side, 'left' or 'right'{near}"
+        )
+    for name in MOUNT:
+        limit, unit = (TURN, "rad") if name == "yaw_rad" else (FAR, "m")
+        if not is_number(value := sonar.get(name, 0.0)) or not abs(value) <= limit:
+            raise file.error("sonar", name, f"{name} is {value!r}; expected a number, {unit}, within {limit:g}")
+    for name, value in drift.items():
+        if name == "heading" and value is False:
+            continue
+        if not is_number(value) or not 0 < value < float("inf"):
+            none = ", or false: no compass" if name == "heading" else ""
+            raise file.error("drift", name, f"{name} is {value!r}; expected a number above 0{none}")
+    x, y, yaw = (float(sonar.get(name, 0.0)) for name in MOUNT)
+    given: dict[str, Any] = {name: None if value is False else float(value) for name, value in drift.items()}
+    return Settings(SIDES[side], (x, y, yaw), Drift(**given))
+
+
+class _Toml:
+    """The tree of a file whose sections and keys are known; errors name the line."""
+
+    def __init__(self, text: str, path: str) -> None:
+        self.lines, self.path = text.split("\n"), path
+        try:
+            self.tree: dict[str, Any] = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            place = re.search(r" \(at line (\d+), column \d+\)", str(error))
+            line = int(place[1]) if place else len(self.lines)
+            shown = self.lines[line - 1].strip()
+            raise GraphFileError(f"is no TOML: {str(error).split(' (at')[0]}", path, line, shown) from error
+        for section, content in self.tree.items():
+            known = " and ".join(f"[{name}]" for name in KEYS)
+            if section not in KEYS:
+                raise self.error(
+                    section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, KEYS)}"
+                )
+            if not isinstance(content, dict):
+                raise self.error(section, "", f"{section} is {content!r}; expected a section, [{section}]")
+            for key in content:
+                if key not in KEYS[section]:
+                    near = did_you_mean(key, KEYS[section])
+                    message = f"[{section}] has no {key!r}; expected {', '.join(KEYS[section])}{near}"
+                    raise self.error(section, key, message)
+
+    def error(self, section: str, key: str, message: str) -> GraphFileError:
+        """An error at the line of a key, or of its section."""
+        line = self._line(section, key)
+        return GraphFileError(message, self.path, line, self.lines[line - 1].strip() if line else "")
+
+    def _line(self, section: str, key: str) -> int | None:
+        within, start = "", None
+        for number, line in enumerate(self.lines, 1):
+            if head := re.match(r"\s*\[\s*[\"']?([\w-]+)[\"']?\s*\]", line):
+                within = head[1]
+            elif key and within == section and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line):
+                return number
+            if start is None and (within == section or re.match(rf"\s*[\"']?{re.escape(section)}[\"']?\s*[.=]", line)):
+                start = number
+        return start

@@ -1,0 +1,151 @@
+"""``nls`` on a scan mission: the table, the files, what it refuses, and a harbor with the truth beside it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nls
+from factors.keys import kinds
+from models.errors import GraphFileError
+from nls.io import read_tum
+from nls.io.scan_mission.results import CLOSURES, MAP, TRAJECTORY
+from tests.nls.cli.shell import Shell, row, rows
+from tests.nls.io.scan_mission.rooms import room, write
+from tests.nls.io.scan_mission.test_read import FILES
+
+x = kinds("x")[0]
+TABLES = ["trajectory.csv", "trajectory.tum", "map.csv", "map.ply", "graph.npz", "map.png"]
+
+
+def table(file: Path) -> tuple[list[str], list[list[str]]]:
+    head, *body = list(csv.reader(file.read_text().splitlines()))
+    return head, body
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not rendered."""
+    monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
+
+
+def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
+    write(shell / "m", room())
+    out = shell("solve m -o out --json r.json --plot p.png --report page.html --covariance c.csv")
+    record = json.loads((shell / "r.json").read_text())["scans"]
+    assert record["solution"]["ate_rmse_m"] < 0.2 < 0.7 < record["dead_reckoning"]["ate_rmse_m"]
+    assert (record["keyframes"], record["with_points"], record["settled"], record["select"]) == (90, 81, True, "gnc")
+    assert len(rows(out, "round")) == len(record["rounds"]) >= 2
+    assert row(out, "settled") == f"after {len(record['rounds'])} rounds"
+    assert row(out, "ATE").endswith("m rmse of 90 keyframes against the truth (rigid alignment)")
+    assert sorted(path.name for path in (shell / "out").iterdir()) == sorted([*TABLES, "closures.csv"])
+
+    head, body = table(shell / "out/trajectory.csv")
+    numbers = np.array(body, dtype=float)
+    assert head == list(TRAJECTORY)
+    assert (numbers[:, 0].tolist(), numbers[3, 1]) == ([100 + 3 * k for k in range(90)], 11.0)
+    assert numbers[0, 5:].tolist() == [0] * 6  # the first keyframe is held
+    graph, values, _ = nls.load(shell / "out/graph.npz")
+    Sigma = nls.Marginals(graph, values).covariance(x[40], frame="world")
+    np.testing.assert_allclose(numbers[40, 2:5], values[x[40]])
+    np.testing.assert_allclose(numbers[40, 5:8] ** 2, np.diag(Sigma))
+    np.testing.assert_allclose(numbers[40, 8] * numbers[40, 5] * numbers[40, 6], Sigma[0, 1])
+    times, _ = read_tum(shell / "out/trajectory.tum")[:2]
+    assert len(times) == 90
+
+    head, body = table(shell / "out/map.csv")
+    assert (head, len(body)) == (list(MAP[:3]), record["points"])
+    assert min(float(cells[0]) for cells in body) == pytest.approx(-9, abs=0.7)
+    head, body = table(shell / "out/closures.csv")
+    verdicts = [cells[-1] for cells in body]
+    assert head == list(CLOSURES)
+    assert {word: verdicts.count(word) for word in verdicts} == record["verdicts"]
+    assert record["verdicts"]["kept"] == record["closures"] == len(graph.factors[-1])
+    assert all(int(cells[0]) % 3 == 1 and int(cells[1]) % 3 == 1 for cells in body)
+    assert "The map" in (shell / "page.html").read_text()
+    assert "nls explain" not in (shell / "page.html").read_text()
+
+    judged = shell.report("evaluate out/trajectory.csv m/truth.csv --align rigid")
+    assert judged["ate"]["rmse_m"] == pytest.approx(record["solution"]["ate_rmse_m"], rel=1e-6)
+    assert "Between" in shell("explain out/graph.npz")
+
+
+def test_without_a_closure_the_solution_is_dead_reckoning(shell: Shell, undrawn: None) -> None:
+    write(shell / "m", FILES)
+    out = shell("solve m -o out")
+    assert row(out, "unchecked").endswith("the solution is dead reckoning")
+    assert row(out, "end").startswith("1 sigma of the position at the end: 0.")
+    assert not rows(out, "settled")
+    assert sorted(path.name for path in (shell / "out").iterdir()) == sorted(TABLES)
+    head, body = table(shell / "out/map.csv")
+    assert (head, body[0][2:]) == (list(MAP), ["4", "90.0"])
+
+
+def test_a_mission_without_truth_and_the_selections(shell: Shell) -> None:
+    write(shell / "m", {name: data for name, data in room().items() if name != "truth"})
+    record = shell.report("solve m --robust cauchy")
+    assert (record["robust"], record["scans"]["select"]) == (None, "cauchy")
+    assert record["scans"]["rounds"][0]["kept"] == record["scans"]["rounds"][0]["accepted"] > 0
+    assert not {"solution", "alignment"} & record["scans"].keys()
+
+
+def test_a_track_that_still_moves_is_no_solution(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(shell / "m", room())
+    monkeypatch.setattr("nls.cli.scan_mission.ROUNDS", 1)
+    out = shell("solve m")
+    assert row(out, "settled").startswith("no: the last round moved the track by 0.7")
+    monkeypatch.setattr("nls.cli.scan_mission.WILD", 0.1)
+    _, err = shell.both("solve m", status=1)
+    assert err.startswith("nls: not settled: the last of 1 rounds moved the track by 0.7")
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("--robust huber:1", "'huber:1' is not possible; expected for a scan mission one of gnc, cauchy, none"),
+        ("--robust gnc-tls", "one of gnc, cauchy, none"),
+        ("--sigmas estimate", "--sigmas: 'estimate' is not possible; expected nothing"),
+        ("--elevation prior", "a scan mission is of the plane"),
+        ("--init odometry", "a scan mission starts from dead reckoning"),
+        ("--method dogleg", "the rounds of a scan mission choose their own"),
+        ("--hold x", "a scan mission has only its keyframes and their drift"),
+        ("--certify", "the drifts of a scan mission are no poses"),
+        ("--crs utm -o out", "a scan mission has coordinates of its own"),
+        ("-o out.g2o", "a folder: the solution of a mission is several files"),
+        ("-o m", "another folder than that of the mission"),
+        ("--covariance m/scans.csv", "this is the input"),
+        ("m", "a scan mission is solved alone"),
+    ],
+)
+def test_options_without_a_meaning_are_refused(words: str, reason: str, shell: Shell) -> None:
+    write(shell / "m", FILES)
+    assert reason in shell.refused(f"solve m {words}")
+
+
+def test_other_commands(shell: Shell) -> None:
+    write(shell / "m", FILES)
+    assert "keyframes with points      2" in shell("info m")
+    assert "nls solve m -o OUT, then nls explain OUT/graph.npz" in shell.refused("explain m")
+    shell("convert m m.npz")
+    shell("plot m m.png")
+    assert "m.g2o" in shell.refused("convert m m.g2o")
+    write(shell / "bad", FILES | {"scans": FILES["scans"].replace(b"90,4", b"90,5")})
+    for words in ("solve bad -o out", "info bad"):
+        assert "bad/scans.csv:3: keyframe 5: no such keyframe in keyframes.csv" in shell.refused(words)
+    with pytest.raises(GraphFileError):
+        nls.load("bad")
+
+
+def test_the_harbor_of_aracati(shell: Shell, data: Path, undrawn: None) -> None:
+    folder = data / "aracati"
+    if not folder.is_dir():
+        pytest.skip("LEADLINE_DATA has no aracati")
+    record = shell.report(f"solve {shlex.quote(str(folder))} -o out")
+    assert record["scans"]["dead_reckoning"]["ate_rmse_m"] == pytest.approx(10.61, abs=0.01)
+    assert record["scans"]["solution"]["ate_rmse_m"] <= 1.0
+    assert len(table(shell / "out/trajectory.csv")[1]) == record["scans"]["judged_keyframes"] == 665
