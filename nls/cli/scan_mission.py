@@ -12,8 +12,7 @@ from models.options import did_you_mean
 from nls.cli.solved_scans import GRAPH, SolvedScans
 from nls.io.scan_mission import ScanReport, is_scan_mission
 from nls.sonar.scans import close
-from nls.sonar.scans.candidates import centers, pairs
-from nls.sonar.scans.closing import SELECTIONS
+from nls.sonar.scans.closing import ROUNDS, SELECTIONS
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["close_loops", "lines", "refuse_explanation", "selection_of", "unsettled"]
 
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
-ROUNDS = 8
 REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and why others have no effect
     "elevation": (None, "a scan mission is of the plane"),
     "crs": (None, "a scan mission has coordinates of its own"),
@@ -86,19 +84,14 @@ def close_loops(job: Job) -> None:
     assert isinstance(job.report, ScanReport)
     assert job.select is not None
     job.options.phase.now(f"while matching the scans of {job.options.file}")
-    scans, closing = job.report.scans, None
-    middle = centers(scans)
     with Progress("match scans", ROUNDS, job.options.quiet) as progress:
 
         def show(after: Round) -> None:
             progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
 
-        if len(middle) and len(pairs(job.values[x], scans, middle)[0]):
-            closing = close(job.graph, job.values, scans, ROUNDS, job.select, report=show)
-            job.graph = job.as_read = closing.graph
-            job.result = closing.result
-        else:
-            job.result = job.graph.optimize(job.values)
+        closing = close(job.graph, job.values, job.report.scans, ROUNDS, job.select, report=show)
+    job.graph = job.as_read = closing.graph
+    job.result = closing.result
     job.solved = SolvedScans(job.graph, job.values[x], job.result, job.report, closing, job.select)
     job.clock.lap("optimize")
 
@@ -115,7 +108,11 @@ def lines(scans: dict[str, Any]) -> list[str]:
         for number, r in enumerate(scans["rounds"], 1)
     ]
     if not scans["closures"]:
-        why = "no candidate is a closure" if scans["rounds"] else "no two parts of the track show the same place"
+        why = (
+            "no candidate is a closure"
+            if scans["rounds"][-1]["candidates"]
+            else "no two parts of the track show the same place"
+        )
         out.append(f"unchecked   {why}: the solution is dead reckoning")
         if (sigma := scans.get("end_sigma_m")) is not None:
             out.append(f"end         1 sigma of the position at the end: {sigma:.3g} m, by the stated noise alone")
@@ -134,7 +131,7 @@ def lines(scans: dict[str, Any]) -> list[str]:
 
 def unsettled(solved: object) -> bool:
     """Whether the last round still moved the track so far that it is no solution; said on standard error."""
-    if not isinstance(solved, SolvedScans) or solved.closing is None or not solved.kept or solved.closing.settled:
+    if not isinstance(solved, SolvedScans) or not solved.kept or solved.closing.settled:
         return False
     if (moved := solved.closing.rounds[-1].moved) <= WILD:
         return False

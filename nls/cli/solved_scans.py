@@ -36,7 +36,7 @@ class SolvedScans:
     Parameters
     ----------
     graph, dead, result, report : with its closures, dead reckoning (count, 3), the solution, and what the folder holds.
-    closing : the rounds; None where no two submaps overlap.
+    closing : the rounds.
     select : how matches were selected.
     """
 
@@ -46,7 +46,7 @@ class SolvedScans:
         dead: Array,
         result: Result,
         report: ScanReport,
-        closing: Closing | None,
+        closing: Closing,
         select: str,
     ) -> None:
         self.graph, self.dead, self.result, self.report = graph, dead, result, report
@@ -55,14 +55,14 @@ class SolvedScans:
         self.poses: Array = result.values[x]
 
     @property
-    def matches(self) -> Matches | None:
+    def matches(self) -> Matches:
         """Candidates of the last round."""
-        return None if self.closing is None else self.closing.matches
+        return self.closing.matches
 
     @property
     def kept(self) -> int:
         """Closures in the graph."""
-        return 0 if self.matches is None else int(self.matches.kept.sum())
+        return int(self.matches.kept.sum())
 
     @cached_property
     def marginals(self) -> Marginals | None:
@@ -92,8 +92,8 @@ class SolvedScans:
 
     def record(self) -> dict[str, Any]:
         """What the report for programs says of the map."""
-        scans, rounds = self.report.scans, () if self.closing is None else self.closing.rounds
-        words = [] if self.matches is None else verdict_words(self.matches)
+        scans, rounds = self.report.scans, self.closing.rounds
+        words = verdict_words(self.matches)
         out: dict[str, Any] = {
             "keyframes": len(self.poses),
             "with_points": int(scans.with_points.sum()),
@@ -105,7 +105,7 @@ class SolvedScans:
                 | {"kept": int(r.matches.kept.sum()), "chi2_dof": r.chi2_dof, "moved_m": r.moved}
                 for r in rounds
             ],
-            "settled": self.closing is not None and self.closing.settled,
+            "settled": self.closing.settled,
             "closures": self.kept,
             "verdicts": {word: words.count(word) for word in sorted(set(words))},
         }
@@ -139,7 +139,7 @@ class SolvedScans:
             GRAPH: self._graph,
             "map.png": self.draw,
         }
-        if self.matches is not None:
+        if len(self.matches):
             files["closures.csv"] = self._closures
         return [(write, str(Path(folder, name))) for name, write in files.items()]
 
@@ -186,5 +186,4 @@ class SolvedScans:
         from nls.io.files import write_bytes
         from nls.io.scan_mission.results import closures_text
 
-        assert self.matches is not None
         write_bytes(path, closures_text(self.matches, self.report.numbers))

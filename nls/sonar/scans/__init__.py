@@ -1,8 +1,9 @@
 """From the points of scans to closures and a map: fields, matches, submaps, candidates, and the rounds of closing."""
 
-from nls.sonar.scans.closing import Closing, Matches, Round, close
+from nls.sonar.scans.closing import Closing, Round, close
 from nls.sonar.scans.dead_reckoning import Drift, dead_reckoning
 from nls.sonar.scans.field import Field
+from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.online import OnlineClosing
 from nls.sonar.scans.scans import Scans

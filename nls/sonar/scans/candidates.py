@@ -33,6 +33,8 @@ def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
     A submap is paired with those at least `APART` keyframes before it whose footprint overlaps with its own, the one of
     largest overlap of every `SPREAD` keyframes, `PARTNERS` at most.
     """
+    if len(middle) < 2:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     cells = _footprints(poses, scans, middle)
     shared = sp.coo_array(sp.triu(cells @ cells.T, k=1))
     size = cells.sum(axis=1)

@@ -7,69 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Between, Cauchy, Covariance, Robust, SqrtInformation
+from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
 from models.options import check_whole
-from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.metrics.absolute import displacements
 from nls.optimizers import Result
 from nls.robust import gnc
 from nls.sonar.scans import candidates
-from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
+from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.sequential import sequential_matches
-from nls.sonar.scans.submaps import submap
-from nls.sonar.scans.verdicts import ACCEPTED, verdicts
+from nls.sonar.scans.windows import windows
 from nls.values import Values
 
-__all__ = ["SELECTIONS", "Closing", "Matches", "Round", "close"]
+__all__ = ["SELECTIONS", "Closing", "Round", "close"]
 
 SELECTIONS = ("gnc", "cauchy", "none")
-SIGMAS = 3.0  # of the relative pose, half width of a window
-WINDOW = ((3.0, 20.0), (np.radians(3.0), np.radians(10.0)))  # least and largest half width: m, rad
+ROUNDS = 8
 SETTLED = 0.2  # m rms by which a round changes the shape of the track, below which it is the last
 x = kinds("x")[0]
-
-
-@dataclass(frozen=True)
-class Matches:
-    """The matched candidates of a round, one row each.
-
-    Attributes
-    ----------
-    i, j : (n,) keyframes in the middle of the earlier and of the later submap.
-    pose : (n, 3) of j in the frame of i: x, y, m, and yaw, rad.
-    covariance : (n, 3, 3) in the frame of j.
-    score, ratio, edge, spread : (n,) of the match, see `Match`.
-    window : (n, 2) half widths of the search, m and rad.
-    verdict : (n,) `Verdict`, accepted or why not.
-    kept : (n,) whether the selection kept it.
-    """
-
-    i: Index
-    j: Index
-    pose: Array
-    covariance: Array
-    score: Array
-    ratio: Array
-    edge: Array
-    spread: Array
-    window: Array
-    verdict: Index
-    kept: Mask
-
-    def __len__(self) -> int:
-        return len(self.i)
-
-    @property
-    def accepted(self) -> Mask:
-        """(n,) whether the selection was to judge it."""
-        return np.asarray(self.verdict == ACCEPTED)
 
 
 @dataclass(frozen=True)
@@ -136,7 +96,7 @@ def close(
     graph: FactorGraph,
     values: Values,
     scans: Scans,
-    rounds: int = 8,
+    rounds: int = ROUNDS,
     select: str = "gnc",
     sequential: bool = True,
     report: Callable[[Round], None] | None = None,
@@ -161,7 +121,7 @@ def close(
     Raises
     ------
     GraphError
-        Keyframes that are not those of the scans; no two submaps that overlap.
+        Keyframes that are not those of the scans.
     OptionError
         No such selection; fewer than one round.
     """
@@ -204,64 +164,12 @@ def refuse_other_keyframes(values: Values, scans: Scans) -> None:
 
 
 def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
-    """All candidates of a round, matched and judged.
-
-    Raises
-    ------
-    GraphError
-        No submap with points enough, or none that overlaps with another.
-    """
-    poses = values[x]
+    """All candidates of a round, matched and judged; none where no two submaps overlap."""
     middle = candidates.centers(scans)
-    a, b = candidates.pairs(poses, scans, middle) if len(middle) else (middle, middle)
-    if not len(a):
-        raise GraphError(
-            f"close: {len(middle)} submaps with {candidates.POINTS} points or more, none overlaps with another that is "
-            f"{candidates.APART} keyframes away: these scans close no loop"
-        )
+    a, b = candidates.pairs(values[x], scans, middle)
     i, j = middle[a], middle[b]
-    guess = SE2.between(poses[i], poses[j])
-    window = windows(graph, values, middle, a, b)
-    maps = {int(k): submap(poses, scans, int(k), candidates.HALF) for k in np.unique(np.append(i, j))}
-    fields: dict[int, Field] = {}
-    fits = []
-    for row, (k, l) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
-        if k not in fields:
-            fields[k] = Field(maps[k])
-        fits.append(match(fields[k], maps[l], guess[row], (window[row, 0], window[row, 1])))
-    score, ratio, edge, spread = np.array([(m.score, m.ratio, m.edge, m.spread) for m in fits]).T
-    return Matches(
-        i=i,
-        j=j,
-        pose=np.array([m.pose for m in fits]),
-        covariance=np.array([m.covariance for m in fits]),
-        score=score,
-        ratio=ratio,
-        edge=edge,
-        spread=spread,
-        window=window,
-        verdict=verdicts(score, ratio, edge, spread, window[:, 0]),
-        kept=np.zeros(len(i), dtype=bool),
-    )
-
-
-def windows(graph: FactorGraph, values: Values, middle: Index, a: Index, b: Index) -> Array:
-    """Half widths (n, 2), m and rad, of the search for pairs a, b (rows of `middle`): sigmas of their relative pose."""
-    (i, j), poses = (x[middle[a]], x[middle[b]]), values[x]
-    T = SE2.between(poses[i.numbers], poses[j.numbers])
-    nothing = Between(i, j, T, SqrtInformation(np.zeros((3, 3))))  # what shares a factor has a covariance in one pass
-    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
-    C = marginals.all(x, frame="body")
-    return half_widths(T, C[i.numbers], marginals.cross(i, j, frame="body"), C[j.numbers])
-
-
-def half_widths(T: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
-    """Half widths (n, 2), m and rad, of the search for poses j at T (n, 3) from poses i, by their covariances."""
-    Ad = SE2.adjoint_inverse(T)
-    cross = Ad @ C_ij
-    relative = Ad @ C_ii @ Ad.mT + C_jj - cross - cross.mT
-    sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
-    return np.column_stack([np.clip(SIGMAS * sigma[:, k], *WINDOW[k]) for k in range(2)])
+    window = windows(graph, values, i, j) if len(i) else np.zeros((0, 2))
+    return Matches.of(values[x], scans, i, j, window)
 
 
 def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) -> tuple[FactorGraph, Result, Mask]:

@@ -22,13 +22,10 @@ from models.options import check_positive
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
 from nls.sonar.scans import candidates
-from nls.sonar.scans.closing import Matches, half_widths
 from nls.sonar.scans.dead_reckoning import Drift, Reckoning
-from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
+from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import submap
-from nls.sonar.scans.verdicts import verdicts
+from nls.sonar.scans.windows import half_widths
 from nls.values import Values
 
 __all__ = ["OnlineClosing"]
@@ -205,31 +202,11 @@ class OnlineClosing:
 
     def _matched(self, poses: Array, scans: Scans, i: Index, newest: int) -> Matches:
         """The submap around a keyframe, matched with those around older ones (n,)."""
-        j = np.full(len(i), newest)
-        guess = SE2.between(poses[i], poses[j])
         C = self.smoother.marginals().joint(x[np.append(i, newest)], frame="body").matrix
         C = C.reshape(len(i) + 1, 3, len(i) + 1, 3).transpose(0, 2, 1, 3)
-        k = np.arange(len(i))
-        window = half_widths(guess, C[k, k], C[k, -1], C[[-1] * len(i), -1])
-        points = submap(poses, scans, newest, candidates.HALF)
-        fits = [
-            match(Field(submap(poses, scans, a, candidates.HALF)), points, T, (w[0], w[1]))
-            for a, T, w in zip(i.tolist(), guess, window, strict=True)
-        ]
-        score, ratio, edge, spread = np.array([(fit.score, fit.ratio, fit.edge, fit.spread) for fit in fits]).T
-        return Matches(
-            i=i,
-            j=j,
-            pose=np.array([fit.pose for fit in fits]),
-            covariance=np.array([fit.covariance for fit in fits]),
-            score=score,
-            ratio=ratio,
-            edge=edge,
-            spread=spread,
-            window=window,
-            verdict=verdicts(score, ratio, edge, spread),
-            kept=np.zeros(len(i), dtype=bool),
-        )
+        j, k = np.full(len(i), newest), np.arange(len(i))
+        window = half_widths(SE2.between(poses[i], poses[j]), C[k, k], C[k, -1], C[[-1] * len(i), -1])
+        return Matches.of(poses, scans, i, j, window)
 
 
 def _ends(factor: Factor) -> list[tuple[int, int]]:

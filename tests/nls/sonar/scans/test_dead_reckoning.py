@@ -109,7 +109,7 @@ def test_stretches_are_numbered_without_gaps() -> None:
 
 def test_what_does_not_fit() -> None:
     for poses in (np.zeros((1, 3)), np.zeros((4, 2)), np.zeros(3), [[0, 0, 0], [1, np.nan, 0]]):
-        refused(lambda p=poses: dead_reckoning(p), GraphError, r"dead_reckoning: poses of shape .*; expected \(n, 3\)")
+        refused(lambda p=poses: dead_reckoning(p), GraphError, r"dead.reckoning: poses of shape .*; expected \(n, 3\)")
     for name in ("mean", "stretch", "length", "step", "yaw", "heading"):
         for value in (0.0, -0.1, np.nan):
             refused(lambda n=name, v=value: Drift(**{n: v}), OptionError, name)

@@ -54,5 +54,5 @@ def test_two_laps_show_the_same_walls() -> None:
 def test_what_does_not_fit() -> None:
     for center in (-1, 9):
         refused(lambda c=center: submap(POSES, SCANS, c, 2), OptionError, "center.*0 to 8")
-    for half in (-1, (2, -1)):
+    for half in (-1, (2, -3)):
         refused(lambda h=half: submap(POSES, SCANS, 4, h), OptionError, "half")

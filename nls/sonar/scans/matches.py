@@ -1,0 +1,77 @@
+"""The candidates of closing, matched: one row each, with what became of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models import SE2
+from models.algebra import Array, Index, Mask
+from nls.sonar.scans import candidates
+from nls.sonar.scans.field import Field
+from nls.sonar.scans.matching import match
+from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.verdicts import ACCEPTED, verdicts
+
+__all__ = ["Matches"]
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The matched candidates of a round, one row each.
+
+    Attributes
+    ----------
+    i, j : (n,) keyframes in the middle of the earlier and of the later submap.
+    pose : (n, 3) of j in the frame of i: x, y, m, and yaw, rad.
+    covariance : (n, 3, 3) in the frame of j.
+    score, ratio, edge, spread : (n,) of the match, see `Match`.
+    window : (n, 2) half widths of the search, m and rad.
+    verdict : (n,) `Verdict`, accepted or why not.
+    kept : (n,) whether the selection kept it.
+    """
+
+    i: Index
+    j: Index
+    pose: Array
+    covariance: Array
+    score: Array
+    ratio: Array
+    edge: Array
+    spread: Array
+    window: Array
+    verdict: Index
+    kept: Mask
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    @classmethod
+    def of(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
+        """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
+        guess = SE2.between(poses[i], poses[j])
+        maps = {k: submap(poses, scans, k, candidates.HALF) for k in np.unique(np.append(i, j)).tolist()}
+        fields = {k: Field(maps[k]) for k in np.unique(i).tolist()}
+        fits = [
+            match(fields[a], maps[b], T, (float(w), float(turn)))
+            for a, b, T, (w, turn) in zip(i.tolist(), j.tolist(), guess, window, strict=True)
+        ]
+        score, ratio, edge, spread = (
+            np.array([getattr(fit, name) for fit in fits], dtype=float) for name in ("score", "ratio", "edge", "spread")
+        )
+        return cls(
+            i,
+            j,
+            np.array([fit.pose for fit in fits]).reshape(-1, 3),
+            np.array([fit.covariance for fit in fits]).reshape(-1, 3, 3),
+            *(score, ratio, edge, spread, window),
+            verdict=verdicts(score, ratio, edge, spread, window[:, 0]),
+            kept=np.zeros(len(i), dtype=bool),
+        )
+
+    @property
+    def accepted(self) -> Mask:
+        """(n,) whether the selection was to judge it."""
+        return np.asarray(self.verdict == ACCEPTED)

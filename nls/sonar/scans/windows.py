@@ -1,0 +1,37 @@
+"""How far around a guess a match is searched: three sigmas of the relative pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import Between, SqrtInformation
+from factors.keys import kinds
+from models import SE2
+from models.algebra import Array, Index
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.values import Values
+
+__all__ = ["half_widths", "windows"]
+
+SIGMAS = 3.0  # of the relative pose
+LIMITS = ((3.0, 20.0), (np.radians(3.0), np.radians(10.0)))  # least and largest half width: m, rad
+x = kinds("x")[0]
+
+
+def windows(graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
+    """Half widths (n, 2), m and rad, of the search for keyframes j (n,) from i: by their relative covariance."""
+    T = SE2.between(values[x][i], values[x][j])
+    nothing = Between(x[i], x[j], T, SqrtInformation(np.zeros((3, 3))))  # shared factors: covariances in one pass
+    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
+    C = marginals.all(x, frame="body")
+    return half_widths(T, C[i], marginals.cross(x[i], x[j], frame="body"), C[j])
+
+
+def half_widths(T: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
+    """Half widths (n, 2), m and rad, of the search for poses j at T (n, 3) from poses i, by their covariances."""
+    Ad = SE2.adjoint_inverse(T)
+    cross = Ad @ C_ij
+    relative = Ad @ C_ii @ Ad.mT + C_jj - cross - cross.mT
+    sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
+    return np.column_stack([np.clip(SIGMAS * sigma[:, k], *LIMITS[k]) for k in range(2)])
