@@ -44,10 +44,7 @@ def way(count: int) -> Array:
     for k in range(1, count):
         px, py, yaw = x[k - 1]
         lap = k % (4 * SIDE * LAPS + int(APART))
-        if lap < 4 * SIDE * LAPS:
-            yaw = (lap // SIDE % 4) * np.pi / 2
-        else:
-            yaw = 0.0  # on to the next one
+        yaw = lap // SIDE % 4 * np.pi / 2 if lap < 4 * SIDE * LAPS else 0.0  # else on to the next one
         x[k] = px + np.cos(yaw), py + np.sin(yaw), yaw
     return x
 
@@ -84,3 +81,158 @@ def mission(count: int) -> tuple[Array, Array, list[Array]]:
         rows = rng.permutation(ahead)[:POINTS]
         scans.append(q[rows] + rng.normal(0, NOISE, (len(rows), 2)))
     return truth, np.array(reckoned), scans
+
+
+# --- one measurement, in a process of its own -------------------------------------------------------------------------
+
+
+def all_at_once(count: int) -> dict[str, Any]:
+    """Seconds by stage of `close`, meters of the map from the truth, and peak memory."""
+    from nls.sonar.scans import Scans, candidates, close, closing, dead_reckoning
+
+    truth, reckoned, points = mission(count)
+    scans = Scans(np.concatenate(points), np.repeat(np.arange(count), [len(p) for p in points]), count)
+    seconds = dict.fromkeys(STAGES, 0.0)
+
+    def watch(owner: Any, name: str, stage: str) -> None:
+        inner = getattr(owner, name)
+
+        def timed(*arguments: Any) -> Any:
+            begin = process_time()
+            try:
+                return inner(*arguments)
+            finally:
+                seconds[stage] += process_time() - begin
+
+        setattr(owner, name, timed)
+
+    for owner, name, stage in (
+        (candidates, "pairs", "pairs"),
+        (closing, "windows", "windows"),
+        (closing, "Field", "matching"),
+        (closing, "match", "matching"),
+        (closing, "_selected", "solving"),
+    ):
+        watch(owner, name, stage)
+    before = peak_memory(reset=True)
+    begin = process_time()
+    graph, values = dead_reckoning(reckoned)
+    result = close(graph, values, scans, rounds=ROUNDS)
+    seconds["total"] = process_time() - begin
+    seconds["other"] = seconds["total"] - sum(seconds[stage] for stage in STAGES)
+    matches = result.matches
+    x = result.rounds[-1].poses
+    return {
+        "keyframes": count,
+        "seconds": seconds,
+        "bytes": peak_memory() - before,
+        "matched": sum(len(part.matches) for part in result.rounds),
+        "closures": int(matches.kept.sum()),
+        "reckoned": rmse(reckoned, truth),
+        "off": rmse(x, truth),
+    }
+
+
+def while_driving(count: int) -> dict[str, Any]:
+    """Milliseconds of every keyframe, meters of the map from the truth in the end, and peak memory."""
+    from nls.sonar.scans import OnlineClosing
+
+    truth, reckoned, points = mission(count)
+    before = peak_memory(reset=True)
+    online, seconds = OnlineClosing(), np.zeros(count)
+    for k in range(count):
+        begin = process_time()
+        online.update(reckoned[k], points[k])
+        seconds[k] = process_time() - begin
+    return {
+        "keyframes": count,
+        "total": float(seconds.sum()),
+        "median": 1e3 * float(np.median(seconds)),
+        "p99": 1e3 * float(np.quantile(seconds, 0.99)),
+        "worst": 1e3 * float(seconds.max()),
+        "last": 1e3 * float(seconds[-count // 10 :].mean()),
+        "bytes": peak_memory() - before,
+        "off": rmse(online.poses, truth),
+    }
+
+
+def rmse(poses: Array, truth: Array) -> float:
+    """Of the positions, the first pose being known, m."""
+    return float(np.sqrt(np.square(poses[:, :2] - truth[:, :2]).sum(axis=1).mean()))
+
+
+def child(what: str, count: int) -> dict[str, Any]:
+    """A measurement in a fresh process."""
+    command = [sys.executable, __file__, "--child", what, str(count)]
+    done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+# --- the report -------------------------------------------------------------------------------------------------------
+
+
+def tables(whole: list[dict[str, Any]], online: list[dict[str, Any]]) -> list[str]:
+    """Markdown: all at once, then while the vehicle drives, one row a size."""
+    n = [run["keyframes"] for run in whole]
+    columns = ("keyframes", "matched", "closures", *STAGES, "**total, s**", "memory, MB", "reckoned, m", "map, m")
+    lines = [f"## All at once, {ROUNDS} rounds", "", "| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    for run in whole:
+        cells = [f"{run['keyframes']:,}", f"{run['matched']:,}", f"{run['closures']:,}"]
+        cells += [f"{run['seconds'][stage]:.3g}" for stage in STAGES] + [f"**{run['seconds']['total']:.3g}**"]
+        cells += [f"{run['bytes'] / 1e6:,.0f}", f"{run['reckoned']:.2f}", f"{run['off']:.2f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    laws = [exponent(n[-UPPER:], [run["seconds"][stage] for run in whole][-UPPER:]) for stage in (*STAGES, "total")]
+    laws.append(exponent(n[-UPPER:], [run["bytes"] for run in whole][-UPPER:]))
+    if len(n) >= UPPER:
+        lines.append("| keyframes^p | | | " + " | ".join(f"{p:.2f}" for p in laws) + " | | |")
+    columns = ("keyframes", "total, s", "median, ms", "p99", "worst", "mean of the last tenth", "memory, MB", "map, m")
+    lines += ["", "## While the vehicle drives", ""]
+    lines += ["| " + " | ".join(columns) + " |", "|" + "--:|" * len(columns)]
+    for run in online:
+        times = [f"{run[name]:.3g}" for name in ("total", "median", "p99", "worst", "last")]
+        cells = [f"{run['keyframes']:,}", *times, f"{run['bytes'] / 1e6:,.0f}", f"{run['off']:.2f}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    laws = [exponent(n[-UPPER:], [run[name] for run in online][-UPPER:]) for name in ("total", "last", "bytes")]
+    if len(n) >= UPPER:
+        lines.append("| keyframes^p | {:.2f} | | | | {:.2f} | {:.2f} | |".format(*laws))
+    return lines
+
+
+# --- command line -----------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help=f"{SIZES[0]} keyframes alone")
+    parser.add_argument("--largest", type=positive, default=SIZES[-1], metavar="KEYFRAMES")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder for scans.md")
+    parser.add_argument("--child", nargs=2, metavar=("WHAT", "KEYFRAMES"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.child:
+        what, count = options.child
+        print(json.dumps({"whole": all_at_once, "online": while_driving}[what](int(count))))
+        return 0
+    head = machine()
+    sizes = [size for size in SIZES if size <= (SIZES[0] if options.quick else options.largest)]
+    whole, online = ([child(what, size) for size in sizes] for what in ("whole", "online"))
+    lines = [
+        "# Scans to a map: time and memory",
+        "",
+        *head,
+        f"- a made-up harbor: {LAPS} rounds of each basin, a keyframe every meter, {POINTS} points each",
+        "- processor time, one thread; memory: the peak of a fresh process above what it has before it begins",
+        "- map: positions from the truth, m rms, the first pose being known; reckoned: the same of dead reckoning",
+        "- pairs: which submaps may overlap; windows: covariances of their relative poses; solving: with the choice of",
+        "  closures",
+        "",
+        *tables(whole, online),
+    ]
+    write_page(lines, options.out / "scans.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

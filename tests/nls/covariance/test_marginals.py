@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import nls
-from factors import Between, Factor, Huber, Isotropic, Prior, Robust
+import sim
+from factors import Between, Factor, Huber, Isotropic, Prior, Robust, SqrtInformation
 from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
@@ -77,6 +78,26 @@ def test_blocks_of_a_joint() -> None:
     assert joint.names[:5] == ("x40: x", "x40: y", "x40: yaw", "l5: x", "l5: y")
     assert joint.keys == (x[40], l[5], l[-1], y[3])
     np.testing.assert_array_equal(joint.block(l[-1], x[40]), joint.matrix[5:7, :3])
+
+
+@pytest.mark.parametrize("gauge", ["first", "free"])
+def test_pairs_that_share_a_factor_come_out_of_one_pass(gauge: str) -> None:
+    """A factor without information joins poses far apart; a held one has no covariance with any."""
+    world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
+    i, j = np.array([0, 3, 31, 7, 12]), np.array([25, 17, 2, 8, 12])
+    apart = [0, 1, 2]
+    nothing = Between(x[i[apart]], x[j[apart]], np.zeros((3, 3)), SqrtInformation(np.zeros((3, 3))))
+    marginals = Marginals(FactorGraph([*world.graph.factors, nothing]), world.truth, gauge=gauge)
+    for frame in ("body", "world"):
+        blocks = marginals.cross(x[i], x[j], frame=frame)
+        for k in range(4):
+            pair = marginals.joint(x[[i[k], j[k]]], frame=frame)
+            np.testing.assert_allclose(blocks[k], pair.matrix[:3, 3:], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(blocks[4], marginals.covariance(x[12], frame=frame), rtol=0, atol=1e-12)
+    with pytest.raises(GraphError, match="x3 and x30 share no factor"):
+        marginals.cross(x[[7, 3]], x[[8, 30]], frame="body")
+    with pytest.raises(GraphError, match="2 and 1 variables"):
+        marginals.cross(x[[7, 3]], x[8], frame="body")
 
 
 def test_the_order_of_variables_and_factors_does_not_matter() -> None:

@@ -10,13 +10,13 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Diagonal, Factor
-from models import SE2
+from factors import Between, Diagonal, DriftingStep, Factor, Isotropic, Prior
+from models import SE2, R
 from models.errors import GraphError, OptionError
 from nls import FactorGraph, Incremental, Values, kinds
 from nls.incremental.steps import steps
 
-(x,) = kinds("x")
+x, d = kinds("x", "d")
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,34 @@ def test_what_was_taken_out_comes_back_when_more_speaks_for_it(monkeypatch: pyte
         assert not one.rejected
         assert len(one.graph) == n
         np.testing.assert_allclose(one.values[x], before[x], atol=1e-3)
+
+
+def test_steps_with_a_drift_are_trusted_and_the_doubted_closures_judged() -> None:
+    """With drifts it is no pose graph: what may be wrong is named, also what comes later and what was out."""
+    around = 2 * np.pi * np.arange(41) / 20
+    truth = np.column_stack([6 * np.cos(around), 6 * np.sin(around), around])
+    steps = SE2.between(truth[:-1], truth[1:])
+    k, noise = np.arange(40), Diagonal(x=0.02, y=0.02, yaw=0.01)
+    reckoned = DriftingStep(x[k], x[k + 1], d[0], steps + np.array([0.05, 0.0, 0.0]), noise)
+    smoother = Incremental()
+    smoother.update(
+        [Prior(x[0], truth[0], noise), Prior(d[0], [0.0, 0.0], Isotropic(0.5)), *reckoned],
+        Values({x: (SE2, truth[:1]), d: (R(2), np.zeros((1, 2)))}),
+    )
+    i, j = np.arange(0, 20, 2), np.arange(20, 40, 2)
+    right = Between(x[i], x[j], SE2.between(truth[i], truth[j]), noise)
+    wrong = Between(x[[3, 5]], x[[30, 37]], [[2.0, 1.0, 0.5], [-3.0, 0.0, 1.0]], noise)
+    with pytest.raises(GraphError):
+        smoother.decide()
+    smoother.update(wrong)
+    smoother.update(right)
+    for _ in range(2):
+        decided = smoother.decide([right, wrong])
+        assert {out.factor for out in decided.rejected} == {"Between(x5, x37)", "Between(x3, x30)"}
+        assert sum(map(len, smoother.rejected)) == 2
+    first = [Prior(x[0], truth[0], noise), Prior(d[0], [0.0, 0.0], Isotropic(0.5))]
+    best = FactorGraph([*first, reckoned, right]).optimize(smoother.values).values
+    np.testing.assert_allclose(smoother[x[np.arange(41)]], best[x], atol=1e-3)
 
 
 def test_a_closure_that_is_not_believed_can_be_removed(spoiled: tuple[FactorGraph, sim.World]) -> None:
