@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, wrap
 from models.sensors import BLUEVIEW_M900, ImagingSonar
 from nls.sonar import detect
 from nls.sonar.scans import Scans
@@ -40,15 +40,14 @@ def drawn(
     azimuth = ((np.arange(sonar.beams) + 0.5) / sonar.beams - 0.5) * sonar.fan
     hits = scene.hits(poses, azimuth)
     k, beam = np.nonzero(rng.random(hits.range.shape) < false_alarms ** (1 / (1 + snr * hits.cosine**2)))
-    z = [np.column_stack([k, hits.range[k, beam], azimuth[beam]])]
+    echoes = [np.column_stack([k, hits.range[k, beam], azimuth[beam]])]
     if len(scene.rocks):
         to = scene.rocks - poses[:, None, :2]  # (n, rocks, 2)
-        r, bearing = np.hypot(*to.transpose(2, 0, 1)), np.arctan2(to[..., 1], to[..., 0]) - poses[:, 2:]
-        bearing = (bearing + np.pi) % (2 * np.pi) - np.pi
+        r, bearing = np.hypot(to[..., 0], to[..., 1]), wrap(np.arctan2(to[..., 1], to[..., 0]) - poses[:, 2:])
         visible = (np.abs(bearing) <= sonar.fan / 2) & (r <= scene.hits(poses, bearing).range)
         k, rock = np.nonzero(visible & (rng.random(r.shape) < false_alarms ** (1 / (1 + snr))))
-        z.append(np.column_stack([k, r[k, rock], bearing[k, rock]]))
-    z = np.concatenate(z)
+        echoes.append(np.column_stack([k, r[k, rock], bearing[k, rock]]))
+    z = np.concatenate(echoes)
     z = z[np.isfinite(z[:, 1])]
     cell = np.array([(far - near) / sonar.bins, sonar.fan / sonar.beams])
     z[:, 1:] += SPREAD * cell * rng.standard_normal((len(z), 2))

@@ -83,14 +83,14 @@ def marina(rng: np.random.Generator, loop: float, reach: float) -> Scene:
         length, tilt = inner[0] * rng.uniform(0.6, 0.9), rng.normal(0.0, 0.05)
         walls += _box(rng.uniform(-1, 1), rng.uniform(-1, 1), length, 1.0, tilt)
         piles += [[k, rng.choice([-1, 1]) * rng.uniform(2.0, inner[1]), 0.3] for k in rng.uniform(-length, length, 5)]
-    return Scene(walls=walls, piles=piles)
+    return Scene(walls=np.array(walls), piles=np.array(piles))
 
 
 def quay(rng: np.random.Generator, loop: float, reach: float) -> Scene:
     """A straight wall that is longer than anybody on the way can see."""
     W, H = sides(loop)
     a, b = W / 2 + reach + MARGIN, H / 2 + MARGIN
-    return Scene(walls=[[[-a, b], [a, b]]])
+    return Scene(walls=np.array([[[-a, b], [a, b]]]))
 
 
 def rocks(rng: np.random.Generator, loop: float, reach: float) -> Scene:
@@ -106,7 +106,8 @@ def _box(x: float, y: float, a: float, b: float, yaw: float) -> list[list[list[f
     """Four walls of a box about (x, y), half its sides a and b."""
     R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     p = [x, y] + np.array([[-a, -b], [a, -b], [a, b], [-a, b]]) @ R.T
-    return np.stack([p, np.roll(p, -1, axis=0)], axis=1).tolist()
+    walls: list[list[list[float]]] = np.stack([p, np.roll(p, -1, axis=0)], axis=1).tolist()
+    return walls
 
 
 GEOMETRIES = {f.__name__: f for f in (marina, quay, rocks)}

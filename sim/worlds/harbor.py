@@ -24,6 +24,8 @@ from sim.world import seed_of
 __all__ = ["Harbor", "harbor"]
 
 SPEED = 0.25  # m/s
+MOST = 0.8  # of a drift: with 1 the reckoned way has no end
+FIXED_POINT = 60  # iterations: 0.8^60 is 2e-6
 LOOP = 40  # keyframes of a lap at least: pairs of submaps are 20 apart
 
 
@@ -31,8 +33,8 @@ LOOP = 40  # keyframes of a lap at least: pairs of submaps are 20 apart
 class Harbor:
     """A harbor, and what a vehicle measured in it.
 
-    All is in one frame: x north, y east, yaw positive clockwise from above; scans have x ahead, y to starboard, azimuths
-    positive to starboard. So azimuths are positive in the sense of yaw.
+    All is in one frame: x north, y east, yaw positive clockwise from above; scans have x ahead, y to starboard. So
+    azimuths, positive to starboard, are positive in the sense of yaw.
 
     Attributes
     ----------
@@ -89,10 +91,12 @@ def harbor(
 ) -> Harbor:
     r"""A vehicle goes around in a harbor; its speeds drift, its compass errs, and its sonar detects what is there.
 
-    .. math:: \hat{p}_{k+1} = \hat{p}_k + R(\hat{\psi}_k) (\Delta_k + L_k d_{s(k)} + v_k), \quad
+    .. math:: \hat{p}_{k+1} = \hat{p}_k + R(\hat{\psi}_k) z_k, \quad
+              z_k = \Delta_k + |z_k| d_{s(k)} + v_k, \quad
               \hat{\psi}_k = \psi_k + e_k, \quad d_s = m + w_s
 
-    The drifts are those of `nls.sonar.scans.Drift`. The error e of the compass comes and goes,
+    The drifts are those of `nls.sonar.scans.Drift`, for every meter of the reckoned way, 0.8 at most; a stretch is 10 m
+    of the true way. The error e of the compass comes and goes,
     :math:`e_{k+1} = \rho e_k + w`, with the sigma of a heading and the sigma of a turn of a step; at the start it is 0.
     An echo is detected with the probability of its signal, false alarms are everywhere, see `sim.harbor_scans`.
 
@@ -143,7 +147,8 @@ def harbor(
     scans = (imaged if images else drawn)(rng, scene, truth, SONAR, signal, false_alarms)
     description = (
         f"Harbor, {geometry}: {laps} laps of {loop:.4g} m, {keyframes} keyframes 1 m apart, {len(scans.points)} points "
-        f"of a {SONAR.name} up to {SONAR.window[1]:g} m, {'detected in images' if images else 'drawn from their rates'}: "
+        f"of a {SONAR.name} up to {SONAR.window[1]:g} m, "
+        f"{'detected in images' if images else 'drawn from their rates'}: "
         f"signal {signal:g} dB at right angles, false alarms {false_alarms:g} of the cells. Dead reckoning drifts by "
         f"{Drift().mean:g} of the way over the mission and {Drift().stretch:g} over {Drift().length:g} m"
         f"{'' if drift == 1 else f', drawn {drift:g} times as large'}."
@@ -159,12 +164,17 @@ def reckoned(rng: np.random.Generator, truth: Array, drift: Drift, scale: float)
     length = np.linalg.norm(step[:, :2], axis=1)
     stretch = np.floor((np.cumsum(length) - length) / drift.length).astype(np.intp)
     m, w = drift.mean * rng.standard_normal(2), drift.stretch * rng.standard_normal((stretch[-1] + 1, 2))
-    v = drift.step * np.sqrt(length)[:, None] * rng.standard_normal((n - 1, 2))
-    z = step[:, :2] + scale * (length[:, None] * (m + w[stretch]) + v)
+    d = scale * (m + w[stretch])
+    d *= np.minimum(1.0, MOST / np.maximum(np.linalg.norm(d, axis=1), MOST))[:, None]
+    v = scale * drift.step * np.sqrt(length)[:, None] * rng.standard_normal((n - 1, 2))
+    z = step[:, :2]
+    for _ in range(FIXED_POINT):  # the drift is that of a meter of the reckoned way
+        z = step[:, :2] + np.linalg.norm(z, axis=1)[:, None] * d + v
     yaw = truth[:, 2] + scale * _compass(rng, n, drift)
     c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
     moves = np.column_stack([c * z[:, 0] - s * z[:, 1], s * z[:, 0] + c * z[:, 1]])
-    return np.column_stack([truth[0, :2] + np.append([[0.0, 0.0]], np.cumsum(moves, axis=0), axis=0), wrap(yaw)])
+    p = np.cumsum(np.concatenate([truth[:1, :2], moves]), axis=0)
+    return np.column_stack([p, wrap(yaw)])
 
 
 def _compass(rng: np.random.Generator, n: int, drift: Drift) -> Array:
