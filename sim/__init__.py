@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sim.survey_log import SurveyLog
     from sim.world import World, chain, measure, position_error
     from sim.worlds.grid3d import grid3d
+    from sim.worlds.harbor import Harbor, harbor
     from sim.worlds.hauv_floor import hauv_floor
     from sim.worlds.hauv_hull import hauv_hull
     from sim.worlds.lines import lines
@@ -39,6 +40,7 @@ _WHERE = {
     "sim.survey_log": "SurveyLog",
     "sim.world": "World chain measure position_error",
     "sim.worlds.grid3d": "grid3d",
+    "sim.worlds.harbor": "Harbor harbor",
     "sim.worlds.hauv_floor": "hauv_floor",
     "sim.worlds.hauv_hull": "hauv_hull",
     "sim.worlds.lines": "lines",
@@ -62,6 +64,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Harbor",
     "LandmarkWorld",
     "Mission",
     "Rig",
@@ -75,6 +78,7 @@ __all__ = [
     "exchange_contacts",
     "false_contacts",
     "grid3d",
+    "harbor",
     "hauv_floor",
     "hauv_hull",
     "lines",

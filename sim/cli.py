@@ -21,12 +21,14 @@ from sim.calibration import calibrated, calibration_files, calibration_rows
 from sim.camera_sonar import Rig
 from sim.cli_estimators import SCENE_FILES, Files, add_compare, add_estimators, estimated
 from sim.estimators import SCENES
+from sim.harbor_files import harbor_files, harbor_rows
 from sim.mission import Mission
 from sim.monte_carlo import FailedRunsError, sentence
 from sim.native_files import HOLD, native_files
 from sim.survey_log import SurveyLog
 from sim.world import World, position_error
 from sim.worlds.grid3d import grid3d
+from sim.worlds.harbor import Harbor, harbor
 from sim.worlds.hauv_floor import hauv_floor
 from sim.worlds.hauv_hull import hauv_hull
 from sim.worlds.manhattan import manhattan
@@ -42,11 +44,13 @@ WORLDS: dict[str, Callable[..., World]] = {f.__name__: f for f in (grid3d, manha
 MISSIONS: dict[str, Callable[..., Mission]] = {f.__name__.replace("_", "-"): f for f in (hauv_floor, hauv_hull)}
 RIGS: dict[str, Callable[..., Rig]] = {"rig": rig}
 SURVEYS: dict[str, Callable[..., SurveyLog]] = {"survey": survey}
+HARBORS: dict[str, Callable[..., Harbor]] = {"harbor": harbor}
 KINDS: dict[str, dict[str, Any]] = {
     "world": WORLDS,
     "mission": MISSIONS,
     "rig": RIGS,
     "survey": SURVEYS,
+    "harbor": HARBORS,
     "scene": SCENES,
 }
 MADE: dict[str, Callable[..., Any]] = {name: make for made in KINDS.values() for name, make in made.items()}
@@ -55,6 +59,7 @@ WRITTEN = {
     "mission": "a mission (CSV files, for nls solve), graph.npz, truth.npz",
     "rig": "graph.npz, truth.npz, rig.png, rig.json (before and after)",
     "survey": "a raw log (CSV files, for nls solve), truth/, raw/ (for nls import)",
+    "harbor": "keyframes.csv, scans.csv, truth.csv",
     "scene": SCENE_FILES,
 }
 EXAMPLES = """examples:
@@ -65,6 +70,7 @@ EXAMPLES = """examples:
   nls-sim hauv-floor --seed 1 --out survey        a sonar mission as a folder of CSV files, for nls solve survey
   nls-sim hauv-hull --aperture 28deg --outliers 0.05
   nls-sim survey --usbl-outliers 0.1 --out log    what DVL, AHRS, GPS, USBL and beacons write, for nls solve log
+  nls-sim harbor --geometry quay --out quay       scans of a sonar along one straight wall
   nls-sim rig --out calibrated                    a camera and a sonar: raw and optimized, with a picture
   nls-sim subsea --landmarks first-sight --estimator ekf --out over-confident
   nls-sim subsea --laps 1 --runs 4           the mean over 4 seeds, on all cores
@@ -162,12 +168,16 @@ def mission_rows(mission: Mission) -> list[tuple[str, str]]:
     ]
 
 
-def simulated(world: World | Mission | Rig | SurveyLog, out: str | None) -> tuple[list[tuple[str, str]], Files]:
+def simulated(
+    world: World | Mission | Rig | SurveyLog | Harbor, out: str | None
+) -> tuple[list[tuple[str, str]], Files]:
     """The table of a world, and what makes its files."""
     if isinstance(world, SurveyLog):
         from sim.survey_files import survey_rows  # only here: other worlds need no file formats
 
         return survey_rows(world), lambda: survey_folder(world, str(out))
+    if isinstance(world, Harbor):
+        return harbor_rows(world), lambda: harbor_folder(world, str(out))
     if isinstance(world, Mission):
         return mission_rows(world), lambda: mission_folder(world, str(out))
     if isinstance(world, Rig):
@@ -199,6 +209,15 @@ def survey_folder(log: SurveyLog, out: str) -> tuple[dict[str, bytes], str]:
     return files, holds
 
 
+def harbor_folder(world: Harbor, out: str) -> tuple[dict[str, bytes], str]:
+    """The files of a harbor, for a folder without those of a mission."""
+    from nls.io.mission.write import refuse_mixed
+
+    files, holds = harbor_files(world)
+    refuse_mixed(out, files)
+    return files, holds
+
+
 def graph_files(world: World) -> tuple[dict[str, bytes], str]:
     """The graph with the start and with the truth, in two formats."""
     from nls.io import rendered
@@ -224,7 +243,7 @@ def parser() -> Parser:
     """One subcommand a world, its options read off the function: names, types, defaults and the docstring's lines."""
     top = Parser(
         prog="nls-sim",
-        description="Simulate a SLAM problem whose answer is known: pose graph, sonar mission, raw log, rig, scene.",
+        description="Simulate a SLAM problem whose answer is known: pose graph, mission, raw log, harbor, rig, scene.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -1,0 +1,338 @@
+"""Scan matching in simulated harbors: how far from the truth, which closures are right, and do the covariances hold?
+
+    python benchmarks/evidence/harbor.py [--seeds 20] [--images 1] [--out DIR]
+
+Harbors are `sim.harbor` with its defaults, 300 keyframes in two laps; seeds 0, 1, 2, ...
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+import sim
+from models import SE2
+from models.algebra import wrap
+from nls import Marginals, kinds
+from nls.sonar.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, match, submap
+from nls.sonar.scans.candidates import HALF, centers, pairs
+from nls.sonar.scans.scans import in_world
+from nls.sonar.scans.verdicts import verdicts
+
+Array = npt.NDArray[np.float64]
+BENCHMARKS = Path(__file__).parents[1]
+GEOMETRIES = ("marina", "quay", "rocks")
+AWAY, TURNED = 3.0, np.radians(5.0)  # m, rad: a closure beyond is wrong
+PAIRS = 8  # of submaps a seed
+GUESSES = {"6 m, 6 deg": (6.0, np.radians(6.0)), "1 m, 2 deg": (1.0, np.radians(2.0))}
+WINDOW = {"6 m, 6 deg": (6.0, np.radians(6.0)), "1 m, 2 deg": (3.0, np.radians(3.0))}  # least of `close`
+REACH, STEPS = 5.0, 50  # m, pairs of points at most; iterations
+x = kinds("x")[0]
+
+
+# --- the whole: closures and map --------------------------------------------------------------------------------------
+
+
+def closed(world: sim.Harbor) -> tuple[Closing, float]:
+    """The map of a harbor, and the processor time it took, s."""
+    start = time.process_time()
+    closing = close(*dead_reckoning(world.poses), world.scans)
+    return closing, time.process_time() - start
+
+
+def judged(world: sim.Harbor, matches: Matches) -> tuple[Array, Array]:
+    """Which matches are at the right place (n,), and which have the right heading, too (n,)."""
+    e = world.errors(matches.i, matches.j, matches.pose)
+    near = np.hypot(e[:, 0], e[:, 1]) <= AWAY
+    return near, near & (np.abs(e[:, 2]) <= TURNED)
+
+
+def nees(world: sim.Harbor, closing: Closing) -> float:
+    """Mean of e' P^-1 e of the positions of all keyframes but the first."""
+    P = Marginals(closing.graph, closing.values).all(x, frame="world")[1:, :2, :2]
+    e = (closing.values[x] - world.truth)[1:, :2]
+    return float(np.einsum("ni,nij,nj->n", e, np.linalg.inv(P), e).mean())
+
+
+def row_of(world: sim.Harbor, closing: Closing, seconds: float) -> list[float]:
+    """Figures of one harbor."""
+    m = closing.matches
+    place, right = judged(world, m)
+    first = closing.rounds[0].matches
+    place_1 = judged(world, first)[0]
+    return [
+        world.ate(world.poses),
+        world.ate(closing.values[x]),
+        len(closing.rounds),
+        len(m),
+        m.accepted.sum(),
+        m.kept.sum(),
+        (m.kept & place).sum(),
+        (m.kept & right).sum(),
+        (m.accepted & place).sum(),
+        nees(world, closing),
+        seconds,
+        (first.kept & ~place_1).sum(),
+        *np.bincount(m.verdict, minlength=len(Verdict)),
+    ]
+
+
+def spread(values: Array, digits: int = 2) -> str:
+    """Mean, least and most."""
+    return f"{values.mean():.{digits}f} ({values.min():.{digits}f}-{values.max():.{digits}f})"
+
+
+def share(part: float, whole: float) -> str:
+    """In per cent."""
+    return f"{100 * part / whole:.1f} %" if whole else "-"
+
+
+def maps(rows: dict[str, Array]) -> list[str]:
+    """The tables of all seeds."""
+    table = []
+    for geometry, r in rows.items():
+        total = r.sum(axis=0)
+        table.append(
+            [
+                geometry,
+                spread(r[:, 0]),
+                spread(r[:, 1]),
+                spread(r[:, 2], 0),
+                f"{total[5] / len(r):.0f}",
+                share(total[6], total[5]),
+                share(total[7], total[5]),
+                share(total[6], total[3]),
+                f"{total[11]:.0f}",
+                f"{r[:, 9].mean():.2f}, median {np.median(r[:, 9]):.2f}",
+                f"{r[:, 10].mean():.0f}",
+            ]
+        )
+    head = ["harbor", "ATE of dead reckoning, m", "ATE closed, m", "rounds", "closures kept", "right place"]
+    head += ["and right heading", "recall", "wrong in round 1", "NEES, expected 2", "s"]
+    lines = ["## Maps", "", *markdown(head, table), ""]
+    lines += [
+        f"ATE: rmse of the keyframes after a rigid motion. Of the closures that the last round kept: right place, "
+        f"within {AWAY:g} m of the truth; right heading, within {np.degrees(TURNED):g} deg besides. Recall: kept "
+        "at the right place, of all candidates. Wrong in round 1: kept at a wrong place, in all seeds. NEES: of the "
+        "positions of the keyframes, the first of which is held. In brackets: the least and the most of the seeds. "
+        "s: processor time.",
+        "",
+        "## Verdicts of the last round, a harbor",
+        "",
+    ]
+    words = ["harbor", *(verdict.name.lower().replace("_", " ") for verdict in Verdict)]
+    return lines + markdown(words, [[g, *(f"{n:.0f}" for n in r[:, 12:].mean(axis=0))] for g, r in rows.items()])
+
+
+# --- the matcher alone ------------------------------------------------------------------------------------------------
+
+
+def icp(target: Array, points: Array, guess: Array) -> tuple[Array, Array]:
+    """Pose (3,) by iterated closest points, point to point, and its usual covariance s^2 (J'J)^-1 (3, 3)."""
+    tree, T = cKDTree(target), guess.copy()
+    for _ in range(STEPS):
+        q = SE2.act(np.repeat(T[None], len(points), axis=0), points)
+        d, nearest = tree.query(q)
+        near = d <= REACH
+        p, g = points[near], target[nearest[near]]
+        if len(p) < 3:
+            break
+        a, b = p - p.mean(axis=0), g - g.mean(axis=0)
+        yaw = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+        c, s = np.cos(yaw), np.sin(yaw)
+        new = np.append(g.mean(axis=0) - np.array([[c, -s], [s, c]]) @ p.mean(axis=0), yaw)
+        change, T = np.abs(new - T).max(), new
+        if change < 1e-5:
+            break
+    J = np.zeros((len(p), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1.0
+    J[:, 0, 2], J[:, 1, 2] = -p[:, 1], p[:, 0]
+    H = np.einsum("nki,nkj->ij", J, J)
+    return T, np.linalg.inv(H) * (d[near] ** 2).sum() / (2 * len(p) - 3)
+
+
+def trials(world: sim.Harbor, poses: Array, guess_of: str) -> list[list[float]]:
+    """Matches of random pairs of submaps that overlap, from a random guess: error, mahalanobis, along, ... of both."""
+    rng = np.random.default_rng([0 if world.seed is None else world.seed, 7])
+    middle = centers(world.scans)
+    a, b = pairs(world.truth, world.scans, middle)
+    rows = rng.choice(len(a), min(PAIRS, len(a)), replace=False)
+    out = []
+    for i, j in zip(middle[a[rows]].tolist(), middle[b[rows]].tolist(), strict=True):
+        T = SE2.between(world.truth[[i]], world.truth[[j]])[0]
+        width, turn = GUESSES[guess_of]
+        guess = T + rng.uniform(-1.0, 1.0, 3) * [width, width, turn]
+        target, points = (submap(poses, world.scans, k, HALF) for k in (i, j))
+        m = match(Field(target), points, guess, WINDOW[guess_of])
+        verdict = verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread)))[0]
+        figures = [verdict]
+        for pose, C in ((m.pose, m.covariance), icp(target, points, guess)):
+            e = SE2.between(T[None], pose[None])[0]
+            e[2] = wrap(e[2])
+            R = SE2.rotation(world.truth[[j]])[0]  # the quay is along x
+            world_e, world_C = R @ e[:2], R @ C[:2, :2] @ R.T
+            d2 = e @ np.linalg.solve(C, e) / 3
+            figures += [np.hypot(*e[:2]), abs(e[2]), d2, *np.abs(world_e), *np.sqrt(np.diag(world_C))]
+        out.append(figures)
+    return out
+
+
+def matcher(r: Array) -> list[str]:
+    """Cells of one row: of the accepted, and of all, and of ICP."""
+
+    def of(k: npt.NDArray[np.bool_], at: int) -> str:
+        right = k & (r[:, at] <= AWAY)
+        return f"{np.sqrt((r[right, at] ** 2).mean()):.2f}, {r[right, at + 2].mean():.2f}" if right.any() else "-"
+
+    accepted, everything = r[:, 0] == Verdict.ACCEPTED, np.ones(len(r), dtype=bool)
+    wrong = (r[:, 1] > AWAY).sum(), (accepted & (r[:, 1] > AWAY)).sum(), (r[:, 8] > AWAY).sum()
+    return [
+        f"{len(r)}",
+        f"{accepted.sum()}",
+        f"{wrong[1]}",
+        of(accepted, 1),
+        f"{wrong[0]}",
+        of(everything, 1),
+        f"{wrong[2]}",
+        of(everything, 8),
+    ]
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table, numbers to the right."""
+    rule = "|:--" + "|--:" * (len(head) - 1) + "|"
+    return [f"| {' | '.join(head)} |", rule, *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
+    """The tables of matches alone."""
+    head = ["harbor, submaps, guess", "pairs", "accepted", "of them wrong", "rms m, d2/3", "wrong of all"]
+    head += ["rms m, d2/3", "ICP wrong", "rms m, d2/3"]
+    lines = ["## The matcher alone", ""]
+    lines += markdown(head, [[", ".join(name), *matcher(r)] for name, r in results.items()])
+    quays = [
+        [
+            ", ".join(name[1:]),
+            *(f"{np.median(r[:, 6 + at] / r[:, 7 + at]):.1f}" for at in (0, 7)),
+            *(f"{np.sqrt(np.mean((r[:, 4 + at] / r[:, 6 + at]) ** 2)):.2f}" for at in (0, 7)),
+            *(f"{np.sqrt(np.mean((r[:, 5 + at] / r[:, 7 + at]) ** 2)):.2f}" for at in (0, 7)),
+            f"{(r[:, 0] == Verdict.ACCEPTED).sum()}",
+        ]
+        for name, r in results.items()
+        if name[0] == "quay"
+    ]
+    head = ["submaps, guess", "sigma along over across", "ICP", "error along over its sigma, rms", "ICP"]
+    head += ["error across over its sigma, rms", "ICP", "accepted"]
+    return [
+        *lines,
+        "",
+        f"Random pairs of submaps of {2 * HALF + 1} keyframes whose footprints overlap. A guess is off by up to the "
+        "stated width, evenly; the window is as wide, but 3 m and 3 deg at least. Submaps: of the true poses, and as "
+        f"reckoned, not rigid. Wrong: more than {AWAY:g} m off. Of all others: the rms of the position, and the mean "
+        "of d2/3, with d the error in its covariance (Mahalanobis): 1 where it holds, less where it is too wide. ICP: "
+        f"point to point, pairs up to {REACH:g} m, covariance s^2 (J'J)^-1.",
+        "",
+        "## The straight quay: along and across",
+        "",
+        *markdown(head, quays),
+        "",
+        "All matches, wrong ones too. Nothing marks a place along this wall: a match must not be accepted.",
+    ]
+
+
+# --- from images ------------------------------------------------------------------------------------------------------
+
+
+def strays(world: sim.Harbor) -> float:
+    """Share of the points farther than 1 m from all walls, piles and rocks."""
+    scene, p = world.scene, in_world(world.truth, world.scans)
+    a, e = scene.walls[:, 0], scene.walls[:, 1] - scene.walls[:, 0]
+    share = np.clip(((p[:, None] - a) * e).sum(axis=2) / (e**2).sum(axis=1), 0, 1)
+    d = np.linalg.norm(p[:, None] - a - share[..., None] * e, axis=2).min(axis=1, initial=np.inf)
+    piles = np.linalg.norm(p[:, None] - scene.piles[:, :2], axis=2) - scene.piles[:, 2]
+    rocks = np.linalg.norm(p[:, None] - scene.rocks, axis=2)
+    for others in (piles, rocks):
+        d = np.minimum(d, others.min(axis=1, initial=np.inf))
+    return float((d > 1.0).mean())
+
+
+def images(seeds: int) -> list[str]:
+    """The chain from the image to the map, beside points that are drawn from their rates."""
+    rows = []
+    for geometry in ("marina", "rocks"):
+        for seed in range(seeds):
+            for source in ("drawn", "images"):
+                start = time.process_time()
+                world = sim.harbor(np.random.default_rng(seed), geometry, images=source == "images")
+                made = time.process_time() - start
+                closing, seconds = closed(world)
+                place = judged(world, closing.matches)[0]
+                kept = closing.matches.kept
+                rows.append(
+                    [
+                        f"{geometry} {seed}, {source}",
+                        f"{len(world.scans.points) / len(world.truth):.0f}",
+                        f"{100 * strays(world):.1f} %",
+                        f"{world.ate(world.poses):.2f}",
+                        f"{world.ate(closing.values[x]):.2f}",
+                        f"{kept.sum()}",
+                        f"{(kept & ~place).sum()}",
+                        f"{made:.0f}",
+                        f"{seconds:.0f}",
+                    ]
+                )
+    head = ["harbor", "points a keyframe", "strays", "ATE reckoned, m", "closed, m", "kept", "of them wrong"]
+    return [
+        "## From images to the map",
+        "",
+        *markdown([*head, "s for the scans", "s for the map"], rows),
+        "",
+        "Images of 768 beams by 1,000 bins by `sim.sonar_image`, detections by `nls.sonar.detect`, smallest-of at the "
+        "rate for which the others are drawn. Strays: points more than 1 m from any surface at the true pose.",
+    ]
+
+
+def page(seeds: int, image_seeds: int) -> list[str]:
+    """All but the head."""
+    rows: dict[str, Array] = {}
+    results: dict[tuple[str, str, str], list[list[float]]] = {}
+    for geometry in GEOMETRIES:
+        figures = []
+        for seed in range(seeds):
+            world = sim.harbor(np.random.default_rng(seed), geometry)
+            closing, seconds = closed(world)
+            figures.append(row_of(world, closing, seconds))
+            print(geometry, seed, " ".join(f"{v:.3g}" for v in figures[-1]), flush=True)
+            for submaps, poses in (("true", world.truth), ("reckoned", world.poses), ("closed", closing.values[x])):
+                for guess in GUESSES if submaps == "true" else list(GUESSES)[:1]:
+                    results.setdefault((geometry, submaps, guess), []).extend(trials(world, poses, guess))
+        rows[geometry] = np.array(figures, dtype=float)
+    lines = [*maps(rows), "", *matchers({name: np.array(r) for name, r in results.items()})]
+    return [*lines, "", *images(image_seeds)] if image_seeds else lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="harbors of every geometry (default 20)")
+    parser.add_argument("--images", type=int, default=1, help="harbors whose scans come from images (default 1)")
+    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for harbor.md")
+    options = parser.parse_args()
+    sys.path.insert(0, str(BENCHMARKS))
+    from pinv import machine, write_page
+
+    head = machine()
+    lines = page(options.seeds, options.images)
+    title = f"# Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
+    write_page([title, "", *head, "", *lines], options.out / "harbor.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
