@@ -5,6 +5,9 @@ from nls.sonar.scans.dead_reckoning import Drift, dead_reckoning
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.setup import check_setup
+from nls.sonar.scans.setup_findings import SetupFinding, SetupKind
+from nls.sonar.scans.setup_mounting import Mounting, mounting
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import Verdict
 
@@ -14,11 +17,16 @@ __all__ = [
     "Field",
     "Match",
     "Matches",
+    "Mounting",
     "Round",
     "Scans",
+    "SetupFinding",
+    "SetupKind",
     "Verdict",
+    "check_setup",
     "close",
     "dead_reckoning",
     "match",
+    "mounting",
     "submap",
 ]
