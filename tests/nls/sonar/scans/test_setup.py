@@ -13,6 +13,7 @@ from models.algebra import Array, wrap
 from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
+from nls.sonar.scans.setup_mirror import Mirror
 from nls.sonar.scans.setup_mounting import corrected
 from nls.sonar.scans.setup_sigmas import Fit, fits
 from nls.sonar.scans.setup_words import observable, record, sentence
@@ -84,6 +85,18 @@ def test_mirrored_azimuths_are_named(right: Right) -> None:
     assert finding.kind is SetupKind.MIRRORED
     assert finding.numbers["mirrored"] > 10 * finding.numbers["given"]
     assert 'azimuth = "left" or "right"' in sentence(finding)
+
+
+def test_a_mirror_needs_steps_and_most_of_them() -> None:
+    counts = [(0, 9), (3, 10), (10, 30), (10, 31)]
+    assert [Mirror(*pair).wrong for pair in counts] == [False, True, False, True]
+
+
+def test_scans_without_points_say_nothing() -> None:
+    graph, values = dead_reckoning(STRAIGHT)
+    scans = Scans(np.zeros((0, 2)), np.zeros(0, dtype=int), len(STRAIGHT))
+    assert check_setup(graph, values, scans, times=np.arange(40.0)) == []
+    assert not mounting(graph, values, scans).determined.any()
 
 
 def test_the_mounting_is_estimated() -> None:
