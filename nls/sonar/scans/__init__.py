@@ -7,6 +7,9 @@ from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.online import OnlineClosing
 from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.setup import check_setup
+from nls.sonar.scans.setup_findings import SetupFinding, SetupKind
+from nls.sonar.scans.setup_mounting import Mounting, mounting
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import Verdict
 
@@ -16,12 +19,17 @@ __all__ = [
     "Field",
     "Match",
     "Matches",
+    "Mounting",
     "OnlineClosing",
     "Round",
     "Scans",
+    "SetupFinding",
+    "SetupKind",
     "Verdict",
+    "check_setup",
     "close",
     "dead_reckoning",
     "match",
+    "mounting",
     "submap",
 ]

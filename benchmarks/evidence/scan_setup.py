@@ -1,0 +1,219 @@
+"""Wrong setups of a real scan mission: is each named, how well is it estimated, and what does it cost?
+
+    LEADLINE_DATA=FOLDER python benchmarks/evidence/scan_setup.py [--rounds 3] [--out DIR]
+
+Aracati 2017, an imaging sonar in a harbor (folder aracati of the data), set up wrongly on purpose. Without the data
+nothing is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.keys import kinds
+from nls.metrics import ate
+from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting
+from nls.sonar.scans.setup_words import observable, sentence
+
+Array = npt.NDArray[np.float64]
+BENCHMARKS = Path(__file__).parents[1]
+(x,) = kinds("x")
+TABLES = ("keyframes", "scans", "odometry", "truth")
+
+
+@dataclass(frozen=True)
+class Log:
+    """The tables of the data set, one row a line."""
+
+    keyframes: Array
+    scans: Array
+    odometry: Array
+    truth: Array
+
+    @property
+    def times(self) -> Array:
+        """Of the keyframes, s."""
+        return self.keyframes[:, 1]
+
+    def track(self, late: float) -> Array:
+        """Poses of the keyframes (n, 3) by dead reckoning at their times and a delay."""
+        if late == 0:
+            return self.keyframes[:, 2:5]
+        t, (clock, east, north) = self.times + late, self.odometry.T[:3]
+        yaw = np.interp(t, self.times, np.unwrap(self.keyframes[:, 4]))
+        return np.column_stack([np.interp(t, clock, east), np.interp(t, clock, north), yaw])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How the mission is set up: as it was sailed, but for these.
+
+    Attributes
+    ----------
+    mount : (3,) assumed pose of the sonar, m and rad.
+    late : by which the stamps of the scans are late, s.
+    sigmas : scale on all sigmas of dead reckoning.
+    """
+
+    name: str
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mirrored: bool = False
+    late: float = 0.0
+    sigmas: float = 1.0
+
+
+SETUPS = (
+    Setup("right"),
+    Setup("mirrored", mirrored=True),
+    *(Setup(f"turned by {angle} deg", (0.0, 0.0, float(np.radians(angle)))) for angle in (2, 5, 10)),
+    *(Setup(f"{ahead} m ahead", (float(ahead), 0.0, 0.0)) for ahead in (1, 2)),
+    Setup("1 m to the side", (0.0, 1.0, 0.0)),
+    *(Setup(f"scans {late} s late", late=float(late)) for late in (1, 3)),
+    Setup("sigmas x 2", sigmas=2.0),
+    Setup("sigmas x 1/2", sigmas=0.5),
+)
+
+
+def read(folder: Path) -> Log:
+    """The data set."""
+    return Log(*(np.loadtxt(gzip.open(folder / f"{name}.csv.gz", "rt"), delimiter=",", skiprows=1) for name in TABLES))
+
+
+def scans_of(log: Log, setup: Setup) -> Scans:
+    """The scans as the setup places them."""
+    k, r, azimuth = log.scans[:, 0].astype(int), log.scans[:, 1], log.scans[:, 2]
+    scans = Scans(np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)]), k, len(log.keyframes), setup.mount)
+    return scans.mirrored() if setup.mirrored else scans
+
+
+def drift(scale: float) -> Drift:
+    """All sigmas of the default, larger."""
+    plain = Drift()
+    return Drift(**{f.name: getattr(plain, f.name) * (1.0 if f.name == "length" else scale) for f in fields(Drift)})
+
+
+def error(log: Log, poses: Array, late: float) -> float:
+    """ATE rmse of the keyframes, rigid, m."""
+    t = log.times + late
+    truth = np.column_stack([np.interp(t, log.truth[:, 0], column) for column in log.truth.T[1:4]])
+    return ate(poses, truth, "rigid").rmse
+
+
+def mapped(log: Log, setup: Setup, rounds: int) -> tuple[Closing, float]:
+    """The map of a setup, and its error, m."""
+    closing = close(*dead_reckoning(log.track(setup.late), drift(setup.sigmas)), scans_of(log, setup), rounds)
+    return closing, error(log, closing.values[x], setup.late)
+
+
+def cured(setup: Setup, findings: list[SetupFinding]) -> Setup | None:
+    """The setup that the findings ask for; None without any."""
+    mount, late, mirrored, sigmas = np.array(setup.mount), setup.late, setup.mirrored, setup.sigmas
+    for finding in findings:
+        n = finding.numbers
+        if finding.kind is SetupKind.MIRRORED:
+            mirrored = not mirrored
+        elif finding.kind is SetupKind.TIME_OFFSET:
+            late -= n["value"]
+        elif finding.kind is SetupKind.TURNED:
+            mount[2] = n["mount"][2]
+        elif finding.kind is SetupKind.MOUNTING:
+            component = ("x", "y", "yaw").index(n["component"])
+            mount[component] = n["mount"][component]
+        elif n["measurements"] == "steps":
+            sigmas *= n["scale"]
+    return Setup(setup.name, tuple(mount.tolist()), mirrored, late, sigmas) if findings else None
+
+
+def brief(finding: SetupFinding) -> str:
+    """A finding in a cell of a table."""
+    n = finding.numbers
+    name = finding.kind.value.replace("_", " ")
+    if finding.kind is SetupKind.MIRRORED:
+        return f"{name}: {n['mirrored']} steps against {n['given']}"
+    if finding.kind is SetupKind.TURNED:
+        return f"{name} {np.degrees(n['value']):.1f} +- {np.degrees(n['sigma']):.1f} deg"
+    if finding.kind in (SetupKind.SIGMAS_TOO_LARGE, SetupKind.SIGMAS_TOO_SMALL):
+        return f"{name}: {n['measurements']}, chi2/dof {n['chi2'] / n['dof']:.2f}"
+    unit = "s" if finding.kind is SetupKind.TIME_OFFSET else "m"
+    return f"{name} {n.get('component', '')} {n['value']:.2f} +- {n['sigma']:.2f} {unit}".replace("  ", " ")
+
+
+def row(log: Log, setup: Setup, rounds: int, report: Callable[[str], None]) -> tuple[list[str], list[str]]:
+    """A row of the table, and the sentences."""
+    graph, values = dead_reckoning(log.track(setup.late), drift(setup.sigmas))
+    scans = scans_of(log, setup)
+    closing, before = mapped(log, setup, rounds)
+    start = time.process_time()
+    findings = check_setup(graph, values, scans, closing, log.times)
+    seconds = time.process_time() - start
+    cure = cured(setup, findings)
+    after = "" if cure is None else f"{mapped(log, cure, rounds)[1]:.2f}"
+    named = "; ".join(map(brief, findings)) or "nothing"
+    kept = int(closing.matches.kept.sum())
+    cells = [setup.name, named, f"{kept}", f"{before:.2f}", after, f"{seconds:.1f}"]
+    report(" | ".join(cells))
+    return cells, [f"- *{setup.name}*: {sentence(finding)}." for finding in findings]
+
+
+def page(log: Log, rounds: int) -> list[str]:
+    """All but the head."""
+    rows, sentences = [], []
+    for setup in SETUPS:
+        cells, words = row(log, setup, rounds, lambda line: print(line, flush=True))
+        rows.append(cells)
+        sentences += words
+    graph, values = dead_reckoning(log.track(0.0))
+    estimate = mounting(graph, values, scans_of(log, SETUPS[0]), log.times)
+    head = ["setup", "named", "closures", "ATE, m", "ATE cured, m", "check, s"]
+    return [
+        "## Aracati 2017, an imaging sonar in a harbor",
+        "",
+        f"| {' | '.join(head)} |",
+        "|:--|:--|--:|--:|--:|--:|",
+        *(f"| {' | '.join(cells)} |" for cells in rows),
+        "",
+        f"ATE: rigid, keyframes against DGPS, after {rounds} rounds. *Cured*: closed again with the setup that the "
+        "finding asks for. Right setups differ by 0.1 m from round to round. *Check*: seconds of one core, without the "
+        "rounds. The place of the sonar on the vehicle is not published; *right* takes it for the origin of dead "
+        "reckoning. Turned: of a rigid ATE a turn of the map is no error, so the cure changes little.",
+        "",
+        "## The right setup: what scans tell of it",
+        "",
+        *(f"- {line}" for line in observable(estimate)),
+        "",
+        "## In words",
+        "",
+        *sentences,
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=3, help="of closing (default 3)")
+    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for scan_setup.md")
+    options = parser.parse_args()
+    folder = Path(os.environ.get("LEADLINE_DATA", "")) / "aracati"
+    if not (folder / "keyframes.csv.gz").exists():
+        print("LEADLINE_DATA names no folder with aracati/keyframes.csv.gz: nothing is written")
+        return 0
+    sys.path.insert(0, str(BENCHMARKS))
+    from pinv import machine, write_page
+
+    head = machine()
+    lines = page(read(folder), options.rounds)
+    write_page(["# Wrong setups of a scan mission", "", *head, "", *lines], options.out / "scan_setup.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

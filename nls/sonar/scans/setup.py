@@ -1,0 +1,93 @@
+"""Is a scan mission set up as it was sailed? Azimuths, mounting, clock and sigmas."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from models import SE2
+from nls.graph import FactorGraph
+from nls.sonar.scans.closing import Closing, refuse_other_keyframes
+from nls.sonar.scans.scans import Scans
+from nls.sonar.scans.setup_findings import SetupFinding, SetupKind
+from nls.sonar.scans.setup_mirror import mirror
+from nls.sonar.scans.setup_mounting import COMPONENTS, LIMITS, SIGMAS, Mounting, lateral_drift, mounting
+from nls.sonar.scans.setup_sigmas import fits
+from nls.values import Values
+
+__all__ = ["check_setup"]
+
+
+def check_setup(
+    graph: FactorGraph,
+    values: Values,
+    scans: Scans,
+    closing: Closing | None = None,
+    times: npt.ArrayLike | None = None,
+) -> list[SetupFinding]:
+    """What is set up wrongly, from scans against dead reckoning; `nls.sonar.scans.setup_words` makes sentences of it.
+
+    Parameters
+    ----------
+    graph, values : keyframes x (SE2) and their dead reckoning, see `nls.sonar.scans.dead_reckoning`.
+    scans : the points, as the assumed mounting places them.
+    closing : of them. Without it sigmas are not judged, and a sensor that is turned is seen with half the certainty.
+    times : (count,) of the keyframes, s. Without them the clock is not judged.
+
+    Returns
+    -------
+    list of `SetupFinding`
+        Empty where nothing speaks against the setup. Mirrored azimuths and a late clock bend all that follows: nothing
+        else is judged until they are right.
+
+    Raises
+    ------
+    GraphError
+        Keyframes that are not those of the scans; times that are not one rising number for every keyframe.
+
+    Examples
+    --------
+    Five scans of one wall close no loop and show no turn: nothing speaks against anything.
+
+    >>> import numpy as np
+    >>> from nls.sonar.scans import Scans, check_setup, dead_reckoning
+    >>> wall = np.column_stack([np.linspace(5, 15, 40), np.full(40, 4.0)])
+    >>> graph, values = dead_reckoning(np.arange(5.0)[:, None] * [1.0, 0.0, 0.0])
+    >>> check_setup(graph, values, Scans(np.tile(wall, (5, 1)), np.repeat(np.arange(5), 40), 5))
+    []
+    """
+    refuse_other_keyframes(values, scans)
+    steps = mirror(values, scans)
+    if steps.wrong:
+        return [SetupFinding(SetupKind.MIRRORED, {"given": steps.given, "mirrored": steps.mirrored})]
+    estimate = mounting(graph, values, scans, times)
+    if estimate.wrong[3]:
+        return [_finding(SetupKind.TIME_OFFSET, estimate.value[3], estimate.sigma[3])]
+    findings = _mounting(estimate, scans, closing)
+    if closing is not None:
+        for fit in fits(graph, closing):
+            if fit.too_large or fit.too_small:
+                kind = SetupKind.SIGMAS_TOO_LARGE if fit.too_large else SetupKind.SIGMAS_TOO_SMALL
+                numbers = {"measurements": fit.name, "chi2": fit.chi2, "dof": fit.dof, "scale": fit.scale}
+                findings.append(SetupFinding(kind, numbers))
+    return findings
+
+
+def _mounting(estimate: Mounting, scans: Scans, closing: Closing | None) -> list[SetupFinding]:
+    """Wrong components of the mounting; a yaw that only a drift to the side could explain besides."""
+    findings = [
+        _finding(
+            SetupKind.MOUNTING, estimate.value[k], estimate.sigma[k], component=COMPONENTS[k], mount=estimate.mount
+        )
+        for k in np.flatnonzero(estimate.wrong[:3])
+    ]
+    yaw, sigma = estimate.lateral if closing is None else lateral_drift(closing.graph, closing.values)
+    if not estimate.wrong[2] and abs(yaw) > max(SIGMAS * sigma, LIMITS[2]):
+        turned = SE2.compose(np.array([[0.0, 0.0, yaw]]), scans.mount[None])[0]
+        findings.append(_finding(SetupKind.TURNED, yaw, sigma, mount=turned))
+    return findings
+
+
+def _finding(kind: SetupKind, value: float, sigma: float, **numbers: object) -> SetupFinding:
+    plain = {name: entry.tolist() if isinstance(entry, np.ndarray) else entry for name, entry in numbers.items()}
+    return SetupFinding(kind, {"value": float(value), "sigma": float(sigma), **plain})
