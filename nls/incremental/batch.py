@@ -24,6 +24,8 @@ __all__ = ["GrowingBatch"]
 SLIGHTLY = 1e-6  # part of s, for the slope of a weight
 FLATTEST = 0.1  # of the curvature of weighted squares: flatter ones, and those that bend down, count as so much
 
+Place = tuple[str | int, ...]  # attribute, place in a tuple; before them the attribute of a factor within
+
 
 class GrowingBatch:
     """A batch of measurements that grows, and its rows of A and b.
@@ -37,9 +39,7 @@ class GrowingBatch:
     def __init__(self, model: Model, variables: list[Variables]) -> None:
         self.variables, self._first, self.kernel = variables, model, model.factor.kernel
         factor, m, D = model.factor, model.dim, sum(v.manifold.dim for v in variables)
-        own = {name: getattr(factor, name) for name in factor.per_measurement}
-        n = len(model.z)
-        self._own = {name: Growing(_stack(v, n)[:0]) for name, v in own.items() if isinstance(v, np.ndarray)}
+        self._own = {place: Growing(own[:0]) for place, own in _own(factor).items()}
         self._numbers = [Growing(np.zeros(0, dtype=np.int64)) for _ in variables]
         self._index = [Growing(np.zeros(0, dtype=np.intp)) for _ in variables]
         self._z, self._W = Growing(model.z[:0], "F"), Growing(model.W[:0], "F" if model.W.shape[-1] <= 3 else "C")
@@ -71,8 +71,8 @@ class GrowingBatch:
             self._index[slot].append(self.variables[slot].index(keys))
         self._z.append(model.z)
         self._W.append(np.broadcast_to(model.W, (n, *model.W.shape[1:])))
-        for name, own in self._own.items():
-            own.append(np.broadcast_to(_stack(getattr(model.factor, name), n), (n, *own.rows.shape[1:])))
+        for place, own in _own(model.factor).items():
+            self._own[place].append(np.broadcast_to(own, (n, *own.shape[1:])))
         rows, self._sparse = slice(begin, begin + n), None
         for part in (self._A, self._columns, self._b, self._cost):
             part.append(np.zeros((n, *part.rows.shape[1:]), part.rows.dtype))
@@ -136,11 +136,9 @@ class GrowingBatch:
 
     def model(self, rows: slice | Mask = slice(None)) -> Model:
         """The measurements, or some of them; views of the arrays that grow unless a mask (n,) chooses."""
-        factor = copy(self._first.factor)
         kinds = zip(self._first.factor.keys, self._numbers, strict=True)
-        factor.keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
-        for name, values in self._own.items():
-            setattr(factor, name, values.rows[rows])
+        keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
+        factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
         model = replace(self._first, factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
         factor._model = model
         return model
@@ -196,9 +194,37 @@ class GrowingBatch:
         return tuple(np.split(self._A.rows, np.cumsum([v.manifold.dim for v in self.variables])[:-1], axis=2))
 
 
-def _stack(own: Array, n: int) -> Array:
-    """What n measurements have of their own, one row each, or the one row (1, ...) that all share."""
-    return own if len(own) in (1, n) else own[None]
+def _own(factor: Factor) -> dict[Place, Array]:
+    """Arrays that measurements have of their own, one row each or (1, ...) for all, of factors within as well."""
+    n, arrays = len(factor), dict[Place, Array]()
+    for name in factor.per_measurement:
+        value = getattr(factor, name)
+        items = {(name, k): item for k, item in enumerate(value)} if isinstance(value, tuple) else {(name,): value}
+        arrays.update({k: v if len(v) in (1, n) else v[None] for k, v in items.items() if isinstance(v, np.ndarray)})
+    for name, within in _within(factor).items():
+        arrays.update({(name, *place): own for place, own in _own(within).items()})
+    return arrays
+
+
+def _holding(factor: Factor, keys: tuple[Keys, ...], own: dict[Place, Array]) -> Factor:
+    """The same factor of other measurements, with their keys and their own arrays."""
+    whole = copy(factor)
+    whole.keys = keys
+    for name in factor.per_measurement:
+        value = getattr(factor, name)
+        if isinstance(value, tuple):
+            setattr(whole, name, tuple(own.get((name, k), item) for k, item in enumerate(value)))
+        elif isinstance(value, np.ndarray):
+            setattr(whole, name, own[name,])
+    for name, within in _within(factor).items():
+        inner = {place[1:]: rows for place, rows in own.items() if place[0] == name}
+        setattr(whole, name, _holding(within, keys[: len(within.keys)], inner))
+    return whole
+
+
+def _within(factor: Factor) -> dict[str, Factor]:
+    """Factors that a factor is made of."""
+    return {name: value for name, value in vars(factor).items() if isinstance(value, Factor)}
 
 
 def _weighted(kernel: Kernel, A: tuple[Array, ...], b: Array) -> tuple[tuple[Array, ...], Array, Array]:
