@@ -32,7 +32,7 @@ __all__ = ["OnlineClosing"]
 
 x, d, m = kinds("x", "d", "m")
 HELD = 1e-4  # m and rad, of the first pose
-ENOUGH = 0.05  # new closures, part of those in the map, after which all are judged again
+ENOUGH = 0.02  # new closures, part of those in the map, after which all are judged again
 
 
 class OnlineClosing:
@@ -42,7 +42,7 @@ class OnlineClosing:
     ----------
     drift : how wrong dead reckoning is; the default is that of commanded speeds with a compass.
     mount : (3,) pose of the sensor on the vehicle, x, y, m, and yaw, rad.
-    enough : so many new closures, part of those in the map, and all are judged again.
+    enough : how many new closures, as a part of those in the map, make all be judged again.
 
     Attributes
     ----------
