@@ -1,6 +1,6 @@
 """Scan matching in simulated harbors: how far from the truth, which closures are right, and do the covariances hold?
 
-    python benchmarks/evidence/harbor.py [--seeds 20] [--images 1] [--out DIR]
+    python benchmarks/evidence/harbor.py [--seeds 20] [--images 1] [--workers 2] [--out DIR]
 
 Harbors are `sim.harbor` with its defaults, 300 keyframes in two laps; seeds 0, 1, 2, ...
 """
@@ -11,6 +11,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -299,22 +300,38 @@ def images(seeds: int) -> list[str]:
     ]
 
 
-def page(seeds: int, image_seeds: int) -> list[str]:
+Trials = dict[tuple[str, str, str], list[list[float]]]
+
+
+def one(geometry: str, seed: int) -> tuple[list[float], Trials]:
+    """Figures of a harbor, and trials of the matcher in it."""
+    world = sim.harbor(np.random.default_rng(seed), geometry)
+    closing, seconds = closed(world)
+    figures = row_of(world, closing, seconds)
+    print(geometry, seed, " ".join(f"{v:.3g}" for v in figures), flush=True)
+    results = {}
+    for submaps, poses in (("true", world.truth), ("reckoned", world.poses), ("closed", closing.values[x])):
+        for guess in GUESSES if submaps == "true" else list(GUESSES)[:1]:
+            results[geometry, submaps, guess] = trials(world, poses, guess)
+    return figures, results
+
+
+def page(seeds: int, image_seeds: int, workers: int) -> list[str]:
     """All but the head."""
-    rows: dict[str, Array] = {}
-    results: dict[tuple[str, str, str], list[list[float]]] = {}
-    for geometry in GEOMETRIES:
-        figures = []
-        for seed in range(seeds):
-            world = sim.harbor(np.random.default_rng(seed), geometry)
-            closing, seconds = closed(world)
-            figures.append(row_of(world, closing, seconds))
-            print(geometry, seed, " ".join(f"{v:.3g}" for v in figures[-1]), flush=True)
-            for submaps, poses in (("true", world.truth), ("reckoned", world.poses), ("closed", closing.values[x])):
-                for guess in GUESSES if submaps == "true" else list(GUESSES)[:1]:
-                    results.setdefault((geometry, submaps, guess), []).extend(trials(world, poses, guess))
-        rows[geometry] = np.array(figures, dtype=float)
-    lines = [*maps(rows), "", *matchers({name: np.array(r) for name, r in results.items()})]
+    calls = [(geometry, seed) for geometry in GEOMETRIES for seed in range(seeds)]
+    with ProcessPoolExecutor(workers) as pool:
+        results = list(pool.map(one, *zip(*calls, strict=True)))
+    rows = {
+        geometry: np.array(
+            [figures for (name, _), (figures, _) in zip(calls, results, strict=True) if name == geometry]
+        )
+        for geometry in GEOMETRIES
+    }
+    merged: Trials = {}
+    for _, trial in results:
+        for name, r in trial.items():
+            merged.setdefault(name, []).extend(r)
+    lines = [*maps(rows), "", *matchers({name: np.array(r) for name, r in merged.items()})]
     return [*lines, "", *images(image_seeds)] if image_seeds else lines
 
 
@@ -322,13 +339,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20, help="harbors of every geometry (default 20)")
     parser.add_argument("--images", type=int, default=1, help="harbors whose scans come from images (default 1)")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for harbor.md")
     options = parser.parse_args()
     sys.path.insert(0, str(BENCHMARKS))
     from pinv import machine, write_page
 
     head = machine()
-    lines = page(options.seeds, options.images)
+    lines = page(options.seeds, options.images, options.workers)
     title = f"# Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
     write_page([title, "", *head, "", *lines], options.out / "harbor.md")
     return 0

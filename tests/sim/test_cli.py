@@ -31,6 +31,7 @@ SMALL = {
     "hauv-hull": {"--levels": 2, "--per-level": 13},
     "rig": {"--poses": 6, "--points": 60},
     "survey": {"--legs": 1, "--leg": 30},
+    "harbor": {"--keyframes": 80},
     "subsea": {"--laps": 1},
     "compare": {"--laps": 1},
 }
@@ -228,12 +229,13 @@ def test_examples_of_the_help_work(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     """With smaller sizes, which come last and count."""
     monkeypatch.chdir(tmp_path)
     calls = [line.split("   ")[0].split()[1:] for line in EXAMPLES.splitlines() if line.startswith("  nls-sim")]
-    assert len(calls) == 11
-    assert [main([*call, *small(call[0])[1:]]) for call in calls if not {"--help", "--runs"} & set(call)] == [0] * 9
+    assert len(calls) == 12
+    assert [main([*call, *small(call[0])[1:]]) for call in calls if not {"--help", "--runs"} & set(call)] == [0] * 10
     made = (
         "demo/graph.g2o",
         "survey/contacts.csv",
         "log/truth/truth.csv",
+        "quay/scans.csv",
         "calibrated/rig.png",
         "over-confident/estimate.png",
     )
