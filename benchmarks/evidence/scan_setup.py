@@ -129,7 +129,7 @@ def cured(setup: Setup, findings: list[SetupFinding]) -> Setup | None:
         elif finding.kind is SetupKind.MOUNTING:
             component = ("x", "y", "yaw").index(n["component"])
             mount[component] = n["mount"][component]
-        elif n["measurements"] == "steps":
+        elif n["measurements"] == "drifts":
             sigmas *= n["scale"]
     return Setup(setup.name, tuple(mount.tolist()), mirrored, late, sigmas) if findings else None
 

@@ -35,7 +35,7 @@ class SetupFinding:
           follows.
         - ``turned``: `value` and `sigma` of the yaw that is missing if nothing drifts sideways, and `mount`.
         - ``time_offset``: `value`, by which the stamps of the scans are late, and `sigma`.
-        - ``sigmas_too_large``, ``sigmas_too_small``: `measurements` steps or closures, `chi2`, `dof`, and the `scale`
+        - ``sigmas_too_large``, ``sigmas_too_small``: `measurements` steps, drifts or closures, `chi2`, `dof`, `scale`
           on the stated sigmas.
     """
 

@@ -95,7 +95,8 @@ def _sigmas(n: Numbers) -> str:
     size, act = (
         (f"{1 / scale:.2g} times too large", "smaller") if scale < 1 else (f"{scale:.2g} times too small", "larger")
     )
-    cure = f"state {act} ones {DRIFT}" if n["measurements"] == "steps" else CLOSURES[act]
+    names = {"steps": "step and yaw", "drifts": "mean and stretch"}.get(n["measurements"])
+    cure = CLOSURES[act] if names is None else f"state a {act} {names} {DRIFT}"
     return (
         f"sigmas of the {n['measurements']} look {size}: chi2 {n['chi2']:.0f}, {n['dof']:.0f} expected, chi2/dof "
         f"{n['chi2'] / n['dof']:.2f}; {cure}"

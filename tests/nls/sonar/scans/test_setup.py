@@ -154,10 +154,10 @@ def test_a_straight_way_determines_no_lever_arm() -> None:
 def test_sigmas_of_steps_and_closures(right: Right) -> None:
     graph, values, scans, _, closing = right
     shown = {fit.name: fit for fit in fits(graph, closing)}
-    assert list(shown) == ["steps", "closures"]
+    assert list(shown) == ["steps", "drifts", "closures"]
     assert sum(fit.dof for fit in shown.values()) < closing.result.dof
     exact = [f for f in check_setup(graph, values, scans, closing) if f.kind is SetupKind.SIGMAS_TOO_LARGE]
-    assert {f.numbers["measurements"] for f in exact} <= {"steps", "closures"}
+    assert {f.numbers["measurements"] for f in exact} <= {"steps", "drifts", "closures"}
     assert all("times too large: chi2" in sentence(f) for f in exact)
     doubtful = [Fit("steps", *numbers) for numbers in ((24.0, 100.0), (26.0, 100.0), (410.0, 100.0), (2.0, 10.0))]
     assert [fit.too_large for fit in doubtful] == [True, False, False, False]
