@@ -23,7 +23,7 @@ import numpy.typing as npt
 from factors.keys import kinds
 from nls.metrics import ate
 from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting
-from nls.sonar.scans.setup_words import observable, sentence
+from nls.sonar.scans.setup.words import observable, sentence
 
 Array = npt.NDArray[np.float64]
 BENCHMARKS = Path(__file__).parents[1]

@@ -11,8 +11,9 @@ from models.errors import OptionError
 from models.options import did_you_mean
 from nls.cli.solved_scans import GRAPH, SolvedScans
 from nls.io.scan_mission import ScanReport, is_scan_mission
-from nls.sonar.scans import close
+from nls.sonar.scans import check_setup, close
 from nls.sonar.scans.closing import ROUNDS, SELECTIONS
+from nls.sonar.scans.setup.words import sentence
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
@@ -90,9 +91,12 @@ def close_loops(job: Job) -> None:
             progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
 
         closing = close(job.graph, job.values, job.report.scans, ROUNDS, job.select, report=show)
+    findings = check_setup(job.graph, job.values, job.report.scans, closing, job.report.vertex_times["x"])
+    for finding in findings:
+        job.report.warn(sentence(finding))
     job.graph = job.as_read = closing.graph
     job.result = closing.result
-    job.solved = SolvedScans(job.graph, job.values[x], job.result, job.report, closing, job.select)
+    job.solved = SolvedScans(job.graph, job.values[x], job.result, job.report, closing, job.select, findings)
     job.clock.lap("optimize")
 
 

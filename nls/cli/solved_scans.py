@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from models.errors import SingularGeometryError, UnderconstrainedError
 from nls.io.scan_mission import ScanReport
 from nls.io.scan_mission.results import verdict_words
 from nls.metrics import cep, drms2
+from nls.sonar.scans.setup.words import record as finding_record
 
 if TYPE_CHECKING:
     from models.algebra import Array
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.metrics import TrajectoryError
     from nls.optimizers import Result
-    from nls.sonar.scans import Closing, Matches
+    from nls.sonar.scans import Closing, Matches, SetupFinding
     from nls.values import Values
 
 __all__ = ["GRAPH", "SolvedScans"]
@@ -38,6 +39,7 @@ class SolvedScans:
     graph, dead, result, report : with its closures, dead reckoning (count, 3), the solution, and what the folder holds.
     closing : the rounds.
     select : how matches were selected.
+    findings : what is set up wrongly.
     """
 
     def __init__(
@@ -48,9 +50,10 @@ class SolvedScans:
         report: ScanReport,
         closing: Closing,
         select: str,
+        findings: Sequence[SetupFinding] = (),
     ) -> None:
         self.graph, self.dead, self.result, self.report = graph, dead, result, report
-        self.closing, self.select = closing, select
+        self.closing, self.select, self.findings = closing, select, findings
         self.values: Values = result.values
         self.poses: Array = result.values[x]
 
@@ -106,6 +109,7 @@ class SolvedScans:
                 for r in rounds
             ],
             "settled": self.closing.settled,
+            "setup": [finding_record(finding) for finding in self.findings],
             "closures": self.kept,
             "verdicts": {word: words.count(word) for word in sorted(set(words))},
         }

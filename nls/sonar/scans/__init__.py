@@ -7,9 +7,7 @@ from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.online import OnlineClosing
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup import check_setup
-from nls.sonar.scans.setup_findings import SetupFinding, SetupKind
-from nls.sonar.scans.setup_mounting import Mounting, mounting
+from nls.sonar.scans.setup import Mounting, SetupFinding, SetupKind, check_setup, mounting
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import Verdict
 

@@ -10,7 +10,7 @@ import numpy as np
 from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError
 from models.options import check_whole
 from nls.graph import FactorGraph
@@ -172,11 +172,19 @@ def match_all(graph: FactorGraph, values: Values, scans: Scans) -> Matches:
     return Matches.of(values[x], scans, i, j, window)
 
 
+def shares(i: Index, j: Index) -> Array:
+    """How many times (n,) the covariance of each closure between submaps i and j counts in the estimate.
+
+    Closures of one submap share its points, and its error: together they say no more than one of them.
+    """
+    uses = np.bincount(np.append(i, j))
+    return np.asarray((uses[i] + uses[j]) / 2)
+
+
 def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) -> tuple[FactorGraph, Result, Mask]:
     """The graph with the chosen closures, its optimization, and which of the accepted are kept (n,).
 
-    Every closure is judged by its own covariance. In the estimate a covariance counts as many times as its two submaps
-    take part in closures, on average: closures of one submap share its points, and its error.
+    Every closure is judged by its own covariance, and counts in the estimate as `shares` says.
     """
     chosen = matches.accepted
     kept = np.ones(int(chosen.sum()), dtype=bool)
@@ -190,8 +198,7 @@ def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) 
         if not kept.any():
             return graph, graph.optimize(start), kept
     i, j, z = i[kept], j[kept], z[kept]
-    uses = np.bincount(np.append(i, j), minlength=int(j.max()) + 1)
-    shared = Covariance(C[kept] * (uses[i] + uses[j])[:, None, None] / 2)
+    shared = Covariance(C[kept] * shares(i, j)[:, None, None])
     noise = Robust(shared, Cauchy(1.0)) if select == "cauchy" else shared
     closed = FactorGraph([*graph.factors, Between(x[i], x[j], z, noise)], graph.fixed)
     return closed, closed.optimize(start), kept

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from factors.base import Factor
 from factors.keys import kinds
 from models.errors import GraphError
@@ -15,7 +17,7 @@ from nls.analysis.freedom import freedom
 from nls.analysis.leave_one_out import checks
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
-from nls.sonar.scans.closing import Closing
+from nls.sonar.scans.closing import Closing, shares
 
 __all__ = ["Fit", "fits"]
 
@@ -55,7 +57,7 @@ class Fit:
 
 
 def fits(graph: FactorGraph, closing: Closing) -> tuple[Fit, ...]:
-    """chi2 of the steps, of the drifts of stretches (where there are any) and of the kept closures.
+    """chi2 of the steps, of the drifts of stretches, if any, and of the kept closures by their own covariances.
 
     Parameters
     ----------
@@ -77,10 +79,12 @@ def fits(graph: FactorGraph, closing: Closing) -> tuple[Fit, ...]:
         )
     parts: dict[str, list[tuple[float, float]]] = {"steps": [], "drifts": [], "closures": []}
     tests = checks(checked, len(pattern.batches))
-    for number, (batch, test, e) in enumerate(zip(pattern.batches, tests, checked.e, strict=True)):
-        name = "closures" if number >= len(graph.factors) else _name(batch.model.factor)
-        if name:
+    for batch, test, e in zip(pattern.batches[: len(graph.factors)], tests, checked.e, strict=False):
+        if name := _name(batch.model.factor):
             parts[name].append((float((e**2).sum()), float(test.dof.sum())))
+    if (kept := closing.matches.kept).any():  # the last factor
+        own = np.square(checked.e[-1]).sum(axis=1) * shares(closing.matches.i[kept], closing.matches.j[kept])
+        parts["closures"].append((float(own.sum()), float(tests[-1].dof.sum())))
     return tuple(Fit(name, *map(sum, zip(*rows, strict=True))) for name, rows in parts.items() if rows)
 
 

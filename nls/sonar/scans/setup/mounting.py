@@ -33,7 +33,7 @@ from models.errors import GraphError
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup_neighbors import neighbors
+from nls.sonar.scans.setup.neighbors import neighbors
 from nls.values import Values
 
 __all__ = ["COMPONENTS", "Mounting", "corrected", "lateral_drift", "mounting"]

@@ -17,7 +17,7 @@ from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup_neighbors import POINTS
+from nls.sonar.scans.setup.neighbors import POINTS
 from nls.values import Values
 
 __all__ = ["Mirror", "mirror"]

@@ -9,10 +9,10 @@ from models import SE2
 from nls.graph import FactorGraph
 from nls.sonar.scans.closing import Closing, refuse_other_keyframes
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup_findings import SetupFinding, SetupKind
-from nls.sonar.scans.setup_mirror import mirror
-from nls.sonar.scans.setup_mounting import COMPONENTS, LIMITS, SIGMAS, Mounting, lateral_drift, mounting
-from nls.sonar.scans.setup_sigmas import fits
+from nls.sonar.scans.setup.findings import SetupFinding, SetupKind
+from nls.sonar.scans.setup.mirror import mirror
+from nls.sonar.scans.setup.mounting import COMPONENTS, LIMITS, SIGMAS, Mounting, lateral_drift, mounting
+from nls.sonar.scans.setup.sigmas import fits
 from nls.values import Values
 
 __all__ = ["check_setup"]
@@ -25,7 +25,7 @@ def check_setup(
     closing: Closing | None = None,
     times: npt.ArrayLike | None = None,
 ) -> list[SetupFinding]:
-    """What is set up wrongly, from scans against dead reckoning; `nls.sonar.scans.setup_words` makes sentences of it.
+    """What is set up wrongly, from scans against dead reckoning; `nls.sonar.scans.setup.words` makes sentences of it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a check of the setup of a scan mission returns: numbers; `setup_words` makes sentences of them."""
+"""What a check of the setup of a scan mission returns: numbers; `words` makes sentences of them."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ from models.algebra import Array, wrap
 from models.errors import GraphError
 from nls.graph import FactorGraph
 from nls.sonar.scans import Closing, Drift, Mounting, Scans, SetupKind, check_setup, close, dead_reckoning, mounting
-from nls.sonar.scans.setup_mirror import Mirror
-from nls.sonar.scans.setup_mounting import corrected
-from nls.sonar.scans.setup_sigmas import Fit, fits
-from nls.sonar.scans.setup_words import observable, record, sentence
+from nls.sonar.scans.setup.mirror import Mirror
+from nls.sonar.scans.setup.mounting import corrected
+from nls.sonar.scans.setup.sigmas import Fit, fits
+from nls.sonar.scans.setup.words import observable, record, sentence
 from nls.values import Values
 
 WALLS = [[0, 0, 44, 0], [44, 0, 44, 30], [44, 30, 0, 30], [0, 30, 0, 0], [12, 10, 16, 14], [26, 16, 33, 16]]
