@@ -225,6 +225,7 @@ def main() -> int:
         f"- a made-up harbor: {LAPS} rounds of each basin, a keyframe every meter, {POINTS} points each",
         "- processor time, one thread; memory: the peak of a fresh process above what it has before it begins",
         "- map: positions from the truth, m rms, the first pose being known; reckoned: the same of dead reckoning",
+        "- nothing closes a loop from one basin to the next: over several, the map turns with the heading between them",
         "- pairs: which submaps may overlap; windows: covariances of their relative poses; solving: with the choice of",
         "  closures",
         "",
