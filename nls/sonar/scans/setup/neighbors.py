@@ -50,7 +50,7 @@ def neighbors(poses: Array, scans: Scans) -> Neighbors:
     score, ratio, edge, spread = np.array([(f.score, f.ratio, f.edge, f.spread) for f in fits]).reshape(-1, 4).T
     good = verdicts(score, ratio, edge, spread, np.full(len(fits), WINDOW[0])) == ACCEPTED
     pose = np.array([f.pose for f in fits]).reshape(-1, 3)[good]
-    covariance = np.array([f.covariance for f in fits]).reshape(-1, 3, 3)[good]
+    covariance = 2 * np.array([f.covariance for f in fits]).reshape(-1, 3, 3)[good]  # a scan is in two matches
     return Neighbors(i[good], i[good] + 1, pose, covariance)
 
 
