@@ -113,7 +113,7 @@ def things(folder: Path) -> dict[str, Any]:
         "motions": helpful_motions(pings, nls.Values({x: (SE2, seen[x][:2]), l: (R(2), seen[l])}), l[0]),
         "worlds": [ring, sea, lines, rig, rig.errors(rig.start), mission],
         "sensors": [DIDSON_HIGH, HOLOOCEAN_DVL, Camera()],
-        "harbor": sim.harbor(np.random.default_rng(0), keyframes=40),
+        "harbor": sim.harbor(np.random.default_rng(0), keyframes=40, laps=1),
         "scene": sim.Scene(walls=[[[8.0, -9.0], [8.0, 9.0]]], piles=[[5.0, 1.0, 0.3]], rocks=[[4.0, -2.0]]),
         "error of a trajectory": ate(ring.start[x], ring.truth[x]),
         "files": list(nls.load(folder / "ring.g2o")),

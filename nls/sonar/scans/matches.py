@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from nls.sonar.scans import candidates
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
+from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
@@ -52,12 +53,14 @@ class Matches:
     def of(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
         """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
         guess = SE2.between(poses[i], poses[j])
-        maps = {k: submap(poses, scans, k, candidates.HALF) for k in np.unique(np.append(i, j)).tolist()}
-        fields = {k: Field(maps[k]) for k in np.unique(i).tolist()}
-        fits = [
-            match(fields[a], maps[b], T, (float(w), float(turn)))
-            for a, b, T, (w, turn) in zip(i.tolist(), j.tolist(), guess, window, strict=True)
-        ]
+        fits: list[Match] = []
+        order = np.argsort(i, kind="stable")  # one field at a time: they are large
+        for a, rows in groupby(order.tolist(), key=lambda row: int(i[row])):
+            field = Field(submap(poses, scans, a, candidates.HALF))
+            for row in rows:
+                points = submap(poses, scans, int(j[row]), candidates.HALF)
+                fits.append(match(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
+        fits = [fits[place] for place in np.argsort(order).tolist()]
         score, ratio, edge, spread = (
             np.array([getattr(fit, name) for fit in fits], dtype=float) for name in ("score", "ratio", "edge", "spread")
         )
