@@ -172,7 +172,7 @@ def trials(world: sim.Harbor, poses: Array, guess_of: str) -> list[list[float]]:
         guess = T + rng.uniform(-1.0, 1.0, 3) * [width, width, turn]
         target, points = (submap(poses, world.scans, k, HALF) for k in (i, j))
         m = match(Field(target), points, guess, WINDOW[guess_of])
-        verdict = verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread, window[0])))[0]
+        verdict = verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread, WINDOW[guess_of][0])))[0]
         figures = [verdict]
         for pose, C in ((m.pose, m.covariance), icp(target, points, guess)):
             e = SE2.between(T[None], pose[None])[0]
