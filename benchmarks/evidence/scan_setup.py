@@ -183,9 +183,10 @@ def page(log: Log, rounds: int) -> list[str]:
         *(f"| {' | '.join(cells)} |" for cells in rows),
         "",
         f"ATE: rigid, keyframes against DGPS, after {rounds} rounds. *Cured*: closed again with the setup that the "
-        "finding asks for. Right setups differ by 0.1 m from round to round. *Check*: seconds of one core, without the "
-        "rounds. The place of the sonar on the vehicle is not published; *right* takes it for the origin of dead "
-        "reckoning. Turned: of a rigid ATE a turn of the map is no error, so the cure changes little.",
+        "finding asks for. The errors of right and cured setups scatter: differences within that scatter say nothing. "
+        "*Check*: seconds of one core, without the rounds. The place of the sonar on the vehicle is not published; "
+        "*right* takes it for the origin of dead reckoning. Turned: the rigid alignment takes a turn of the map out, "
+        "so that the error does not show it, nor its cure.",
         "",
         "## The right setup: what scans tell of it",
         "",

@@ -41,13 +41,8 @@ __all__ = ["COMPONENTS", "Mounting", "corrected", "lateral_drift", "mounting"]
 PRIOR = (2.0, 2.0, float(np.radians(10.0)), 10.0)  # sigmas of x, y, m, yaw, rad, and time, s, before the scans
 COMPONENTS = ("x", "y", "yaw", "time")
 LEFT = 0.9  # share of the sigma before that is left, above which a component is not determined
-SIGMAS = 3.0  # from the assumed value, above which a component is wrong,
-LIMITS = (
-    0.5,
-    0.5,
-    float(np.radians(3.0)),
-    0.5,
-)  # if it is by as much: m, rad, s; 1 m costs 0.3 m of a map, 1 s all of it
+SIGMAS = 3.0  # from the assumed value, above which a component is wrong, where it is by as much as LIMITS
+LIMITS = (0.5, 0.5, float(np.radians(3.0)), 0.5)  # m, rad, s: 1 m costs 0.3 m of a map, 1 s all of it
 KERNEL = 2.0  # sigmas: some matches of single scans are wrong
 x, m, mount, clock = kinds("x", "m", "scans_mount", "scans_clock_s")
 
