@@ -12,6 +12,7 @@ from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.setup.findings import SetupFinding, SetupKind
 from nls.sonar.scans.setup.mirror import mirror
 from nls.sonar.scans.setup.mounting import COMPONENTS, LIMITS, SIGMAS, Mounting, lateral_drift, mounting
+from nls.sonar.scans.setup.repetition import repetition
 from nls.sonar.scans.setup.sigmas import fits
 from nls.values import Values
 
@@ -37,8 +38,8 @@ def check_setup(
     Returns
     -------
     list of `SetupFinding`
-        Empty where nothing speaks against the setup. Mirrored azimuths and a late clock bend all that follows: nothing
-        else is judged until they are right.
+        Empty where nothing speaks against the setup. Mirrored azimuths, scans of clutter and a late clock bend all that
+        follows: nothing else is judged until they are right.
 
     Raises
     ------
@@ -60,6 +61,9 @@ def check_setup(
     steps = mirror(values, scans)
     if steps.wrong:
         return [SetupFinding(SetupKind.MIRRORED, {"given": steps.given, "mirrored": steps.mirrored})]
+    repeated = repetition(values, scans)
+    if repeated.wrong:
+        return [SetupFinding(SetupKind.UNREPEATED, {"scans": repeated.scans, "fit": repeated.fits})]
     estimate = mounting(graph, values, scans, times)
     if estimate.wrong[3]:
         return [_finding(SetupKind.TIME_OFFSET, estimate.value[3], estimate.sigma[3])]

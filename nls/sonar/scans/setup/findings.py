@@ -13,6 +13,7 @@ __all__ = ["SetupFinding", "SetupKind"]
 class SetupKind(StrEnum):
     """A wrong setup, the identifier that programs get."""
 
+    UNREPEATED = "unrepeated"
     MIRRORED = "mirrored"
     MOUNTING = "mounting"
     TURNED = "turned"
@@ -30,6 +31,7 @@ class SetupFinding:
     kind : of it.
     numbers : by name, m, rad and s.
 
+        - ``unrepeated``: `scans` that were matched with those just before them, and how many of these `fit`.
         - ``mirrored``: steps that turn and fit better as `given`, and `mirrored`.
         - ``mounting``: `component` x, y or yaw, its `value` and `sigma` from the assumed one, and the `mount` (3,) that
           follows.

@@ -58,6 +58,14 @@ def _shown(name: str, value: float) -> str:
     return f"{degrees(value):.2g} deg" if name == "yaw" else f"{value:.2g} {'s' if name == 'time' else 'm'}"
 
 
+def _unrepeated(n: Numbers) -> str:
+    return (
+        f"scans do not show the same things from keyframe to keyframe: {n['fit']} of {n['scans']} fit those just "
+        "before them. Closures of such points are chance: detect fewer and stronger echoes, or check the units of "
+        "ranges and azimuths"
+    )
+
+
 def _mirrored(n: Numbers) -> str:
     return (
         f"azimuths look mirrored: {n['mirrored']} steps that turn fit the other sign better, {n['given']} fit this one."
@@ -114,6 +122,7 @@ LABELS = {
     "time": "time by which scans are late",
 }
 SENTENCES: dict[SetupKind, Callable[[Numbers], str]] = {
+    SetupKind.UNREPEATED: _unrepeated,
     SetupKind.MIRRORED: _mirrored,
     SetupKind.MOUNTING: _mounting,
     SetupKind.TURNED: _turned,

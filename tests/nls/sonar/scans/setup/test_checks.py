@@ -175,3 +175,16 @@ def test_what_is_wrong_is_far_in_sigmas_and_in_meters() -> None:
     before = np.array([2.0, 2.0, 0.17, 10.0])
     estimate = Mounting(50, value, sigma, before, np.zeros(3), float("nan"), (float("nan"), float("nan")))
     assert estimate.wrong.tolist() == [True, False, False, False]
+
+
+def test_clutter_is_named() -> None:
+    """Random points close loops by chance; no scan shows those of the scan before it."""
+    graph, values, scans, t = mission(laps())
+    rng, n = np.random.default_rng(0), 25 * len(scans)
+    r, azimuth = rng.uniform(1, 20, n), rng.uniform(-1.1, 1.1, n)
+    points = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)])
+    clutter = Scans(points, np.repeat(np.arange(len(scans)), 25), len(scans))
+    (finding,) = check_setup(graph, values, clutter, times=t)
+    assert finding.kind is SetupKind.UNREPEATED
+    assert finding.numbers["fit"] < 0.25 * finding.numbers["scans"]
+    assert "Closures of such points are chance" in sentence(finding)
