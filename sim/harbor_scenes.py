@@ -79,7 +79,7 @@ def marina(rng: np.random.Generator, loop: float, reach: float) -> Scene:
     u = rng.uniform(-a, a, max(4, int(a / 4)))
     piles = [[k, -b + rng.uniform(1.0, 4.0), rng.uniform(0.2, 0.5)] for k in u]
     inner = np.array([W, H]) / 2 - 5.0
-    if inner.min() > 1.0:  # between the legs of the way
+    if inner.min() > 3.0:  # between the legs of the way
         length, tilt = inner[0] * rng.uniform(0.6, 0.9), rng.normal(0.0, 0.05)
         walls += _box(rng.uniform(-1, 1), rng.uniform(-1, 1), length, 1.0, tilt)
         piles += [[k, rng.choice([-1, 1]) * rng.uniform(2.0, inner[1]), 0.3] for k in rng.uniform(-length, length, 5)]

@@ -84,6 +84,12 @@ def test_no_drift_is_the_truth() -> None:
     )
 
 
+def test_laps_of_any_length() -> None:
+    for lap in (40, 60, 75, 100):
+        for geometry in ("marina", "quay", "rocks"):
+            assert len(sim.harbor(np.random.default_rng(lap), geometry, keyframes=lap, laps=1).poses) == lap
+
+
 def test_seeds_are_reproducible() -> None:
     one, same, other = made(seed=1), made(seed=1), made(seed=2)
     assert np.array_equal(one.scans.points, same.scans.points)
