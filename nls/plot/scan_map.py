@@ -23,6 +23,7 @@ SOLUTION, DEAD, TRUE, POINT, KEPT, REJECTED = "#0b4f6c", "#e07a2f", "#000000", "
 LONG, SHORT = 9.0, 4.5  # inches of the map
 MOST = 200_000  # points that are drawn
 MARKS = 5e4  # square points of ink that all points of the scans have together
+FEW = 100  # closures, drawn with their full opacity
 
 
 def scan_map(
@@ -93,6 +94,7 @@ def _joined(axes: Axes, poses: Array, matches: Matches, rows: Mask, color: str, 
     from matplotlib.collections import LineCollection
 
     ends: tuple[Index, Index] = matches.i[rows], matches.j[rows]
+    alpha *= min(1.0, (FEW / max(len(ends[0]), 1)) ** 0.5)  # many lines must not hide the map
     if len(ends[0]):
         segments = np.stack([poses[end, :2] for end in ends], axis=1)
         axes.add_collection(

@@ -49,6 +49,11 @@ class OnlineClosing:
     smoother : the estimate and its measurements, see `nls.Incremental`.
     reckoned : (n, 3) the keyframes as reckoned.
 
+    Notes
+    -----
+    Closures count as independent here, and `close` knows better: sigmas are about half of what they should be. For the
+    best map at the end, ``close(*dead_reckoning(online.reckoned, drift), online.scans)``.
+
     Examples
     --------
     >>> online = OnlineClosing()
