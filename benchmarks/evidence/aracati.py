@@ -30,12 +30,11 @@ from nls.sonar.scans import (
     Scans,
     candidates,
     close,
-    closing,
     dead_reckoning,
     matching,
     verdicts,
+    windows,
 )
-from nls.sonar.scans import sequential as sequential_room
 
 Array = npt.NDArray[np.float64]
 BENCHMARKS = Path(__file__).parents[1]
@@ -55,21 +54,15 @@ OTHERS = """\
 PARAMETERS: list[tuple[Any, str]] = [  # by module and name: halved and doubled
     (candidates, "HALF"),
     (candidates, "STEP"),
-    (candidates, "POINTS"),
-    (candidates, "CELL"),
-    (candidates, "OVERLAP"),
-    (candidates, "APART"),
-    (candidates, "SPREAD"),
     (candidates, "PARTNERS"),
+    (candidates, "SPREAD"),
     (matching, "INDEPENDENT"),
-    (matching, "AWAY"),
     (matching, "FLOOR"),
     (verdicts, "SCORE"),
     (verdicts, "ODDS"),
     (verdicts, "EDGE"),
     (verdicts, "SPREAD"),
-    (closing, "SIGMAS"),
-    (sequential_room, "BACK"),
+    (windows, "SIGMAS"),
 ]
 
 
@@ -183,7 +176,8 @@ def halved_and_doubled(mission: Mission) -> list[str]:
         shown = ", ".join(f"{v:g}" for v in np.atleast_1d(value))
         rows.append(f"| {module.__name__.rsplit('.', 1)[-1]}.{name} | {shown} | {errors[0]} | {errors[1]} |")
         print(rows[-1], flush=True)
-    for name, value in vars(Drift()).items():
+    for name in ("mean", "stretch", "length"):
+        value = getattr(Drift(), name)
         errors = [error(replace(Drift(), **{name: value * factor})) for factor in (0.5, 2)]
         rows.append(f"| Drift.{name} | {value:g} | {errors[0]} | {errors[1]} |")
         print(rows[-1], flush=True)

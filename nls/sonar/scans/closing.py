@@ -66,7 +66,7 @@ class Closing:
     graph : the graph with the closures that were kept.
     result : its optimization.
     rounds : one `Round` each.
-    settled : whether the last round changed nothing any more.
+    settled : whether the last round changed nothing any more, or two in a row kept no closure.
     """
 
     graph: FactorGraph
@@ -143,7 +143,8 @@ def close(
         history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
         if report is not None:
             report(history[-1])
-        if settled := moved < SETTLED:
+        empty = len(history) > 1 and not any(len(r.matches) and r.matches.kept.any() for r in history[-2:])
+        if settled := moved < SETTLED or empty:
             break
     return Closing(closed, result, tuple(history), settled)
 
