@@ -1,4 +1,4 @@
-r"""Points that an imaging sonar detects in a scene: from images, or drawn from their rates, which is 10 to 50 times faster.
+r"""Points that an imaging sonar detects in a scene: from images, or drawn from their rates, 10 to 50 times faster.
 
 An echo of mean power S over the noise that fluctuates, as that of a rough wall does, is detected at a false-alarm rate
 P_fa with the probability
