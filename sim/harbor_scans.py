@@ -1,4 +1,4 @@
-r"""Points that an imaging sonar detects in a scene: from images, or drawn from their rates, which is 50 times faster.
+r"""Points that an imaging sonar detects in a scene: from images, or drawn from their rates, 10 to 50 times faster.
 
 An echo of mean power S over the noise that fluctuates, as that of a rough wall does, is detected at a false-alarm rate
 P_fa with the probability
@@ -66,7 +66,8 @@ def imaged(
 ) -> Scans:
     """Scans of what `nls.sonar.detect` makes of an image at every pose.
 
-    The floor is the threshold of noise whose level is known: before a shadow smallest-of would fire below it.
+    The floor is the threshold of noise whose level is known: before a shadow smallest-of would fire below it. A
+    false alarm has to exceed both thresholds, and they are about ten times rarer than stated.
     """
     background = np.sqrt(0.5 * 10 ** (-signal / 10))  # of echoes of amplitude 1
     floor = background * np.sqrt(-2 * np.log(false_alarms))

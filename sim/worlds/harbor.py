@@ -109,7 +109,7 @@ def harbor(
     drift : factor on the errors of dead reckoning; 0 gives the true way.
     signal : power of an echo over that of the noise, at right angles, dB.
     false_alarms : share of the cells of an image, 0 to 1.
-    images : whether the points are detected in an image of each keyframe, in 100 ms each, or drawn from their rates.
+    images : whether the points are detected in an image of each keyframe, in 60 ms each, or drawn from their rates.
 
     Returns
     -------
