@@ -32,8 +32,8 @@ from nls.sonar.scans import (
     close,
     dead_reckoning,
     matching,
+    submaps,
     verdicts,
-    windows,
 )
 
 Array = npt.NDArray[np.float64]
@@ -52,17 +52,13 @@ OTHERS = """\
 | leadline, sonar alone, defaults | **{own:.2f}** |
 """
 PARAMETERS: list[tuple[Any, str]] = [  # by module and name: halved and doubled
-    (candidates, "HALF"),
-    (candidates, "STEP"),
     (candidates, "PARTNERS"),
     (candidates, "SPREAD"),
     (matching, "INDEPENDENT"),
-    (matching, "FLOOR"),
+    (submaps, "BENT"),
     (verdicts, "SCORE"),
     (verdicts, "ODDS"),
-    (verdicts, "EDGE"),
     (verdicts, "SPREAD"),
-    (windows, "SIGMAS"),
 ]
 
 
@@ -176,7 +172,7 @@ def halved_and_doubled(mission: Mission) -> list[str]:
         shown = ", ".join(f"{v:g}" for v in np.atleast_1d(value))
         rows.append(f"| {module.__name__.rsplit('.', 1)[-1]}.{name} | {shown} | {errors[0]} | {errors[1]} |")
         print(rows[-1], flush=True)
-    for name in ("mean", "stretch", "length"):
+    for name in ("stretch", "length"):
         value = getattr(Drift(), name)
         errors = [error(replace(Drift(), **{name: value * factor})) for factor in (0.5, 2)]
         rows.append(f"| Drift.{name} | {value:g} | {errors[0]} | {errors[1]} |")
@@ -217,7 +213,7 @@ def page(mission: Mission, quick: bool) -> list[str]:
 
 
 TUNED = """\
-Chosen on the truth of this mission: `verdicts.ODDS`, `verdicts.SPREAD`, `matching.FLOOR`, `candidates.PARTNERS`,
+Chosen on the truth of this mission: `verdicts.ODDS`, `verdicts.SPREAD`, `submaps.BENT`, `candidates.PARTNERS`,
 `candidates.SPREAD`, `Drift.stretch` and `Drift.length`. The others were set before the first run.
 """
 

@@ -66,7 +66,7 @@ class Closing:
     graph : the graph with the closures that were kept.
     result : its optimization.
     rounds : one `Round` each.
-    settled : whether the last round changed nothing any more, or two in a row kept no closure.
+    settled : whether the last round changed nothing any more; two rounds without a closure end, settled or not.
     """
 
     graph: FactorGraph
@@ -144,7 +144,7 @@ def close(
         if report is not None:
             report(history[-1])
         empty = len(history) > 1 and not any(len(r.matches) and r.matches.kept.any() for r in history[-2:])
-        if settled := moved < SETTLED or empty:
+        if (settled := moved < SETTLED) or empty:
             break
     return Closing(closed, result, tuple(history), settled)
 

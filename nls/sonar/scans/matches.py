@@ -11,9 +11,9 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from nls.sonar.scans import candidates
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import Match, match
+from nls.sonar.scans.matching import Match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.submaps import match_submap, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["Matches"]
@@ -59,7 +59,7 @@ class Matches:
             field = Field(submap(poses, scans, a, candidates.HALF))
             for row in rows:
                 points = submap(poses, scans, int(j[row]), candidates.HALF)
-                fits.append(match(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
+                fits.append(match_submap(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
         fits = [fits[place] for place in np.argsort(order).tolist()]
         score, ratio, edge, spread = (
             np.array([getattr(fit, name) for fit in fits], dtype=float) for name in ("score", "ratio", "edge", "spread")

@@ -7,9 +7,9 @@ the start of Gauss-Newton on S, with the residuals and the Jacobian
 
     r_k = sqrt(2 (L_max - L(T p_k))),      J_k = -(1 / r_k) (dL/dq) (dq/dT)
 
-The covariance is that of the scores as a probability, P(T) = exp(S(T) / t) / sum: along a wall the scores hardly fall,
-and the covariance is wide. Points of one surface are no independent witnesses: however many there are, they count as
-`INDEPENDENT`, t = n / INDEPENDENT.
+The covariance has the second moments of the scores as a probability, P(T) = exp(S(T) / t) / sum, about the pose: along
+a wall the scores hardly fall, and the covariance is wide. Points of one surface are no independent witnesses: however
+many there are, they count as `INDEPENDENT`, t = n / INDEPENDENT.
 
 Source: E. Olson, "Real-time correlative scan matching", ICRA 2009 (window, covariance from the scores); K. Konolige,
 K. Chou, "Markov localization using correlation", IJCAI 1999 (temper).
@@ -33,8 +33,9 @@ __all__ = ["Match", "match"]
 INDEPENDENT = 40.0  # independent points in a match: with as many or fewer, every point counts
 YAW_STEP = float(np.radians(1.0))
 AWAY = 2.0  # m from the best pose, where another is a second answer
-FLOOR = np.array([0.3, 0.3, 0.01])  # sigmas, m m rad, of a submap that is not rigid: drift within it
+FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas, m m rad, below which no match is: cells
 STEPS = 10  # Gauss-Newton steps at most
+REACH = np.array([0.8, 0.8, 2 * YAW_STEP])  # m, m, rad: farthest from the best cell, that of the score, to the pose
 HALVINGS = 4  # of a step that does not raise the score
 NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
 
@@ -111,7 +112,7 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
     start = np.array([T[0] + offsets[best[1]], T[1] + offsets[best[2]], T[2] + yaws[best[0]]])
     pose = _refined(field, p, start)
     R = SE2.rotation(pose[None])[0]
-    C = _moments(P, yaws, offsets)
+    C = _moments(P, yaws - wrap(pose[2] - T[2]), offsets - (pose[0] - T[0]), offsets - (pose[1] - T[1]))
     C[:2] = R.T @ C[:2]
     C[:, :2] = C[:, :2] @ R
     return Match(pose, C + np.diag(FLOOR**2), peak / len(p), second / len(p), _rim(P))
@@ -141,14 +142,13 @@ def scores(
     return S, yaws, offsets
 
 
-def _moments(P: Array, yaws: Array, offsets: Array) -> Array:
-    """Covariance (3, 3) of x, y and yaw under probabilities P (yaws, n, n)."""
-    xy, tx, ty = P.sum(axis=0), P.sum(axis=2), P.sum(axis=1)  # of two of them, t is the yaw
-    single = [(offsets, xy.sum(axis=1)), (offsets, xy.sum(axis=0)), (yaws, tx.sum(axis=1))]
-    dx, dy, dt = (v - weight @ v for v, weight in single)
-    C = np.diag([weight @ e**2 for e, (_, weight) in zip((dx, dy, dt), single, strict=True)])
-    C[0, 1], C[0, 2], C[1, 2] = dx @ xy @ dy, dt @ tx @ dx, dt @ ty @ dy
-    C[[1, 2, 2], [0, 0, 1]] = C[[0, 0, 1], [1, 2, 2]]
+def _moments(P: Array, yaw: Array, x: Array, y: Array) -> Array:
+    """Second moments (3, 3) of x, y and yaw, from the stated pose, under probabilities P (yaws, n, n)."""
+    of_xy, of_yaw_x, of_yaw_y = P.sum(axis=0), P.sum(axis=2), P.sum(axis=1)
+    C = np.diag([of_xy.sum(axis=1) @ x**2, of_xy.sum(axis=0) @ y**2, of_yaw_x.sum(axis=1) @ yaw**2])
+    C[0, 1] = C[1, 0] = x @ of_xy @ y
+    C[0, 2] = C[2, 0] = yaw @ of_yaw_x @ x
+    C[1, 2] = C[2, 1] = yaw @ of_yaw_y @ y
     return C
 
 
@@ -159,19 +159,19 @@ def _rim(P: Array) -> float:
 
 
 def _refined(field: Field, p: Array, T: Array) -> Array:
-    """Gauss-Newton on the field. A direction that the field does not show is not moved along."""
+    """Gauss-Newton on the field, around the best cell. A direction that the field does not show is not moved along."""
 
     def moved(T: Array) -> tuple[Array, Array, Array]:
         turned = p @ SE2.rotation(T[None])[0].T
         return turned, *field.at(turned + T[:2])
 
-    turned, L, slope = moved(T)
+    best, (turned, L, slope) = T, moved(T)
     for _ in range(STEPS):
         J = np.column_stack([slope, slope[:, 1] * turned[:, 0] - slope[:, 0] * turned[:, 1]])  # dL/dT
         r2 = np.maximum(2 * (-np.log(STRAY) - L), 1e-2)
         step = np.linalg.lstsq((J / r2[:, None]).T @ J, J.sum(axis=0), rcond=NARROW)[0]
         for halving in range(HALVINGS + 1):
-            candidate = T + step / 2**halving
+            candidate = best + np.clip(T + step / 2**halving - best, -REACH, REACH)
             turned_there, L_there, slope_there = moved(candidate)
             if L_there.sum() > L.sum():
                 break

@@ -10,9 +10,8 @@ from models import SE2
 from models.algebra import Array
 from nls.sonar.scans import verdicts
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.submaps import match_submap, submap
 
 __all__ = ["sequential_matches"]
 
@@ -37,13 +36,13 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
         before, own = submap(poses, scans, k, (BACK, -1)), scans[k]
         if len(own) < POINTS[0] or len(before) < POINTS[1]:
             continue
-        fit = match(Field(before), own, np.zeros(3), WINDOW)
+        fit = match_submap(Field(before), own, np.zeros(3), WINDOW)
         if verdicts.fits(fit.score, fit.edge, fit.spread):
             first = max(0, k - (BACK + 1) // 2)
             i.append(first)
             j.append(k)
             z.append(SE2.compose(SE2.between(poses[[first]], poses[[k]]), fit.pose[None])[0])
-            C.append((BACK + 2) * fit.covariance)  # its points take part in so many matches
+            C.append((BACK + 1) * fit.covariance)  # its points take part in so many matches
     if not i:
         return None
     return Between(x[np.array(i)], x[np.array(j)], np.array(z), Robust(Covariance(np.array(C)), Cauchy(1.0)))
