@@ -7,11 +7,11 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from factors.keys import kinds
-from models.errors import OptionError
+from models.errors import LeadlineError, OptionError
 from models.options import did_you_mean
 from nls.cli.solved_scans import GRAPH, SolvedScans
 from nls.io.scan_mission import ScanReport, is_scan_mission
-from nls.sonar.scans import check_setup, close
+from nls.sonar.scans import SetupFinding, check_setup, close
 from nls.sonar.scans.closing import ROUNDS, SELECTIONS
 from nls.sonar.scans.setup.words import sentence
 
@@ -91,7 +91,11 @@ def close_loops(job: Job) -> None:
             progress.say(f"{int(after.matches.kept.sum())} closures, moved {after.moved:.2f} m")
 
         closing = close(job.graph, job.values, job.report.scans, ROUNDS, job.select, report=show)
-    findings = check_setup(job.graph, job.values, job.report.scans, closing, job.report.vertex_times["x"])
+    findings: list[SetupFinding] = []
+    try:
+        findings = check_setup(job.graph, job.values, job.report.scans, closing, job.report.vertex_times["x"])
+    except LeadlineError as error:
+        job.report.notes.append(f"the setup was not checked: {error}")
     for finding in findings:
         job.report.warn(sentence(finding))
     job.graph = job.as_read = closing.graph
@@ -117,9 +121,9 @@ def lines(scans: dict[str, Any]) -> list[str]:
             if scans["rounds"][-1]["candidates"]
             else "no two parts of the track show the same place"
         )
-        out.append(f"unchecked   {why}: the solution is dead reckoning")
+        out.append(f"unchecked   {why}: the solution is dead reckoning and matches of consecutive scans")
         if (sigma := scans.get("end_sigma_m")) is not None:
-            out.append(f"end         1 sigma of the position at the end: {sigma:.3g} m, by the stated noise alone")
+            out.append(f"end         1 sigma of the position at the end: {sigma:.3g} m, if nothing is wrong")
     elif scans["settled"]:
         out.append(f"settled     after {len(scans['rounds'])} rounds")
     else:
@@ -135,7 +139,7 @@ def lines(scans: dict[str, Any]) -> list[str]:
 
 def unsettled(solved: object) -> bool:
     """Whether the last round still moved the track so far that it is no solution; said on standard error."""
-    if not isinstance(solved, SolvedScans) or not solved.kept or solved.closing.settled:
+    if not isinstance(solved, SolvedScans) or solved.closing.settled:
         return False
     if (moved := solved.closing.rounds[-1].moved) <= WILD:
         return False

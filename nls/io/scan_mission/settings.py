@@ -26,6 +26,7 @@ __all__ = ["Settings", "read_settings"]
 SIDES = {"left": 1.0, "right": -1.0}
 MOUNT = ("x_m", "y_m", "yaw_rad")
 KEYS = {"sonar": ("azimuth", *MOUNT), "drift": tuple(entry.name for entry in fields(Drift))}
+SMALLEST = 1e-6  # of a drift: less is none
 FAR, TURN = 1e3, 6.2832  # m, rad: no sonar is mounted farther away, or turned by more
 
 
@@ -82,9 +83,10 @@ def read_settings(path: str | Path) -> Settings:
     for name, value in drift.items():
         if name == "heading" and value is False:
             continue
-        if not is_number(value) or not 0 < value < float("inf"):
+        if not is_number(value) or not SMALLEST <= value <= FAR:
             none = ", or false: no compass" if name == "heading" else ""
-            raise file.error("drift", name, f"{name} is {value!r}; expected a number above 0{none}")
+            allowed = f"a number from {SMALLEST:g} to {FAR:g}{none}"
+            raise file.error("drift", name, f"{name} is {value!r:.40}; expected {allowed}")
     x, y, yaw = (float(sonar.get(name, 0.0)) for name in MOUNT)
     given: dict[str, Any] = {name: None if value is False else float(value) for name, value in drift.items()}
     return Settings(SIDES[side], (x, y, yaw), Drift(**given))
@@ -97,7 +99,7 @@ class _Toml:
         self.lines, self.path = text.split("\n"), path
         try:
             self.tree: dict[str, Any] = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # of no TOML, of a number or a nesting beyond all bounds
             place = re.search(r" \(at line (\d+), column \d+\)", str(error))
             line = int(place[1]) if place else len(self.lines)
             shown = self.lines[line - 1].strip()

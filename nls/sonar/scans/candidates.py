@@ -15,7 +15,7 @@ STEP = 4  # keyframes from middle to middle
 POINTS = 60  # least points of a submap
 CELL = 5.0  # m, side of the cells in which footprints are compared
 OVERLAP = 0.25  # least share of the smaller footprint
-APART = 20  # keyframes between submaps at least: nearer ones share points
+APART = 20  # keyframes between submaps at least: nearer ones see the same and close no loop
 SPREAD = 8  # keyframes of the track from which one partner is taken
 PARTNERS = 8  # of one submap at most
 

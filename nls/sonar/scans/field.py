@@ -23,7 +23,7 @@ __all__ = ["Field"]
 
 STRAY = 0.05  # e
 FAR = 4.0  # sigmas from a point, where L is below 0.007
-CELLS = 40_000_000  # most cells of a grid, 160 MB
+CELLS = 40_000_000  # most cells of a grid: 160 MB, and 1 GB while it is made
 
 
 class Field:

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from models import SE2
 from models.algebra import Array, wrap
-from models.errors import GraphError
+from models.errors import GraphError, ResourceLimitError
 from models.options import check_positive
 from nls.sonar.scans.field import STRAY, Field
 
@@ -35,6 +35,7 @@ YAW_STEP = float(np.radians(1.0))
 AWAY = 2.0  # m from the best pose, where another is a second answer
 FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas, m m rad, below which no match is: cells
 STEPS = 10  # Gauss-Newton steps at most
+CELLS = 50_000_000  # most scores of a window, with their transforms 1 GB
 REACH = np.array([0.8, 0.8, 2 * YAW_STEP])  # m, m, rad: farthest from the best cell, that of the score, to the pose
 HALVINGS = 4  # of a step that does not raise the score
 NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
@@ -128,6 +129,12 @@ def scores(
     yaws = np.asarray(YAW_STEP * np.arange(-turns, turns + 1), dtype=np.float64)
     offsets = np.asarray(field.resolution * np.arange(-reach, reach + 1), dtype=np.float64)
     nx, ny = (next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
+    if (cells := len(yaws) * nx * ny) > CELLS:
+        raise ResourceLimitError(
+            f"match: {len(yaws)} x {nx} x {ny} scores, expected at most {CELLS:,}: take a smaller window, or "
+            "leave out points that are far away",
+            float(cells),
+        )
     poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
     q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
     image, k, l = np.repeat(np.arange(len(yaws)), len(p)), *field.cells(q).T

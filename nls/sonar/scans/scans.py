@@ -8,6 +8,8 @@ import numpy.typing as npt
 from models import SE2
 from models.algebra import Array, Index
 from models.errors import GraphError
+from models.finite import finite, numbers
+from models.options import check_whole
 
 __all__ = ["Scans"]
 
@@ -46,16 +48,17 @@ class Scans:
     def __init__(
         self, points: npt.ArrayLike, keyframe: npt.ArrayLike, count: int, mount: npt.ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
-        p, k, T = np.array(points, dtype=float), np.asarray(keyframe), np.asarray(mount, dtype=float)
+        check_whole("count", count, 0)
+        p, k, T = numbers("Scans", "points", points), np.asarray(keyframe), finite("Scans", "mount", mount)
         if p.ndim != 2 or p.shape[1:] != (2,) or k.shape != p.shape[:1] or T.shape != (3,):
             raise GraphError(
                 f"Scans: points {p.shape}, keyframe {k.shape}, mount {T.shape}; expected (n, 2), (n,) and (3,)"
             )
         if bad := np.flatnonzero(~np.isfinite(p).all(axis=1)).tolist():
             raise GraphError(f"Scans: point {bad[0]} is {p[bad[0]].tolist()}; expected finite numbers, m")
-        if not np.isfinite(T).all():
-            raise GraphError(f"Scans: mount {T.tolist()}; expected finite numbers: x, y, m, and yaw, rad")
-        if len(k) and (k.dtype.kind not in "iu" or k.min() < 0 or k.max() >= count):
+        if len(k) and k.dtype.kind not in "iu":
+            raise GraphError(f"Scans: keyframes of type {k.dtype}; expected whole numbers from 0 to {count - 1}")
+        if len(k) and (k.min() < 0 or k.max() >= count):
             raise GraphError(f"Scans: keyframes {k.min()} to {k.max()}; expected whole numbers from 0 to {count - 1}")
         order = np.argsort(k, kind="stable")
         self.keyframe: Index = k[order].astype(np.intp)

@@ -33,5 +33,6 @@ def half_widths(T: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
     Ad = SE2.adjoint_inverse(T)
     cross = Ad @ C_ij
     relative = Ad @ C_ii @ Ad.mT + C_jj - cross - cross.mT
-    sigma = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]]) ** 0.5
+    variance = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]])
+    sigma = np.sqrt(np.maximum(variance, 0.0))  # below 0 by rounding, where both poses are as good as one
     return np.column_stack([np.clip(SIGMAS * sigma[:, k], *LIMITS[k]) for k in range(2)])

@@ -78,7 +78,7 @@ def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
 def test_without_a_closure_the_solution_is_dead_reckoning(shell: Shell, undrawn: None) -> None:
     write(shell / "m", FILES)
     out = shell("solve m -o out")
-    assert row(out, "unchecked").endswith("the solution is dead reckoning")
+    assert row(out, "unchecked").endswith("the solution is dead reckoning and matches of consecutive scans")
     assert row(out, "end").startswith("1 sigma of the position at the end: 0.")
     assert not rows(out, "settled")
     assert sorted(path.name for path in (shell / "out").iterdir()) == sorted(TABLES)

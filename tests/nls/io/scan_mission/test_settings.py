@@ -20,10 +20,10 @@ mean | x_m | 7 | [drift] has no 'x_m'; expected mean, stretch, length, step, yaw
 x_m = 1 | x_m = "1" | 4 | x_m is '1'; expected a number, m, within 1000
 x_m = 1 | x_m = nan | 4 | x_m is nan
 0.1 | 30 | 5 | yaw_rad is 30; expected a number, rad
-0.05 | -0.05 | 7 | mean is -0.05; expected a number above 0
+0.05 | -0.05 | 7 | mean is -0.05; expected a number from 1e-06 to 1000
 0.05 | inf | 7 | mean is inf
-0.05 | false | 7 | mean is False; expected a number above 0
-false | true | 8 | heading is True; expected a number above 0, or false: no compass
+0.05 | false | 7 | mean is False; expected a number from 1e-06 to 1000
+false | true | 8 | heading is True; expected a number from 1e-06 to 1000, or false: no compass
 0.05 | = | 7 | is no TOML
 """)
 

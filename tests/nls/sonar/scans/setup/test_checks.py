@@ -157,11 +157,12 @@ def test_sigmas_of_steps_and_closures(right: Right) -> None:
     assert list(shown) == ["steps", "drifts", "closures"]
     assert sum(fit.dof for fit in shown.values()) < closing.result.dof
     exact = [f for f in check_setup(graph, values, scans, closing) if f.kind is SetupKind.SIGMAS_TOO_LARGE]
-    assert {f.numbers["measurements"] for f in exact} <= {"steps", "drifts", "closures"}
+    assert {f.numbers["measurements"] for f in exact} <= {"drifts", "closures"}
     assert all("times too large: chi2" in sentence(f) for f in exact)
-    doubtful = [Fit("steps", *numbers) for numbers in ((24.0, 100.0), (26.0, 100.0), (410.0, 100.0), (2.0, 10.0))]
+    doubtful = [Fit("closures", *numbers) for numbers in ((24.0, 100.0), (26.0, 100.0), (410.0, 100.0), (2.0, 10.0))]
     assert [fit.too_large for fit in doubtful] == [True, False, False, False]
     assert [fit.too_small for fit in doubtful] == [False, False, True, False]
+    assert not Fit("steps", 1.0, 100.0).too_large, "their yaw and the heading are one number"
 
 
 def test_times_have_to_rise(right: Right) -> None:
@@ -188,3 +189,11 @@ def test_clutter_is_named() -> None:
     assert finding.kind is SetupKind.UNREPEATED
     assert finding.numbers["fit"] < 0.25 * finding.numbers["scans"]
     assert "Closures of such points are chance" in sentence(finding)
+
+
+def test_dead_reckoning_alone_says_nothing_of_its_sigmas() -> None:
+    """Without a closure all residuals are 0."""
+    k = np.arange(60.0)
+    graph, values = dead_reckoning(np.column_stack([k, 0.1 * k, 0.01 * k]))
+    empty = Scans(np.zeros((0, 2)), np.zeros(0, dtype=int), 60)
+    assert check_setup(graph, values, empty, close(graph, values, empty)) == []
