@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from factors.keys import kinds
-from models.errors import LeadlineError, OptionError
+from models.errors import GraphWarning, LeadlineError, OptionError
 from models.options import did_you_mean
 from nls.cli.solved_scans import GRAPH, SolvedScans
 from nls.io.scan_mission import ScanReport, is_scan_mission
@@ -98,6 +99,7 @@ def close_loops(job: Job) -> None:
         job.report.notes.append(f"the setup was not checked: {error}")
     for finding in findings:
         job.report.warn(sentence(finding))
+        warnings.warn(f"{job.options.file}: {sentence(finding)}", GraphWarning, stacklevel=2)
     job.graph = job.as_read = closing.graph
     job.result = closing.result
     job.solved = SolvedScans(job.graph, job.values[x], job.result, job.report, closing, job.select, findings)

@@ -132,7 +132,7 @@ def _scans(table: Table, numbers: Numbers, settings: Settings) -> tuple[Scans, A
     problem = f"no such keyframe in keyframes.csv, which has {len(numbers)} from {numbers[0]} to {numbers[-1]}"
     rows = np.searchsorted(numbers, table.known("keyframe", numbers, problem))
     r = table.positive("range")[:, 0]
-    within(table, RANGE, "meters, within 1000", "range")
+    within(table, RANGE, "meters, within 1000 (in millimeters?)", "range")
     azimuth = settings.side * within(table, TURNS, "radians, -2 pi to 2 pi", "azimuth")[:, 0]
     points = r[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     intensity = table.measured("intensity")[:, 0] if table.has("intensity") else None

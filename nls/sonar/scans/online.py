@@ -18,6 +18,7 @@ from factors import Between, Covariance, Factor, Isotropic, Prior
 from factors.keys import kinds
 from models import SE2, R
 from models.algebra import Array, Index
+from models.errors import OptionError
 from models.options import check_positive
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
@@ -67,7 +68,9 @@ class OnlineClosing:
         self, drift: Drift | None = None, mount: npt.ArrayLike = (0.0, 0.0, 0.0), enough: float = ENOUGH
     ) -> None:
         check_positive(enough=enough)
-        self.mount, self.enough = np.array(mount, dtype=float), enough
+        if not isinstance(drift, Drift | None):
+            raise OptionError("drift", drift, "a Drift, or None")
+        self.mount, self.enough = Scans(np.zeros((0, 2)), np.zeros(0, dtype=np.intp), 0, mount).mount, enough
         self.smoother = Incremental()
         self._reckoning = Reckoning(drift)
         self._reckoned: list[Array] = []

@@ -12,7 +12,7 @@ import pytest
 
 import nls
 from factors.keys import kinds
-from models.errors import GraphFileError
+from models.errors import GraphFileError, GraphWarning
 from nls.io import read_tum
 from nls.io.scan_mission.results import CLOSURES, MAP, TRAJECTORY
 from tests.nls.cli.shell import Shell, row, rows
@@ -149,3 +149,12 @@ def test_the_harbor_of_aracati(shell: Shell, data: Path, undrawn: None) -> None:
     assert record["scans"]["dead_reckoning"]["ate_rmse_m"] == pytest.approx(10.61, abs=0.01)
     assert record["scans"]["solution"]["ate_rmse_m"] <= 0.9
     assert len(table(shell / "out/trajectory.csv")[1]) == record["scans"]["judged_keyframes"] == 665
+
+
+def test_a_wrong_setup_is_said_where_the_user_looks(shell: Shell) -> None:
+    """Azimuths to the right, and no mission.toml that says so."""
+    write(shell / "m", room(side=-1.0))
+    with pytest.warns(GraphWarning, match="^m: azimuths look mirrored: .* in the section .sonar. of mission.toml$"):
+        shell("solve m --json r.json")
+    (finding,) = json.loads((shell / "r.json").read_text())["scans"]["setup"]
+    assert finding["kind"] == "mirrored"
