@@ -213,8 +213,9 @@ def page(mission: Mission, quick: bool) -> list[str]:
 
 
 TUNED = """\
-Chosen on the truth of this mission: `verdicts.ODDS`, `verdicts.SPREAD`, `submaps.BENT`, `candidates.PARTNERS`,
-`candidates.SPREAD`, `Drift.stretch` and `Drift.length`. The others were set before the first run.
+Chosen while looking at the truth of this mission: `matching.INDEPENDENT`, `verdicts.ODDS`, `verdicts.EDGE`,
+`verdicts.SPREAD`, `candidates.PARTNERS`, `candidates.SPREAD`, `Drift.stretch` and `Drift.length`. `submaps.BENT` was
+chosen on simulated harbors besides. The others stayed as they were first written.
 """
 
 
