@@ -21,28 +21,26 @@ BENT = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad, of a submap that is not r
 def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int]) -> Array:
     """Points (n, 2) of the keyframes around one of them, in the frame of that one, m.
 
-        Parameters
-        ----------
-        poses : (count, 3) of the keyframes, SE2.
-        scans : their points.
-        center : number of the keyframe in whose frame the points are.
-        half : keyframes on either side of it; or how many before and after it, -1 after it for none and not its own.
-            Those beyond the ends are left out.
+    Parameters
+    ----------
+    poses : (count, 3) of the keyframes, SE2.
+    scans : their points.
+    center : number of the keyframe in whose frame the points are.
+    half : keyframes on either side of it; or how many before and after it, -1 after it for none and not its own.
+        Those beyond the ends are left out.
 
-        Raises
-        ------
-        OptionError
-            No such keyframe; no keyframe at all.
+    Raises
+    ------
+    OptionError
+        No such keyframe; no keyframe at all.
 
-        Examples
-        --------
-        >>> from dataclasses import replace
-
-    import numpy as np
-        >>> scans = Scans([[5.0, 0.0], [4.0, 0.0]], keyframe=[0, 1], count=2)
-        >>> submap(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), scans, center=1, half=1)
-        array([[3., 0.],
-               [4., 0.]])
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scans = Scans([[5.0, 0.0], [4.0, 0.0]], keyframe=[0, 1], count=2)
+    >>> submap(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), scans, center=1, half=1)
+    array([[3., 0.],
+           [4., 0.]])
     """
     before, after = (half, half) if isinstance(half, int) else half
     if not 0 <= center < len(scans):
