@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping as Mappings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,11 +22,11 @@ from typing import Any
 
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
-from nls.io.files import read_bytes
 from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
+from nls.io.toml_file import TomlFile
 
 __all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required"]
 
@@ -114,7 +113,7 @@ class Section:
         return names + [part for part in (self.rotation[1] if self.rotation else ()) if isinstance(part, str)]
 
 
-class Mapping:
+class Mapping(TomlFile):
     """A mapping as it was read.
 
     Parameters
@@ -134,13 +133,8 @@ class Mapping:
     """
 
     def __init__(self, text: str, path: str) -> None:
-        self.text, self.path = text, path
-        try:
-            tree = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            place = re.search(r" \(at line (\d+), column \d+\)", str(error))
-            line = int(place[1]) if place else text.count("\n") + 1
-            raise GraphFileError(f"is no TOML: {str(error).split(' (at')[0]}", path, line, self._line(line)) from error
+        super().__init__(text, path)
+        tree = self.tree
         defaults = {name: value for name, value in tree.items() if name in ABOVE_ALL or not _is_section(value)}
         self.time_zero = defaults.pop("time_zero", None)
         for name in defaults:
@@ -281,34 +275,6 @@ class Mapping:
             near = did_you_mean(value, FRAMES) if name == "frame" else ""
             raise self.error(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
 
-    def _line(self, line: int) -> str:
-        lines = self.text.split("\n")
-        return lines[line - 1].strip() if line <= len(lines) else ""
-
-    def error(self, table: str, key: str, message: str) -> GraphFileError:
-        """An error at the line of a key of a section, or of the section."""
-        line = self._place(table, key)
-        return GraphFileError(message, self.path, line, self._line(line) if line else "")
-
-    def _place(self, table: str, key: str) -> int | None:
-        """The line of a key; of one that is not in its section the line above all sections, or that of the section."""
-        within, section, above = "", None, None
-        quoted = rf"[\"']?{re.escape(key)}[\"']?"
-        for k, line in enumerate(self.text.split("\n"), 1):
-            has_key = bool(key) and re.match(rf"\s*{quoted}\s*[.=]", line) is not None
-            if head := re.match(r"\s*\[\[?\s*[\"']?([\w-]+)[\"']?\s*\]\]?", line):
-                within = head[1]
-                section = section or (k if within == table else None)
-            elif not within and table and re.match(rf"\s*[\"']?{re.escape(table)}[\"']?\s*[.=]", line):
-                section = section or k
-                if key and re.search(rf"[.{{,]\s*{quoted}\s*[.=]", line):
-                    return k
-            elif has_key and within == table:
-                return k
-            elif has_key and not within:
-                above = k
-        return above or section
-
 
 def read_mapping(path: str | Path) -> Mapping:
     """The mapping in a file.
@@ -328,10 +294,7 @@ def read_mapping(path: str | Path) -> Mapping:
     >>> section.table, section.used, section.cells["z_m"].scale
     ('depth', ['t', 'alt'], -1.0)
     """
-    try:
-        return Mapping(read_bytes(path).decode("utf-8"), str(path))
-    except UnicodeDecodeError as error:
-        raise GraphFileError(f"is not UTF-8 text: {error.reason}", str(path)) from error
+    return Mapping.read(path)
 
 
 def _is_frame(value: Any) -> bool:

@@ -10,15 +10,12 @@ heading = false        no compass
 
 from __future__ import annotations
 
-import re
-import tomllib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from models.errors import GraphFileError
 from models.options import did_you_mean, is_number
-from nls.io.files import read_bytes
+from nls.io.toml_file import TomlFile
 from nls.sonar.scans import Drift
 
 __all__ = ["Settings", "read_settings"]
@@ -64,11 +61,8 @@ def read_settings(path: str | Path) -> Settings:
     >>> settings.side, settings.mount
     (-1.0, (0.4, 0.0, 0.0))
     """
-    try:
-        text = read_bytes(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise GraphFileError(f"is not UTF-8 text: {error.reason}", str(path)) from error
-    file = _Toml(text, str(path))
+    file = TomlFile.read(path)
+    _refuse_unknown(file)
     sonar, drift = file.tree.get("sonar", {}), file.tree.get("drift", {})
     side = sonar.get("azimuth", "left")
     if not isinstance(side, str) or side not in SIDES:
@@ -92,44 +86,16 @@ def read_settings(path: str | Path) -> Settings:
     return Settings(SIDES[side], (x, y, yaw), Drift(**given))
 
 
-class _Toml:
-    """The tree of a file whose sections and keys are known; errors name the line."""
-
-    def __init__(self, text: str, path: str) -> None:
-        self.lines, self.path = text.split("\n"), path
-        try:
-            self.tree: dict[str, Any] = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # of no TOML, of a number or a nesting beyond all bounds
-            place = re.search(r" \(at line (\d+), column \d+\)", str(error))
-            line = int(place[1]) if place else len(self.lines)
-            shown = self.lines[line - 1].strip()
-            raise GraphFileError(f"is no TOML: {str(error).split(' (at')[0]}", path, line, shown) from error
-        for section, content in self.tree.items():
-            known = " and ".join(f"[{name}]" for name in KEYS)
-            if section not in KEYS:
-                raise self.error(
-                    section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, KEYS)}"
-                )
-            if not isinstance(content, dict):
-                raise self.error(section, "", f"{section} is {content!r}; expected a section, [{section}]")
-            for key in content:
-                if key not in KEYS[section]:
-                    near = did_you_mean(key, KEYS[section])
-                    message = f"[{section}] has no {key!r}; expected {', '.join(KEYS[section])}{near}"
-                    raise self.error(section, key, message)
-
-    def error(self, section: str, key: str, message: str) -> GraphFileError:
-        """An error at the line of a key, or of its section."""
-        line = self._line(section, key)
-        return GraphFileError(message, self.path, line, self.lines[line - 1].strip() if line else "")
-
-    def _line(self, section: str, key: str) -> int | None:
-        within, start = "", None
-        for number, line in enumerate(self.lines, 1):
-            if head := re.match(r"\s*\[\s*[\"']?([\w-]+)[\"']?\s*\]", line):
-                within = head[1]
-            elif key and within == section and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line):
-                return number
-            if start is None and (within == section or re.match(rf"\s*[\"']?{re.escape(section)}[\"']?\s*[.=]", line)):
-                start = number
-        return start
+def _refuse_unknown(file: TomlFile) -> None:
+    """Refuse sections and keys that a mission does not have."""
+    for section, content in file.tree.items():
+        known = " and ".join(f"[{name}]" for name in KEYS)
+        if section not in KEYS:
+            raise file.error(section, "", f"unknown section {section!r}; expected {known}{did_you_mean(section, KEYS)}")
+        if not isinstance(content, dict):
+            raise file.error(section, "", f"{section} is {content!r}; expected a section, [{section}]")
+        for key in content:
+            if key not in KEYS[section]:
+                near = did_you_mean(key, KEYS[section])
+                message = f"[{section}] has no {key!r}; expected {', '.join(KEYS[section])}{near}"
+                raise file.error(section, key, message)
