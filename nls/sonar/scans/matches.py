@@ -11,6 +11,7 @@ from models import SE2
 from models.algebra import Array, Index, Mask
 from nls.sonar.scans import candidates
 from nls.sonar.scans.field import Field
+from nls.sonar.scans.fits import Fits
 from nls.sonar.scans.matching import Match
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import match_submap, submap
@@ -53,26 +54,16 @@ class Matches:
     def of(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
         """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
         guess = SE2.between(poses[i], poses[j])
-        fits: list[Match] = []
+        by_field: list[Match] = []
         order = np.argsort(i, kind="stable")  # one field at a time: they are large
         for a, rows in groupby(order.tolist(), key=lambda row: int(i[row])):
             field = Field(submap(poses, scans, a, candidates.HALF))
             for row in rows:
                 points = submap(poses, scans, int(j[row]), candidates.HALF)
-                fits.append(match_submap(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
-        fits = [fits[place] for place in np.argsort(order).tolist()]
-        score, ratio, edge, spread = (
-            np.array([getattr(fit, name) for fit in fits], dtype=float) for name in ("score", "ratio", "edge", "spread")
-        )
-        return cls(
-            i,
-            j,
-            np.array([fit.pose for fit in fits]).reshape(-1, 3),
-            np.array([fit.covariance for fit in fits]).reshape(-1, 3, 3),
-            *(score, ratio, edge, spread, window),
-            verdict=verdicts(score, ratio, edge, spread, window[:, 0]),
-            kept=np.zeros(len(i), dtype=bool),
-        )
+                by_field.append(match_submap(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
+        fits = Fits.of([by_field[place] for place in np.argsort(order).tolist()])
+        verdict = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, window[:, 0])
+        return cls(i, j, **vars(fits), window=window, verdict=verdict, kept=np.zeros(len(i), dtype=bool))
 
     @property
     def accepted(self) -> Mask:

@@ -7,13 +7,14 @@ import numpy as np
 from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
-from models.algebra import Array
-from nls.sonar.scans import verdicts
+from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
+from nls.sonar.scans.fits import Fits
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import match_submap, submap
+from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
-__all__ = ["sequential_matches"]
+__all__ = ["comparable", "field_before", "sequential_matches"]
 
 BACK = 6  # keyframes before it with which a scan is matched
 POINTS = (20, 40)  # least points of the scan, and of those before it
@@ -31,18 +32,26 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     poses : (count, 3) present estimate, SE2.
     scans : the points.
     """
-    i, j, z, C = [], [], [], []
-    for k in range(1, len(scans)):
-        before, own = submap(poses, scans, k, (BACK, -1)), scans[k]
-        if len(own) < POINTS[0] or len(before) < POINTS[1]:
-            continue
-        fit = match_submap(Field(before), own, np.zeros(3), WINDOW)
-        if verdicts.fits(fit.score, fit.edge, fit.spread):
-            first = max(0, k - (BACK + 1) // 2)
-            i.append(first)
-            j.append(k)
-            z.append(SE2.compose(SE2.between(poses[[first]], poses[[k]]), fit.pose[None])[0])
-            C.append((BACK + 1) * fit.covariance)  # its points take part in so many matches
-    if not i:
+    k = comparable(scans)
+    fits = Fits.of([match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW) for j in k.tolist()])
+    unjudged = np.zeros(len(k))  # ratio: a second place is no reason against a match in so narrow a window
+    accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW[0])) == ACCEPTED
+    if not accepted.any():
         return None
-    return Between(x[np.array(i)], x[np.array(j)], np.array(z), Robust(Covariance(np.array(C)), Cauchy(1.0)))
+    j = k[accepted]
+    i = np.maximum(j - (BACK + 1) // 2, 0)
+    z = SE2.compose(SE2.between(poses[i], poses[j]), fits.pose[accepted])
+    C = (BACK + 1) * fits.covariance[accepted]  # the points of a scan take part in so many matches
+    return Between(x[i], x[j], z, Robust(Covariance(C), Cauchy(1.0)))
+
+
+def comparable(scans: Scans) -> Index:
+    """Keyframes (n,) with points enough behind keyframes with points enough."""
+    starts, k = scans.starts, np.arange(len(scans))
+    before = starts[k] - starts[np.maximum(k - BACK, 0)]
+    return np.flatnonzero((np.diff(starts) >= POINTS[0]) & (before >= POINTS[1]))
+
+
+def field_before(poses: Array, scans: Scans, k: int) -> Field:
+    """The field of the keyframes before one, in its frame, from poses (count, 3)."""
+    return Field(submap(poses, scans, k, (BACK, -1)))

@@ -12,12 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import kinds
-from models import SE2
-from models.algebra import Array, Index
-from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.setup.neighbors import POINTS
+from nls.sonar.scans.setup.neighbors import match_steps, steps
 from nls.values import Values
 
 __all__ = ["Mirror", "mirror"]
@@ -51,15 +47,7 @@ class Mirror:
 def mirror(values: Values, scans: Scans) -> Mirror:
     """Which steps fit better as given, and which mirrored, from keyframes x (SE2) by dead reckoning."""
     poses = values[x]
-    count = np.diff(scans.starts)
-    i = np.flatnonzero((count[:-1] >= POINTS) & (count[1:] >= POINTS))
-    turn = np.abs(SE2.between(poses[i], poses[i + 1])[:, 2])
+    i, turn = steps(poses, scans)
     i = i[np.argsort(-turn, kind="stable")[: min(STEPS, int((turn >= TURN).sum()))]]
-    better = _scores(poses, scans.mirrored(), i) - _scores(poses, scans, i)
+    better = match_steps(poses, scans.mirrored(), i, WINDOW).score - match_steps(poses, scans, i, WINDOW).score
     return Mirror(int((better < 0).sum()), int((better > 0).sum()))
-
-
-def _scores(poses: Array, scans: Scans, i: Index) -> Array:
-    """Scores (n,) of the matches of keyframes i and i + 1."""
-    S = SE2.between(poses[i], poses[i + 1])
-    return np.array([match(Field(scans[k]), scans[k + 1], T, WINDOW).score for k, T in zip(i.tolist(), S, strict=True)])

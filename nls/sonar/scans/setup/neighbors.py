@@ -9,11 +9,12 @@ import numpy as np
 from models import SE2
 from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
+from nls.sonar.scans.fits import Fits
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
-__all__ = ["Neighbors", "neighbors"]
+__all__ = ["Neighbors", "match_steps", "neighbors", "steps"]
 
 POINTS = 30  # least points of a scan
 STEPS = 400  # matched at most: half of them those that turn most, which show a lever arm and a late clock
@@ -42,16 +43,24 @@ class Neighbors:
 
 def neighbors(poses: Array, scans: Scans) -> Neighbors:
     """Matched scans of consecutive keyframes, from poses (count, 3); those that are ambiguous are left out."""
-    count = np.diff(scans.starts)
-    i = np.flatnonzero((count[:-1] >= POINTS) & (count[1:] >= POINTS))
-    i = _chosen(i, np.abs(SE2.between(poses[i], poses[i + 1])[:, 2]))
+    i = _chosen(*steps(poses, scans))
+    fits = match_steps(poses, scans, i, WINDOW)
+    good = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, np.full(len(i), WINDOW[0])) == ACCEPTED
+    covariance = 2 * fits.covariance[good]  # a scan is in two matches
+    return Neighbors(i[good], i[good] + 1, fits.pose[good], covariance)
+
+
+def steps(poses: Array, scans: Scans) -> tuple[Index, Array]:
+    """Keyframes i (n,) whose scan and the next one have points enough, and the turns (n,) to i + 1, rad, 0 or above."""
+    enough = np.diff(scans.starts) >= POINTS
+    i = np.flatnonzero(enough[:-1] & enough[1:])
+    return i, np.abs(SE2.between(poses[i], poses[i + 1])[:, 2])
+
+
+def match_steps(poses: Array, scans: Scans, i: Index, window: tuple[float, float]) -> Fits:
+    """Scans of keyframes i + 1 matched with those of keyframes i (n,), around the steps of poses (count, 3)."""
     S = SE2.between(poses[i], poses[i + 1])
-    fits = [match(Field(scans[k]), scans[k + 1], T, WINDOW) for k, T in zip(i.tolist(), S, strict=True)]
-    score, ratio, edge, spread = np.array([(f.score, f.ratio, f.edge, f.spread) for f in fits]).reshape(-1, 4).T
-    good = verdicts(score, ratio, edge, spread, np.full(len(fits), WINDOW[0])) == ACCEPTED
-    pose = np.array([f.pose for f in fits]).reshape(-1, 3)[good]
-    covariance = 2 * np.array([f.covariance for f in fits]).reshape(-1, 3, 3)[good]  # a scan is in two matches
-    return Neighbors(i[good], i[good] + 1, pose, covariance)
+    return Fits.of([match(Field(scans[k]), scans[k + 1], T, window) for k, T in zip(i.tolist(), S, strict=True)])
 
 
 def _chosen(i: Index, turn: Array) -> Index:
