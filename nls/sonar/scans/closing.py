@@ -143,7 +143,7 @@ def close(
         history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
         if report is not None:
             report(history[-1])
-        empty = len(history) > 1 and not any(len(r.matches) and r.matches.kept.any() for r in history[-2:])
+        empty = len(history) > 1 and not any(r.matches.kept.any() for r in history[-2:])
         if (settled := moved < SETTLED) or empty:
             break
     return Closing(closed, result, tuple(history), settled)
@@ -189,15 +189,13 @@ def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) 
     """
     chosen = matches.accepted
     kept = np.ones(int(chosen.sum()), dtype=bool)
-    if not len(kept):
-        return graph, graph.optimize(start), kept
     i, j, z, C = matches.i[chosen], matches.j[chosen], matches.pose[chosen], matches.covariance[chosen]
-    if select == "gnc":
+    if select == "gnc" and len(kept):
         closures = Between(x[i], x[j], z, Covariance(C))
         robust = gnc(FactorGraph([*graph.factors, closures], graph.fixed), start, doubted=[closures])
         start, kept = robust.result.values, robust.weights[-1] > 0
-        if not kept.any():
-            return graph, graph.optimize(start), kept
+    if not kept.any():
+        return graph, graph.optimize(start), kept
     i, j, z = i[kept], j[kept], z[kept]
     shared = Covariance(C[kept] * shares(i, j)[:, None, None])
     noise = Robust(shared, Cauchy(1.0)) if select == "cauchy" else shared
