@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 import nls
-from nls.metrics import ate, matched
+from nls.io.scan_mission import read_scan_mission
+from nls.metrics import ate
 from nls.sonar.scans import (
     Closing,
     Drift,
@@ -72,13 +73,11 @@ class Mission:
 
     @classmethod
     def read(cls, folder: Path) -> Mission:
-        keyframes, points, dgps = (
-            np.loadtxt(folder / f"{name}.csv.gz", delimiter=",", skiprows=1) for name in ("keyframes", "scans", "truth")
-        )
-        pairs = matched(keyframes[:, 1], keyframes[:, 2:5], dgps[:, 0], dgps[:, 1:4], tolerance=10.0)
-        r, azimuth = points[:, 1], points[:, 2]
-        p = np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)])
-        return cls(pairs.estimate, pairs.truth, Scans(p, points[:, 0].astype(int), len(keyframes)))
+        _, values, scans, report = read_scan_mission(folder)
+        truth = report.truth
+        assert truth is not None
+        assert len(truth.rows) == len(scans), f"DGPS of {len(truth.rows)} keyframes; expected all {len(scans)}"
+        return cls(values[x], truth.poses, scans)
 
     def error(self, poses: Array) -> float:
         return ate(poses, self.truth, "rigid").rmse

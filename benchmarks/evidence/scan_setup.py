@@ -9,7 +9,6 @@ nothing is written.
 from __future__ import annotations
 
 import argparse
-import gzip
 import os
 import sys
 import time
@@ -21,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.keys import kinds
+from nls.io.scan_mission import read_scan_mission
 from nls.metrics import ate
 from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, check_setup, close, dead_reckoning, mounting
 from nls.sonar.scans.setup.words import observable, sentence
@@ -28,29 +28,31 @@ from nls.sonar.scans.setup.words import observable, sentence
 Array = npt.NDArray[np.float64]
 BENCHMARKS = Path(__file__).parents[1]
 (x,) = kinds("x")
-TABLES = ("keyframes", "scans", "odometry", "truth")
 
 
 @dataclass(frozen=True)
 class Log:
-    """The tables of the data set, one row a line."""
+    """The data set.
 
-    keyframes: Array
-    scans: Array
+    Attributes
+    ----------
+    times, poses : (n,) s and (n, 3) of the keyframes by dead reckoning.
+    scans : of the right setup.
+    odometry, truth : tables of time, x, y, one row a line: between the keyframes, where scans are late.
+    """
+
+    times: Array
+    poses: Array
+    scans: Scans
     odometry: Array
     truth: Array
-
-    @property
-    def times(self) -> Array:
-        """Of the keyframes, s."""
-        return self.keyframes[:, 1]
 
     def track(self, late: float) -> Array:
         """Poses of the keyframes (n, 3) by dead reckoning at their times and a delay."""
         if late == 0:
-            return self.keyframes[:, 2:5]
+            return self.poses
         t, (clock, east, north) = self.times + late, self.odometry.T[:3]
-        yaw = np.interp(t, self.times, np.unwrap(self.keyframes[:, 4]))
+        yaw = np.interp(t, self.times, np.unwrap(self.poses[:, 2]))
         return np.column_stack([np.interp(t, clock, east), np.interp(t, clock, north), yaw])
 
 
@@ -86,13 +88,16 @@ SETUPS = (
 
 def read(folder: Path) -> Log:
     """The data set."""
-    return Log(*(np.loadtxt(gzip.open(folder / f"{name}.csv.gz", "rt"), delimiter=",", skiprows=1) for name in TABLES))
+    _, values, scans, report = read_scan_mission(folder)
+    odometry, truth = (
+        np.loadtxt(folder / f"{name}.csv.gz", delimiter=",", skiprows=1) for name in ("odometry", "truth")
+    )
+    return Log(report.vertex_times["x"], values[x], scans, odometry, truth)
 
 
 def scans_of(log: Log, setup: Setup) -> Scans:
     """The scans as the setup places them."""
-    k, r, azimuth = log.scans[:, 0].astype(int), log.scans[:, 1], log.scans[:, 2]
-    scans = Scans(np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth)]), k, len(log.keyframes), setup.mount)
+    scans = log.scans.at(setup.mount)
     return scans.mirrored() if setup.mirrored else scans
 
 
