@@ -14,6 +14,7 @@ from factors import Position, RangeAzimuth
 from factors.keys import Kind, kinds
 from models.errors import OptionError, UnderconstrainedError
 from models.listing import some
+from nls.cli.covariances import covariances
 from nls.io.dialects import SUFFIXES
 from nls.io.mission import Elevations, MissionReport, Track, elevations, track_of
 from nls.io.mission.redundancy import position_checks, sigma_at_the_end
@@ -128,22 +129,15 @@ class Solved:
 
     @cached_property
     def _covariances(self) -> tuple[Marginals | None, str]:
-        """Covariances at the optimum; None and the reason where there are none."""
-        from nls.covariance import Marginals
-
-        if not self.result.converged:
-            return None, "this is no optimum"
-        try:
-            return Marginals(self.graph, self.values, self.solver, self.gauge), ""
-        except UnderconstrainedError as error:
-            return None, str(error)
+        """Covariances at the optimum; None and the note where there are none."""
+        return covariances(self.graph, self.result, self.solver, self.gauge)
 
     @cached_property
     def marginals(self) -> Marginals | None:
         """Covariances at the optimum; None where there are none. Notes say why, and which variables have none."""
-        marginals, reason = self._covariances
+        marginals, note = self._covariances
         if marginals is None:
-            self.report.notes.append(f"the files have no sigmas: {reason}")
+            self.report.notes.append(note)
             return None
         seen_once = (
             l[[]] if self.report.sonar is None or l.name not in self.values.stacks else undetermined(marginals, l)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.keys import kinds
-from models.errors import SingularGeometryError, UnderconstrainedError
+from models.errors import SingularGeometryError
+from nls.cli.covariances import covariances
 from nls.io.scan_mission import ScanReport
 from nls.io.scan_mission.results import verdict_words
 from nls.metrics import cep, drms2
@@ -70,17 +71,10 @@ class SolvedScans:
     @cached_property
     def marginals(self) -> Marginals | None:
         """Covariances at the optimum; None where there are none, and a note says why."""
-        from nls.covariance import Marginals
-
-        if self.result.converged:
-            try:
-                return Marginals(self.graph, self.values)
-            except UnderconstrainedError as error:
-                reason = str(error)
-        else:
-            reason = "this is no optimum"
-        self.report.notes.append(f"the files have no sigmas: {reason}")
-        return None
+        marginals, note = covariances(self.graph, self.result)
+        if marginals is None:
+            self.report.notes.append(note)
+        return marginals
 
     @cached_property
     def errors(self) -> dict[str, TrajectoryError]:

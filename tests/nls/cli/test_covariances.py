@@ -1,0 +1,41 @@
+"""Covariances for the files of a mission: at an optimum; elsewhere a note says why there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import Between, Isotropic, Range
+from factors.keys import kinds
+from models import SE2
+from nls.cli.covariances import covariances
+from nls.graph import FactorGraph
+from nls.linear import QR
+from nls.optimizers import GaussNewton, Stop
+from nls.values import Values
+
+x = kinds("x")[0]
+STEP = Between(x[0], x[1], [[2.0, 0.0, 0.1]], Isotropic(0.1))
+START = Values({x: (SE2, [[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])})
+
+
+GRAPH = FactorGraph([STEP])
+NONE = "the files have no sigmas: "
+
+
+def test_at_an_optimum_with_solver_and_gauge() -> None:
+    result = GRAPH.optimize(START)
+    for gauge, sentence in (("first", "x0 held"), ("free", "free")):
+        marginals, note = covariances(GRAPH, result, QR(), gauge)
+        assert marginals is not None
+        assert note == ""
+        assert marginals.gauge.startswith(sentence)
+        np.testing.assert_array_equal(marginals.values[x], result.values[x])
+
+
+def test_why_there_are_none() -> None:
+    stopped = GRAPH.optimize(START, GaussNewton(Stop(max_iterations=1)))
+    assert covariances(GRAPH, stopped) == (None, f"{NONE}this is no optimum")
+    free = FactorGraph([Range(x[0], x[1], [2.0], Isotropic(0.1))])
+    marginals, note = covariances(free, GRAPH.optimize(START))
+    assert marginals is None
+    assert note.startswith(f"{NONE}1 unknown has factors that do not react to a change here: x1: yaw")
