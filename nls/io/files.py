@@ -16,24 +16,25 @@ from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
+from models.errors import GraphFileError, OptionError
+from nls.io.bounded_text import BoundedText
 
-from models.errors import GraphFileError, OptionError, ResourceLimitError
-from nls.linear.limits import default_limit, gigabytes
-
-__all__ = ["descriptor", "graph_file", "names_folder", "new_folder", "read_bytes", "write_bytes", "write_folder"]
+__all__ = [
+    "descriptor",
+    "graph_file",
+    "names_folder",
+    "new_folder",
+    "read_bytes",
+    "read_text",
+    "write_bytes",
+    "write_folder",
+]
 
 CHUNK = 1 << 20
-PER_BYTE, PER_WORD = 8, 100  # memory at the peak of reading, measured: at most 7 and 90 in every reader
-SLACK, SHARE = 1 << 22, 4  # bytes of blanks and comments that a file may have, and more for every other byte
-WORD = 1 << 22  # bytes of one word
 GZIP = b"\x1f\x8b"
 ZIP = b"PK\x03\x04"
 CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
-BETWEEN = re.compile(rb"[\x00-\x20,]")  # words
-COMMENT = re.compile(rb"[\n\r][ \t\v\f]*#[^\n\r]*")
 OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
-BLANK = 0x20  # the largest byte that is one
 
 
 def read_bytes(path: str | Path, limit: float | None = None, archive: bool = False) -> bytes:
@@ -53,19 +54,31 @@ def read_bytes(path: str | Path, limit: float | None = None, archive: bool = Fal
     GraphFileError
         It cannot be read, or is not text.
     ResourceLimitError
-        More memory is needed: `PER_BYTE` for every byte and `PER_WORD` for every word and line. Or there are more
-        blanks and comments than `SLACK` bytes and `SHARE` times all others, or a word has more than `WORD` bytes. No
-        more than that is read.
+        The text is too much, see `nls.io.bounded_text`; no more than the limit is read.
     """
     name = _name(path)
     try:
         with open(path, "rb") as file:
-            _Pieces(f"{name}: has", limit).refuse_above(os.fstat(file.fileno()).st_size)
+            BoundedText(f"{name}: has", limit).refuse_above(os.fstat(file.fileno()).st_size)
             return read_stream(file, name, limit, archive)
     except IsADirectoryError as error:
         raise GraphFileError("is a folder; expected a file", name) from error
     except OSError as error:
         raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a file in UTF-8, otherwise as `read_bytes`.
+
+    Raises
+    ------
+    GraphFileError
+        It cannot be read, or is not UTF-8.
+    """
+    try:
+        return read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise GraphFileError(f"is no text in UTF-8: {error.reason}; save it as UTF-8", _name(path)) from error
 
 
 def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: bool = False) -> bytes:
@@ -79,10 +92,10 @@ def read_stream(file: BinaryIO, name: str, limit: float | None = None, archive: 
     first = file.read(CHUNK)
     if first[:2] != GZIP:
         return _content(
-            chain([first], iter(partial(file.read, CHUNK), b"")), _Pieces(f"{name}: has", limit), name, archive
+            chain([first], iter(partial(file.read, CHUNK), b"")), BoundedText(f"{name}: has", limit), name, archive
         )
     try:
-        return _content(_unpacked(first, file, name), _Pieces(f"{name}: unpacks to", limit), name, archive)
+        return _content(_unpacked(first, file, name), BoundedText(f"{name}: unpacks to", limit), name, archive)
     except EOFError as error:
         raise GraphFileError(f"is not a complete gzip file: {error}", name) from error
     except zlib.error as error:
@@ -120,13 +133,13 @@ def _unpacked(packed: bytes, file: BinaryIO, name: str) -> Iterator[bytes]:
             raise GraphFileError(f"is complete as a gzip file, and {count:,} bytes{more} that are no gzip follow", name)
 
 
-def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str, archive: bool) -> bytes:
+def _content(chunks: Iterator[bytes], text: BoundedText, name: str, archive: bool) -> bytes:
     """The text of a file, or the bytes of an archive."""
     first = next(chunks, b"")
     if archive and first.startswith(ZIP):
         for chunk in chain([first], chunks):
-            pieces.add_binary(chunk)
-        return b"".join(pieces.chunks)
+            text.add_binary(chunk)
+        return b"".join(text.chunks)
     if first[:4] in (b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff"):
         raise GraphFileError("is UTF-32 text; save it as UTF-8 or ASCII", name)
     if first[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -135,118 +148,14 @@ def _content(chunks: Iterator[bytes], pieces: _Pieces, name: str, archive: bool)
         raise GraphFileError("is a MATLAB file; expected text (scipy.io.loadmat reads it)", name)
     for chunk in chain([first.removeprefix(b"\xef\xbb\xbf")], chunks):
         if (zero := chunk.find(b"\x00")) >= 0:
-            line = sum(piece.count(b"\n") for piece in [*pieces.chunks, chunk[:zero]]) + 1
+            line = sum(piece.count(b"\n") for piece in [*text.chunks, chunk[:zero]]) + 1
             raise GraphFileError("has a zero byte: this is a binary file, expected text", name, line)
-        pieces.add(chunk)
-    data = b"".join(pieces.chunks)
-    pieces.chunks.clear()
+        text.add(chunk)
+    data = b"".join(text.chunks)
+    text.chunks.clear()
     if b"\r" in data and CARRIAGE_RETURN.search(data):
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return data
-
-
-class _Pieces:
-    """The chunks of a text as they come, refused as soon as they are known to be too much.
-
-    Parameters
-    ----------
-    subject : the file and a verb, for the message.
-    limit : of memory, bytes; the default when None.
-    """
-
-    def __init__(self, subject: str, limit: float | None) -> None:
-        self.subject, self.limit = subject, default_limit() if limit is None else limit
-        self.chunks: list[bytes] = []
-        self.size = self.words = self.content = 0
-        self.weighed = self.counted = 0  # chunks whose content, whose words are counted: only where it can matter
-        self.word = 0  # bytes of the last chunks, where no word ends in them
-        self.line = b"\n"  # the last line so far: blanks, a comment ("\n#") or something else ("x")
-
-    def add(self, chunk: bytes) -> None:
-        """One more chunk.
-
-        Raises
-        ------
-        ResourceLimitError
-        """
-        self.chunks.append(chunk)
-        self.size += len(chunk)
-        self.word = 0 if BETWEEN.search(chunk) else self.word + len(chunk)
-        if self.word > WORD:
-            raise ResourceLimitError(
-                f"{self.subject} a word of {self.word:,} bytes or more, the limit is {WORD:,}; expected tags and "
-                "numbers with blanks between them",
-                self.word,
-                WORD,
-                "word",
-            )
-        if self.size > SLACK:
-            self.content += sum(map(self._content, self.chunks[self.weighed :]))
-            self.weighed = len(self.chunks)
-            self._refuse_idle(self.size - self.content, SLACK + SHARE * self.content)
-        if (PER_BYTE + PER_WORD) * self.size > self.limit:
-            self.words += sum(map(_words, self.chunks[self.counted :]))
-            self.counted = len(self.chunks)
-            self.refuse_above(self.size, self.words)
-
-    def add_binary(self, chunk: bytes) -> None:
-        """One more chunk of something that is no text.
-
-        Raises
-        ------
-        ResourceLimitError
-        """
-        self.chunks.append(chunk)
-        self.size += len(chunk)
-        self.refuse_above(self.size)
-
-    def _refuse_idle(self, idle: int, allowed: int) -> None:
-        """Refuse more bytes of blanks, commas and comments than are allowed beside the content."""
-        if idle > allowed:
-            raise ResourceLimitError(
-                f"{self.subject} {idle:,} bytes or more of blanks, commas and comments beside {self.content:,} others, "
-                f"the limit is {allowed:,}; take them out",
-                idle,
-                allowed,
-                "blanks and comments",
-            )
-
-    def refuse_above(self, size: int, words: int = 0) -> None:
-        """Refuse a text of so many bytes, and so many words and lines, when reading it takes more than the limit.
-
-        Raises
-        ------
-        ResourceLimitError
-        """
-        needed = float(PER_BYTE * size + PER_WORD * words)
-        if needed > self.limit:
-            raise ResourceLimitError(
-                f"{self.subject} {size:,} bytes or more, to read them takes {gigabytes(needed)} of memory or more, the "
-                f"limit is {gigabytes(self.limit)}; split the file or leave lines out",
-                needed,
-                self.limit,
-                "reading",
-            )
-
-    def _content(self, chunk: bytes) -> int:
-        """The bytes of the next chunk that are neither blanks, nor commas, nor in comments."""
-        before, end = self.line, max(chunk.rfind(b"\n"), chunk.rfind(b"\r"))
-        start = chunk[end + 1 :].lstrip()[:1]
-        if end >= 0 or before == b"\n":
-            self.line = {b"": b"\n", b"#": b"\n#"}.get(start, b"x")
-        text = chunk
-        if b"#" in before or b"#" in chunk:
-            text = COMMENT.sub(b"", before + chunk).removeprefix(b"x")
-        dark = np.frombuffer(text, dtype=np.uint8) > BLANK
-        commas = text.count(b",") if b"," in text else 0  # the search takes a tenth of the time
-        return int(np.count_nonzero(dark)) - commas
-
-
-def _words(chunk: bytes) -> int:
-    """The words, lines and cells of a chunk, or one more; cells of a table may be empty."""
-    dark = np.frombuffer(chunk, dtype=np.uint8) > BLANK
-    lines = max(chunk.count(b"\n"), chunk.count(b"\r"))
-    return int(np.count_nonzero(dark[:-1] > dark[1:])) + 1 + lines + chunk.count(b",") + chunk.count(b'"')
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

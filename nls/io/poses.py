@@ -18,7 +18,7 @@ from models import euler
 from models.algebra import Array, Numbers
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean
-from nls.io.files import read_bytes
+from nls.io.files import read_text
 from nls.io.mission.columns import ANGLES, PLACE, suffixed
 from nls.io.trajectory import TRAJECTORIES, load_trajectory
 from nls.values import Values
@@ -80,10 +80,7 @@ def _times(values: Values, times: dict[str, Array]) -> Array | None:
 
 def _table(path: str | Path) -> Poses:
     """The poses of a CSV file."""
-    try:
-        lines = read_bytes(path).decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise GraphFileError(f"is no text: {error}", str(path)) from error
+    lines = read_text(path).splitlines()
     rows = [(k + 1, line) for k, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     if len(rows) < 2:
         raise GraphFileError("has no poses; expected a line of names and a row for each pose", str(path))

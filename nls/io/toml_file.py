@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from models.errors import GraphFileError
-from nls.io.files import read_bytes
+from nls.io.files import read_text
 
 __all__ = ["TomlFile"]
 
@@ -55,10 +55,7 @@ class TomlFile:
         GraphFileError
             It cannot be read, is not UTF-8 or no TOML.
         """
-        try:
-            return cls(read_bytes(path).decode("utf-8"), str(path))
-        except UnicodeDecodeError as error:
-            raise GraphFileError(f"is not UTF-8 text: {error.reason}", str(path)) from error
+        return cls(read_text(path), str(path))
 
     def error(self, section: str, key: str, message: str) -> GraphFileError:
         """An error at the line of a key of a section, or of the section."""

@@ -10,7 +10,7 @@ import pytest
 
 from models.errors import GraphFileError
 from nls.cli import main
-from nls.io.files import read_bytes, write_bytes, write_folder
+from nls.io.files import read_bytes, read_text, write_bytes, write_folder
 from tests.combinations import for_all
 from tests.nls.io.disk import small_disk
 from tests.nls.io.g2o_files import PLANE, write
@@ -144,3 +144,14 @@ def test_the_solution_of_a_mission_has_no_half_file(tmp_path: Path, capsys: Capt
     assert all(line.startswith(f"nls: {out}{os.sep}") and ": cannot be written: " in line for line in lines)
     assert len(lines) >= 3
     assert not out.exists()
+
+
+def test_a_text_is_utf_8(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_bytes(gzip.compress("\ufeffSchären\r\n".encode()))
+    assert read_text(file) == "Schären\r\n"
+    file.write_bytes("Schären\n".encode("latin-1"))
+    with pytest.raises(GraphFileError, match=r"a\.csv: is no text in UTF-8: .*; save it as UTF-8"):
+        read_text(file)
+    with pytest.raises(GraphFileError, match=r"b\.csv: cannot be read"):
+        read_text(tmp_path / "b.csv")

@@ -17,8 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nls import GraphFileError, LeadlineError, ResourceLimitError, load
-from nls.io import files
-from nls.io.files import PER_BYTE, PER_WORD, read_bytes
+from nls.io import bounded_text, files
+from nls.io.bounded_text import PER_BYTE, PER_WORD
+from nls.io.files import read_bytes
 from nls.io.logs import read_holoocean
 from nls.io.logs.table import columns
 from nls.io.mission.table import Table
@@ -135,7 +136,7 @@ def test_any_mixture_keeps_to_it(tmp_path_factory: pytest.TempPathFactory, parts
 @for_all(reader=READERS)
 def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blanks and comments of 25 times what is allowed, packed or not: no more is read than that."""
-    monkeypatch.setattr(files, "SLACK", 1 << 15)
+    monkeypatch.setattr(bounded_text, "SLACK", 1 << 15)
     for name, part in IDLE.items():
         data = PLANE.encode() * (len(name) % 2) + part * 25
         for content in (data, gzip.compress(data, 1)):
@@ -143,11 +144,11 @@ def test_a_bomb_is_refused_on_the_way(reader: str, file: Path, monkeypatch: pyte
             used, message = peak(READERS[reader], file)
             verb = "has" if content is data else "unpacks to"
             assert re.search(rf"f\.g2o: {verb} [0-9,]+ bytes or more of blanks, commas and comments", message), name
-            assert used < PER_BYTE * files.SLACK + 32 * CHUNK, (name, used)
+            assert used < PER_BYTE * bounded_text.SLACK + 32 * CHUNK, (name, used)
 
 
 def test_a_bomb_in_the_folder_of_a_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "SLACK", 1 << 12)
+    monkeypatch.setattr(bounded_text, "SLACK", 1 << 12)
     place = folder(tmp_path)
     (place / "contacts.csv").write_bytes(b"\n" * N)
     with pytest.raises(ResourceLimitError, match=r"contacts\.csv: has [0-9,]+ bytes or more of blanks"):
@@ -157,11 +158,11 @@ def test_a_bomb_in_the_folder_of_a_mission(tmp_path: Path, monkeypatch: pytest.M
 @given(st.lists(st.sampled_from([b"a", b"#", b" ", b"\t", b"\n", b"\r", b"\r\n", b",", b"7"]), max_size=60), st.data())
 def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.DataObject) -> None:
     text = b"".join(words)
-    pieces, rest, content, count = files._Pieces("f: has", 0.0), text, 0, 0
+    pieces, rest, content, count = bounded_text.BoundedText("f: has", 0.0), text, 0, 0
     while rest:
         size = data.draw(st.integers(1, len(rest)))
         content += pieces._content(rest[:size])
-        count += files._words(rest[:size])
+        count += bounded_text._words(rest[:size])
         rest = rest[size:]
     lines = [line for line in re.split(rb"[\r\n]", text) if not line.lstrip().startswith(b"#")]
     assert content == sum(1 for line in lines for byte in line if byte > 0x20 and byte != ord(","))
@@ -169,7 +170,7 @@ def test_comments_are_counted_whatever_the_chunks(words: list[bytes], data: st.D
 
 
 def test_the_limits_to_the_byte(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "SLACK", 1000)
+    monkeypatch.setattr(bounded_text, "SLACK", 1000)
     content = b"EDGE"
     for idle, good in ((1000 + 4 * 4, True), (1001 + 4 * 4, False)):
         file.write_bytes(content + b"\n" * idle)
@@ -212,7 +213,7 @@ def test_words_of_many_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_word_without_end(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refused while it is unpacked: one of 2 GB is a file of 2 MB."""
-    monkeypatch.setattr(files, "WORD", 4 * CHUNK)
+    monkeypatch.setattr(bounded_text, "WORD", 4 * CHUNK)
     for data in (b"x" * (1 << 20), gzip.compress(b"x" * (1 << 20)), PLANE.encode() + b"1" * (1 << 20)):
         file.write_bytes(data)
         for read in READERS.values():
@@ -232,8 +233,8 @@ def test_a_device_without_end() -> None:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
 @for_all(line=[b"\n", b"# a\n", b"EDGE_SE2 0 1\n"])
 def test_a_pipe_without_end(line: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "SLACK", 1 << 14)
-    monkeypatch.setattr(files, "default_limit", lambda: 1e6)
+    monkeypatch.setattr(bounded_text, "SLACK", 1 << 14)
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: 1e6)
     pipe = tmp_path / "pipe.g2o"
     pipe.unlink(missing_ok=True)
     os.mkfifo(pipe)
@@ -256,8 +257,8 @@ def test_a_pipe_without_end(line: bytes, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_the_limit_is_that_of_every_solve(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert files.default_limit is limits.default_limit
-    monkeypatch.setattr(files, "default_limit", lambda: 1e4)
+    assert bounded_text.default_limit is limits.default_limit
+    monkeypatch.setattr(bounded_text, "default_limit", lambda: 1e4)
     file.write_bytes(PLANE.encode() * 10)
     for read in READERS.values():
         with pytest.raises(ResourceLimitError, match=r"the limit is 0\.0000100 GB"):
