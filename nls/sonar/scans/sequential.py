@@ -10,8 +10,9 @@ from models import SE2
 from models.algebra import Array
 from nls.sonar.scans import verdicts
 from nls.sonar.scans.field import Field
+from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import match_submap, submap
+from nls.sonar.scans.submaps import bent, submap
 
 __all__ = ["sequential_matches"]
 
@@ -36,7 +37,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
         before, own = submap(poses, scans, k, (BACK, -1)), scans[k]
         if len(own) < POINTS[0] or len(before) < POINTS[1]:
             continue
-        fit = match_submap(Field(before), own, np.zeros(3), WINDOW)
+        fit = bent(match(Field(before), own, np.zeros(3), WINDOW))
         if verdicts.fits(fit.score, fit.edge, fit.spread):
             first = max(0, k - (BACK + 1) // 2)
             i.append(first)
