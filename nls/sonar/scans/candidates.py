@@ -43,7 +43,7 @@ def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
     i, j, overlap = i[good], j[good], overlap[good]
     order = np.lexsort((-overlap, middle[i] // SPREAD, j))
     i, j, overlap = i[order], j[order], overlap[order]
-    first = _first_of(j, middle[i] // SPREAD)
+    first = np.unique(np.column_stack([j, middle[i] // SPREAD]), axis=0, return_index=True)[1]
     i, j, overlap = i[first], j[first], overlap[first]
     order = np.lexsort((-overlap, j))
     i, j = i[order], j[order]
@@ -61,11 +61,3 @@ def _footprints(poses: Array, scans: Scans, middle: Index) -> sp.csr_array:
     cells = (members @ by_scan).tocsr()
     cells.data[:] = 1.0
     return cells
-
-
-def _first_of(*columns: Index) -> Index:
-    """Rows that begin a run of equal rows."""
-    rows = np.column_stack(columns)
-    change = np.ones(len(rows), dtype=bool)
-    change[1:] = (rows[1:] != rows[:-1]).any(axis=1)
-    return np.flatnonzero(change)

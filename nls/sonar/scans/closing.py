@@ -143,7 +143,7 @@ def close(
         history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
         if report is not None:
             report(history[-1])
-        empty = len(history) > 1 and not any(len(r.matches) and r.matches.kept.any() for r in history[-2:])
+        empty = len(history) > 1 and not any(r.matches.kept.any() for r in history[-2:])
         if (settled := moved < SETTLED) or empty:
             break
     return Closing(closed, result, tuple(history), settled)

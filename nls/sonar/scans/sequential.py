@@ -7,14 +7,14 @@ import numpy as np
 from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
-from models.algebra import Array
-from nls.sonar.scans import verdicts
+from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
 from nls.sonar.scans.submaps import bent, submap
+from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
-__all__ = ["sequential_matches"]
+__all__ = ["comparable", "field_before", "sequential_matches"]
 
 BACK = 6  # keyframes before it with which a scan is matched
 POINTS = (20, 40)  # least points of the scan, and of those before it
@@ -32,18 +32,25 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     poses : (count, 3) present estimate, SE2.
     scans : the points.
     """
-    i, j, z, C = [], [], [], []
-    for k in range(1, len(scans)):
-        before, own = submap(poses, scans, k, (BACK, -1)), scans[k]
-        if len(own) < POINTS[0] or len(before) < POINTS[1]:
-            continue
-        fit = bent(match(Field(before), own, np.zeros(3), WINDOW))
-        if verdicts.fits(fit.score, fit.edge, fit.spread):
-            first = max(0, k - (BACK + 1) // 2)
-            i.append(first)
-            j.append(k)
-            z.append(SE2.compose(SE2.between(poses[[first]], poses[[k]]), fit.pose[None])[0])
-            C.append((BACK + 1) * fit.covariance)  # its points take part in so many matches
-    if not i:
+    k = comparable(scans)
+    fits = [bent(match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)) for row in k.tolist()]
+    score, edge, spread = np.array([(fit.score, fit.edge, fit.spread) for fit in fits]).reshape(-1, 3).T
+    unrivaled = np.zeros(len(k))  # a window without a second place
+    good = verdicts(score, unrivaled, edge, spread, np.full(len(k), WINDOW[0])) == ACCEPTED
+    if not good.any():
         return None
-    return Between(x[np.array(i)], x[np.array(j)], np.array(z), Robust(Covariance(np.array(C)), Cauchy(1.0)))
+    j, i = k[good], np.maximum(0, k[good] - (BACK + 1) // 2)
+    moved = np.array([fit.pose for fit in fits])[good]
+    C = (BACK + 1) * np.array([fit.covariance for fit in fits])[good]  # points of a scan take part in so many matches
+    return Between(x[i], x[j], SE2.compose(SE2.between(poses[i], poses[j]), moved), Robust(Covariance(C), Cauchy(1.0)))
+
+
+def comparable(scans: Scans) -> Index:
+    """Keyframes (n,) that have points enough, and enough in the keyframes before them."""
+    count, before = np.diff(scans.starts), scans.starts[:-1] - scans.starts[np.maximum(np.arange(len(scans)) - BACK, 0)]
+    return np.flatnonzero((count >= POINTS[0]) & (before >= POINTS[1]))
+
+
+def field_before(poses: Array, scans: Scans, k: int) -> Field:
+    """The points of the keyframes before one, in its frame."""
+    return Field(submap(poses, scans, k, (BACK, -1)))

@@ -9,7 +9,7 @@ import numpy as np
 from models.algebra import Array, Index
 from nls.sonar.scans import matching
 
-__all__ = ["ACCEPTED", "Verdict", "fits", "verdicts"]
+__all__ = ["ACCEPTED", "Verdict", "verdicts"]
 
 SCORE = 0.8  # least log-likelihood for every point: nearly anything; a high floor loses the map, not the wrong matches
 ODDS = 1.5  # least log odds of the best place against the second, in a window of `WIDTH`
@@ -55,8 +55,3 @@ def verdicts(score: Array, ratio: Array, edge: Array, spread: Array, window: Arr
     reasons = [score < SCORE, edge > EDGE, spread > SPREAD, odds < ODDS + 2 * np.log(window / WIDTH)]
     names = [Verdict.NO_FIT, Verdict.AT_THE_RIM, Verdict.WIDE, Verdict.AMBIGUOUS]
     return np.asarray(np.select(reasons, names, ACCEPTED), dtype=np.intp)
-
-
-def fits(score: float, edge: float, spread: float) -> bool:
-    """Whether a match in a window without a second place is accepted."""
-    return score >= SCORE and edge <= EDGE and spread <= SPREAD

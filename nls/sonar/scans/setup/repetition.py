@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import kinds
-from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.sequential import BACK, POINTS, WINDOW
-from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.sequential import WINDOW, comparable, field_before
 from nls.values import Values
 
 __all__ = ["Repetition", "repetition"]
@@ -39,12 +37,11 @@ class Repetition:
 
 def repetition(values: Values, scans: Scans) -> Repetition:
     """Match scans with the points of the keyframes just before them, at the poses of `values`."""
-    count, before = np.diff(scans.starts), scans.starts[:-1] - scans.starts[np.maximum(np.arange(len(scans)) - BACK, 0)]
-    k = np.flatnonzero((count >= POINTS[0]) & (before >= POINTS[1]))
+    k = comparable(scans)
     k = k[np.unique(np.linspace(0, len(k) - 1, min(len(k), SCANS)).astype(np.intp))] if len(k) else k
     poses, fits = values[x], 0
     for row in k.tolist():
-        fit = match(Field(submap(poses, scans, row, (BACK, -1))), scans[row], np.zeros(3), WINDOW)
+        fit = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)
         e = fit.pose[:2]
         fits += bool(e @ np.linalg.solve(fit.covariance[:2, :2] + RECKONED**2 * np.eye(2), e) < FITS)
     return Repetition(len(k), fits)
