@@ -296,8 +296,8 @@ def images(seeds: int) -> list[str]:
         "",
         *markdown([*head, "s for the scans", "s for the map"], rows),
         "",
-        "Images of 768 beams by 1,000 bins by `sim.sonar_image`, detections by `nls.sonar.detect`, smallest-of at the "
-        "rate for which the others are drawn, above a floor that leaves fewer false alarms. "
+        "Images of 768 beams by 1,000 bins by `sim.sonar_image`, detections by `nls.sonar.detect`, greatest-of at the "
+        "rate for which the others are drawn. "
         "Strays: points more than 1 m from any surface at the true pose.",
     ]
 

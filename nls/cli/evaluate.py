@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from nls.metrics import TrajectoryError
 
 SCHEMA = "evaluate 1"
+LEVEL = 1e-9  # rad, below which a pose is one of the plane
+ONE_ANGLE, SPREAD = 0.9, 0.5  # mean resultant lengths of angles that are one, and of angles that are spread
 
 
 def evaluate(options: argparse.Namespace) -> int:
@@ -73,6 +75,7 @@ def compared(
 
     how, rows, P, Q = _pairs(estimate, truth, tolerance)
     error = ate(P, Q, align)
+    unknown = _no_relative_error(estimate, truth, P, Q)
     return {
         "schema": SCHEMA,
         "estimate": estimate.path,
@@ -98,8 +101,9 @@ def compared(
                 "translation_percent": 100 * pair.translation,
                 "rotation_deg_m": float(np.degrees(pair.rotation)),
             }
-            for pair in rpe(P, Q, distances)
+            for pair in ([] if unknown else rpe(P, Q, distances))
         ],
+        "rpe_unknown": unknown,
         "squared_error_over_variance": _consistency(estimate, rows, error),
     }
 
@@ -144,6 +148,31 @@ def _pairs(estimate: Poses, truth: Poses, tolerance: float | None) -> tuple[dict
     return {**out, "matched": len(rows)}, rows, P, Q
 
 
+def _no_relative_error(estimate: Poses, truth: Poses, P: Array, Q: Array) -> str | None:
+    """Why there is no error of relative poses: a file without headings, or headings of two conventions; else None."""
+    for poses in (estimate, truth):
+        if not poses.oriented:
+            return f"{poses.path} has no headings"
+    if headings_opposed(P, Q):
+        return f"the yaws of {estimate.path} and {truth.path} have opposite senses; expected one convention"
+    return None
+
+
+def headings_opposed(P: Array, Q: Array) -> bool:
+    """Whether poses (n, 7) of the plane turn to the right where others (n, 7) turn to the left.
+
+    Yaws of one sense have one difference, those of opposite senses one sum, but for errors. The length of the mean of
+    exp(i angle) is 1 where all angles are one, and near 0 where they are spread over the circle.
+    """
+    from models import SO3
+
+    p, q = SO3.log(P[:, 3:]), SO3.log(Q[:, 3:])
+    if np.abs(np.concatenate([p[:, :2], q[:, :2]])).max(initial=0.0) > LEVEL:
+        return False
+    difference, total = (abs(np.exp(1j * angle).mean()) for angle in (p[:, 2] - q[:, 2], p[:, 2] + q[:, 2]))
+    return bool(total > ONE_ANGLE and difference < SPREAD)
+
+
 def _consistency(estimate: Poses, rows: Index, error: TrajectoryError) -> dict[str, float] | None:
     """Mean of (error / sigma)^2 along each axis, where the estimate has sigmas and nothing was aligned."""
     if estimate.sigmas is None or error.align != "none":
@@ -180,6 +209,8 @@ def lines(record: dict[str, Any]) -> list[str]:
             f"RPE         over {pair['distance_m']:g} m: "
             + (errors + longer if pair["pairs"] else "the track is shorter")
         )
+    if record["rpe_unknown"]:
+        out.append(f"RPE         none: {record['rpe_unknown']}")
     if (ratio := record["squared_error_over_variance"]) is not None:
         means = ", ".join(f"{axis} {value:.3g}" for axis, value in ratio.items())
         out.append(f"sigmas      mean of (error / sigma)^2: {means}; 1 expected")

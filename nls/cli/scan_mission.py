@@ -14,13 +14,14 @@ from nls.cli.solved_scans import GRAPH, SolvedScans
 from nls.io.scan_mission import ScanReport, is_scan_mission
 from nls.sonar.scans import SetupFinding, check_setup, close
 from nls.sonar.scans.closing import ROUNDS, SELECTIONS
+from nls.sonar.scans.setup.findings import BENDING
 from nls.sonar.scans.setup.words import sentence
 
 if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.sonar.scans import Round
 
-__all__ = ["close_loops", "lines", "refuse_explanation", "selection_of", "unsettled"]
+__all__ = ["close_loops", "doubtful", "lines", "refuse_explanation", "selection_of"]
 
 WILD = 1.0  # m rms by which the last round may still change the track, above which the solution is none
 REFUSED: dict[str, tuple[object, str]] = {  # options, with their defaults and why others have no effect
@@ -139,11 +140,14 @@ def lines(scans: dict[str, Any]) -> list[str]:
     return out
 
 
-def unsettled(solved: object) -> bool:
-    """Whether the last round still moved the track so far that it is no solution; said on standard error."""
-    if not isinstance(solved, SolvedScans) or solved.closing.settled:
+def doubtful(solved: object) -> bool:
+    """Whether the map is no solution: of a setup that bends it, or still moving; said on standard error."""
+    if not isinstance(solved, SolvedScans):
         return False
-    if (moved := solved.closing.rounds[-1].moved) <= WILD:
+    if bent := [finding.kind.value.replace("_", " ") for finding in solved.findings if finding.kind in BENDING]:
+        print(f"nls: no solution: the setup is wrong ({', '.join(bent)}), see the warning", file=sys.stderr)
+        return True
+    if solved.closing.settled or (moved := solved.closing.rounds[-1].moved) <= WILD:
         return False
     print(
         f"nls: not settled: the last of {len(solved.closing.rounds)} rounds moved the track by {moved:.2f} m rms; "

@@ -298,9 +298,9 @@ def _status(job: Job) -> int:
     doubtful = outliers.doubtful(job.choice, options.allow_doubtful)
     doubtful = sigmas.unsettled(job.sigmas) or doubtful
     if job.select is not None:
-        from nls.cli.scan_mission import unsettled
+        from nls.cli import scan_mission
 
-        doubtful = unsettled(job.solved) or doubtful
+        doubtful = scan_mission.doubtful(job.solved) or doubtful
     for failure in job.failed:
         complain(failure)
     if job.failed and options.debug:

@@ -2,7 +2,8 @@
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
 yaw_rad, and i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
-Poses of the plane have x_m, y_m and yaw_rad alone. A scan mission calls its columns keyframe, time, x, y and yaw.
+Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A scan
+mission calls its columns keyframe, time, x, y and yaw.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class Poses:
     times : (n,) s; None where the file has none.
     numbers : (n,) of the poses; None where the file has none.
     sigmas : (n, 3) standard deviations of x, y and z, m, nan in empty cells; None without these columns.
+    oriented : whether the file has headings; without them the rotations are those of 0.
     """
 
     path: str
@@ -49,6 +51,7 @@ class Poses:
     times: Array | None = field(default=None, repr=False)
     numbers: Numbers | None = field(default=None, repr=False)
     sigmas: Array | None = field(default=None, repr=False)
+    oriented: bool = True
 
 
 def read_poses(path: str | Path) -> Poses:
@@ -88,7 +91,7 @@ def _table(path: str | Path) -> Poses:
     place = {ALIASES.get(name, name): k for k, name in enumerate(head)}
     plane = place.keys().isdisjoint(OF_SPACE)
     for name in NEEDED:
-        if plane and name in OF_SPACE:
+        if plane and name in (*OF_SPACE, "yaw_rad"):
             continue
         if name not in place:
             raise GraphFileError(
@@ -118,7 +121,7 @@ def _table(path: str | Path) -> Poses:
     known = set(SIGMAS) <= set(place)
     sigmas = np.column_stack([numbers(name, optional=True) for name in SIGMAS]) if known else None
     whole = None if ids is None else ids.astype(np.int64)
-    return Poses(str(path), euler.to_se3(state), times, whole, sigmas)
+    return Poses(str(path), euler.to_se3(state), times, whole, sigmas, "yaw_rad" in place)
 
 
 def _number(path: str, line: int, name: str, cell: str, optional: bool) -> float:

@@ -161,8 +161,7 @@ def _moments(P: Array, yaw: Array, x: Array, y: Array) -> Array:
 
 def _rim(P: Array) -> float:
     """Probability on the faces of the window."""
-    within = tuple(slice(1, -1) if side > 2 else slice(None) for side in P.shape)
-    return float(1.0 - P[within].sum())
+    return float(1.0 - P[1:-1, 1:-1, 1:-1].sum())
 
 
 def _refined(field: Field, p: Array, T: Array) -> Array:

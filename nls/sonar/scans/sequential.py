@@ -10,8 +10,9 @@ from models import SE2
 from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.fits import Fits
+from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import match_submap, submap
+from nls.sonar.scans.submaps import bent, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["comparable", "field_before", "sequential_matches"]
@@ -33,7 +34,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     scans : the points.
     """
     k = comparable(scans)
-    fits = Fits.of([match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW) for j in k.tolist()])
+    fits = Fits.of([bent(match(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW)) for j in k.tolist()])
     unjudged = np.zeros(len(k))  # ratio: a second place is no reason against a match in so narrow a window
     accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW[0])) == ACCEPTED
     if not accepted.any():
@@ -46,7 +47,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
 
 
 def comparable(scans: Scans) -> Index:
-    """Keyframes (n,) with points enough behind keyframes with points enough."""
+    """Keyframes (n,) that have points enough, and enough in the keyframes before them."""
     starts, k = scans.starts, np.arange(len(scans))
     before = starts[k] - starts[np.maximum(k - BACK, 0)]
     return np.flatnonzero((np.diff(starts) >= POINTS[0]) & (before >= POINTS[1]))

@@ -134,3 +134,47 @@ def test_refusals(shell: Shell) -> None:
         ("n.csv m.csv --json m.csv", "another name: this is the input"),
     ):
         assert message in shell.refused(f"evaluate {words}"), words
+
+
+def plane(name: str, t: Array, xyyaw: Array) -> str:
+    lines = [",".join(map(repr, line)) for line in np.column_stack([t, xyyaw]).tolist()]
+    return "\n".join([name, *lines]) + "\n"
+
+
+def circle(n: int = 80) -> tuple[Array, Array]:
+    yaw = np.linspace(0.0, 5.0, n)
+    return np.arange(n, dtype=float), np.column_stack([10 * np.sin(yaw), -10 * np.cos(yaw), yaw])
+
+
+def test_a_truth_of_positions_has_no_relative_error(shell: Shell) -> None:
+    t, X = circle()
+    (shell / "a.csv").write_text(plane("time,x,y,yaw", t, X))
+    (shell / "b.csv").write_text(plane("time,x,y", t, X[:, :2] + [3.0, 0.0]))
+    out = shell("evaluate a.csv b.csv --align none --json r.json")
+    record = json.loads((shell / "r.json").read_text())
+    assert row(out, "RPE") == "none: b.csv has no headings"
+    assert record["rpe"] == []
+    assert record["rpe_unknown"] == "b.csv has no headings"
+    assert record["ate"]["rmse_m"] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 2.5])
+def test_headings_of_two_conventions(shell: Shell, offset: float) -> None:
+    t, X = circle()
+    (shell / "a.csv").write_text(plane("time,x,y,yaw", t, X))
+    for sense, opposed in ((1.0, False), (-1.0, True)):
+        (shell / "b.csv").write_text(plane("time,x,y,yaw", t, np.column_stack([X[:, :2], sense * X[:, 2] + offset])))
+        record = json.loads(shell("evaluate a.csv b.csv --distances 10 --json -"))
+        assert bool(record["rpe_unknown"]) == opposed
+        assert len(record["rpe"]) == (not opposed)
+        assert record["ate"]["rmse_m"] < 1e-9
+
+
+def test_a_straight_track_has_no_sense(shell: Shell) -> None:
+    t = np.arange(40.0)
+    for name, sense in (("a", 1.0), ("b", -1.0)):
+        X = np.column_stack([t, 0 * t, sense * 0.01 * np.sin(t)])
+        (shell / f"{name}.csv").write_text(plane("time,x,y,yaw", t, X))
+    record = json.loads(shell("evaluate a.csv b.csv --distances 10 --json -"))
+    assert record["rpe_unknown"] is None
+    assert record["rpe"][0]["pairs"] == 30

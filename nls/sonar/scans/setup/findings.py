@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-__all__ = ["SetupFinding", "SetupKind"]
+__all__ = ["BENDING", "SetupFinding", "SetupKind"]
 
 
 class SetupKind(StrEnum):
@@ -20,6 +20,9 @@ class SetupKind(StrEnum):
     TIME_OFFSET = "time_offset"
     SIGMAS_TOO_LARGE = "sigmas_too_large"
     SIGMAS_TOO_SMALL = "sigmas_too_small"
+
+
+BENDING = frozenset({SetupKind.UNREPEATED, SetupKind.MIRRORED, SetupKind.TIME_OFFSET})  # what follows is no map
 
 
 @dataclass(frozen=True)
