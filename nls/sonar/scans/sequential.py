@@ -9,9 +9,8 @@ from factors.keys import kinds
 from models import SE2
 from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
-from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import bent, submap
+from nls.sonar.scans.submaps import match_submap, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["comparable", "field_before", "sequential_matches"]
@@ -33,7 +32,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     scans : the points.
     """
     k = comparable(scans)
-    fits = [bent(match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)) for row in k.tolist()]
+    fits = [match_submap(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW) for row in k.tolist()]
     score, edge, spread = np.array([(fit.score, fit.edge, fit.spread) for fit in fits]).reshape(-1, 3).T
     unrivaled = np.zeros(len(k))  # a window without a second place
     good = verdicts(score, unrivaled, edge, spread, np.full(len(k), WINDOW[0])) == ACCEPTED
