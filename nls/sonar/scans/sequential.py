@@ -10,9 +10,8 @@ from models import SE2
 from models.algebra import Array, Index
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.fits import Fits
-from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import bent, submap
+from nls.sonar.scans.submaps import match_submap, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["comparable", "field_before", "sequential_matches"]
@@ -34,7 +33,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     scans : the points.
     """
     k = comparable(scans)
-    fits = Fits.of([bent(match(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW)) for j in k.tolist()])
+    fits = Fits.of([match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW) for j in k.tolist()])
     unjudged = np.zeros(len(k))  # ratio: a second place is no reason against a match in so narrow a window
     accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW[0])) == ACCEPTED
     if not accepted.any():

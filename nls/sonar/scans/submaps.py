@@ -11,10 +11,9 @@ from models.algebra import Array
 from models.errors import OptionError
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import Match, match
-from nls.sonar.scans.normals import hidden_direction
 from nls.sonar.scans.scans import Scans
 
-__all__ = ["bent", "match_submap", "submap"]
+__all__ = ["match_submap", "submap"]
 
 BENT = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad, of a submap that is not rigid: dead reckoning drifts within it
 
@@ -55,19 +54,6 @@ def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int])
 
 
 def match_submap(field: Field, points: Array, guess: Array, window: tuple[float, float]) -> Match:
-    """As `match`, of submaps: they are bent by the drift within them, and the covariance says so.
-
-    Along a single straight wall the scores fall only where the view ends; the covariance there is that of any place in
-    the window, :math:`w^2 / 3` (`nls.sonar.scans.normals`).
-    """
-    fit = bent(match(field, points, guess, window))
-    if (along := hidden_direction(points)) is None:
-        return fit
-    C = fit.covariance.copy()
-    C[:2, :2] += window[0] ** 2 / 3 * np.outer(along, along)
-    return replace(fit, covariance=C)
-
-
-def bent(fit: Match) -> Match:
-    """A match of submaps with what their drift adds to its covariance."""
+    """As `match`, of submaps: they are bent by the drift within them, and the covariance says so."""
+    fit = match(field, points, guess, window)
     return replace(fit, covariance=fit.covariance + np.diag(BENT**2))
