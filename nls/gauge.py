@@ -73,6 +73,26 @@ def component_labels(pattern: Pattern) -> Index:
     return connected(i, j, len(pattern.dims))
 
 
+def calibrations(pattern: Pattern) -> Mask:
+    """(V,) variables that a common motion of everything leaves as they are: lenses, drifts, and all joined to these."""
+    label, still = component_labels(pattern), np.zeros(len(pattern.dims), dtype=bool)
+    for batch in pattern.batches:
+        for slot in batch.model.factor.unmoved:
+            still[label[batch.variables[slot]]] = True
+    return np.asarray(still[label])
+
+
+def placeless_kinds(pattern: Pattern) -> set[str]:
+    """Kinds of variables that are all `calibrations`: they have no place on a map."""
+    still = calibrations(pattern)
+    return {kind for kind, n in pattern.numbers.items() if len(n) and still[pattern.offsets[kind] :][: len(n)].all()}
+
+
+def moving_variables(pattern: Pattern) -> Mask:
+    """(V,) what moves when everything does: touched by a factor, and no calibration."""
+    return touched_variables(pattern) & ~calibrations(pattern)
+
+
 def touched_variables(pattern: Pattern) -> Mask:
     """(V,) which variables a factor touches."""
     touched = np.zeros(len(pattern.dims), dtype=bool)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
+from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition, default_solver
 from nls.sparse.fill import fill_in
@@ -39,7 +39,7 @@ def inspect(graph: FactorGraph, values: Values) -> dict[str, Any]:
     weights = np.concatenate(lengths)
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     fill = fill_in(pattern, gauge.held, best_decomposition().order)
-    sizes = np.sort(np.bincount(labels[touched]))[::-1]
+    sizes = np.sort(np.bincount(labels[moving_variables(pattern)]))[::-1]
     sizes = sizes[sizes > 0]
     return {
         "variables": len(values),

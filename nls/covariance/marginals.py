@@ -22,7 +22,7 @@ from nls.covariance.determined import Undetermined, anchored_factorization, used
 from nls.covariance.frames import axes, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
-from nls.gauge import choose_gauge, fixed_variables
+from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
 from nls.system import LinearSystem
@@ -54,6 +54,7 @@ class Marginals:
     ----------
     values : a copy of the linearization point.
     gauge : what holds the graph, in words.
+    placeless : kinds of variables that have no place on a map, such as the drift of a speed.
 
     Raises
     ------
@@ -135,6 +136,7 @@ class Marginals:
         except SingularSystemError:
             pattern, self._factorization, undetermined = anchored_factorization(pattern, values, linear_solver)
         self._pattern, self._undetermined = pattern, undetermined
+        self.placeless = placeless_kinds(pattern)
         self.gauge = decided.description
         self._free: FreePart | None = None
         if decided.free:

@@ -22,8 +22,8 @@ from nls.explanation import causes, doubts
 from nls.explanation.duplicate_points import duplicate_points
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak
 from nls.explanation.naming import named_directions
-from nls.explanation.separate_parts import moving, separate_parts
-from nls.gauge import choose_gauge, component_labels, fixed_variables, touched_variables
+from nls.explanation.separate_parts import separate_parts
+from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_variables, touched_variables
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
@@ -151,7 +151,7 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
         unknowns=pattern.n,
         measurements=len(graph),
         rows=measured_rows(pattern),
-        components=_sizes(pattern, moving(pattern)),
+        components=_sizes(pattern, moving_variables(pattern)),
         gauge=gauge.description,
         nullity=free.count,
         capped=free.more,

@@ -7,24 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.advice import Advice
-from models.algebra import Mask
 from nls.explanation.findings import Finding, FindingKind
-from nls.gauge import component_labels, touched_variables
+from nls.gauge import component_labels, moving_variables
 
 if TYPE_CHECKING:
     from nls.gauge import Gauge
     from nls.sparse.pattern import Pattern
 
 __all__ = ["separate_parts"]
-
-
-def moving(pattern: Pattern) -> Mask:
-    """(V,) what moves when everything does: touched by a factor, and no calibration."""
-    moved = touched_variables(pattern)
-    for batch in pattern.batches:
-        for slot in batch.model.factor.unmoved:
-            moved[batch.variables[slot]] = False
-    return moved
 
 
 def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
@@ -35,7 +25,7 @@ def separate_parts(pattern: Pattern, gauge: Gauge) -> list[Finding]:
     pattern : the graph.
     gauge : what is held; a part that the gauge holds has no place of its own.
     """
-    moved = moving(pattern)
+    moved = moving_variables(pattern)
     names, first, sizes = np.unique(component_labels(pattern)[moved], return_index=True, return_counts=True)
     if len(names) < 2 or not (gauge.held & ~gauge.fixed).any():
         return []

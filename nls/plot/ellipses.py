@@ -53,7 +53,7 @@ def ellipses(
     every : draw that of every so many variables of a kind, in the order of their numbers; as many as can be told apart
         (120) when omitted.
     scale : ellipses are drawn so many times as large as they are, and the legend says so.
-    kind : only variables of this kind; all when omitted.
+    kind : only variables of this kind; all that have a place when omitted.
     north_up : draw x upwards and y to the right, as on a chart of a world whose axes are north and east.
 
     Returns
@@ -86,7 +86,9 @@ def ellipses(
     for stack in marginals.values.stacks.values():
         position = np.asarray(stack.manifold.position(stack.X))
         chosen = np.flatnonzero(np.array(marginals.status(stack.kind)) == "estimated")
-        if not position.shape[1] or not len(chosen) or (kind is not None and stack.kind != kind.name):
+        if not position.shape[1] or not len(chosen):
+            continue
+        if stack.kind in marginals.placeless if kind is None else stack.kind != kind.name:
             continue
         chosen = chosen[np.argsort(stack.numbers[chosen])]
         step = every or -(-len(chosen) // MOST)
@@ -136,7 +138,8 @@ def _every(step: int) -> str:
 def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> float:
     """1, 2, 5, 10, ...: how many times larger than they are ellipses must be drawn to be seen, of some kinds or all."""
     stacks = marginals.values.stacks
-    places = [(kind, stacks[kind].manifold.position(stacks[kind].X)) for kind in kinds or stacks]
+    names = kinds or [kind for kind in stacks if kind not in marginals.placeless]
+    places = [(kind, stacks[kind].manifold.position(stacks[kind].X)) for kind in names]
     extent = max((float(np.ptp(t[:, :2], axis=0).max()) for _, t in places if t.shape[1]), default=0.0)
     largest = max((_largest(marginals, kind) for kind, t in places if t.shape[1]), default=0.0)
     scale = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nls.gauge import placeless_kinds
 from nls.plot.axes import axes_or_new, figure_of
 
 if TYPE_CHECKING:
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.optimizers import Result
-    from nls.values import Values
+    from nls.values import Stack, Values
 
 __all__ = ["before_after", "trajectory"]
 
@@ -44,7 +46,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
 
     figure = Figure(figsize=(14, 4.6), layout="constrained")
     figure.set_layout_engine("constrained", wspace=0.06)
-    space = {"projection": "3d"} if _points(result.values).shape[1] == 3 else {}
+    space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
     middle = figure.add_subplot(1, 3, 2, **space)
     right = figure.add_subplot(1, 3, 3)
@@ -81,18 +83,18 @@ def trajectory(
 
     from nls.plot.ellipses import ellipses
 
-    dim = _points(values).shape[1]
+    stacks = _places(graph, values)
+    dim = _dimension(stacks)
     axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
-    segments, total = _closures(graph, values)
+    segments, total = _closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
-        points = any(stack.manifold.dim == dim for stack in values.stacks.values())
+        points = any(stack.manifold.dim == dim for stack in stacks)
         name, alpha = ("measurements", 0.15) if points else ("loop closures", 0.45)  # of points there are many
         _lines(axes, segments, color=CLOSURE, linewidth=0.6, alpha=alpha, label=name)
-    for stack in values.stacks.values():
-        X = stack.manifold.position(stack.X)
+    for stack in stacks:
+        X = _positions(stack)[np.argsort(stack.numbers)]
         if X.shape[1] != dim:
             continue
-        X = np.asarray(X)[np.argsort(stack.numbers)]
         if stack.manifold.dim > dim:
             axes.plot(*X.T, color=PATH, linewidth=1.0, label="trajectory")
             axes.plot(*X[:1].T, "o", color=PATH, markersize=5)
@@ -103,8 +105,9 @@ def trajectory(
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     if dim == 3:
+        spread = np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim])
         axes.set_zlabel("z [m]")  # type: ignore[attr-defined]
-        axes.set_box_aspect(np.maximum(np.ptp(_points(values), axis=0), 1e-9), zoom=0.85)  # type: ignore[call-arg]
+        axes.set_box_aspect(np.maximum(np.ptp(spread, axis=0), 1e-9), zoom=0.85)  # type: ignore[call-arg]
         axes.tick_params(labelsize=7)
     else:
         axes.set_aspect("equal", adjustable="datalim")
@@ -114,25 +117,33 @@ def trajectory(
     return figure_of(axes)
 
 
-def _points(values: Values) -> Array:
-    """All positions of the largest kind of positions, (n, 2 or 3)."""
-    positions = [
-        np.asarray(s.manifold.position(s.X)) for s in values.stacks.values() if s.manifold.position(s.X).shape[1]
-    ]
-    return max(positions, key=lambda X: (X.shape[1], len(X)), default=np.zeros((0, 2)))
+def _positions(stack: Stack) -> Array:
+    """Positions (n, 2 or 3) of the variables of a kind; (n, 0) of those that have none."""
+    return np.asarray(stack.manifold.position(stack.X))
 
 
-def _closures(graph: FactorGraph, values: Values) -> tuple[Array, int]:
+def _dimension(stacks: Sequence[Stack]) -> int:
+    """Of the space of some variables, 2 or 3."""
+    return max((_positions(stack).shape[1] for stack in stacks), default=2)
+
+
+def _places(graph: FactorGraph, values: Values) -> list[Stack]:
+    """Variables that have a position on the map."""
+    without = placeless_kinds(graph.pattern(values))
+    return [stack for kind, stack in values.stacks.items() if kind not in without and _positions(stack).shape[1]]
+
+
+def _closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:
     """Segments (k, 2, dim) of measurements between variables that are not neighbors in number, and their count."""
     out = []
     for factor in graph.factors:
-        if len(factor.keys) != 2:
+        if len(factor.keys) != 2 or not {key.kind for key in factor.keys} <= kinds:
             continue
         i, j = factor.keys
         ends = [values.stack(k.kind) for k in (i, j)]
         low, high = np.minimum(i.numbers, j.numbers), np.maximum(i.numbers, j.numbers)
         apart = (i.kind != j.kind) | (high - 1 != low)  # high - low could be beyond int64
-        points = [np.asarray(s.manifold.position(s.X))[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)]
+        points = [_positions(s)[s.index(k)[apart]] for s, k in zip(ends, (i, j), strict=True)]
         if points[0].shape[1] == points[1].shape[1] > 0:
             out.append(np.stack(points, axis=1))
     if not out:

@@ -9,10 +9,12 @@ from factors import Between, Factor, Isotropic, Prior
 from models import SE2, SE3, SO3, LieGroup, R
 from models.algebra import Array
 from nls import FactorGraph, GaussNewton, GraphWarning, Marginals, Pinv, Stop, UnderconstrainedError, Values
-from nls.gauge import choose_gauge
+from nls.analysis.inspection import inspect
+from nls.gauge import calibrations, choose_gauge, placeless_kinds
 from nls.linear import LU, SOLVERS
 from nls.linear.factorization import Factorization
 from nls.linear.free_gauge import FreeGauge
+from nls.sonar.scans import dead_reckoning
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import Seen, distance, in_frame, l, p, pose_graph, walk, x, y
 
@@ -130,6 +132,17 @@ def landmarks() -> tuple[FactorGraph, Values]:
     number = np.array([8, 6, 5, 9])
     seen = Seen(x[number[i]], l[j], in_frame(X[i], L[j]) + 0.05 * rng.normal(size=(12, 2)), Isotropic(0.1))
     return FactorGraph([seen]), Values({l: (R(2), L + 0.1 * rng.normal(size=L.shape)), x: (SE2, X, number)})
+
+
+def test_drifts_and_all_that_is_joined_to_them_move_with_nothing() -> None:
+    """The mean m is in no unmoved slot itself; the drifts d that it joins are."""
+    graph, values = dead_reckoning(np.arange(31.0)[:, None] * [1.0, 0.0, 0.0])
+    pattern = graph.pattern(values)
+    assert placeless_kinds(pattern) == {"d", "m"}
+    still = calibrations(pattern)
+    assert [int(still[pattern.offsets[kind] :][:n].sum()) for kind, n in (("x", 31), ("d", 3), ("m", 1))] == [0, 3, 1]
+    record = inspect(graph, values)
+    assert (record["variables"], record["components"], record["component_sizes"]) == (35, 1, [31])
 
 
 def test_a_pose_is_held_rather_than_a_landmark() -> None:

@@ -59,10 +59,10 @@ class ScanReport(LoadReport):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Keyframes, points, and keyframes that have some."""
+        """Keyframes, scans with points in them, points, and keyframes within the truth."""
         return {
             "keyframes": len(self.numbers),
-            "keyframes_with_points": int(self.scans.with_points.sum()),
+            "scans": int(self.scans.with_points.sum()),
             "points": len(self.scans.points),
             "keyframes_with_truth": 0 if self.truth is None else len(self.truth.rows),
         }

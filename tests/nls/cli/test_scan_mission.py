@@ -129,7 +129,7 @@ def test_options_without_a_meaning_are_refused(words: str, reason: str, shell: S
 
 def test_other_commands(shell: Shell) -> None:
     write(shell / "m", FILES)
-    assert "keyframes with points      2" in shell("info m")
+    assert "scans                      2" in shell("info m")
     assert "nls solve m -o OUT, then nls explain OUT/graph.npz" in shell.refused("explain m")
     shell("convert m m.npz")
     shell("plot m m.png")

@@ -14,10 +14,11 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from factors import Isotropic
+from factors import Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
-from nls import FactorGraph, Values
+from nls import FactorGraph, Marginals, Values
 from nls.plot import before_after, convergence, spy, trajectory
+from nls.sonar.scans import dead_reckoning
 from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x
 
 ROOT = Path(__file__).parents[3]
@@ -60,6 +61,20 @@ def test_landmarks_are_points() -> None:
     figure = trajectory(sample.graph, sample.values)
     (stars,) = (line for line in figure.axes[0].get_lines() if line.get_marker() == "*")
     assert len(stars.get_xdata()) == 4  # type: ignore[arg-type]
+
+
+def test_drifts_have_no_place() -> None:
+    """Variables d and m of dead reckoning are R(2), as landmarks are; steps and matches do not move them."""
+    reckoned = np.column_stack([np.arange(40.0) + 100.0, np.zeros(40), np.zeros(40)])
+    graph, values = dead_reckoning(reckoned)
+    graph.add(Between(x[[0, 5]], x[[20, 30]], [[20.0, 0, 0], [25.0, 0, 0]], Isotropic(0.1)))
+    axes = trajectory(graph, values, marginals=Marginals(graph, values)).axes[0]
+    assert axes.lines[0].get_label() == "trajectory"
+    assert min(float(np.min(line.get_xdata())) for line in axes.lines) == 100.0
+    (closures,) = (c for c in axes.collections if isinstance(c, LineCollection))
+    assert (closures.get_label(), len(closures.get_segments())) == ("loop closures", 2)
+    labels = [str(c.get_label()) for c in axes.collections]
+    assert [label for label in labels if "ellipse" in label] == ["95 % ellipse of every x"]
 
 
 def test_without_places_nothing_is_drawn() -> None:
