@@ -235,4 +235,4 @@ def test_neighbors_of_extreme_ids() -> None:
     low, high = -(2**63), 2**63 - 1
     edges = [(low, high), (high, low), (low, low + 1), (high, high - 1), (high, 0), (0, low)]
     graph, values, _ = read("\n".join(f"EDGE_SE2 {i} {j} 1 0 0 {INFORMATION_2}" for i, j in edges))
-    assert _closures(graph, values)[1] == 4
+    assert _closures(graph, values, set(values.stacks))[1] == 4
