@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import Keys, Kind
+from models import LieGroup
 from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
@@ -252,6 +253,28 @@ class Marginals:
             Sigma = self._free.moved(Sigma, columns_i, columns_j)
         Sigma = Sigma if J_i is None else J_i @ Sigma
         return Sigma if J_j is None else Sigma @ J_j.mT
+
+    def relative(self, i: Keys, j: Keys) -> Array:
+        """Covariance (n, d, d) of motions X_i^-1 X_j of pairs of poses that share a factor, see `cross`.
+
+        .. math:: G = X_i^{-1} X_j\\,\\operatorname{Exp}(\\delta),  \\quad \\delta = \\delta_j - Ad(G)^{-1} \\delta_i
+
+        Parameters
+        ----------
+        i, j : the pairs, as many of one as of the other; in the axes of j.
+
+        Raises
+        ------
+        GraphError, UnderconstrainedError
+            As `cross`; variables that are no poses.
+        """
+        group = self.values.stack(i.kind).manifold
+        if not isinstance(group, LieGroup) or self.values.stack(j.kind).manifold is not group:
+            raise GraphError(f"Marginals.relative: {i[[0]]!r} and {j[[0]]!r} are no poses of one group", [i, j])
+        Ad = group.adjoint_inverse(group.between(self.values[i], self.values[j]))
+        cross = Ad @ self.cross(i, j, frame="body")
+        C_ii, C_jj = (self.covariance(keys, frame="body") for keys in (i, j))
+        return turned(Ad, C_ii) + C_jj - cross - cross.mT
 
     def joint(self, keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
         """Joint covariance of any set of variables, of one kind or several, with names on its rows.

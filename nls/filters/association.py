@@ -47,6 +47,7 @@ __all__ = [
     "identified",
     "jcbb",
     "nearest",
+    "pair_precision_recall",
     "precision_recall",
 ]
 
@@ -297,6 +298,45 @@ def precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> Score:
         creation[truth == truth[maker]] = maker
     due = int((creation < np.arange(len(truth))).sum())
     return Score(right / int(later.sum()) if later.any() else 1.0, right / due if due else 1.0)
+
+
+def pair_precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> Score:
+    """How well sightings were grouped: of the pairs said to be of one landmark those that are, and the other way round.
+
+    Parameters
+    ----------
+    associations : (n,) landmark each sighting was given to; -1 where it was left out.
+    true : (n,) landmark each sighting is of; -1 of a false one, which is of none.
+
+    Returns
+    -------
+    (precision, recall), 1.0 where there are no pairs.
+
+    Raises
+    ------
+    GraphError
+        Different lengths.
+
+    Examples
+    --------
+    Three of landmark 7, one of them left out, and a false sighting given to it:
+
+    >>> pair_precision_recall([0, 0, -1, 0], [7, 7, 7, -1])
+    Score(precision=0.3333333333333333, recall=0.3333333333333333)
+    """
+    labels, truth = np.asarray(associations), np.asarray(true)
+    if labels.shape != truth.shape or labels.ndim != 1:
+        raise GraphError(f"pair_precision_recall: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
+    both = (labels >= 0) & (truth >= 0)
+    right = _pairs(np.column_stack([labels, truth])[both])
+    said, due = _pairs(labels[labels >= 0]), _pairs(truth[truth >= 0])
+    return Score(right / said if said else 1.0, right / due if due else 1.0)
+
+
+def _pairs(groups: npt.NDArray[np.integer]) -> int:
+    """Pairs of rows that are equal."""
+    count = np.unique(groups, axis=0, return_counts=True)[1]
+    return int((count * (count - 1) // 2).sum())
 
 
 def identified(sightings: Sighting, associations: npt.ArrayLike, kind: Kind) -> Sighting:

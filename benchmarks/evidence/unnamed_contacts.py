@@ -1,0 +1,148 @@
+"""Contacts whose names are removed: how many pairs are found again, and how good the track is.
+
+    python benchmarks/evidence/unnamed_contacts.py [--seeds 20] [--processes 1] [--out DIR]
+
+The reference missions `sim.hauv_floor` and `sim.hauv_hull`, seeds 0, 1, 2, ..., with false contacts and with lost ones.
+`nls.sonar.contacts.associate` has odometry, attitude and the contacts without their landmarks. The graph of what it
+found is solved as `nls solve` does, and beside it that of the clean mission with all true names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+import sim
+from factors import Cauchy, Robust, sonar_factors
+from nls import FactorGraph, Values, kinds
+from nls.filters.association import pair_precision_recall
+from nls.sonar.contacts import associate
+from nls.starts import search_elevation
+
+BENCHMARKS = Path(__file__).parents[1]
+SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
+SPOILED: dict[str, dict[str, float]] = {  # parts of the contacts
+    "clean": {},
+    "5 % false": {"outliers": 0.05},
+    "10 % false": {"outliers": 0.1},
+    "20 % false": {"outliers": 0.2},
+    "40 % false": {"outliers": 0.4},
+    "30 % lost": {"drop_outs": 0.3},
+    "60 % lost": {"drop_outs": 0.6},
+}
+SWEEP = ("40 % false", "30 % lost", "60 % lost")  # where it breaks: a fifth of the seeds
+x, l = kinds("x", "l")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One mission without names."""
+
+    scene: str
+    spoiled: str
+    precision: float
+    recall: float
+    share: float
+    settled: bool
+    ate: float
+    named: float
+    reckoned: float
+    seconds: float
+
+
+def trial(case: tuple[str, str, int]) -> Trial:
+    """Associate the contacts of one mission, solve, and compare."""
+    scene, spoiled, seed = case
+    mission = SCENES[scene](np.random.default_rng(seed), **SPOILED[spoiled])
+    clean = SCENES[scene](np.random.default_rng(seed))
+    others = FactorGraph(mission.graph.factors[:4])
+    began = process_time()
+    associated = associate(others, Values.of([mission.start.stack("x")]), mission.contacts, mission.sonar.aperture)
+    seconds = process_time() - began
+    contacts = associated.sightings
+    pose, target = contacts.keys[:2]
+    robust = Robust(contacts.noise, Cauchy(2.0))
+    factors = sonar_factors(pose, target, contacts.z, robust, mission.sonar, mission.offset, mission.elevation)
+    graph = FactorGraph([*others.factors, *factors])
+    solved = graph.optimize(search_elevation(graph, associated.values)).values
+    true = np.where(mission.wrong, -1, mission.contacts.keys[1].numbers)
+    return Trial(
+        scene,
+        spoiled,
+        *pair_precision_recall(associated.numbers, true),
+        associated.share,
+        associated.settled,
+        mission.ate(mission.truth.replaced({"x": solved[x]})),
+        clean.ate(clean.graph.optimize(clean.start).values),
+        mission.ate(mission.start),
+        seconds,
+    )
+
+
+def rows(trials: list[Trial]) -> list[str]:
+    """A row a scene and a way to spoil it."""
+    lines = [
+        "| scene | contacts | seeds | precision | recall | explained | ATE reckoned, m | named, m | without names, m "
+        "| over named, mean (largest) | above reckoned | settled | s |",
+        "|:--|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for scene, spoiled in product(SCENES, SPOILED):
+        of = [t for t in trials if (t.scene, t.spoiled) == (scene, spoiled)]
+        if not of:
+            continue
+        ate, named, reckoned = (np.array([getattr(t, name) for t in of]) for name in ("ate", "named", "reckoned"))
+        lines.append(
+            f"| {scene} | {spoiled} | {len(of)} | {np.mean([t.precision for t in of]):.3f} | {np.mean([t.recall for t in of]):.3f} "
+            f"| {100 * np.mean([t.share for t in of]):.1f} % | {reckoned.mean():.3f} | {named.mean():.4f} "
+            f"| {ate.mean():.4f} | {ate.mean() / named.mean():.2f} ({(ate / named).max():.2f}) "
+            f"| {int((ate > reckoned).sum())} of {len(of)} | {sum(t.settled for t in of)} of {len(of)} "
+            f"| {np.mean([t.seconds for t in of]):.0f} |"
+        )
+    return lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="(default 20)")
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help="(default 1)")
+    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="of the page")
+    options = parser.parse_args()
+    sys.path.insert(0, str(BENCHMARKS))
+    from pinv import machine, write_page
+
+    head = machine()
+    few = max(1, options.seeds // 5)
+    cases = [
+        (scene, spoiled, seed)
+        for spoiled, scene in product(SPOILED, SCENES)
+        for seed in range(few if spoiled in SWEEP else options.seeds)
+    ]
+    trials = []
+    with ProcessPoolExecutor(options.processes) as pool:
+        for done in pool.map(trial, cases):
+            trials.append(done)
+            print(done, file=sys.stderr, flush=True)
+    lines = [
+        "# Contacts without names",
+        "",
+        *head,
+        "",
+        *rows(trials),
+        "",
+        "Precision and recall are those of pairs of contacts: of one landmark as said, and as they are. Explained: the "
+        "share of all contacts that a landmark was found for. Named: the clean mission with the true names. ATE: rmse "
+        "of the poses, nothing aligned, means of the seeds. s: processor time of the association.",
+    ]
+    write_page(lines, options.out / "unnamed_contacts.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+r"""Which sightings are of one target, where nothing names them: tracks of near pings, then rounds over the whole graph.
+
+1. Sightings of pings that follow one another are linked where one fits the arc of the other, nothing else does as well,
+   and the same holds backwards. Links that hang together are tracks.
+2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
+3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
+   alone with one another. A sighting that its landmark does not explain is alone again, and so is the worst piece of a
+   track whose chi2 noise does not explain.
+
+2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones first,
+where poses are known well beside each other. They correct the poses, and wide gates become narrow. What has two answers
+waits for the last stage, and what has two equal ones stays undecided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from factors.keys import Kind, kinds
+from factors.sighting import Sighting
+from models.algebra import Array, Index, Mask
+from models.options import check_between, check_whole
+from nls.analysis.chi_squared import chi2_gate
+from nls.graph import FactorGraph
+from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.estimate import Estimate, estimated, measured_numbers
+from nls.sonar.contacts.gates import landmark_distances, sighting_distances
+from nls.sonar.contacts.merging import linked, merged
+from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
+from nls.sonar.contacts.places import Pings
+from nls.values import Values
+
+__all__ = ["Associated", "associate"]
+
+LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
+# the widest innovations, in sigmas of the sensor, and by how much d2 of a rival is above that of the best
+STAGES = ((2.0, np.inf), (4.0, np.inf), (8.0, np.inf), (np.inf, np.inf), (np.inf, 1.0))
+FEW = 0.005  # part of the sightings; a round that moves no more is the last of its stage
+ROUNDS = 40
+OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
+TWICE = 2  # a sighting that its landmark did not explain so often is joined with no other any more
+l = kinds("l")[0]
+
+
+@dataclass(frozen=True, repr=False)
+class Associated:
+    """Landmarks for sightings without names.
+
+    Attributes
+    ----------
+    numbers : (n,) landmark of each sighting, from 0 in the order of their first ones; -1 where it is undecided.
+    sightings : the decided ones, as measurements of these landmarks.
+    values : poses and landmarks, by all decided sightings.
+    rounds : after each round how many sightings were decided.
+    settled : whether the last round changed next to nothing.
+    d2 : (n,) squared residual of each decided sighting, in sigmas; nan of the others.
+    """
+
+    numbers: Index
+    sightings: Sighting
+    values: Values
+    rounds: tuple[int, ...]
+    settled: bool
+    d2: Array = field(repr=False)
+
+    @property
+    def landmarks(self) -> int:
+        """How many there are."""
+        return int(self.numbers.max(initial=-1)) + 1
+
+    @property
+    def share(self) -> float:
+        """Part of the sightings that landmarks explain."""
+        return float(np.mean(self.numbers >= 0))
+
+    def __repr__(self) -> str:
+        return f"Associated({np.count_nonzero(self.numbers >= 0)} of {len(self.numbers)}, {self.landmarks} landmarks)"
+
+    def __str__(self) -> str:
+        n, decided = len(self.numbers), int(np.count_nonzero(self.numbers >= 0))
+        end = "settled" if self.settled else "not settled"
+        return f"{decided:,} of {n:,} sightings are of {self.landmarks:,} landmarks; {len(self.rounds)} rounds, {end}"
+
+
+def associate(
+    graph: FactorGraph,
+    values: Values,
+    sightings: Sighting,
+    aperture: float | None = None,
+    kind: Kind = l,
+    least: int = 3,
+    probability: float = 0.999,
+    rounds: int = ROUNDS,
+    report: Callable[[Index], None] | None = None,
+) -> Associated:
+    """Landmarks of sightings without names.
+
+    Parameters
+    ----------
+    graph, values : all other measurements, and the poses by them, such as dead reckoning. Both stay as they are.
+    sightings : the targets that they name are ignored.
+    aperture : height of the view of an imaging sonar, rad; needed for `RangeAzimuth`.
+    kind : of the landmarks.
+    least : sightings that make a landmark; fewer stay undecided.
+    probability : with which a right pairing is within its gate.
+    rounds : at most.
+    report : called with the tracks (n,) after every round.
+
+    Returns
+    -------
+    Associated
+
+    Raises
+    ------
+    GraphError
+        Sightings that leave more free than an elevation, whose sensor has no known place, or of a kind that has values.
+    OptionError
+        An aperture, a probability or a count that is none.
+    UnderconstrainedError
+        The graph leaves poses free.
+
+    Notes
+    -----
+    A round costs one solution with its covariances. Sightings are compared with what is near, found by trees, so that
+    the cost grows nearly with their number.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nls, sim
+    >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=1, per_leg=16)
+    >>> others = nls.FactorGraph(mission.graph.factors[:4])
+    >>> poses = nls.Values.of([mission.start.stack("x")])
+    >>> associated = associate(others, poses, mission.contacts, aperture=mission.sonar.aperture)
+    >>> associated.settled, associated.share > 0.9
+    (True, True)
+    """
+    check_whole("least", least, 2)
+    check_whole("rounds", rounds, 1)
+    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
+    pings = Pings.of(sightings, values, kind, aperture)
+    gate = chi2_gate(measured_numbers(pings), probability)
+    pieces = tracks = _linked(pings, graph, values, gate)
+    expelled = np.zeros(len(pings), dtype=np.intp)
+    poses, stage, settled = values, 0, False
+    history: list[int] = []
+    while len(history) < rounds and not settled:
+        estimate = estimated(pings, graph, poses, tracks)
+        poses = Values.of(stack for name, stack in estimate.values.stacks.items() if name != kind.name)
+        joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
+        outside = estimate.d2 > OUTSIDE * gate
+        misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
+        stage += np.count_nonzero(joined != tracks) <= FEW * len(tracks)
+        settled = stage == len(STAGES)
+        tracks = of.single(of.parted(joined, pieces, misfit), outside)
+        expelled += outside | misfit
+        history.append(int(np.count_nonzero(of.sizes(tracks) >= least)))
+        if report is not None:
+            report(tracks)
+    return _associated(pings, graph, poses, tracks, least, tuple(history), settled)
+
+
+def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
+    """Tracks (n,) of sightings in pings that follow one another."""
+    c, d = near_pings(pings, graph, values, LAGS, gate)
+    d2, _ = sighting_distances(pings, graph, values, c, d)
+    tracks = linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
+    return of.once_per_ping(tracks, pings.ping)
+
+
+def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float, alike: float) -> Index:
+    """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that."""
+    tracks, graph, values = estimate.tracks, estimate.graph, estimate.values
+    d, landmarks = near_landmarks(pings, graph, values, tracks, np.flatnonzero(open_), gate)
+    c, e = near_sightings(pings, graph, values, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
+    near = landmark_distances(pings, graph, values, d, landmarks), sighting_distances(pings, graph, values, c, e)
+    d2, width = (np.concatenate([of_landmark, of_one, of_one]) for of_landmark, of_one in zip(*near, strict=True))
+    narrow = width < widest
+    b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate, alike)
+
+
+def _associated(
+    pings: Pings,
+    graph: FactorGraph,
+    poses: Values,
+    tracks: Index,
+    least: int,
+    history: tuple[int, ...],
+    settled: bool,
+) -> Associated:
+    """The tracks that are landmarks, numbered, and their estimate."""
+    decided = of.sizes(tracks) >= least
+    estimate = estimated(pings, graph, poses, np.where(decided, tracks, np.arange(len(tracks))))
+    numbers, values = np.full(len(tracks), -1), estimate.values
+    names, numbers[decided] = np.unique(tracks[decided], return_inverse=True)
+    sightings = pings.of_landmarks(numbers[decided], np.flatnonzero(decided))
+    if len(names):
+        stack = values.stack(pings.kind)
+        values = Values.of(other for name, other in values.stacks.items() if name != pings.kind.name)
+        values.add(pings.kind, stack.manifold, stack.X, np.arange(len(names)))
+    return Associated(numbers, sightings, values, history, settled, np.where(decided, estimate.d2, np.nan))

@@ -1,0 +1,71 @@
+"""The graph of tracks: their landmarks, its optimum, and how far each sighting is from its landmark there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors import Cauchy
+from models import R
+from models.algebra import Array, Index, Mask
+from nls.analysis.chi_squared import chi2_tail
+from nls.graph import FactorGraph
+from nls.optimizers import GaussNewton, Stop
+from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.places import Pings
+from nls.starts import locate_points, search_elevation
+from nls.values import Values
+
+__all__ = ["Estimate", "estimated"]
+
+KERNEL = Cauchy(2.0)
+ROUGHLY = Stop(max_iterations=8, chi2_rtol=1e-3)
+WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
+DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Poses and landmarks by tracks.
+
+    Attributes
+    ----------
+    tracks : (n,) that it is of.
+    graph : of the tracks of two sightings and more, for covariances.
+    values : its optimum, roughly.
+    d2 : (n,) squared residuals of the sightings in these tracks, in sigmas; 0 of the others.
+    doubtful : (n,) sightings of tracks whose chi2 noise does not explain.
+    """
+
+    tracks: Index
+    graph: FactorGraph
+    values: Values
+    d2: Array
+    doubtful: Mask
+
+
+def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index) -> Estimate:
+    """Solve the graph with the landmarks of all tracks of two sightings and more, from these poses."""
+    chosen, n = np.flatnonzero(of.sizes(tracks) > 1), len(tracks)
+    d2 = np.zeros(n)
+    if not len(chosen):
+        return Estimate(tracks, graph, graph.optimize(poses).values, d2, np.zeros(n, dtype=bool))
+    measured, d = pings.of_landmarks(tracks[chosen], chosen), pings.group.point_dim
+    factors, numbers = [*graph.factors, measured.robust(KERNEL)], np.unique(tracks[chosen])
+    weak, spread = ([pings.aperture_factor(measured, times)] if pings.limit else [] for times in (WEAK, 1.0))
+    solved = FactorGraph([*factors, *weak], graph.fixed)
+    start = Values.of([*poses.stacks.values()])
+    start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
+    start = search_elevation(solved, start, pings.limit) if pings.limit else locate_points(solved, start)
+    values = solved.optimize(start, GaussNewton(ROUGHLY)).values
+    d2[chosen] = measured.chi2(values)
+    size = of.sizes(tracks)
+    dof: Index = (measured_numbers(pings) * size - d).astype(np.intp)
+    doubtful = chi2_tail(np.bincount(tracks, d2, n)[tracks], dof) < DOUBTFUL
+    return Estimate(tracks, FactorGraph([*factors, *spread], graph.fixed), values, d2, doubtful & (size > 1))
+
+
+def measured_numbers(pings: Pings) -> int:
+    """Numbers of one sighting."""
+    return int(pings.model(np.arange(1)).dim)

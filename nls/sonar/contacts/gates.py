@@ -1,0 +1,99 @@
+r"""How far a sighting is from a target, in sigmas: squared Mahalanobis distances of pairs.
+
+A sighting d of ping j and the arc of a sighting c of ping i, point by point (everything whitened by the noise of d):
+
+    b = W (z_d - h(X_j, p_k)),   S = I + A_X Sigma_G A_X' + A_l C_k A_l',      d2 = min over the arc of b' S^-1 b
+
+with Sigma_G the covariance of the motion X_i^-1 X_j and C_k that of the point by the noise of c. A sighting d and a
+landmark l, whose elevation other sightings determine, with the joint covariance of both:
+
+    b = W (z_d - h(X_j, l)),     S = I + [A_X A_l] P [A_X A_l]',               d2 = b' S^-1 b
+
+Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE
+Transactions on Robotics and Automation 17, 2001, for the gate; the arc is that of `models.sensors.arcs`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors import Between, SqrtInformation
+from factors.keys import Kind
+from models.algebra import Array, Index, product
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.sonar.contacts.places import Pings
+from nls.values import Values
+
+__all__ = ["landmark_distances", "motion_covariances", "sighting_distances"]
+
+
+def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
+    """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that."""
+    X, group = values[pings.poses], pings.group
+    motions, motion = np.unique(np.column_stack([pings.ping[c], pings.ping[d]]), axis=0, return_inverse=True)
+    Sigma = motion_covariances(pings, graph, values, *motions.T)[motion.reshape(-1)]
+    K = pings.points.shape[1]
+    every, of_c = np.repeat(d, K), np.repeat(c, K)
+    S = pings.sensors(values)[of_c]
+    L = group.act(S, pings.points[c].reshape(len(of_c), pings.group.point_dim))
+    R = group.rotation(S)
+    C = product(product(R, pings.covariances[c].reshape(len(of_c), *R.shape[1:])), R.mT)
+    (A_X, A_l), b = pings.model(every).linearize(X[pings.ping[every]], L)
+    spread = product(product(A_X, np.repeat(Sigma, K, axis=0)), A_X.mT) + product(product(A_l, C), A_l.mT)
+    S = np.eye(b.shape[1]) + spread
+    M, widths = _inverse(S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    d2 = _least(b.reshape(len(c), K, b.shape[1]), M.reshape(len(c), K, *M.shape[1:]))
+    return d2, widths.reshape(len(c), K).max(axis=1)
+
+
+def motion_covariances(pings: Pings, graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
+    """Covariance (k, d, d) of the motions from pings i to pings j, in the axes of j."""
+    a, b = pings.poses[i], pings.poses[j]
+    G = pings.group.between(values[a], values[b])
+    nothing = Between(a, b, G, SqrtInformation(np.zeros((pings.group.dim, pings.group.dim))))
+    return Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values).relative(a, b)
+
+
+def _least(b: Array, M: Array) -> Array:
+    """Least b' M b (k,) on the lines between neighbors of points b (k, K, m), by the M (k, K, m, m) of the best."""
+    d2 = _quadratic(b, M)
+    pair, best = np.arange(len(b)), d2.argmin(axis=1)
+    least, a, M = d2[pair, best], b[pair, best], M[pair, best]
+    for step in (-1, 1):
+        u = b[pair, np.clip(best + step, 0, b.shape[1] - 1)] - a
+        Mu = (M @ u[..., None])[..., 0]
+        length = (u * Mu).sum(axis=1)
+        t = np.clip(-(a * Mu).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        least = np.minimum(least, _quadratic(a + t[:, None] * u, M))
+    return np.asarray(least)
+
+
+def landmark_distances(
+    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index
+) -> tuple[Array, Array]:
+    """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that."""
+    measured = pings.of_landmarks(landmarks, d)
+    pose, landmark = measured.keys[:2]
+    model = measured.bind(pings.group, values.stack(pings.kind).manifold)
+    nothing = type(measured)(
+        pose, landmark, measured.z, SqrtInformation(np.zeros((model.dim, model.dim))), measured.offset
+    )
+    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
+    (A_X, A_l), b = model.linearize(values[pose], values[landmark])
+    cross = product(product(A_X, marginals.cross(pose, landmark, frame="body")), A_l.mT)
+    P_X = marginals.all(Kind(pose.kind), frame="body")[values.stack(pose.kind).index(pose)]
+    P_l = marginals.all(pings.kind)[values.stack(pings.kind).index(landmark)]
+    S = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT) + cross + cross.mT
+    S += np.eye(b.shape[1])
+    return _quadratic(b, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+
+
+def _quadratic(b: Array, M: Array) -> Array:
+    """b' M b of stacks."""
+    return np.asarray((b * (M @ b[..., None])[..., 0]).sum(axis=-1))
+
+
+def _inverse(S: Array) -> Array:
+    """S^-1 of stacks."""
+    return np.asarray(np.linalg.inv(S), dtype=np.float64)

@@ -1,0 +1,91 @@
+"""Which pairs are worth a gate: sightings near others, and near landmarks, by trees.
+
+Near is within the length of the arc and the error of the pose that the gate allows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors.keys import Kind
+from models.algebra import Array, Index, Mask
+from nls.covariance import Marginals
+from nls.graph import FactorGraph
+from nls.sonar.contacts.gates import motion_covariances
+from nls.sonar.contacts.places import Pings
+from nls.values import Values
+
+__all__ = ["near_landmarks", "near_pings", "near_sightings"]
+
+MOST = 32  # neighbors of a sighting that are looked at
+BEYOND = 1.5  # times half the aperture: a landmark farther above or below was not seen
+APART = 1e6  # m between one ping and the next, so that one tree holds them all
+
+
+def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate: float) -> tuple[Index, Index]:
+    """Pairs (k,) of sightings, the second from one of so many pings after that of the first."""
+    P, last = pings.group.act(pings.sensors(values), pings.middle), len(pings.poses) - 1
+    pairs = []
+    for lag in range(1, min(lags, last) + 1):
+        i = np.arange(last + 1 - lag)
+        sigma = motion_covariances(pings, graph, values, i, i + lag)
+        early = pings.ping + lag <= last
+        radius = np.zeros(len(pings))
+        radius[early] = _radius(pings, sigma[pings.ping[early]], gate, early)
+        here, there = (np.column_stack([P, APART * ping]) for ping in (pings.ping, pings.ping + lag))
+        pairs.append(_within(there, here, radius))
+    c, d = np.concatenate(pairs).T
+    return c, d
+
+
+def near_sightings(pings: Pings, graph: FactorGraph, values: Values, which: Index, gate: float) -> tuple[Index, Index]:
+    """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
+    P = pings.group.act(pings.sensors(values), pings.middle)[which]
+    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, graph, values, gate)[which]).T
+    c, d = which[c], which[d]
+    earlier = pings.ping[c] < pings.ping[d]
+    return c[earlier], d[earlier]
+
+
+def near_landmarks(
+    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, which: Index, gate: float
+) -> tuple[Index, Index]:
+    """Some of the sightings (k,), and landmarks (k,) by number, of other tracks, that they may be of."""
+    if pings.kind.name not in values.stacks:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    S, stack = pings.sensors(values), values.stack(pings.kind)
+    P = pings.group.act(S, pings.middle)
+    radius = pings.extent + _pose_errors(pings, graph, values, gate)
+    d, row = _within(P[which], stack.X, radius[which]).T
+    d = which[d]
+    other = stack.numbers[row] != tracks[d]
+    d, row = d[other], row[other]
+    if pings.limit:
+        q = pings.group.act(pings.group.inverse(S[d]), stack.X[row])
+        seen = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
+        d, row = d[seen], row[seen]
+    return d, stack.numbers[row]
+
+
+def _within(points: Array, others: Array, radius: Array) -> Index:
+    """Pairs (k, 2) of points (n, d) and others within the radius (n,) of each, the nearest `MOST`."""
+    from scipy.spatial import cKDTree
+
+    distance, near = cKDTree(others).query(points, np.arange(1, MOST + 1), distance_upper_bound=radius.max(initial=0))
+    rows, columns = np.nonzero(distance <= radius[:, None])
+    return np.column_stack([rows, near[rows, columns]])
+
+
+def _pose_errors(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Array:
+    """How far (n,) errors of the poses move the targets of sightings, m, within the gate."""
+    Sigma = Marginals(graph, values).all(Kind(pings.poses.kind), frame="body")[pings.row]
+    return _radius(pings, Sigma[pings.ping], gate, slice(None)) - pings.extent
+
+
+def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice) -> Array:
+    """How far from the middle of their arcs targets (k,) may seem, m, for covariances (k, d, d) of the pose."""
+    k = pings.group.point_dim
+    far = np.linalg.norm(pings.middle[which], axis=1)
+    position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
+    sigma = np.sqrt(np.maximum(position, 0.0)) + far * np.sqrt(np.maximum(turn, 0.0))
+    return np.asarray(pings.extent[which] + np.sqrt(gate) * sigma)

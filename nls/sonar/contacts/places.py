@@ -1,0 +1,162 @@
+r"""Where the target of a sighting may be: on the arc of an imaging sonar, or at one point where a sighting locates it.
+
+    p_k = p(z, el_k),   C = J Sigma_z J',   J = dp/dz          |el_k| <= limit, evenly spaced
+
+in the frame of the sensor. A range and an azimuth leave the elevation free within the aperture: nine points of the arc
+stand for it. A sighting that locates its target (bearing and range, a position) has one point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from factors.base import Model
+from factors.elevation import Elevation
+from factors.keys import Keys, Kind
+from factors.noise import Isotropic, square
+from factors.replaced import replaced
+from factors.sighting import Sighting
+from models import LieGroup, R
+from models.algebra import Array, Index, product
+from models.errors import GraphError
+from models.options import check_between
+from models.sensors import cartesian
+from nls.values import Values
+
+__all__ = ["Pings"]
+
+POINTS = 9  # of an arc; between two of them it is straight
+STEP = 1e-6  # of the differences for dp/dz: m, rad
+
+
+@dataclass(frozen=True)
+class Pings:
+    """Sightings of targets without names, ping by ping: all sightings from one pose are a ping.
+
+    Attributes
+    ----------
+    sightings : n of them; their targets are ignored.
+    kind : of the landmarks to be.
+    limit : half of the aperture, rad; 0 where a sighting locates its target.
+    group : of the poses.
+    poses : (m,) those with sightings, in the order of their numbers.
+    row : (m,) of these in the values.
+    ping : (n,) place of each sighting's pose among them.
+    """
+
+    sightings: Sighting
+    kind: Kind
+    limit: float
+    group: LieGroup
+    poses: Keys
+    row: Index
+    ping: Index
+
+    @classmethod
+    def of(cls, sightings: Sighting, values: Values, kind: Kind, aperture: float | None) -> Pings:
+        """Sightings from poses that have values.
+
+        Raises
+        ------
+        GraphError
+            No sightings, an offset that is a variable, poses without a value, sightings that leave more free than an
+            elevation; landmarks of this kind that are there already.
+        OptionError
+            Contacts without an aperture, or one that is no angle.
+        """
+        if not isinstance(sightings, Sighting) or not len(sightings):
+            raise GraphError(f"associate: expected sightings such as RangeAzimuth(...), got {sightings!r:.80}")
+        if isinstance(sightings.offset, Keys):
+            message = (
+                f"associate: {sightings!r:.80} has an offset that is a variable; the place of the sensor must be known"
+            )
+            raise GraphError(message, sightings.keys, sightings.name)
+        if kind.name in values.stacks:
+            raise GraphError(f"associate: kind {kind.name!r} has values already; landmarks need a kind of their own")
+        pose = sightings.keys[0]
+        stack = values.stack(pose.kind)
+        if sightings.contact:
+            limit = (
+                check_between("aperture", aperture, 0, np.pi, "the height of the view, an angle in (0, pi), rad") / 2
+            )
+        elif sightings.locates:
+            limit = 0.0
+        else:
+            message = (
+                f"associate: one {sightings.name} leaves more free than an elevation; expected RangeAzimuth, or "
+                "sightings that locate their targets such as BearingRange"
+            )
+            raise GraphError(message, sightings.keys, sightings.name)
+        if not isinstance(stack.manifold, LieGroup):
+            raise GraphError(f"associate: {pose[[0]]!r} is in {stack.manifold}, expected SE2 or SE3", [pose[[0]]])
+        numbers, ping = np.unique(pose.numbers, return_inverse=True)
+        poses = Keys(pose.kind, numbers)
+        return cls(sightings, kind, limit, stack.manifold, poses, stack.index(poses), ping)
+
+    def __len__(self) -> int:
+        return len(self.sightings)
+
+    def of_landmarks(self, landmarks: Index, which: Index | slice = slice(None)) -> Sighting:
+        """Sightings (k,) as measurements of landmarks (k,) by number."""
+        chosen = self.sightings[which]
+        named = replaced(chosen, [chosen.keys[0], self.kind[landmarks]])
+        assert isinstance(named, Sighting)
+        return named
+
+    def model(self, which: Index) -> Model:
+        """Some sightings (k,), to be linearized at any poses and points."""
+        return self.of_landmarks(np.arange(len(which)), which).bind(self.group, R(self.group.point_dim))
+
+    def sensors(self, values: Values) -> Array:
+        """Pose of the sensor at every sighting (n, size)."""
+        return self.sightings.sensor_pose(self.group, values[self.poses][self.ping])
+
+    @cached_property
+    def points(self) -> Array:
+        """Where each target may be (n, K, d) in the frame of its sensor, m."""
+        return np.asarray(self._located(self.model(np.arange(len(self))).z))
+
+    @cached_property
+    def covariances(self) -> Array:
+        """Of these points (n, K, d, d), by the noise of the measurement, m^2."""
+        model = self.model(np.arange(len(self)))
+        W = np.broadcast_to(square(model.W), (len(self), model.dim, model.dim))
+        C = np.asarray(np.linalg.inv(W.mT @ W), dtype=np.float64)
+        J = np.stack(
+            [(self._located(model.z + step) - self.points) / STEP for step in STEP * np.eye(model.dim)], axis=-1
+        )
+        return np.asarray(product(product(J, C[:, None]), J.mT))
+
+    def _located(self, z: Array) -> Array:
+        """Points (n, K, d) of measurements z (n, m)."""
+        if not self.limit:
+            return self.sightings.point(z)[:, None]
+        elevation = np.linspace(-self.limit, self.limit, POINTS)
+        h = np.column_stack([np.repeat(z, POINTS, axis=0), np.tile(elevation, len(z))])
+        return cartesian(h)[0].reshape(len(z), POINTS, 3)
+
+    @property
+    def middle(self) -> Array:
+        """The middle point (n, d) of each arc."""
+        return np.asarray(self.points[:, self.points.shape[1] // 2])
+
+    @cached_property
+    def extent(self) -> Array:
+        """How far (n,) the ends of each arc are from its middle, m."""
+        return np.asarray(np.linalg.norm(self.points - self.middle[:, None], axis=2).max(axis=1))
+
+    def aperture_factor(self, sightings: Sighting, times: float = 1.0) -> Elevation:
+        """Elevation 0 with the sigma of an even spread, once for every landmark: at its middle sighting.
+
+        A target crosses the aperture from edge to edge while the vehicle moves ahead. At its first sighting it is at an
+        edge, and a prior there would bend the track.
+        """
+        pose, target = sightings.keys[:2]
+        order = np.lexsort((pose.numbers, target.numbers))
+        _, first, count = np.unique(target.numbers[order], return_index=True, return_counts=True)
+        at = order[first + (count - 1) // 2]
+        offset = sightings.offset if sightings.offset is None or len(sightings.offset) == 1 else sightings.offset[at]
+        return Elevation(pose[at], target[at], 0.0, Isotropic(times * self.limit / np.sqrt(3)), offset)

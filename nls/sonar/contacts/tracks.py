@@ -1,0 +1,124 @@
+"""Tracks: which sightings are taken for one target. A track is named by the lowest number of its sightings.
+
+A partition of n sightings is an array (n,) of such names, so that every sighting alone is ``np.arange(n)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.algebra import Array, Index, Mask
+
+__all__ = ["joined", "misfits", "once_per_ping", "parted", "renamed", "share_a_ping", "single", "sizes"]
+
+
+def renamed(groups: Index) -> Index:
+    """The tracks (n,) of any numbers (n,) for groups.
+
+    Examples
+    --------
+    >>> renamed(np.array([7, 3, 7, 9]))
+    array([0, 1, 0, 3])
+    """
+    _, first, group = np.unique(groups, return_index=True, return_inverse=True)
+    return np.asarray(first[group], dtype=np.intp)
+
+
+def joined(tracks: Index, a: Index, b: Index) -> Index:
+    """Tracks a (k,) joined with tracks b (k,), and all that hangs together so.
+
+    Examples
+    --------
+    >>> joined(np.arange(4), np.array([0, 3]), np.array([2, 2]))
+    array([0, 1, 0, 0])
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(tracks)
+    _, group = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    return renamed(group[tracks])
+
+
+def single(tracks: Index, sightings: Index | Mask) -> Index:
+    """Some sightings taken out of their tracks, each alone.
+
+    Examples
+    --------
+    >>> single(np.array([0, 0, 0, 3]), np.array([0]))
+    array([0, 1, 1, 3])
+    """
+    groups = tracks.copy()
+    groups[sightings] = len(tracks) + np.arange(len(tracks))[sightings]
+    return renamed(groups)
+
+
+def once_per_ping(tracks: Index, ping: Index) -> Index:
+    """A target is seen once in a ping (n,): of several sightings of a track there the first stays.
+
+    Examples
+    --------
+    >>> once_per_ping(np.array([0, 0, 0]), np.array([5, 6, 6]))
+    array([0, 0, 2])
+    """
+    order = np.lexsort((np.arange(len(tracks)), ping, tracks))
+    again = np.zeros(len(tracks), dtype=bool)
+    again[order[1:]] = (tracks[order[1:]] == tracks[order[:-1]]) & (ping[order[1:]] == ping[order[:-1]])
+    return single(tracks, again)
+
+
+def parted(tracks: Index, pieces: Index, sightings: Mask) -> Index:
+    """Some sightings (n,) taken out of their tracks, those of one piece (n,) together.
+
+    Examples
+    --------
+    >>> parted(np.zeros(4, dtype=int), np.array([0, 0, 2, 2]), np.array([False, False, True, True]))
+    array([0, 0, 2, 2])
+    """
+    return renamed(np.where(sightings, len(tracks) + pieces, tracks))
+
+
+def sizes(tracks: Index) -> Index:
+    """How many sightings (n,) the track of each sighting has.
+
+    Examples
+    --------
+    >>> sizes(np.array([0, 0, 2]))
+    array([2, 2, 1])
+    """
+    return np.bincount(tracks, minlength=len(tracks))[tracks]
+
+
+def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
+    """Which pairs (k,) of tracks a and b were seen in one ping, and so are two targets.
+
+    Examples
+    --------
+    >>> share_a_ping(np.array([0, 1, 0, 3]), np.array([5, 5, 6, 6]), np.array([0, 1]), np.array([1, 3]))
+    array([ True, False])
+    """
+    from scipy.sparse import csr_array
+
+    n, pings = len(tracks), int(ping.max(initial=0)) + 1
+    seen = csr_array((np.ones(n), (tracks, ping)), shape=(n, pings))
+    return np.asarray(seen[a].multiply(seen[b]).sum(axis=1)).reshape(-1) > 0
+
+
+def misfits(tracks: Index, pieces: Index, d2: Array, doubtful: Mask) -> Mask:
+    """Sightings (n,) of the piece that fits least, by the mean of d2 (n,), of each doubtful track (n,) of several.
+
+    Examples
+    --------
+    >>> pieces = np.array([0, 0, 2, 2])
+    >>> misfits(np.zeros(4, dtype=int), pieces, np.array([1.0, 2.0, 8.0, 5.0]), np.ones(4, dtype=bool))
+    array([False, False,  True,  True])
+    """
+    n = len(tracks)
+    pairs, first, pair = np.unique(tracks * n + pieces, return_index=True, return_inverse=True)
+    mean = np.bincount(pair, d2) / np.bincount(pair)
+    order = np.lexsort((mean, pairs // n))
+    worst = np.append(pairs[order][1:] // n != pairs[order][:-1] // n, True)
+    several = np.bincount(pairs // n, minlength=n)[pairs // n] > 1
+    chosen = np.zeros(len(pairs), dtype=bool)
+    chosen[order] = worst
+    return np.asarray((chosen & several & doubtful[first])[pair])
