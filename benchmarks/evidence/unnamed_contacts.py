@@ -97,9 +97,10 @@ def rows(trials: list[Trial]) -> list[str]:
         of = [t for t in trials if (t.scene, t.spoiled) == (scene, spoiled)]
         if not of:
             continue
-        ate, named, reckoned = (np.array([getattr(t, name) for t in of]) for name in ("ate", "named", "reckoned"))
+        names = ("ate", "named", "reckoned", "precision", "recall")
+        ate, named, reckoned, precision, recall = (np.array([getattr(t, name) for t in of]) for name in names)
         lines.append(
-            f"| {scene} | {spoiled} | {len(of)} | {np.mean([t.precision for t in of]):.3f} | {np.mean([t.recall for t in of]):.3f} "
+            f"| {scene} | {spoiled} | {len(of)} | {precision.mean():.3f} | {recall.mean():.3f} "
             f"| {100 * np.mean([t.share for t in of]):.1f} % | {reckoned.mean():.3f} | {named.mean():.4f} "
             f"| {ate.mean():.4f} | {ate.mean() / named.mean():.2f} ({(ate / named).max():.2f}) "
             f"| {int((ate > reckoned).sum())} of {len(of)} | {sum(t.settled for t in of)} of {len(of)} "

@@ -7,9 +7,9 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    alone with one another. A sighting that its landmark does not explain is alone again, and so is the worst piece of a
    track whose chi2 noise does not explain.
 
-2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones first,
-where poses are known well beside each other. They correct the poses, and wide gates become narrow. What has two answers
-waits for the last stage, and what has two equal ones stays undecided.
+2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones
+first, where poses are known well beside each other. They correct the poses, and wide gates become narrow. What has two
+answers waits for the last stage, and what has two equal ones stays undecided.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def associate(
         joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
         outside = estimate.d2 > OUTSIDE * gate
         misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
-        stage += np.count_nonzero(joined != tracks) <= FEW * len(tracks)
+        stage += int(np.count_nonzero(joined != tracks) <= FEW * len(tracks))
         settled = stage == len(STAGES)
         tracks = of.single(of.parted(joined, pieces, misfit), outside)
         expelled += outside | misfit
