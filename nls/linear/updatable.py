@@ -55,7 +55,7 @@ class Updated(Updatable):
     def __init__(self, H: sp.csc_matrix) -> None:
         module = cholmod()
         assert module is not None
-        self._chol = module.analyze(H, mode="simplicial", ordering_method="natural")
+        self._chol = module.analyze(H, ordering_method="natural")
         try:
             self._chol.cholesky_inplace(H)
         except module.CholmodNotPositiveDefiniteError as error:
