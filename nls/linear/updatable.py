@@ -46,6 +46,9 @@ class Updatable(Abstract):
 class Updated(Updatable):
     """H = L D L' by CHOLMOD; new rows change the columns of L above their variables.
 
+    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
+    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
+
     Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
     35(4), 2009.
     """
