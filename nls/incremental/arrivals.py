@@ -154,10 +154,11 @@ class Arrivals:
         number, touching = int(key.numbers[0]), []
         for factor in factors:
             for slot, keys in enumerate(factor.keys):
-                if keys.kind == key.kind and (here := np.flatnonzero(keys.numbers == number)).size:
-                    others = [k[here] for other, k in enumerate(factor.keys) if other != slot]
-                    mask = np.zeros(len(factor), dtype=bool)
-                    mask[here] = np.logical_and.reduce([np.ones(len(here), dtype=bool), *map(self._known.has, others)])
+                if keys.kind == key.kind:
+                    mask: Mask = keys.numbers == number
+                    for other, k in enumerate(factor.keys):
+                        if other != slot:
+                            mask &= self._known.has(k)
                     if (measurements := part(factor, mask)) is not None:
                         touching.append((measurements, slot))
         return touching

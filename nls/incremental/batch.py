@@ -67,17 +67,17 @@ class GrowingBatch:
         """Add measurements whose variables are there; their rows."""
         begin, n = len(self), len(model.z)
         for slot, keys in enumerate(model.factor.keys):
-            self._numbers[slot].append(keys.numbers)
-            self._index[slot].append(self.variables[slot].index(keys))
-        self._z.append(model.z)
-        self._W.append(np.broadcast_to(model.W, (n, *model.W.shape[1:])))
+            self._numbers[slot].append(keys.numbers, n)
+            self._index[slot].append(self.variables[slot].index(keys), n)
+        self._z.append(model.z, n)
+        self._W.append(model.W, n)
         for place, own in _own(model.factor).items():
-            self._own[place].append(np.broadcast_to(own, (n, *own.shape[1:])))
-        rows, self._sparse = slice(begin, begin + n), None
-        for part in (self._A, self._columns, self._b, self._cost):
-            part.append(np.zeros((n, *part.rows.shape[1:]), part.rows.dtype))
-        self.place(rows)
-        return rows
+            self._own[place].append(own, n)
+        self._cost.append(np.zeros(1), n)
+        for part in (self._A, self._columns, self._b):
+            part.grow(n)
+        self._sparse = None
+        return slice(begin, begin + n)
 
     def keep(self, n: int) -> None:
         """Forget all measurements but the first n."""
@@ -119,6 +119,7 @@ class GrowingBatch:
         """Linearize what has come since the last time; its cost."""
         rows = slice(self._linearized, len(self))
         if len(self) > self._linearized:
+            self.place(rows)
             self.linearize(rows)
             self._linearized = len(self)
         return self.cost(rows)

@@ -110,8 +110,8 @@ def _placed(known: Known, factor: Factor, slot: int, space: Manifold) -> Array |
     first = factor if len(factor) == 1 else factor[[0]]
     spaces = [space if k == slot else known.variables[keys.kind].manifold for k, keys in enumerate(first.keys)]
     model = first.bind(*spaces)
-    W = model.W[0] if model.W.ndim == 3 else np.diag(model.W[0])
-    if model.dim < space.dim or not np.linalg.det(W):
+    W = model.W[0]
+    if model.dim < space.dim or not (W.all() if W.ndim == 1 else np.linalg.det(W)):
         return None
     if isinstance(first, Prior) and first.offset is None:
         return np.asarray(model.z[0])

@@ -45,10 +45,12 @@ class Decision:
 
     def is_due(self, factors: Sequence[Factor]) -> bool:
         """Whether enough closures have come, with those among some factors."""
+        if self.every is None:
+            return False
         for factor in factors:
             if says_poses(factor) and factor.keys[0].kind == factor.keys[1].kind:
                 self._new += int((np.abs(factor.keys[0].numbers - factor.keys[1].numbers) > 1).sum())
-        return self.every is not None and self._new >= self.every
+        return self._new >= self.every
 
     def judge(
         self, models: Sequence[Model], values: Values, doubted: Mask | None = None

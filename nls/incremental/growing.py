@@ -31,14 +31,19 @@ class Growing:
         """The rows (n, ...), a view."""
         return self._room[: self._n]
 
-    def append(self, rows: npt.NDArray[Any]) -> None:
-        """Add rows (k, ...) at the end."""
-        end = self._n + len(rows)
+    def append(self, rows: npt.NDArray[Any], n: int) -> None:
+        """Add n rows at the end: each its own (n, ...), or all the same (1, ...)."""
+        begin = self._n
+        self.grow(n)
+        self._room[begin : self._n] = rows
+
+    def grow(self, n: int) -> None:
+        """Add n rows at the end that are written later."""
+        end = self._n + n
         if end > len(self._room):
             room = np.empty((2 * end, *self._room.shape[1:]), self._room.dtype, self._order)
             room[: self._n] = self.rows
             self._room = room
-        self._room[self._n : end] = rows
         self._n = end
 
     def keep(self, n: int) -> None:
@@ -88,9 +93,9 @@ class Variables:
     def join(self, number: int, value: Array, column: int) -> None:
         """Add a variable at a value (size,)."""
         self.place[number] = len(self)
-        self._numbers.append(np.array([number]))
-        self._X.append(value[None])
-        self._columns.append(np.array([column]))
+        self._numbers.append(np.array([number]), 1)
+        self._X.append(value[None], 1)
+        self._columns.append(np.array([column]), 1)
 
     def keep(self, n: int) -> None:
         """Forget all but the first n that joined."""

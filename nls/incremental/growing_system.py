@@ -80,7 +80,9 @@ class GrowingSystem:
 
     def join(self, key: Keys, space: Manifold, value: Array) -> None:
         """Add a variable at a value (size,)."""
-        variables = self.variables.setdefault(key.kind, Variables(key.kind, space))
+        if key.kind not in self.variables:
+            self.variables[key.kind] = Variables(key.kind, space)
+        variables = self.variables[key.kind]
         room = None if self._preconditioner is None else self._preconditioner.column(variables.manifold.dim)
         if room is None:
             self.renew()

@@ -62,8 +62,6 @@ class Preconditioner:
 
     def add(self, A: Array, columns: npt.NDArray[np.int32]) -> None:
         """Add rows of A (k, D), and their columns (k, D)."""
-        order = np.argsort(columns, axis=1, kind="stable")
-        columns, A = np.take_along_axis(columns, order, axis=1), np.take_along_axis(A, order, axis=1)
         free = columns < self.n
         indptr = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
         self._factor.add(sp.csc_matrix((A[free], columns[free], indptr), shape=(self.n, len(A))))

@@ -46,6 +46,9 @@ class Updatable(Abstract):
 class Updated(Updatable):
     """H = L D L' by CHOLMOD; new rows change the columns of L above their variables.
 
+    CHOLMOD chooses between columns and supernodes, see `nls.linear.cholesky`. It makes columns of supernodes where the
+    first rows come: 15 ms on sphere2500, whose factorization takes 73 ms by supernodes and 318 by columns.
+
     Source: T. Davis, W. Hager, "Dynamic supernodes in sparse Cholesky update/downdate and triangular solves", ACM TOMS
     35(4), 2009.
     """
@@ -55,7 +58,7 @@ class Updated(Updatable):
     def __init__(self, H: sp.csc_matrix) -> None:
         module = cholmod()
         assert module is not None
-        self._chol = module.analyze(H, mode="simplicial", ordering_method="natural")
+        self._chol = module.analyze(H, ordering_method="natural")
         try:
             self._chol.cholesky_inplace(H)
         except module.CholmodNotPositiveDefiniteError as error:

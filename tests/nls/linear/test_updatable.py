@@ -29,6 +29,21 @@ def test_rows_are_added(kind: type[Updatable]) -> None:
 
 
 @both
+def test_a_dense_matrix_takes_rows_and_is_refused_where_a_pivot_vanishes(kind: type[Updatable]) -> None:
+    """CHOLMOD factorizes it by supernodes first."""
+    rng = np.random.default_rng(1)
+    A, C, g = rng.normal(size=(300, 200)), rng.normal(size=(200, 3)), rng.normal(size=200)
+    H = A.T @ A
+    factor = kind(sp.csc_matrix(np.tril(H)))
+    np.testing.assert_allclose(factor.solve(g), np.linalg.solve(H, g), rtol=1e-8)
+    factor.add(sp.csc_matrix(C))
+    np.testing.assert_allclose(factor.solve(g), np.linalg.solve(H + C @ C.T, g), rtol=1e-8)
+    A[:, 150] = A[:, 3]
+    with pytest.raises(SingularSystemError):
+        kind(sp.csc_matrix(np.tril(A.T @ A)))
+
+
+@both
 def test_what_is_not_positive_definite_is_refused(kind: type[Updatable]) -> None:
     for H in (np.zeros((2, 2)), np.array([[1.0, 1.0], [1.0, 1.0]]), np.diag([1.0, -1.0])):
         with pytest.raises(SingularSystemError):
