@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["rejections", "sentence", "together", "unverified"]
+__all__ = ["left", "rejections", "sentence", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -240,6 +240,12 @@ def rejections(count: int, doubted: int, by_chance: float, probability: float, s
     right = "less than one right measurement is" if by_chance < 1 else f"about {by_chance:.0f} right ones are"
     by_chance_at = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
     return f"{count} of {doubted} doubted measurements rejected{scaled}; {by_chance_at}"
+
+
+def left(landmarks: list[str], count: int) -> str:
+    """Which landmarks left with what was rejected, and how many doubted measurements of theirs."""
+    verb = "leaves" if len(landmarks) == 1 else "leave"
+    return f"{some(landmarks, FEW)} {verb} with them: too few of {count} doubted measurements of theirs agree"
 
 
 def _repeated(f: Finding) -> str:
