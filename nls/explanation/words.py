@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["left", "rejections", "sentence", "together", "unverified"]
+__all__ = ["left", "rejected_contacts", "rejections", "sentence", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -240,6 +240,13 @@ def rejections(count: int, doubted: int, by_chance: float, probability: float, s
     right = "less than one right measurement is" if by_chance < 1 else f"about {by_chance:.0f} right ones are"
     by_chance_at = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
     return f"{count} of {doubted} doubted measurements rejected{scaled}; {by_chance_at}"
+
+
+def rejected_contacts(count: int, doubted: int, by_chance: float, probability: float) -> str:
+    """The same of contacts, in short."""
+    return (
+        f"{count:,} of {doubted:,} contacts rejected; {by_chance:.0f} expected by chance at {100 * probability:.6g} %"
+    )
 
 
 def left(landmarks: list[str], count: int) -> str:

@@ -43,7 +43,7 @@ from factors.base import Factor
 from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
-from models.errors import GraphError, OptionError
+from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
@@ -132,11 +132,14 @@ class Robustified:
         """Accepted groups of closures that carry the map and that nothing verifies; computed at the first access.
 
         The others that were kept are the judges, so a group whose contradictions were rejected is listed. Factors and
-        measurements are numbered as in the given graph.
+        measurements are numbered as in the given graph. None where something is free: nothing has a redundancy there.
         """
         factors = [number for number, w in enumerate(self.weights) if w.any()]
         indices = [np.flatnonzero(self.weights[number]).tolist() for number in factors]
-        groups = unverified_groups(self.graph, self.result.values)
+        try:
+            groups = unverified_groups(self.graph, self.result.values)
+        except UnderconstrainedError:
+            return ()
         return tuple(replace(g, closures=tuple((factors[f], indices[f][k]) for f, k in g.closures)) for g in groups)
 
     def __repr__(self) -> str:
