@@ -96,13 +96,18 @@ def record(choice: Robustified) -> dict[str, Any]:
 def rows(choice: Robustified, asked: bool) -> list[str]:
     """For the table: all that is known where the choice was asked for, else one line of contacts."""
     if not asked:
-        from nls.explanation.words import left, rejected_contacts
-
-        numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
-        names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)
-        return [f"rejected    {'; '.join([rejected_contacts(*numbers), *[left(names, count)] * bool(names)])}"]
+        return [f"rejected    {sentence(choice)}"]
     first, *lines = choice.report(SHOWN)
     return [f"rejected    {first}", *(f"          {line}" for line in lines)]
+
+
+def sentence(choice: Robustified) -> str:
+    """How many contacts were rejected, and which landmarks left."""
+    from nls.explanation.words import left, rejected_contacts
+
+    numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
+    names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)
+    return "; ".join([rejected_contacts(*numbers), *[left(names, count)] * bool(names)])
 
 
 def doubtful(choice: Robustified | None, allowed: bool) -> bool:

@@ -181,7 +181,8 @@ def _optimize(job: Job) -> None:
     from nls.cli.wrong_contacts import choice_of
 
     _find_optimum(job)
-    if job.judge_contacts and (choice := choice_of(job)) is not None:
+    judges = job.judge_contacts and job.options.robust is None and job.options.sigmas == "stated"
+    if judges and (choice := choice_of(job.graph, job.values, job.result, job.report)) is not None:
         _take(job, choice, "gnc-tls")
         _find_optimum(job)
     job.clock.lap("optimize")

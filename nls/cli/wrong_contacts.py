@@ -8,9 +8,11 @@ from factors import RangeAzimuth
 
 if TYPE_CHECKING:
     from factors.base import Factor
-    from nls.cli.job import Job
     from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.optimizers import Result
     from nls.robust import Robustified
+    from nls.values import Values
 
 __all__ = ["choice_of", "contacts_of"]
 
@@ -20,29 +22,32 @@ def contacts_of(graph: FactorGraph) -> list[Factor]:
     return [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
 
 
-def choice_of(job: Job) -> Robustified | None:
+def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
     """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
 
-    All are believed where the options say what else is done about outliers, where `nls.robust.misfit` finds nothing,
-    and where the choice is doubtful or cannot be made; a note says so.
+    All are believed where `nls.robust.misfit` finds nothing, and where the choice is doubtful or cannot be made; a note
+    says so then.
+
+    Parameters
+    ----------
+    graph, values, report : of the mission, its start by dead reckoning.
+    result : with all contacts, without robust kernels.
     """
     import nls
     from models.errors import UnderconstrainedError
     from nls.io.mission import MissionReport
     from nls.robust.misfit import misfit
 
-    options, contacts = job.options, contacts_of(job.graph)
-    if options.robust is not None or options.sigmas != "stated" or not isinstance(job.report, MissionReport):
-        return None
-    if not misfit(job.result, contacts):
+    contacts = contacts_of(graph)
+    if not isinstance(report, MissionReport) or not misfit(result, contacts):
         return None
     kept = "all contacts are kept, though some do not fit"
     try:
-        choice = nls.gnc(job.graph, job.values, doubted=contacts)
+        choice = nls.gnc(graph, values, doubted=contacts)
     except UnderconstrainedError as error:
-        job.report.notes.append(f"{kept}: without contacts, which judge each other along dead reckoning, {error}")
+        report.notes.append(f"{kept}: without contacts, which judge each other along dead reckoning, {error}")
         return None
     if choice.doubts:
-        job.report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")
+        report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")
         return None
     return choice
