@@ -62,7 +62,7 @@ def exchanged_contacts(graph: FactorGraph, values: Values, rejected: Sequence[Ma
     >>> bool(sum(len(pair.places) for pair in pairs) > 0.9 * mission.wrong.sum())
     True
     """
-    found: dict[tuple[str, int, int], list[tuple[int, int, float, float]]] = {}
+    exchanges: dict[tuple[str, int, int], list[tuple[int, int, float, float]]] = {}
     for number, (factor, mask) in enumerate(zip(graph.factors, rejected, strict=True)):
         if not isinstance(factor, Sighting) or not factor.contact or not mask.any():
             continue
@@ -77,9 +77,9 @@ def exchanged_contacts(graph: FactorGraph, values: Values, rejected: Sequence[Ma
         for i, j, own_a, own_b, at_b, at_a in zip(*(column[fits].tolist() for column in columns), strict=True):
             first, second = sorted(factor.keys[1].numbers[[i, j]].tolist())
             contacts = [(number, i, own_a, at_b), (number, j, own_b, at_a)]
-            found.setdefault((stack.kind, first, second), []).extend(contacts)
+            exchanges.setdefault((stack.kind, first, second), []).extend(contacts)
     pairs = []
-    for (kind, first, second), contacts in found.items():
+    for (kind, first, second), contacts in exchanges.items():
         places = tuple((number, index) for number, index, *_ in contacts)
         standing, chi2 = (sum(column) for column in list(zip(*contacts, strict=True))[2:])
         pairs.append(Exchanged(Keys(kind, first), Keys(kind, second), places, standing, chi2))

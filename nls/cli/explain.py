@@ -86,8 +86,8 @@ def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: Loa
 
     kept, kept_report = outliers.without_rejected(graph, choice, report)
     explanation = _placed(nls.explain(kept, choice.result.values, _dives(kept_report)), kept_report)
-    found = _placed(replace(explanation, findings=wrong_contacts(graph, choice)), report)
-    first, *exchanged = found.findings
+    placed = _placed(replace(explanation, findings=wrong_contacts(graph, choice)), report)
+    first, *exchanged = placed.findings
     how = f"at its optimum without {outliers.sentence(choice)}"
     return replace(explanation, findings=(first, *explanation.findings, *exchanged)), how
 

@@ -30,7 +30,7 @@ def wrong_contacts(graph: FactorGraph, choice: Robustified) -> tuple[Finding, ..
     where = {
         factor.describe(i): (k, i) for k, factor in enumerate(graph.factors) for i in np.flatnonzero(out[k]).tolist()
     }
-    names = [each.factor for each in choice.rejected]
+    names = [rejection.factor for rejection in choice.rejected]
     worst = tuple(where[name] for name in names[:SOME] if name in where)
     inspect = (Advice("inspect", ("them",)), Advice("remove", ("them",)))
     findings = [Finding(FindingKind.MANY_OUTLIERS, (), {"factors": names}, inspect, worst)]

@@ -169,8 +169,8 @@ def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> A
     pairs = np.cumsum(count * np.minimum(count, TRIED))
     blocks = np.split(np.arange(len(count)), np.flatnonzero(np.diff(pairs // AT_ONCE)) + 1)
     contacts = np.split(order, np.cumsum(count)[[block[-1] for block in blocks[:-1]]])
-    found = [arcs.sets(c, count[block]) for c, block in zip(contacts, blocks, strict=True)]
-    agreeing, a, points, size = (np.concatenate(column) for column in zip(*found, strict=True))
+    sets = [arcs.sets(c, count[block]) for c, block in zip(contacts, blocks, strict=True)]
+    agreeing, a, points, size = (np.concatenate(column) for column in zip(*sets, strict=True))
     enough = (size >= FEWEST) | (count == 1)
     kept = np.zeros(len(factor), dtype=bool)
     kept[order] = agreeing & np.repeat(enough, count)
@@ -217,10 +217,10 @@ class Arcs:
         d = np.empty((steps, len(b)))
         p = np.empty((steps, len(a), 3))
         for k, elevation in enumerate(elevations):
-            p[k], C = self._seen(a, elevation, sigma)
+            p[k], C = self._landmarks(a, elevation, sigma)
             d[k] = self._distances(b, T, P, p[k][of], C[of])
         d[:, b == a[of]] = 0.0
-        cost = np.array([np.bincount(of, np.minimum(each, c2)) for each in d])
+        cost = np.array([np.bincount(of, np.minimum(distances, c2)) for distances in d])
         step = np.argmin(cost, axis=0)
         by_cost = np.lexsort((cost.min(axis=0), group))
         best = by_cost[np.cumsum(tries) - tries]  # of every group the try of the lowest cost
@@ -231,7 +231,7 @@ class Arcs:
         X, S = self.track.X[self.place[a[best]]], p[step[best], best]
         return agreeing, a[best], SE3.act(X, S), size
 
-    def _seen(self, a: Index, elevation: float, sigma: float) -> tuple[Array, Array]:
+    def _landmarks(self, a: Index, elevation: float, sigma: float) -> tuple[Array, Array]:
         """Landmarks (k, 3) of contacts a (k,) at an elevation, in the axes of their vehicles; covariances (k, 3, 3)."""
         factor = self.factor[a]
         assert isinstance(factor, Sighting)

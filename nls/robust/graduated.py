@@ -150,9 +150,9 @@ class Robustified:
         from nls.explanation.words import left, rejections, unverified
 
         lines = [rejections(len(self.rejected), self.doubted, self.expected_by_chance, self.probability, self.sigma0)]
-        lines += [left([each.variable for each in self.left], sum(each.measurements for each in self.left))] * bool(
-            self.left
-        )
+        if self.left:
+            names, count = [x.variable for x in self.left], sum(x.measurements for x in self.left)
+            lines.append(left(names, count))
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
         for g in self.unverified:
             lines.append(f"accepted, not verified: {unverified(g.names, g.redundancy, g.meters, g.sigmas)}")

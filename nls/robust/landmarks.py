@@ -33,14 +33,14 @@ class Landmarks:
     ----------
     graph : all measurements.
     doubted : per factor which of its measurements may be taken out.
-    seen : per kind of landmarks the factors that touch them: number, slot and the row (n,) of the stack of each
+    factors : per kind of landmarks the factors that touch them: number, slot and the row (n,) of the stack of each
         measurement.
     held : per kind which landmarks are held at their values, and never leave.
     """
 
     graph: FactorGraph
     doubted: Sequence[Mask]
-    seen: dict[str, list[tuple[int, int, Index]]]
+    factors: dict[str, list[tuple[int, int, Index]]]
     held: dict[str, Mask]
 
     def kept(self, inliers: list[Mask], values: Values, lost: bool = True) -> list[Mask]:
@@ -53,7 +53,7 @@ class Landmarks:
         lost : only landmarks leave that lost a measurement; False: all that are not determined.
         """
         masks = list(inliers)
-        for kind, touching in self.seen.items():
+        for kind, touching in self.factors.items():
             leaves = ~self.held[kind] & ~self._determined(kind, inliers, values)
             if lost:
                 leaves &= self._lost(kind, inliers)
@@ -65,12 +65,12 @@ class Landmarks:
     def gone(self, inliers: Sequence[Mask]) -> dict[str, Mask]:
         """Per kind which landmarks have no measurement left, of those that had some."""
         every = [np.ones(len(mask), dtype=bool) for mask in inliers]
-        return {kind: (self.counts(kind, inliers) == 0) & (self.counts(kind, every) > 0) for kind in self.seen}
+        return {kind: (self.counts(kind, inliers) == 0) & (self.counts(kind, every) > 0) for kind in self.factors}
 
     def leaving(self, gone: dict[str, Mask]) -> list[Mask]:
         """Per factor which of its measurements (n,) touch a landmark that is gone."""
         masks = [np.zeros(len(factor), dtype=bool) for factor in self.graph.factors]
-        for kind, touching in self.seen.items():
+        for kind, touching in self.factors.items():
             for number, _, row in touching:
                 masks[number] = masks[number] | gone[kind][row]
         return masks
@@ -97,7 +97,7 @@ class Landmarks:
     def counts(self, kind: str, masks: Sequence[Mask]) -> Numbers:
         """How many of some measurements touch every landmark of a kind (n,)."""
         size = len(self.held[kind])
-        touching = [row[masks[number]] for number, _, row in self.seen[kind]]
+        touching = [row[masks[number]] for number, _, row in self.factors[kind]]
         return np.bincount(np.concatenate(touching), minlength=size)
 
     def _lost(self, kind: str, inliers: Sequence[Mask]) -> Mask:
@@ -109,7 +109,7 @@ class Landmarks:
         stack = values.stack(kind)
         d = stack.manifold.dim
         M = np.zeros((len(stack), d, d))
-        for number, slot, row in self.seen[kind]:
+        for number, slot, row in self.factors[kind]:
             factor = self.graph.factors[number]
             if factor.limit_only or not inliers[number].any():
                 continue
@@ -143,13 +143,13 @@ def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) ->
             manifolds = values.gather(factor)[0].manifolds
             if manifolds[1] is not manifolds[0]:
                 kinds.add(factor.keys[1].kind)
-    seen: dict[str, list[tuple[int, int, Index]]] = {kind: [] for kind in kinds}
+    factors: dict[str, list[tuple[int, int, Index]]] = {kind: [] for kind in kinds}
     for number, factor in enumerate(graph.factors):
         for slot, keys in enumerate(factor.keys):
             if keys.kind in kinds:
-                seen[keys.kind].append((number, slot, values.stack(keys.kind).index(keys)))
+                factors[keys.kind].append((number, slot, values.stack(keys.kind).index(keys)))
     held = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in kinds}
     for keys in graph.fixed:
         if keys.kind in kinds:
             held[keys.kind][values.stack(keys.kind).index(keys)] = True
-    return Landmarks(graph, doubted, seen, held)
+    return Landmarks(graph, doubted, factors, held)

@@ -169,7 +169,7 @@ class Truncated:
                 kernels.append(kernel := LOSSES[loss](c2**0.5))
                 kernel.begin(float(k[near].max()))
                 robust[number] = factor.robust(kernel)
-        fewer = 1.0 if self.landmarks.seen else FEWER  # one measurement less may free a landmark
+        fewer = 1.0 if self.landmarks.factors else FEWER  # one measurement less may free a landmark
         while not all(kernel.done for kernel in kernels):
             kept = list(inside)
             for number, factor in robust.items():
