@@ -45,7 +45,7 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     try:
         choice = nls.gnc(graph, values, doubted=contacts)
     except UnderconstrainedError as error:
-        report.notes.append(f"{kept}: without contacts, which judge each other along dead reckoning, {error}")
+        report.notes.append(f"{kept}: without contacts, which are judged along dead reckoning, {error.message}")
         return None
     if choice.doubts:
         report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")

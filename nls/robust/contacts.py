@@ -151,10 +151,11 @@ def agreement(factor: Sighting, values: Values, track: Track, limit: float) -> A
     --------
     >>> import numpy as np
     >>> import sim
-    >>> from nls import FactorGraph
+    >>> from nls import FactorGraph, Values
     >>> from nls.robust.track import along
     >>> mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=12, outliers=0.1)
-    >>> track = along(FactorGraph(mission.graph.factors[:4]), mission.start, "x")
+    >>> poses = Values.of([mission.start.stack("x")])
+    >>> track = along(FactorGraph(mission.graph.factors[:4]), poses, "x")
     >>> sets = agreement(mission.contacts, mission.start, track, mission.sonar.aperture / 2)
     >>> bool(sets.kept[mission.wrong].mean() < 0.1), bool(sets.kept[~mission.wrong].mean() > 0.95)
     (True, True)
