@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nls.explanation import Explanation
     from nls.graph import FactorGraph
     from nls.io import LoadReport
+    from nls.robust import Robustified
     from nls.values import Values
 
 __all__ = ["explain"]
@@ -41,9 +42,7 @@ def explain(options: argparse.Namespace) -> int:
     graph = prepare(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
-        explanation, how = _explained(graph, start, progress, report)
-        if report.has_lines:
-            explanation = explanation.placed(report.place)
+        explanation, how = _explained(graph, start, values, progress, report, options.robust is None)
         explanation = _with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
@@ -74,17 +73,42 @@ def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     return replace(explanation, findings=(*findings, *explanation.findings))
 
 
-def _explained(graph: FactorGraph, start: Values, progress: Progress, report: LoadReport) -> tuple[Explanation, str]:
-    """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is."""
+def _placed(explanation: Explanation, report: LoadReport) -> Explanation:
+    """With the lines of the measurements, where these are of a file."""
+    return explanation.placed(report.place) if report.has_lines else explanation
+
+
+def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[Explanation, str]:
+    """The explanation of a mission without its wrong contacts, which it names, and what it is of."""
+    import nls
+    from nls.cli import outliers
+    from nls.explanation.wrong_contacts import wrong_contacts
+
+    kept, kept_report = outliers.without_rejected(graph, choice, report)
+    explanation = _placed(nls.explain(kept, choice.result.values, _dives(kept_report)), kept_report)
+    placed = _placed(replace(explanation, findings=wrong_contacts(graph, choice)), report)
+    first, *exchanged = placed.findings
+    how = f"at its optimum without {outliers.sentence(choice)}"
+    return replace(explanation, findings=(first, *explanation.findings, *exchanged)), how
+
+
+def _explained(
+    graph: FactorGraph, start: Values, values: Values, progress: Progress, report: LoadReport, judges: bool
+) -> tuple[Explanation, str]:
+    """The explanation of the optimum, or of where a damped method ended, or of the start; and which of them it is.
+
+    Where `judges`, that of a mission whose contacts do not fit is of its optimum without the wrong ones.
+    """
     import nls
     from models.advice import Advice
     from models.errors import EvaluationError, GraphError, SingularGeometryError, UnderconstrainedError
     from models.listing import several
+    from nls.cli.wrong_contacts import choice_of
     from nls.explanation.applicability import graduates
     from nls.explanation.findings import FindingKind
     from nls.optimizers import default_optimizer
 
-    values, how, why = start, "at the start", ""
+    best, how, why = start, "at the start", ""
     damped = nls.LevenbergMarquardt
     tries = (("file", default_optimizer(graph.factors)), ("file", damped), ("odometry", damped))
     for init, method in tries:  # closures may have spoiled the start
@@ -96,15 +120,18 @@ def _explained(graph: FactorGraph, start: Values, progress: Progress, report: Lo
         except (EvaluationError, GraphError, SingularGeometryError) as error:
             why = error.message
             continue
+        if judges and (choice := choice_of(graph, values, result, report)) is not None:
+            progress.next("explain")
+            return _without_wrong_contacts(graph, choice, report)
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
-            return nls.explain(graph, result.values, _dives(report)), how
-        values, why = result.values, f"{result.status.value}: {result.reason}"
+            return _placed(nls.explain(graph, result.values, _dives(report)), report), how
+        best, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
-    explanation = nls.explain(graph, values, _dives(report))
-    advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, values))
+    explanation = _placed(nls.explain(graph, best, _dives(report)), report)
+    advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, best))
     finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
     findings = tuple(entry for entry in explanation.findings if entry.kind is not FindingKind.NO_OPTIMUM)
     return replace(explanation, findings=(finding, *findings)), how

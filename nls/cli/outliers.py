@@ -6,6 +6,8 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
@@ -25,7 +27,7 @@ def is_gnc(robust: str | None) -> bool:
 
 
 def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robustified:
-    """The measurements to believe, by ``gnc-LOSS[:PROBABILITY]``.
+    """The measurements to believe, by ``gnc-LOSS[:PROBABILITY]``: loop closures, and contacts where there are some.
 
     Raises
     ------
@@ -34,6 +36,8 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     """
     import nls
     from models.options import did_you_mean
+    from nls.cli.wrong_contacts import contacts_of
+    from nls.posegraph import closures
     from nls.robust.kernels import LOSSES
 
     loss, colon, number = robust.removeprefix(PREFIX).partition(":")
@@ -48,7 +52,10 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
         )
     if init != "auto":
         raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
-    return nls.gnc(graph, values, loss, probability)
+    if not (contacts := contacts_of(graph)):
+        return nls.gnc(graph, values, loss, probability)
+    masks = zip(graph.factors, closures(graph.pattern(values)), strict=True)
+    return nls.gnc(graph, values, loss, probability, [*contacts, *(factor for factor, mask in masks if mask.all())])
 
 
 def record(choice: Robustified) -> dict[str, Any]:
@@ -60,6 +67,7 @@ def record(choice: Robustified) -> dict[str, Any]:
         "sigma0": choice.sigma0,
         "sigma0_between_neighbors": choice.local,
         "strain": choice.strain,
+        "left": [{"variable": landmark.variable, "measurements": landmark.measurements} for landmark in choice.left],
         "rejected": [{"factor": measurement.factor, "sigmas": measurement.sigmas} for measurement in choice.rejected],
         "doubts": [
             {
@@ -85,10 +93,21 @@ def record(choice: Robustified) -> dict[str, Any]:
     }
 
 
-def rows(choice: Robustified) -> list[str]:
-    """For the table."""
+def rows(choice: Robustified, asked: bool) -> list[str]:
+    """For the table: all that is known where the choice was asked for, else one line of contacts."""
+    if not asked:
+        return [f"rejected    {sentence(choice)}"]
     first, *lines = choice.report(SHOWN)
     return [f"rejected    {first}", *(f"          {line}" for line in lines)]
+
+
+def sentence(choice: Robustified) -> str:
+    """How many contacts were rejected, and which landmarks left."""
+    from nls.explanation.words import left, rejected_contacts
+
+    numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
+    names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)
+    return "; ".join([rejected_contacts(*numbers), *[left(names, count)] * bool(names)])
 
 
 def doubtful(choice: Robustified | None, allowed: bool) -> bool:
@@ -105,8 +124,13 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
 
     The given report stays that of the whole graph; both have one list of notes.
     """
+    from nls.io.mission import DivesReport
+
     masks = [weight > 0 for weight in choice.weights]
     graph, times = as_read.only(masks), {id(factor): times for factor, times in report.factor_times}
+    if isinstance(report, DivesReport):
+        of_dive = zip(report.dive_of, masks, strict=True)
+        report = replace(report, dive_of=[name for name, mask in of_dive if mask.any()])
     known = {id(statement.noise): statement for statement in report.statements}
     left = [(factor, mask) for factor, mask in zip(as_read.factors, masks, strict=True) if mask.any()]
     factor_times = [
@@ -123,6 +147,17 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
         if mask.any()
     ]
     return graph, replace(report, factor_times=factor_times, statements=statements, sources=sources)
+
+
+def without_left(values: Values, kept: Values) -> Values:
+    """The values of the variables that were kept."""
+    from nls.values import Stack, Values
+
+    stacks = []
+    for stack in values.stacks.values():
+        there = np.isin(stack.numbers, kept.stack(stack.kind).numbers)
+        stacks.append(stack if there.all() else Stack(stack.kind, stack.manifold, stack.X[there], stack.numbers[there]))
+    return Values.of(stacks)
 
 
 def left_out(choice: Robustified, output: str | None) -> list[str]:

@@ -27,6 +27,7 @@ EXAMPLES = """examples:
   nls solve survey.g2o --init odometry --verbose
   nls solve survey.g2o --robust huber:1.0              outliers count less
   nls solve floor --robust RangeAzimuth=cauchy:1       those among the contacts of the sonar
+  nls solve floor --robust none                        a mission with all its contacts, also wrong ones
   nls solve survey.g2o --robust gnc-tls                wrong loop closures are found, left out and listed
   nls solve survey.g2o --sigmas estimate               one scale on the sigmas of every kind, from the residuals
   nls solve floor --sigmas estimate --robust cauchy    the same for a mission, outliers count less
@@ -155,8 +156,9 @@ def parser() -> Parser:
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
     _problem(
         solve,
-        "; gnc-tls or gnc-gm: find the wrong loop closures of a pose graph, solve without them, list them; of a scan "
-        "mission gnc (default), cauchy or none: how matches are selected",
+        "; gnc-tls or gnc-gm: find wrong loop closures, of a mission wrong contacts, too, solve without them, list "
+        "them; of a mission none: believe all contacts (default: without wrong ones where chi2 and residuals say that "
+        "there are some); of a scan mission gnc (default), cauchy or none: how matches are selected",
     )
     solve.add_argument(
         "--sigmas",

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from nls.cli.job import Job
     from nls.cli.progress import Progress
     from nls.optimizers import Optimizer
+    from nls.robust import Robustified
 
 
 def solve(options: argparse.Namespace) -> int:
@@ -98,11 +99,14 @@ def _read(job: Job) -> None:
     from nls.cli import formats
     from nls.cli.outputs import refuse_loss
     from nls.cli.preparation import prepare
+    from nls.io.mission import MissionReport
     from nls.stages import collected
 
     options = job.options
     with collected() as job.stages:
         job.as_read, job.values, job.report = formats.read(options)
+        if options.robust == "none" and isinstance(job.report, MissionReport):
+            job.judge_contacts, options.robust = False, None
         if job.form and job.form != job.report.format:
             refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
@@ -125,14 +129,23 @@ def _start(job: Job) -> None:
         job.start, job.init, job.starts = nls.initialize(job.graph, job.values, options.init)
         return
     try:
-        job.choice = choice = outliers.chosen(options.robust, options.init, job.graph, job.values)
+        choice = outliers.chosen(options.robust, options.init, job.graph, job.values)
     except UnderconstrainedError as error:
         job.start = job.values
         write_free(job, error)
         raise
-    job.graph, job.start, job.init = choice.graph, choice.result.values, options.robust
+    _take(job, choice, options.robust)
+
+
+def _take(job: Job, choice: Robustified, name: str) -> None:
+    """The graph without what was rejected, to begin with at its optimum."""
+    from nls.cli import outliers
+
+    job.choice, job.graph, job.start, job.init = choice, choice.graph, choice.result.values, name
     job.as_read, job.report = outliers.without_rejected(job.as_read, choice, job.report)
-    job.report.notes += outliers.left_out(choice, options.output)
+    job.values = outliers.without_left(job.values, choice.result.values)
+    if job.form:
+        job.report.notes += outliers.left_out(choice, job.options.output)
     job.starts = {job.init: choice.result.chi2_final}
 
 
@@ -164,6 +177,18 @@ def _check_graph(job: Job) -> None:
 
 
 def _optimize(job: Job) -> None:
+    """The optimum, of a mission without wrong contacts where that of all says that some are wrong."""
+    from nls.cli.wrong_contacts import choice_of
+
+    _find_optimum(job)
+    judges = job.judge_contacts and job.options.robust is None and job.options.sigmas == "stated"
+    if judges and (choice := choice_of(job.graph, job.values, job.result, job.report)) is not None:
+        _take(job, choice, "gnc-tls")
+        _find_optimum(job)
+    job.clock.lap("optimize")
+
+
+def _find_optimum(job: Job) -> None:
     """The optimum; where something is free, the outputs that can tell so, and the error."""
     from models.errors import UnderconstrainedError
     from nls.cli.progress import Progress
@@ -180,7 +205,6 @@ def _optimize(job: Job) -> None:
         except UnderconstrainedError as error:
             write_free(job, error)
             raise
-    job.clock.lap("optimize")
 
 
 def _close(job: Job) -> None:
@@ -274,7 +298,7 @@ def _report(job: Job) -> None:
         record["written"] = written
         job.failed.append(error)
     if not options.quiet and options.json != "-":
-        rows = [] if job.choice is None else outliers.rows(job.choice)
+        rows = [] if job.choice is None else outliers.rows(job.choice, options.robust is not None)
         rows += [] if job.sigmas is None else sigmas.rows(job.sigmas)
         rows += [] if job.certificate is None else certificate.rows(job.certificate)
         print(table(record, job.result, rows, job.report.warnings, options.verbose))

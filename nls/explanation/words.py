@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["rejections", "sentence", "together", "unverified"]
+__all__ = ["left", "rejected_contacts", "rejections", "sentence", "together", "unverified"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -235,11 +235,22 @@ def unverified(factors: Sequence[str], redundancy: float, meters: float, sigmas:
 
 def rejections(count: int, doubted: int, by_chance: float, probability: float, sigma0: float) -> str:
     """How many measurements were rejected, and how many right ones are at a threshold of this probability."""
-    times = f"{sigma0:.3g}"
-    scaled = "" if times == "1" else f" at {times} times the stated sigmas"
+    scaled = "" if f"{sigma0:.3g}" == "1" else f" at {sigma0:.3g} times the stated sigmas"
     right = "less than one right measurement is" if by_chance < 1 else f"about {by_chance:.0f} right ones are"
-    by_chance_at = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
-    return f"{count} of {doubted} doubted measurements rejected{scaled}; {by_chance_at}"
+    expected = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
+    return f"{count} of {doubted} doubted measurements rejected{scaled}; {expected}"
+
+
+def rejected_contacts(count: int, doubted: int, by_chance: float, probability: float) -> str:
+    """The same of contacts, in short."""
+    return (
+        f"{count:,} of {doubted:,} contacts rejected; {by_chance:.0f} expected by chance at {100 * probability:.6g} %"
+    )
+
+
+def left(landmarks: list[str], count: int) -> str:
+    """Which landmarks left with what was rejected, and how many doubted measurements of theirs."""
+    return f"{some(landmarks, FEW)} left with them: too few of {count} doubted measurements of theirs agree"
 
 
 def _repeated(f: Finding) -> str:

@@ -22,6 +22,9 @@ is 1, the stated sigmas, unless they are too small, or more than three times too
 hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
 exactly, noise is 1.
 
+Contacts of a sonar that are doubted begin with those that agree, `nls.robust.contacts`, under a kernel of their own.
+Landmarks that are no longer determined leave with what is rejected, `nls.robust.landmarks`.
+
 Whether the choice can be trusted is a question of its own: `Preselection.doubts`, of any choice `verdict.doubts`.
 
 Source: H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", RA-L
@@ -37,9 +40,10 @@ from functools import cached_property
 import numpy as np
 
 from factors.base import Factor
+from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
-from models.errors import GraphError, OptionError
+from models.errors import GraphError, OptionError, UnderconstrainedError
 from models.options import check_between
 from nls.analysis.chi_squared import chi2_gate
 from nls.analysis.redundancy import Unverified, unverified_groups
@@ -47,7 +51,9 @@ from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.posegraph import closures, says_poses
 from nls.robust import verdict
+from nls.robust.contacts import doubted_contacts, selected
 from nls.robust.kernels import LOSSES
+from nls.robust.landmarks import landmarks_of
 from nls.robust.loop_graph import loop_graph
 from nls.robust.preselection import Preselection
 from nls.robust.truncated_least_squares import Truncated
@@ -55,7 +61,7 @@ from nls.robust.verdict import Doubt
 from nls.sparse.threads import single_thread
 from nls.values import Values, refuse_other
 
-__all__ = ["Rejected", "Robustified", "gnc"]
+__all__ = ["Left", "Rejected", "Robustified", "gnc"]
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,14 @@ class Rejected:
 
     factor: str
     sigmas: float
+
+
+@dataclass(frozen=True)
+class Left:
+    """A landmark that left with what was rejected: its name, and how many doubted measurements of it left, too."""
+
+    variable: str
+    measurements: int
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,7 +89,8 @@ class Robustified:
     result : the optimization of what was kept; its values are the estimate.
     graph : what was kept.
     weights : per factor of the given graph (n,): 1 kept, 0 rejected.
-    rejected : the others by name, the worst first.
+    rejected : the others by name, the worst first; without those of landmarks that left.
+    left : landmarks that left, by number.
     doubted : how many measurements could have been rejected.
     sigma0 : by what the stated sigmas were multiplied for the threshold.
     probability : with which a right measurement is kept, if its sigmas are right.
@@ -92,6 +107,7 @@ class Robustified:
     probability: float
     local: float = field(default=float("nan"))
     doubts: tuple[Doubt, ...] = ()
+    left: tuple[Left, ...] = ()
 
     @property
     def strain(self) -> float:
@@ -108,18 +124,22 @@ class Robustified:
 
         n is unknown. It is estimated from the kept ones, which are n p.
         """
-        return (self.doubted - len(self.rejected)) * (1 - self.probability) / self.probability
+        kept = self.doubted - len(self.rejected) - sum(landmark.measurements for landmark in self.left)
+        return kept * (1 - self.probability) / self.probability
 
     @cached_property
     def unverified(self) -> tuple[Unverified, ...]:
         """Accepted groups of closures that carry the map and that nothing verifies; computed at the first access.
 
         The others that were kept are the judges, so a group whose contradictions were rejected is listed. Factors and
-        measurements are numbered as in the given graph.
+        measurements are numbered as in the given graph. None where something is free: nothing has a redundancy there.
         """
         factors = [number for number, w in enumerate(self.weights) if w.any()]
         indices = [np.flatnonzero(self.weights[number]).tolist() for number in factors]
-        groups = unverified_groups(self.graph, self.result.values)
+        try:
+            groups = unverified_groups(self.graph, self.result.values)
+        except UnderconstrainedError:
+            return ()
         return tuple(replace(g, closures=tuple((factors[f], indices[f][k]) for f, k in g.closures)) for g in groups)
 
     def __repr__(self) -> str:
@@ -127,9 +147,12 @@ class Robustified:
 
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected, how many by chance, doubts, unverified groups, and the first rejected ones."""
-        from nls.explanation.words import rejections, unverified
+        from nls.explanation.words import left, rejections, unverified
 
         lines = [rejections(len(self.rejected), self.doubted, self.expected_by_chance, self.probability, self.sigma0)]
+        if self.left:
+            names, count = [x.variable for x in self.left], sum(x.measurements for x in self.left)
+            lines.append(left(names, count))
         lines += [f"doubtful: {doubt}" for doubt in self.doubts]
         for g in self.unverified:
             lines.append(f"accepted, not verified: {unverified(g.names, g.redundancy, g.meters, g.sigmas)}")
@@ -154,12 +177,13 @@ def gnc(
     Parameters
     ----------
     graph, values : the graph, and a start; both stay as they are. With `preselect` only the first pose of it matters.
-    loss : ``tls``, truncated least squares, or ``gm``, Geman and McClure's.
+    loss : ``tls``, truncated least squares, or ``gm``, Geman and McClure's; contacts that were selected have ``gm``.
     probability : with which a right measurement is kept, if its sigmas are right.
     doubted : factors of the graph whose measurements may be wrong, all others are trusted. When omitted the loop
         closures: relative poses of two that are no neighbors in number.
-    preselect : begin with what `nls.robust.grow` accepts. False, or with `doubted`: begin with all measurements, at
-        the values given; odometry for example, ``nls.initialize(graph, values, "odometry")``.
+    preselect : begin with what `nls.robust.grow` accepts, and of doubted contacts of a sonar with those that agree,
+        judged along all that is trusted. False, or with other `doubted` measurements: begin with all of them, at the
+        values given; odometry for example, ``nls.initialize(graph, values, "odometry")``.
 
     Returns
     -------
@@ -172,7 +196,8 @@ def gnc(
     GraphError
         A factor that is not in the graph, nothing that may be doubted, or no pose graph to preselect in.
     UnderconstrainedError
-        Without what was rejected something is free.
+        Without what was rejected something is free that is no landmark, or what is trusted leaves a pose of a contact
+        free.
 
     Examples
     --------
@@ -198,23 +223,39 @@ def gnc(
             "this graph has no loop closures, and sightings of landmarks and other measurements are not judged",
             advice=[Advice.robust("Cauchy", 1), Advice("doubt")],
         )
-    problem = Truncated(graph, masks, [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors])
+    landmarks = landmarks_of(graph, values, masks)
+    c2 = [chi2_gate(_numbers(factor, values), probability) for factor in graph.factors]
+    problem = Truncated(graph, masks, c2, landmarks)
     if preselect and doubted is None:
         preselected = Preselection(problem, loop_graph(graph, values), loss, probability)
         choice, variance, local = preselected.choice, preselected.variance, preselected.loops.neighbors.typical
         doubts = preselected.doubts()
     else:
-        choice, variance, local = problem.choice(values, loss, np.inf), 1.0, float("nan")
+        if preselect and doubted_contacts(graph, values, masks):
+            choice = problem.softened(*selected(graph, values, landmarks))
+        else:
+            choice = problem.choice(values, loss, np.inf)
+        variance, local = 1.0, float("nan")
         doubts = verdict.doubts(choice.result, total - problem.rejected(choice.inliers), total, probability)
+    gone = landmarks.gone(choice.inliers)
+    left = [
+        Left(repr(Keys(kind, int(number))), int(count))
+        for kind, mask in gone.items()
+        for number, count in zip(
+            values.stack(kind).numbers[mask].tolist(), landmarks.counts(kind, masks)[mask].tolist(), strict=True
+        )
+    ]
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5)
-        for factor, m, s in zip(graph.factors, choice.inliers, choice.s, strict=True)
-        for n in np.flatnonzero(~m).tolist()
+        for factor, m, s, leaves in zip(graph.factors, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
+        for n in np.flatnonzero(~m & ~leaves).tolist()
     ]
     rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))
     weights = [m.astype(float) for m in choice.inliers]
     sigma0 = float(np.sqrt(variance))
-    return Robustified(choice.result, choice.graph, weights, rejected, total, sigma0, probability, local, tuple(doubts))
+    return Robustified(
+        choice.result, choice.graph, weights, rejected, total, sigma0, probability, local, tuple(doubts), tuple(left)
+    )
 
 
 def _loop_closures(graph: FactorGraph, values: Values) -> list[Mask]:

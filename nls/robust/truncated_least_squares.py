@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.base import Factor
+from factors.robust import GemanMcClure
 from models.algebra import Array, Mask
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import best_decomposition
-from nls.optimizers import Optimizer, Result, Status
+from nls.optimizers import Optimizer, Result, Status, Stop, default_optimizer
 from nls.robust.kernels import LOSSES, Graduated
+from nls.robust.landmarks import Landmarks
 from nls.robust.loop_graph import LoopGraph
 from nls.sparse.fill import fill_in
 from nls.starts import chordal
@@ -30,6 +32,7 @@ PASSES = 8  # of choosing and solving at most; three are the rule
 DEARER = 10  # a second reach that takes so many times the operations is left out: torus3D, half wrong, 9 minutes
 FEWER = 0.8  # part of the pulling measurements; where fewer still pull the graph is made anew
 BETTER = 1e-3  # part of chi2 by which another start must be lower
+SOFT = 1e-3  # part of chi2 by which steps under a kernel must lower it; the choice that follows does the rest
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Choice:
     inliers : per factor which of its measurements are kept.
     s : per factor (n,) squared residuals at the optimum, of all.
     cost : the sum of min(s, c^2) where doubted, of s elsewhere.
+    values : the optimum, and the landmarks that left at their last values.
     """
 
     result: Result
@@ -50,6 +54,7 @@ class Choice:
     inliers: list[Mask]
     s: list[Array]
     cost: float
+    values: Values
 
 
 @dataclass(frozen=True)
@@ -60,11 +65,13 @@ class Truncated:
     ----------
     masks : per factor which of its measurements are doubted, all others are trusted.
     c2 : per factor the squared residual beyond which a doubted one is rejected.
+    landmarks : that leave with their measurements; none where it is not given.
     """
 
     graph: FactorGraph
     masks: list[Mask]
     c2: list[float]
+    landmarks: Landmarks = field(default_factory=lambda: Landmarks(FactorGraph(), (), {}, {}))
 
     def scaled(self, variance: float) -> Truncated:
         """The same problem with all thresholds c^2 times so much."""
@@ -88,36 +95,53 @@ class Truncated:
     def choice(self, values: Values, loss: str, far: float) -> Choice:
         """Where graduated kernels lead from some values, where all pull that are within so many thresholds."""
         values = self._bent(values, loss, far)
-        subgraph = self.graph.only(self._within(self._s(values), 1.0))
-        return self.settled(lowest(subgraph, values).values)
+        inliers = self.landmarks.kept(self._within(self._s(values), 1.0), values)
+        best = lowest(self.graph.only(inliers), self.landmarks.present(inliers, values))
+        return self.settled(self.landmarks.merged(values, best.values))
+
+    def softened(self, values: Values, inliers: list[Mask]) -> Choice:
+        """The choice that follows from some inliers, the doubted ones first under Geman and McClure's kernel.
+
+        Its c^2 is the threshold, so that wrong ones among them bend the estimate little, and right ones come back.
+        """
+        factors: list[Factor] = []
+        for factor, mask, kept, c2 in zip(self.graph.factors, self.masks, inliers, self.c2, strict=True):
+            parts = (factor[kept & ~mask], factor[kept & mask].robust(GemanMcClure(c2**0.5)))
+            factors += [part for part in parts if len(part)]
+        graph, present = FactorGraph(factors, self.graph.fixed), self.landmarks.present(inliers, values)
+        soft = graph.optimize(present, default_optimizer(factors)(Stop(chi2_rtol=SOFT)))
+        return self.settled(self.landmarks.merged(values, soft.values))
 
     def settled(self, values: Values) -> Choice:
         """The choice that reproduces itself, from what is within the thresholds at some values."""
         inliers: list[Mask] = []
         for _ in range(PASSES):
             s = self._s(values)
-            before, inliers = inliers, self._within(s, 1.0)
+            before, inliers = inliers, self.landmarks.kept(self._within(s, 1.0), values)
             if before and all((a == b).all() for a, b in zip(before, inliers, strict=True)):
                 break
-            subgraph = self.graph.only(inliers)
-            result = subgraph.optimize(values)
-            values = result.values
+            result, subgraph, values = self.optimum(values, inliers)
         else:
             s = self._s(values)  # two choices take turns: the last one is taken
-        return self.chosen(result, subgraph, inliers, s)
+        return self.chosen(result, subgraph, inliers, s, values)
 
-    def chosen(self, result: Result, graph: FactorGraph, inliers: list[Mask], s: list[Array]) -> Choice:
+    def optimum(self, values: Values, inliers: list[Mask]) -> tuple[Result, FactorGraph, Values]:
+        """The optimum of some inliers, their graph, and its values with the landmarks that left."""
+        graph = self.graph.only(inliers)
+        result = graph.optimize(self.landmarks.present(inliers, values))
+        return result, graph, self.landmarks.merged(values, result.values)
+
+    def chosen(self, result: Result, graph: FactorGraph, inliers: list[Mask], s: list[Array], values: Values) -> Choice:
         """The choice with its cost."""
         cost = sum(
             float(np.where(m, np.minimum(k, c2), k).sum()) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)
         )
-        return Choice(result, graph, inliers, s, cost)
+        return Choice(result, graph, inliers, s, cost, values)
 
     def without(self, choice: Choice, inliers: list[Mask]) -> Choice:
         """The optimum of fewer measurements, from a choice of more."""
-        graph = self.graph.only(inliers)
-        result = graph.optimize(choice.result.values)
-        return self.chosen(result, graph, inliers, self._s(result.values))
+        result, graph, values = self.optimum(choice.values, inliers)
+        return self.chosen(result, graph, inliers, self._s(values), values)
 
     def among(self, choice: Choice, loops: LoopGraph, right: Mask) -> Choice:
         """The optimum of those of a choice that are among some closures (m,)."""
@@ -132,22 +156,32 @@ class Truncated:
         return [~m | (k <= far * c2) for m, k, c2 in zip(self.masks, s, self.c2, strict=True)]
 
     def _bent(self, values: Values, loss: str, far: float) -> Values:
-        """The values to which one Gauss-Newton step for every mu leads."""
-        trusted = self.graph.only([~mask for mask in self.masks]).factors
-        doubted: list[Factor] = []
-        kernels: list[Graduated] = []
+        """The values to which one Gauss-Newton step for every mu leads.
+
+        Landmarks that are not determined say nothing of the poses, and stay out until the kernels are bent.
+        """
         s = self._s(values)
-        for factor, mask, k, inside, c2 in zip(
-            self.graph.factors, self.masks, s, self._within(s, far), self.c2, strict=True
-        ):
-            if (near := mask & inside).any():
+        inside = self._within(s, far)
+        robust: dict[int, Factor] = {}
+        kernels: list[Graduated] = []
+        for number, (factor, mask, k, c2) in enumerate(zip(self.graph.factors, self.masks, s, self.c2, strict=True)):
+            if (near := mask & inside[number]).any():
                 kernels.append(kernel := LOSSES[loss](c2**0.5))
                 kernel.begin(float(k[near].max()))
-                doubted.append(factor[near].robust(kernel))
+                robust[number] = factor.robust(kernel)
+        fewer = 1.0 if self.landmarks.factors else FEWER  # one measurement less may free a landmark
         while not all(kernel.done for kernel in kernels):
-            pulling = [factor[w > 0] for factor in doubted if (w := factor.weights(values)).any()]
+            kept = list(inside)
+            for number, factor in robust.items():
+                kept[number] = inside[number] & (~self.masks[number] | (factor.weights(values) > 0))
+            kept = self.landmarks.kept(kept, values, lost=False)
+            trusted = self.graph.only([k & ~mask for k, mask in zip(kept, self.masks, strict=True)]).factors
+            parts = (factor[kept[number] & self.masks[number]] for number, factor in robust.items())
+            pulling = tuple(part for part in parts if len(part))
             graph = FactorGraph([*trusted, *pulling], self.graph.fixed)
-            values = graph.optimize(values, Bending(doubted=tuple(pulling), kernels=tuple(kernels))).values
+            bending = Bending(doubted=pulling, kernels=tuple(kernels), fewer=fewer)
+            bent = graph.optimize(self.landmarks.present(kept, values), bending)
+            values = self.landmarks.merged(values, bent.values)
         return values
 
 
@@ -156,14 +190,20 @@ class Bending(Optimizer):
     """One Gauss-Newton step for every mu of some kernels, until the last or until few of the doubted factors pull.
 
     Wrong closures couple what is far apart: what no longer pulls costs as much as before while it is in the graph.
+
+    Attributes
+    ----------
+    doubted : factors under the kernels.
+    fewer : part of their measurements; it ends where fewer still pull.
     """
 
     doubted: tuple[Factor, ...] = ()
     kernels: tuple[Graduated, ...] = ()
+    fewer: float = FEWER
     name = "graduated"
 
     def iterate(self, problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> None:
-        least = FEWER * sum(map(len, self.doubted))
+        least = self.fewer * sum(map(len, self.doubted))
         while True:
             X = problem.retract(X, problem.solve(system))
             for kernel in self.kernels:

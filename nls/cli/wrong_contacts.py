@@ -1,0 +1,53 @@
+"""``nls solve MISSION``: where its plain solution says that contacts are wrong, the solution without those."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from factors import RangeAzimuth
+
+if TYPE_CHECKING:
+    from factors.base import Factor
+    from nls.graph import FactorGraph
+    from nls.io import LoadReport
+    from nls.optimizers import Result
+    from nls.robust import Robustified
+    from nls.values import Values
+
+__all__ = ["choice_of", "contacts_of"]
+
+
+def contacts_of(graph: FactorGraph) -> list[Factor]:
+    """The contacts of a mission."""
+    return [factor for factor in graph.factors if isinstance(factor, RangeAzimuth)]
+
+
+def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
+    """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
+
+    All are believed where `nls.robust.misfit` finds nothing, and where the choice is doubtful or cannot be made; a note
+    says so then.
+
+    Parameters
+    ----------
+    graph, values, report : of the mission, its start by dead reckoning.
+    result : with all contacts, without robust kernels.
+    """
+    import nls
+    from models.errors import UnderconstrainedError
+    from nls.io.mission import MissionReport
+    from nls.robust.misfit import misfit
+
+    contacts = contacts_of(graph)
+    if not isinstance(report, MissionReport) or not misfit(result, contacts):
+        return None
+    kept = "all contacts are kept, though some do not fit"
+    try:
+        choice = nls.gnc(graph, values, doubted=contacts)
+    except UnderconstrainedError as error:
+        report.notes.append(f"{kept}: without contacts, which are judged along dead reckoning, {error.message}")
+        return None
+    if choice.doubts:
+        report.notes.append(f"{kept}: the choice among them is doubtful; {'; '.join(map(str, choice.doubts))}")
+        return None
+    return choice

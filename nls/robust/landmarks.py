@@ -1,0 +1,155 @@
+r"""Which landmarks leave with the measurements that are taken out of a graph.
+
+A landmark of d coordinates is determined, the poses held, where its measurements say something in every direction:
+
+    rank of M = d,      M = sum A_l' A_l     over the kept measurements of l that are no limits
+
+Two contacts of an imaging sonar have four numbers for three unknowns, one has two. A landmark that lost measurements
+and is no longer determined leaves, with its other measurements and its hinges: nothing checks what is left of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.sighting import Sighting
+from models.algebra import Index, Mask, Numbers
+from nls.graph import FactorGraph
+from nls.values import Stack, Values
+
+__all__ = ["Landmarks", "landmarks_of"]
+
+DETERMINED = 1e-12  # least over largest eigenvalue of M: a millionth in sigmas, far below any second view
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """The landmarks of a graph.
+
+    Attributes
+    ----------
+    graph : all measurements.
+    doubted : per factor which of its measurements may be taken out.
+    factors : per kind of landmarks the factors that touch them: number, slot and the row (n,) of the stack of each
+        measurement.
+    held : per kind which landmarks are held at their values, and never leave.
+    """
+
+    graph: FactorGraph
+    doubted: Sequence[Mask]
+    factors: dict[str, list[tuple[int, int, Index]]]
+    held: dict[str, Mask]
+
+    def kept(self, inliers: list[Mask], values: Values, lost: bool = True) -> list[Mask]:
+        """Per factor the inliers without those of landmarks that leave.
+
+        Parameters
+        ----------
+        inliers : per factor which of its measurements are kept.
+        values : at which the Jacobians are taken.
+        lost : only landmarks leave that lost a measurement; False: all that are not determined.
+        """
+        masks = list(inliers)
+        for kind, touching in self.factors.items():
+            leaves = ~self.held[kind] & ~self._determined(kind, inliers, values)
+            if lost:
+                leaves &= self._lost(kind, inliers)
+            if leaves.any():
+                for number, _, row in touching:
+                    masks[number] = masks[number] & ~leaves[row]
+        return masks
+
+    def gone(self, inliers: Sequence[Mask]) -> dict[str, Mask]:
+        """Per kind which landmarks have no measurement left, of those that had some."""
+        every = [np.ones(len(mask), dtype=bool) for mask in inliers]
+        return {kind: (self.counts(kind, inliers) == 0) & (self.counts(kind, every) > 0) for kind in self.factors}
+
+    def leaving(self, gone: dict[str, Mask]) -> list[Mask]:
+        """Per factor which of its measurements (n,) touch a landmark that is gone."""
+        masks = [np.zeros(len(factor), dtype=bool) for factor in self.graph.factors]
+        for kind, touching in self.factors.items():
+            for number, _, row in touching:
+                masks[number] = masks[number] | gone[kind][row]
+        return masks
+
+    def present(self, inliers: Sequence[Mask], values: Values) -> Values:
+        """The values without the landmarks that are gone."""
+        gone = self.gone(inliers)
+        if not any(mask.any() for mask in gone.values()):
+            return values
+        return Values.of(
+            Stack(s.kind, s.manifold, s.X[~gone[s.kind]], s.numbers[~gone[s.kind]]) if s.kind in gone else s
+            for s in values.stacks.values()
+        )
+
+    def merged(self, values: Values, present: Values) -> Values:
+        """The values with those that are present moved to where these are."""
+        moved = {}
+        for kind, stack in present.stacks.items():
+            X = np.array(values.stack(kind).X)
+            X[np.isin(values.stack(kind).numbers, stack.numbers)] = stack.X
+            moved[kind] = X
+        return values.replaced(moved)
+
+    def counts(self, kind: str, masks: Sequence[Mask]) -> Numbers:
+        """How many of some measurements touch every landmark of a kind (n,)."""
+        size = len(self.held[kind])
+        touching = [row[masks[number]] for number, _, row in self.factors[kind]]
+        return np.bincount(np.concatenate(touching), minlength=size)
+
+    def _lost(self, kind: str, inliers: Sequence[Mask]) -> Mask:
+        """Which landmarks lost a doubted measurement."""
+        lost = [d & ~m for d, m in zip(self.doubted, inliers, strict=True)]
+        return np.asarray(self.counts(kind, lost) > 0)
+
+    def _determined(self, kind: str, inliers: Sequence[Mask], values: Values) -> Mask:
+        stack = values.stack(kind)
+        d = stack.manifold.dim
+        M = np.zeros((len(stack), d, d))
+        for number, slot, row in self.factors[kind]:
+            factor = self.graph.factors[number]
+            if factor.limit_only or not inliers[number].any():
+                continue
+            rows = np.flatnonzero(inliers[number])
+            model, X = values.gather(factor[rows])
+            A = model.linearize(*X)[0][slot]
+            np.add.at(M, row[rows], A.mT @ A)
+        eigenvalues = np.linalg.eigvalsh(M)
+        return np.asarray(eigenvalues[:, 0] > DETERMINED * eigenvalues[:, -1])
+
+
+def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> Landmarks:
+    """The landmarks of those kinds that doubted measurements see; none where these see no landmark.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from factors import Isotropic, Range
+    >>> from models import SE2, R
+    >>> from nls import FactorGraph, Values, kinds
+    >>> x, l = kinds("x", "l")
+    >>> graph = FactorGraph([Range(x[[0, 1, 0]], l[[0, 0, 1]], [5.0, 4.0, 2.0], Isotropic(0.1))])
+    >>> values = Values({x: (SE2, [[0, 0, 0], [3, 0, 0]]), l: (R(2), [[3, 4], [0, 2]])})
+    >>> landmarks = landmarks_of(graph, values, [np.array([True, True, False])])
+    >>> landmarks.kept([np.array([True, False, True])], values)  # l1 lost nothing
+    [array([False, False,  True])]
+    """
+    kinds = set()
+    for factor, mask in zip(graph.factors, doubted, strict=True):
+        if isinstance(factor, Sighting) and mask.any():
+            manifolds = values.gather(factor)[0].manifolds
+            if manifolds[1] is not manifolds[0]:
+                kinds.add(factor.keys[1].kind)
+    factors: dict[str, list[tuple[int, int, Index]]] = {kind: [] for kind in kinds}
+    for number, factor in enumerate(graph.factors):
+        for slot, keys in enumerate(factor.keys):
+            if keys.kind in kinds:
+                factors[keys.kind].append((number, slot, values.stack(keys.kind).index(keys)))
+    held = {kind: np.zeros(len(values.stack(kind)), dtype=bool) for kind in kinds}
+    for keys in graph.fixed:
+        if keys.kind in kinds:
+            held[keys.kind][values.stack(keys.kind).index(keys)] = True
+    return Landmarks(graph, doubted, factors, held)
