@@ -36,7 +36,7 @@ def misfit(result: Result, contacts: Sequence[Factor]) -> bool:
     >>> import sim
     >>> mission = sim.hauv_hull(np.random.default_rng(1), levels=2, per_level=13)
     >>> spoiled = sim.exchange_contacts(mission, 0.05, np.random.default_rng(2))
-    >>> [misfit(each.graph.optimize(each.start), [each.contacts]) for each in (mission, spoiled)]
+    >>> [misfit(m.graph.optimize(m.start), [m.contacts]) for m in (mission, spoiled)]
     [False, True]
     """
     s = np.concatenate([factor.chi2(result.values) for factor in contacts] or [np.zeros(0)])

@@ -67,6 +67,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
     "truth": WHEN,
+    "contacts": ("landmark",),
     "dvl": ("valid", *LOCK, *WATER_TRACK),
     "ahrs": ("yaw_rad",),
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),

@@ -4,36 +4,76 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Diagonal, Elevation, sonar_factors
+from factors import Diagonal, Elevation, RangeAzimuth, sonar_factors
 from factors.keys import kinds
+from factors.sighting import Sighting
 from factors.sonar import first_contacts, refuse_search
-from models import euler
-from models.algebra import Array, Numbers
+from models import R, euler
+from models.algebra import Array, Index, Numbers
 from models.errors import OptionError
 from models.sensors import ImagingSonar
 from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.stages import stage
+from nls.values import Values
 
-__all__ = ["add_contacts"]
+__all__ = ["add_contacts", "add_unnamed_contacts", "are_named"]
 
 SLACK = 4.0  # sigmas a contact may lie outside the fan or window before it is worth a note: noise at the edge does
 x, l = kinds("x", "l")
 
 
+def are_named(tables: dict[str, Table]) -> bool:
+    """Whether contacts say which landmark they are of, or there are none."""
+    return "contacts" not in tables or tables["contacts"].has("landmark")
+
+
 def add_contacts(
     tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, elevation: str
 ) -> Numbers:
-    """Add what the sonar saw to the graph; returns the numbers of the landmarks, rising."""
-    if (table := tables.get("sonar")) is not None:
-        report.sonar, report.offset = _sonar(table)
+    """Add what the sonar saw of named landmarks to the graph; returns their numbers, rising."""
     if (table := tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
-    assert report.sonar is not None
     refuse_search(elevation)
-    i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
     k = table.integers("landmark")
+    _add(graph, report, table, _measured(tables, table, numbers, k, report), np.arange(len(table)), elevation)
+    return np.unique(k)
+
+
+def add_unnamed_contacts(
+    tables: dict[str, Table],
+    numbers: Numbers,
+    graph: FactorGraph,
+    start: Values,
+    report: MissionReport,
+    elevation: str,
+) -> Values:
+    """Find which contacts are of one landmark and add those to the graph; the start with these landmarks."""
+    from nls.sonar.contacts import associate
+
+    refuse_search(elevation)
+    table = tables["contacts"]
+    contacts = _measured(tables, table, numbers, np.arange(len(table)), report)
+    assert report.sonar is not None
+    with stage("associate"):
+        associated = associate(graph, start, contacts, report.sonar.aperture)
+    rows = np.flatnonzero(associated.numbers >= 0)
+    report.notes.append(f"contacts.csv names no landmarks: {associated}")
+    report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)
+    _add(graph, report, table, associated.sightings, rows, elevation)
+    values = Values.of([*start.stacks.values()])
+    values.add(l, R(3), associated.values[l] if len(rows) else np.zeros((0, 3)))
+    return values
+
+
+def _measured(
+    tables: dict[str, Table], table: Table, numbers: Numbers, k: Numbers, report: MissionReport
+) -> RangeAzimuth:
+    """The contacts as measurements of landmarks k (n,), and the sonar in the report."""
+    report.sonar, report.offset = _sonar(tables["sonar"])
+    i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
     table.positive("range_m")
     z = table.measured(*CONTACT)
     r, azimuth = z.T
@@ -50,11 +90,19 @@ def add_contacts(
             f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
             "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
         )
-    for factor in sonar_factors(x[i], l[k], z, Diagonal(sigmas), report.sonar, report.offset, elevation):
+    return RangeAzimuth(x[i], l[k], z, Diagonal(sigmas), report.offset)
+
+
+def _add(
+    graph: FactorGraph, report: MissionReport, table: Table, contacts: Sighting, rows: Index, elevation: str
+) -> None:
+    """Add contacts, of rows (n,) of the table, to the graph."""
+    assert report.sonar is not None
+    pose, target = contacts.keys[:2]
+    for factor in sonar_factors(pose, target, contacts.z, contacts.noise, report.sonar, report.offset, elevation):
         graph.add(factor)
-        ids = first_contacts(x[i], l[k]) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
-        report.sources.append(table.source(ids))
-    return np.unique(k)
+        first = first_contacts(pose, target) if type(factor) is Elevation else slice(None)  # as in `sonar_factors`
+        report.sources.append(table.source(rows[first]))
 
 
 def _sonar(table: Table) -> tuple[ImagingSonar, Array]:

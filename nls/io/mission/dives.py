@@ -91,9 +91,9 @@ def read_dives(folders: Sequence[str | Path], elevation: str = "hinge") -> tuple
         No mission; a folder twice; dives with other origins on the Earth; numbers too large for so many dives.
     """
     names = _names(folders)
-    others = [read_mission(folder, elevation, anchored=False) for folder in folders[1:]]
+    others = [read_mission(folder, elevation, anchored=False, alone=False) for folder in folders[1:]]
     alone = not any(report.anchored for _, _, report in others)
-    dives = [read_mission(folders[0], elevation, anchored=alone), *others]
+    dives = [read_mission(folders[0], elevation, anchored=alone, alone=False), *others]
     _refuse_other_origins([report for _, _, report in dives])
     stride = _stride([values for _, values, _ in dives], str(folders[0]))
     report = DivesReport(", ".join(map(str, folders)), "mission", "3-D", "log", vertices_given=False, reason="folders")

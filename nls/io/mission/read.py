@@ -18,7 +18,7 @@ from nls.io.mission.acoustic import Acoustics
 from nls.io.mission.calibration import Calibrations, Compass
 from nls.io.mission.clocks import shift_clocks
 from nls.io.mission.columns import LEVEL, suffixed
-from nls.io.mission.contacts import add_contacts
+from nls.io.mission.contacts import add_contacts, add_unnamed_contacts, are_named
 from nls.io.mission.fixes import add_closures, add_fixes
 from nls.io.mission.folder import read_tables
 from nls.io.mission.placing import along_fixes, place_beacons, turn_to, turn_to_measurements
@@ -39,7 +39,7 @@ x, l = kinds("x", "l")
 
 
 def read_mission(
-    folder: str | Path, elevation: str = "hinge", anchored: bool = True
+    folder: str | Path, elevation: str = "hinge", anchored: bool = True, alone: bool = True
 ) -> tuple[FactorGraph, Values, MissionReport]:
     """The graph of a mission folder, dead reckoning as its start, and a report; see the page on formats.
 
@@ -48,6 +48,7 @@ def read_mission(
     folder : a folder of CSV files.
     elevation : what is done about the elevation a sonar does not measure, see `factors.sonar_factors`.
     anchored : whether a pose is held where no file places the mission in the world.
+    alone : whether no other mission shares its landmarks: those of contacts without names are numbered from 0.
 
     Returns
     -------
@@ -86,14 +87,22 @@ def read_mission(
     anchors, first = _anchor(tables, numbers, compass, report, anchored)
     for factor in anchors:
         graph.add(factor)
-    points = add_contacts(tables, numbers, graph, report, elevation)
-    compare_landmarks(report, points)
+    if not (named := are_named(tables)) and not alone:
+        raise tables["contacts"].at_names(
+            "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or solve "
+            "the dives one by one"
+        )
+    points = add_contacts(tables, numbers, graph, report, elevation) if named else np.zeros(0, dtype=np.int64)
+    if named:
+        compare_landmarks(report, points)
     with stage("read start"):
         start = _start(graph, numbers, points, first, compass, calibrations, acoustics, report)
     shift_clocks(graph, report, start, tables, timeline, calibrations, acoustics.ship_twist)
     for prior in calibrations.priors(report):
         graph.add(prior)
     report.calibrations = calibrations.given()
+    if not named:
+        start = add_unnamed_contacts(tables, numbers, graph, start, report, elevation)
     return graph, start, report
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from factors.keys import Kind, kinds
+from factors.keys import Keys, Kind, kinds
 from factors.sighting import Sighting
 from models.algebra import Array, Index, Mask
 from models.options import check_between, check_whole
@@ -76,13 +76,23 @@ class Associated:
         """Part of the sightings that landmarks explain."""
         return float(np.mean(self.numbers >= 0))
 
+    @property
+    def nis(self) -> tuple[Keys, Array]:
+        """Poses with decided sightings, and the mean of d2 of each: far above 2 where its sightings do not fit."""
+        ping = self.sightings.keys[0]
+        numbers, place, count = np.unique(ping.numbers, return_inverse=True, return_counts=True)
+        return Keys(ping.kind, numbers), np.bincount(place, self.d2[self.numbers >= 0], len(numbers)) / count
+
     def __repr__(self) -> str:
         return f"Associated({np.count_nonzero(self.numbers >= 0)} of {len(self.numbers)}, {self.landmarks} landmarks)"
 
     def __str__(self) -> str:
         n, decided = len(self.numbers), int(np.count_nonzero(self.numbers >= 0))
-        end = "settled" if self.settled else "not settled"
-        return f"{decided:,} of {n:,} sightings are of {self.landmarks:,} landmarks; {len(self.rounds)} rounds, {end}"
+        end = "" if self.settled else f"; not settled after {len(self.rounds)} rounds"
+        return (
+            f"{decided:,} of {n:,} sightings are of {self.landmarks:,} landmarks, mean d2 "
+            f"{float(np.nanmean(self.d2)) if decided else 0.0:.2f}; the others are undecided{end}"
+        )
 
 
 def associate(

@@ -61,8 +61,8 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index) ->
     values = solved.optimize(start, GaussNewton(ROUGHLY)).values
     d2[chosen] = measured.chi2(values)
     size = of.sizes(tracks)
-    dof: Array = (measured_numbers(pings) * size - d).astype(np.float64)
-    doubtful = chi2_tail(np.bincount(tracks, d2, n)[tracks], dof) < DOUBTFUL
+    dof = measured_numbers(pings) * size - d
+    doubtful = chi2_tail(np.asarray(np.bincount(tracks, d2, n), dtype=np.float64)[tracks], dof) < DOUBTFUL
     return Estimate(tracks, FactorGraph([*factors, *spread], graph.fixed), values, d2, doubtful & (size > 1))
 
 
