@@ -133,7 +133,7 @@ def test_a_map_that_is_moved_moves_the_match(moved: tuple[float, float, float]) 
     m = match(Field(SE2.act(G, CORNER)), scan, G[0], WINDOW)
     e = SE2.local(SE2.compose(G, true), m.pose[None])[0]
     assert (np.abs(e) < 1.5 * FLOOR).all(), e
-    assert m.edge < 0.01
+    assert m.edge < 0.03
 
 
 def test_a_wall_is_weak_along_itself_and_in_the_frame_of_the_scan() -> None:
@@ -179,7 +179,7 @@ def test_the_truth_outside_the_window_shows_at_its_rim() -> None:
     true = np.array([4.5, 0.0, 0.0])
     scan = seen_from(true, CORNER)
     assert match(Field(CORNER), scan, np.zeros(3), (3.0, 0.1)).edge > 0.3
-    assert match(Field(CORNER), scan, np.zeros(3), (6.0, 0.1)).edge < 1e-3
+    assert match(Field(CORNER), scan, np.zeros(3), (6.0, 0.1)).edge < 5e-3
     turned = seen_from(np.array([0.0, 0.0, 0.25]), CORNER)
     assert match(Field(CORNER), turned, np.zeros(3), (3.0, 0.1)).edge > 0.3, "the yaw has a rim, too"
 
