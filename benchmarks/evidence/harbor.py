@@ -22,10 +22,10 @@ import sim
 from models import SE2
 from models.algebra import wrap
 from nls import Marginals, kinds
-from nls.sonar.scans import Closing, Matches, Verdict, close, dead_reckoning, submap
+from nls.sonar.scans import Closing, Field, Matches, Verdict, close, dead_reckoning, submap
 from nls.sonar.scans.candidates import HALF, centers, pairs
 from nls.sonar.scans.scans import in_world
-from nls.sonar.scans.submaps import match_submap, submap_field
+from nls.sonar.scans.submaps import match_submap
 from nls.sonar.scans.verdicts import verdicts
 
 Array = npt.NDArray[np.float64]
@@ -174,7 +174,7 @@ def trials(world: sim.Harbor, poses: Array, guess_of: str) -> list[list[float]]:
         width, turn = GUESSES[guess_of]
         guess = T + rng.uniform(-1.0, 1.0, 3) * [width, width, turn]
         target, points = (submap(poses, world.scans, k, HALF) for k in (i, j))
-        m = match_submap(submap_field(poses, world.scans, i, HALF), points, guess, WINDOW[guess_of])
+        m = match_submap(Field(target), points, guess, WINDOW[guess_of])
         verdict = verdicts(*(np.array([v]) for v in (m.score, m.ratio, m.edge, m.spread, WINDOW[guess_of][0])))[0]
         figures = [verdict]
         for pose, C in ((m.pose, m.covariance), icp(target, points, guess)):

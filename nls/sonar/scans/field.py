@@ -5,30 +5,24 @@ r"""How likely a point is where others were measured: a bounded log-likelihood o
 where s is the noise of a point and e the share of points that belong to nothing in the map. L is 0 far from all points
 and -log(e) on one, so that a wrong point costs no more than 3.
 
-Where a map has not looked, it says nothing: a field may know the area that was observed, and points outside of it are
-neither for nor against a pose.
-
 Source: S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005, section 6.4 (likelihood fields).
 """
 
 from __future__ import annotations
 
-from copy import copy
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index
 from models.errors import GraphError
 from models.options import check_positive
-from nls.sonar.scans.views import Observed
 
 __all__ = ["Field"]
 
 STRAY = 0.05  # e
-FAR = 4.0  # sigmas from a point, beyond which L is 0, and would be below 0.007
-BLOCK = 0.8  # m, side of the squares by which the observed area is kept
+FAR = 4.0  # sigmas from a point, where L is below 0.007
 CELLS = 40_000_000  # most cells of a grid: 160 MB, and 1 GB while it is made
 
 
@@ -40,14 +34,12 @@ class Field:
     points : (n, 2) measured points, m.
     sigma : s, the noise of a point and of the poses from which it was seen, m.
     resolution : side of a cell, m.
-    observed : the area in which the map has looked; everywhere when omitted.
 
     Attributes
     ----------
-    L : (nx, ny) float32, at the centers of the cells; outside the grid, and outside the observed area, L is 0.
-    seen : (nx, ny) float32, 1 in the observed area and 0 elsewhere; None where it is everywhere.
+    L : (nx, ny) float32, at the centers of the cells; outside the grid L is 0.
     origin : (2,) center of cell (0, 0), m.
-    sigma, resolution, observed : as given.
+    sigma, resolution : as given.
 
     Raises
     ------
@@ -63,9 +55,7 @@ class Field:
     array([3.  , 2.52, 0.  ])
     """
 
-    def __init__(
-        self, points: npt.ArrayLike, sigma: float = 0.5, resolution: float = 0.2, observed: Observed | None = None
-    ) -> None:
+    def __init__(self, points: npt.ArrayLike, sigma: float = 0.5, resolution: float = 0.2) -> None:
         from scipy.ndimage import distance_transform_edt
 
         check_positive(sigma=sigma, resolution=resolution)
@@ -74,13 +64,10 @@ class Field:
             raise GraphError(f"Field: points of shape {p.shape}; expected (n, 2), at least one")
         if not np.isfinite(p).all():
             raise GraphError(f"Field: point {int(np.argmin(np.isfinite(p).all(axis=1)))} is not finite")
-        self.points, self.sigma, self.resolution, self.observed = p, float(sigma), float(resolution), observed
+        self.points, self.sigma, self.resolution = p, float(sigma), float(resolution)
         margin = FAR * sigma
-        corners = np.array([p.min(axis=0) - margin, p.max(axis=0) + margin])
-        if observed is not None:
-            corners = np.concatenate([corners, observed.corners])
-        self.origin = corners.min(axis=0)
-        sides = np.ceil((corners.max(axis=0) - self.origin) / resolution) + 1
+        self.origin = p.min(axis=0) - margin
+        sides = np.ceil((p.max(axis=0) + margin - self.origin) / resolution) + 1
         if sides.prod() > CELLS:
             raise GraphError(
                 f"Field: {sides[0]:.0f} x {sides[1]:.0f} cells of {resolution:g} m; expected at most {CELLS:,}: "
@@ -89,25 +76,17 @@ class Field:
         free = np.ones(sides.astype(int), dtype=bool)
         free[tuple(self.cells(p).T)] = False
         d = distance_transform_edt(free, sampling=resolution)
-        near = d < margin
-        likelihood = STRAY + (1 - STRAY) * np.exp(-0.5 * np.square(d[near] / sigma))
-        self.L: npt.NDArray[np.float32] = np.zeros(d.shape, dtype=np.float32)
-        self.L[near] = np.log(likelihood) - np.log(STRAY)
-        self.seen = None if observed is None else self._seen(observed)
-        if self.seen is not None:
-            self.L *= self.seen
-        self._spectra: dict[tuple[bool, tuple[int, ...]], npt.NDArray[np.complex64]] = {}
+        likelihood = STRAY + (1 - STRAY) * np.exp(-0.5 * np.square(d / sigma))
+        self.L: npt.NDArray[np.float32] = (np.log(likelihood) - np.log(STRAY)).astype(np.float32)
+        self._spectra: dict[tuple[int, ...], npt.NDArray[np.complex64]] = {}
 
     def __repr__(self) -> str:
         return f"Field({len(self.points)} points, {self.L.shape[0]} x {self.L.shape[1]} cells of {self.resolution:g} m)"
 
     @cached_property
     def coarse(self) -> Field:
-        """Every other cell along x and along y: the same field in cells twice as large."""
-        coarse = copy(self)
-        coarse.resolution, coarse._spectra = 2 * self.resolution, {}
-        coarse.L, coarse.seen = self.L[::2, ::2], None if self.seen is None else self.seen[::2, ::2]
-        return coarse
+        """The field of the same points in cells twice as large."""
+        return Field(self.points, self.sigma, 2 * self.resolution)
 
     def cells(self, q: Array) -> Index:
         """The cells (n, 2) in which points are; beyond the grid below 0 or above its last."""
@@ -125,37 +104,10 @@ class Field:
         slope = np.column_stack([(b - a) * (1 - g) + (d - c) * g, high - low]) / self.resolution
         return (low + (high - low) * g) * inside, slope * inside[:, None]
 
-    def inside(self, q: Array) -> Mask:
-        """Which points (n, 2) are in the observed area."""
-        if self.seen is None:
-            return np.ones(len(q), dtype=bool)
-        k, l = np.rint((q - self.origin) / self.resolution).astype(np.intp).T
-        (nx, ny), seen = self.seen.shape, self.seen.reshape(-1)
-        on = (k >= 0) & (k < nx) & (l >= 0) & (l < ny)
-        return np.asarray(on & (seen[np.where(on, k * ny + l, 0)] > 0))
-
-    def spectrum(self, shape: tuple[int, ...], seen: bool = False) -> npt.NDArray[np.complex64]:
-        """Fourier transform of L, or of the observed area, with zeros around it up to a shape; computed once for each.
-
-        Parameters
-        ----------
-        shape : of the transformed grid.
-        seen : whether of the observed area; the field knows it.
-        """
+    def spectrum(self, shape: tuple[int, ...]) -> npt.NDArray[np.complex64]:
+        """Fourier transform of L, with zeros around it up to a shape; computed once for every shape."""
         from scipy.fft import rfft2
 
-        if (seen, shape) not in self._spectra:
-            self._spectra[seen, shape] = rfft2(self.seen if seen else self.L, shape)
-        return self._spectra[seen, shape]
-
-    def _seen(self, observed: Observed) -> npt.NDArray[np.float32]:
-        """The observed area in squares of whole cells: those whose middle a sensor saw, and those with points."""
-        k = max(1, round(BLOCK / self.resolution))
-        x, y = (
-            o + self.resolution * (k * np.arange(-(-n // k)) + (k - 1) / 2)
-            for o, n in zip(self.origin, self.L.shape, strict=True)
-        )
-        squares = observed.grid(x, y)
-        squares[tuple(self.cells(self.points).T // k)] = True
-        nx, ny = self.L.shape
-        return squares.repeat(k, axis=0)[:nx].repeat(k, axis=1)[:, :ny].astype(np.float32)
+        if shape not in self._spectra:
+            self._spectra[shape] = rfft2(self.L, shape)
+        return self._spectra[shape]

@@ -10,10 +10,11 @@ import numpy as np
 from models import SE2
 from models.algebra import Array, Index, Mask
 from nls.sonar.scans import candidates
+from nls.sonar.scans.field import Field
 from nls.sonar.scans.fits import Fits
 from nls.sonar.scans.matching import Match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import match_submap, submap, submap_field
+from nls.sonar.scans.submaps import match_submap, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
 __all__ = ["Matches"]
@@ -56,7 +57,7 @@ class Matches:
         by_field: list[Match] = []
         order = np.argsort(i, kind="stable")  # one field at a time: they are large
         for a, rows in groupby(order.tolist(), key=lambda row: int(i[row])):
-            field = submap_field(poses, scans, a, candidates.HALF)
+            field = Field(submap(poses, scans, a, candidates.HALF))
             for row in rows:
                 points = submap(poses, scans, int(j[row]), candidates.HALF)
                 by_field.append(match_submap(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))

@@ -1,16 +1,11 @@
 r"""Scan matching by correlation: every pose in a window is scored, so that a second answer cannot hide.
 
-    S(T) = n / max(m(T), n / 2) sum_k L(T p_k),      m(T) = sum_k O(T p_k)
+    S(T) = sum_k L(T p_k)        over the points p_k of a scan, L the field of the map, T = (x, y, yaw)
 
-over the n points p_k of a scan, with L the field of the map, O = 1 in the area that it has observed and 0 elsewhere,
-and T = (x, y, yaw). The map says nothing of points outside that area: S is the mean of the others for every point. With
-fewer than half of the points inside, those that are missing count as misses.
+For one yaw, S over all x and y is a correlation, and so a product of Fourier transforms. The best cell of the window is
+the start of Gauss-Newton on S, with the residuals and the Jacobian
 
-For one yaw, both sums over all x and y are correlations, and so products of Fourier transforms; of few points in a
-small window they are looked up. The best cell of the
-window is the start of Gauss-Newton on S, with the residuals and the Jacobian
-
-    r_k = sqrt(2 (L_max - L(T p_k))),      J_k = -(1 / r_k) (dL/dq) (dq/dT)        of the points inside
+    r_k = sqrt(2 (L_max - L(T p_k))),      J_k = -(1 / r_k) (dL/dq) (dq/dT)
 
 The covariance has the second moments of the scores as a probability, P(T) = exp(S(T) / t) / sum, about the pose: along
 a wall the scores hardly fall, and the covariance is wide. Points of one surface are no independent witnesses: however
@@ -23,30 +18,26 @@ K. Chou, "Markov localization using correlation", IJCAI 1999 (temper).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from models import SE2
-from models.algebra import Array, Index, wrap
+from models.algebra import Array, wrap
 from models.errors import GraphError, ResourceLimitError
 from models.options import check_positive
 from nls.sonar.scans.field import STRAY, Field
 
 __all__ = ["Match", "match"]
 
-INDEPENDENT = 25.0  # independent points in a match: with as many or fewer, every point counts
+INDEPENDENT = 40.0  # independent points in a match: with as many or fewer, every point counts
 YAW_STEP = float(np.radians(1.0))
 AWAY = 2.0  # m from the best pose, where another is a second answer
 FLOOR = np.array([0.1, 0.1, 0.005])  # sigmas, m m rad, below which no match is: cells
 STEPS = 10  # Gauss-Newton steps at most
-FEW = 2.0  # look-ups of a yaw for each cell of the field, up to which transforms are no faster
 CELLS = 50_000_000  # most scores of a window, with their transforms 1 GB
 REACH = np.array([0.8, 0.8, 2 * YAW_STEP])  # m, m, rad: farthest from the best cell, that of the score, to the pose
-LAST = np.array([0.01, 0.01, 5e-4])  # m, m, rad: a step below a tenth of the least sigmas is none
 HALVINGS = 4  # of a step that does not raise the score
-INSIDE = 0.5  # share of the points in the observed area, below which those that are missing count as misses
 NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
 
 
@@ -132,55 +123,30 @@ def scores(
     field: Field, p: Array, guess: Array, window: tuple[float, float]
 ) -> tuple[npt.NDArray[np.float32], Array, Array]:
     """S (yaws, n, n) of all poses in a window, with the yaws and the x and y (n,) it has them at, from the guess."""
+    from scipy.fft import ifft, irfft, next_fast_len, rfft2
+
     reach, turns = int(np.ceil(window[0] / field.resolution)), int(np.ceil(window[1] / YAW_STEP))
     yaws = np.asarray(YAW_STEP * np.arange(-turns, turns + 1), dtype=np.float64)
     offsets = np.asarray(field.resolution * np.arange(-reach, reach + 1), dtype=np.float64)
+    nx, ny = (next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
+    if (cells := len(yaws) * nx * ny) > CELLS:
+        raise ResourceLimitError(
+            f"match: {len(yaws)} x {nx} x {ny} scores, expected at most {CELLS:,}: take a smaller window, or "
+            "leave out points that are far away",
+            float(cells),
+        )
     poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
     q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
-    cells = field.cells(q).reshape(len(yaws), len(p), 2)
-    few = len(p) * len(offsets) ** 2 <= FEW * field.L.size
-    S, *inside = _looked_up(field, cells, reach) if few else _correlated(field, cells, reach)
-    return (S * _scale(len(p), inside[0]) if inside else S), yaws, offsets
-
-
-def _looked_up(field: Field, cells: Index, reach: int) -> list[npt.NDArray[np.float32]]:
-    """Sums (yaws, n, n) of L, and of the observed area if known, of points in cells (yaws, points, 2): by look-ups."""
-    sides = np.array(field.L.shape)
-    near = np.clip(cells + reach, -1, sides + 2 * reach) + 1  # all that are farther away meet zeros alone
-    out = []
-    for grid in (field.L, field.seen):
-        if grid is not None:
-            windows = np.lib.stride_tricks.sliding_window_view(np.pad(grid, 2 * reach + 1), (2 * reach + 1,) * 2)
-            out.append(np.array([windows[k, l].sum(axis=0) for k, l in near.transpose(0, 2, 1)]))
-    return out
-
-
-def _correlated(field: Field, cells: Index, reach: int) -> list[npt.NDArray[np.float32]]:
-    """As `_looked_up`, by Fourier transforms."""
-    from scipy.fft import ifft, irfft, next_fast_len, rfft2
-
-    nx, ny = (next_fast_len(side + 2 * reach + 1, True) for side in field.L.shape)
-    if (size := len(cells) * nx * ny) > CELLS:
-        raise ResourceLimitError(
-            f"match: {len(cells)} x {nx} x {ny} scores, expected at most {CELLS:,}: take a smaller window, or "
-            "leave out points that are far away",
-            float(size),
-        )
-    image, (k, l), sides = np.repeat(np.arange(len(cells)), cells.shape[1]), cells.reshape(-1, 2).T, field.L.shape
-    near = (k >= -reach) & (k < sides[0] + reach) & (l >= -reach) & (l < sides[1] + reach)
-    row, column = (k[near] - reach) % nx, (l[near] - reach) % ny  # so that the offset -reach is the first of S
-    counts = np.zeros((len(cells), nx, ny), dtype=np.float32)
-    np.add.at(counts.reshape(-1), (image[near] * nx + row) * ny + column, np.float32(1.0))
-    of_points, out = np.conj(rfft2(counts, axes=(1, 2))), []
-    for seen in (False, True)[: 1 if field.seen is None else 2]:
-        lines = ifft(of_points * field.spectrum((nx, ny), seen), axis=1, overwrite_x=True)[:, : 2 * reach + 1]
-        out.append(irfft(lines, ny, axis=2)[:, :, : 2 * reach + 1])
-    return out
-
-
-def _scale(n: int, inside: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """From a sum over the points inside the observed area to n points."""
-    return np.asarray(n / np.maximum(inside, INSIDE * n))
+    image, k, l = np.repeat(np.arange(len(yaws)), len(p)), *field.cells(q).T
+    sides = field.L.shape
+    inside = (k >= -reach) & (k < sides[0] + reach) & (l >= -reach) & (l < sides[1] + reach)
+    row, column = (k[inside] - reach) % nx, (l[inside] - reach) % ny  # so that the offset -reach is the first of S
+    counts = np.zeros((len(yaws), nx, ny), dtype=np.float32)
+    np.add.at(counts.reshape(-1), (image[inside] * nx + row) * ny + column, np.float32(1.0))
+    spectra = np.conj(rfft2(counts, axes=(1, 2))) * field.spectrum((nx, ny))
+    lines = ifft(spectra, axis=1, overwrite_x=True)[:, : 2 * reach + 1]
+    S: npt.NDArray[np.float32] = irfft(lines, ny, axis=2)[:, :, : 2 * reach + 1]
+    return S, yaws, offsets
 
 
 def _moments(P: Array, yaw: Array, x: Array, y: Array) -> Array:
@@ -201,25 +167,23 @@ def _rim(P: Array) -> float:
 def _refined(field: Field, p: Array, T: Array) -> Array:
     """Gauss-Newton on the field, around the best cell. A direction that the field does not show is not moved along."""
 
-    def moved(T: Array) -> tuple[Array, Array, Array, float]:
+    def moved(T: Array) -> tuple[Array, Array, Array]:
         turned = p @ SE2.rotation(T[None])[0].T
-        L, slope = field.at(turned + T[:2])
-        scale = float(_scale(len(p), field.inside(turned + T[:2]).sum()))
-        return turned, L, slope, scale * float(L.sum())
+        return turned, *field.at(turned + T[:2])
 
-    best, (turned, L, slope, S) = T, moved(T)
+    best, (turned, L, slope) = T, moved(T)
     for _ in range(STEPS):
         J = np.column_stack([slope, slope[:, 1] * turned[:, 0] - slope[:, 0] * turned[:, 1]])  # dL/dT
         r2 = np.maximum(2 * (-np.log(STRAY) - L), 1e-2)
         step = np.linalg.lstsq((J / r2[:, None]).T @ J, J.sum(axis=0), rcond=NARROW)[0]
-        if (np.abs(step) < LAST).all():
-            break
         for halving in range(HALVINGS + 1):
             candidate = best + np.clip(T + step / 2**halving - best, -REACH, REACH)
-            turned_there, L_there, slope_there, S_there = moved(candidate)
-            if S_there > S:
+            turned_there, L_there, slope_there = moved(candidate)
+            if L_there.sum() > L.sum():
                 break
         else:
             break
-        T, turned, L, slope, S = candidate, turned_there, L_there, slope_there, S_there
+        T, turned, L, slope = candidate, turned_there, L_there, slope_there
+        if np.abs(step).max() < 1e-3:
+            break
     return np.append(T[:2], wrap(T[2]))

@@ -10,7 +10,6 @@ from models.algebra import Array, Index
 from models.errors import GraphError
 from models.finite import finite, numbers
 from models.options import check_whole
-from nls.sonar.scans.views import View
 
 __all__ = ["Scans"]
 
@@ -29,7 +28,6 @@ class Scans:
     ----------
     points : (n, 2) in the frame of the vehicle, by keyframe.
     keyframe : (n,) ascending.
-    view : the sector that the sensor sees: the largest range and the outermost azimuths of all points.
     starts : (count + 1,) the points of keyframe k are those from ``starts[k]`` to ``starts[k + 1]``.
 
     Raises
@@ -67,7 +65,6 @@ class Scans:
         self.points: Array = SE2.act(np.broadcast_to(T, (len(p), 3)), p[order]) if len(p) else p
         self.starts: Index = np.searchsorted(self.keyframe, np.arange(count + 1))
         self.mount = T
-        self.view = View.of(p)
 
     def __len__(self) -> int:
         return len(self.starts) - 1

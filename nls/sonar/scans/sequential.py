@@ -8,17 +8,17 @@ from factors import Between, Cauchy, Covariance, Robust
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array, Index
+from nls.sonar.scans.field import Field
 from nls.sonar.scans.fits import Fits
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.submaps import match_submap, submap_field
+from nls.sonar.scans.submaps import match_submap, submap
 from nls.sonar.scans.verdicts import ACCEPTED, verdicts
 
-__all__ = ["BEFORE", "comparable", "sequential_matches"]
+__all__ = ["comparable", "field_before", "sequential_matches"]
 
 BACK = 6  # keyframes before it with which a scan is matched
 POINTS = (20, 40)  # least points of the scan, and of those before it
 WINDOW = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
-BEFORE = (BACK, -1)  # these keyframes alone, as a submap
 x = kinds("x")[0]
 
 
@@ -33,8 +33,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     scans : the points.
     """
     k = comparable(scans)
-    fields = (submap_field(poses, scans, j, BEFORE) for j in k.tolist())
-    fits = Fits.of([match_submap(field, scans[j], np.zeros(3), WINDOW) for field, j in zip(fields, k, strict=True)])
+    fits = Fits.of([match_submap(field_before(poses, scans, j), scans[j], np.zeros(3), WINDOW) for j in k.tolist()])
     unjudged = np.zeros(len(k))  # ratio: a second place is no reason against a match in so narrow a window
     accepted = verdicts(fits.score, unjudged, fits.edge, fits.spread, np.full(len(k), WINDOW[0])) == ACCEPTED
     if not accepted.any():
@@ -51,3 +50,8 @@ def comparable(scans: Scans) -> Index:
     starts, k = scans.starts, np.arange(len(scans))
     before = starts[k] - starts[np.maximum(k - BACK, 0)]
     return np.flatnonzero((np.diff(starts) >= POINTS[0]) & (before >= POINTS[1]))
+
+
+def field_before(poses: Array, scans: Scans, k: int) -> Field:
+    """The field of the keyframes before one, in its frame, from poses (count, 3)."""
+    return Field(submap(poses, scans, k, (BACK, -1)))

@@ -12,9 +12,8 @@ from models.errors import OptionError
 from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import Match, match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.views import Observed
 
-__all__ = ["match_submap", "submap", "submap_field"]
+__all__ = ["match_submap", "submap"]
 
 BENT = np.array([0.4, 0.4, 0.025])  # sigmas, m m rad, of a submap that is not rigid: dead reckoning drifts within it
 
@@ -43,27 +42,15 @@ def submap(poses: Array, scans: Scans, center: int, half: int | tuple[int, int])
     array([[3., 0.],
            [4., 0.]])
     """
-    keyframes, T = _members(poses, scans, center, half)
-    rows = slice(scans.starts[keyframes.start], scans.starts[keyframes.stop])
-    return np.asarray(SE2.act(T[scans.keyframe[rows] - keyframes.start], scans.points[rows]))
-
-
-def submap_field(poses: Array, scans: Scans, center: int, half: int | tuple[int, int]) -> Field:
-    """The field of a `submap` that has observed what its keyframes with points saw."""
-    keyframes, T = _members(poses, scans, center, half)
-    sensor = SE2.compose(T[scans.with_points[keyframes]], scans.mount[None])
-    return Field(submap(poses, scans, center, half), observed=Observed(sensor, scans.view))
-
-
-def _members(poses: Array, scans: Scans, center: int, half: int | tuple[int, int]) -> tuple[slice, Array]:
-    """The keyframes of a submap, and their poses (n, 3) in the frame of the middle one."""
     before, after = (half, half) if isinstance(half, int) else half
     if not 0 <= center < len(scans):
         raise OptionError("center", center, f"a keyframe, 0 to {len(scans) - 1}")
     if before + after < 0:
         raise OptionError("half", half, "at least one keyframe")
-    keyframes = slice(max(0, center - before), min(len(scans), center + after + 1))
-    return keyframes, SE2.between(np.broadcast_to(poses[center], poses[keyframes].shape), poses[keyframes])
+    first, last = max(0, center - before), min(len(scans), center + after + 1)
+    rows = slice(scans.starts[first], scans.starts[last])
+    T = SE2.between(np.broadcast_to(poses[center], (last - first, 3)), poses[first:last])
+    return np.asarray(SE2.act(T[scans.keyframe[rows] - first], scans.points[rows]))
 
 
 def match_submap(field: Field, points: Array, guess: Array, window: tuple[float, float]) -> Match:

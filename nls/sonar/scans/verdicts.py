@@ -15,7 +15,7 @@ SCORE = 0.8  # least log-likelihood for every point: nearly anything; a high flo
 ODDS = 1.5  # least log odds of the best place against the second, in a window of `WIDTH`
 WIDTH = 3.0  # m
 EDGE = 0.3  # most probability at the rim of the window
-SPREAD = 1.2  # m, most standard deviation of the position
+SPREAD = 1.0  # m, most standard deviation of the position
 
 
 class Verdict(IntEnum):

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.keys import kinds
-from nls.sonar.scans.field import Field
 from nls.sonar.scans.matching import match
 from nls.sonar.scans.scans import Scans
-from nls.sonar.scans.sequential import BEFORE, WINDOW, comparable
-from nls.sonar.scans.submaps import submap
+from nls.sonar.scans.sequential import WINDOW, comparable, field_before
 from nls.values import Values
 
 __all__ = ["Repetition", "repetition"]
@@ -43,8 +41,7 @@ def repetition(values: Values, scans: Scans) -> Repetition:
     k = k[np.unique(np.linspace(0, len(k) - 1, min(len(k), SCANS)).astype(np.intp))] if len(k) else k
     poses, fits = values[x], 0
     for row in k.tolist():
-        before = Field(submap(poses, scans, row, BEFORE))  # everywhere: nothing excuses a point that fits nowhere
-        fit = match(before, scans[row], np.zeros(3), WINDOW)
+        fit = match(field_before(poses, scans, row), scans[row], np.zeros(3), WINDOW)
         e = fit.pose[:2]
         fits += bool(e @ np.linalg.solve(fit.covariance[:2, :2] + RECKONED**2 * np.eye(2), e) < FITS)
     return Repetition(len(k), fits)

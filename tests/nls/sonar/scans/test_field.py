@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls.sonar.scans import Field
-from nls.sonar.scans.views import Observed, View
 from tests.factors.evaluated import Array, refused, same
 
 RNG = np.random.default_rng(0)
@@ -66,25 +65,6 @@ def test_coarse_cells_hold_the_same_points() -> None:
     assert field.coarse is field.coarse
     shape = (300, 300)
     assert field.spectrum(shape) is field.spectrum(shape)
-
-
-def test_where_the_map_has_not_looked_there_is_nothing() -> None:
-    """The area is kept in squares of 0.8 m; those with points of the map belong to it."""
-    observed = Observed(np.array([[-9.0, 0.0, 0.0], [-8.0, 1.0, 0.4]]), View(12.0, -0.5, 0.5))
-    q = RNG.uniform(-12, 12, (2000, 2))
-    p = SE2.act(np.repeat(SE2.inverse(observed.poses), len(q), axis=0), np.tile(q, (2, 1))).reshape(2, -1, 2)
-    r, a = np.hypot(p[..., 0], p[..., 1]), np.abs(np.arctan2(p[..., 1], p[..., 0]))
-    off = np.maximum(r - 12, r * np.sin(np.clip(a - 0.5, -1.5, 1.5))).min(axis=0)  # m outside, below 0 inside
-    alone = np.linalg.norm(q[:, None] - POINTS, axis=2).min(axis=1) > 1.2
-    for field in (Field(POINTS, observed=observed), Field(POINTS, observed=observed).coarse):
-        inside = field.inside(q)
-        assert inside[off < -0.6].all()
-        assert not inside[(off > 0.6) & alone].any()
-        assert field.seen is not None
-        assert not field.L[field.seen == 0].any()
-        assert field.inside(np.array([[-6.0, 0.0], [-9.0, 1e6]])).tolist() == [True, False]
-    assert Field(POINTS, observed=observed).inside(POINTS).all()
-    assert Field(POINTS).inside(q).all()
 
 
 def test_what_does_not_fit() -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from models import SE2
 from models.errors import GraphError, OptionError
 from nls.sonar.scans import Field, Match, Verdict, match
-from nls.sonar.scans.matching import FLOOR, YAW_STEP, _correlated, _looked_up, scores
+from nls.sonar.scans.matching import FLOOR, YAW_STEP, scores
 from nls.sonar.scans.verdicts import verdicts
-from nls.sonar.scans.views import Observed, View
 from tests.factors.evaluated import Array, refused, same
 
 WINDOW = (3.0, np.radians(8.0))
@@ -60,62 +58,6 @@ def test_scores_are_sums_over_the_field() -> None:
         same(volume[k, i, j], field.L[tuple(cell[within].T)].sum(), rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("observed", [None, Observed(np.array([[0.0, -3.0, 0.5]]), View(11.0, -1.0, 1.0))])
-def test_look_ups_and_transforms_give_the_same_sums(observed: Observed | None) -> None:
-    """Also of points far outside of the field, on every side."""
-    field, rng = Field(CORNER, 0.5, 0.4, observed), np.random.default_rng(0)
-    cells = rng.integers(-60, 110, (3, 200, 2))
-    pairs = [f(field, cells, 7) for f in (_looked_up, _correlated)]
-    assert len(pairs[0]) == len(pairs[1]) == (1 if observed is None else 2)
-    for a, b in zip(*pairs, strict=True):
-        assert a.shape == (3, 15, 15)
-        same(a, b, atol=1e-3)
-        assert a.max() > 1
-
-
-def test_points_outside_the_observed_area_count_as_the_mean_of_the_others() -> None:
-    """Against cells one at a time; below half inside, the missing ones count as misses."""
-    observed = Observed(np.array([[0.0, -3.0, 0.5]]), View(11.0, -1.0, 1.0))
-    field = Field(CORNER, 0.5, 0.4, observed)
-    assert field.seen is not None
-    p, guess = seen_from(np.array([1.0, -2.0, 0.3]), CORNER, 0.1), np.array([3.3, -3.7, 0.35])
-    volume, yaws, offsets = scores(field, p, guess, (6.0, 0.07))
-    shares = []
-    for k, i, j in np.random.default_rng(0).integers(0, volume.shape, (60, 3)):
-        q = SE2.act(np.array([[*guess[:2], guess[2] + yaws[k]]]), p)
-        cell = field.cells(q) + np.rint([offsets[i] / 0.4, offsets[j] / 0.4]).astype(int)
-        cell = cell[((cell >= 0) & (cell < field.L.shape)).all(axis=1)]
-        shares.append(field.seen[tuple(cell.T)].sum() / len(p))
-        expected = field.L[tuple(cell.T)].sum() / max(shares[-1], 0.5)
-        same(volume[k, i, j], expected, rtol=1e-3, atol=1e-2)
-    assert min(shares) < 0.4 < 0.6 < max(shares) < 1
-
-
-def test_a_wall_that_ends_with_the_view_says_nothing_along_itself() -> None:
-    """Where the map ends only as the sensor saw no farther, an end on the other is no match of ends."""
-    view, wall = View(16.0, -1.0, 1.0), np.column_stack([np.arange(-60.0, 60.0, 0.2), np.zeros(600)])
-    poses = np.array([[0.0, -8.0, 1.2], [4.0, -8.5, 0.7]])
-    p, q = (seen_from(pose, wall) for pose in poses)
-    p, q = (r[(np.hypot(*r.T) < 16) & (np.abs(np.arctan2(r[:, 1], r[:, 0])) < 1)] for r in (p, q))
-    true = SE2.between(poses[:1], poses[1:])[0]
-    errors = []
-    for observed in (None, Observed(np.zeros((1, 3)), view)):
-        m = match(Field(p, observed=observed), q, true + np.array([0.8, -0.5, 0.02]), (6.0, 0.1))
-        R = SE2.rotation(poses[1:])[0]
-        along = (R @ SE2.between(true[None], m.pose[None])[0, :2])[0]
-        sigma = np.sqrt((R @ m.covariance[:2, :2] @ R.T)[0, 0])
-        errors.append(abs(along) / sigma)
-    assert errors[0] > 2.5 > 1.5 > errors[1]
-    assert sigma > 1.5
-
-
-def test_nothing_inside_the_observed_area_is_no_match() -> None:
-    field = Field(CORNER, observed=Observed(np.array([[-5.0, -5.0, 0.8]]), View(20.0, -0.7, 0.7)))
-    assert match(field, CORNER + 300.0, np.zeros(3), (2.0, 0.05)).score < 0.01
-    few = np.concatenate([CORNER[:10], CORNER + 300.0])
-    assert match(field, few, np.zeros(3), (2.0, 0.05)).score < 0.8
-
-
 def test_a_scan_that_lies_partly_outside_the_field_does_not_wrap_around() -> None:
     """A transform repeats its image: what leaves on one side must not come back on the other."""
     field = Field(WALL, 0.5, 0.4)
@@ -133,7 +75,7 @@ def test_a_map_that_is_moved_moves_the_match(moved: tuple[float, float, float]) 
     m = match(Field(SE2.act(G, CORNER)), scan, G[0], WINDOW)
     e = SE2.local(SE2.compose(G, true), m.pose[None])[0]
     assert (np.abs(e) < 1.5 * FLOOR).all(), e
-    assert m.edge < 0.03
+    assert m.edge < 0.01
 
 
 def test_a_wall_is_weak_along_itself_and_in_the_frame_of_the_scan() -> None:
@@ -179,7 +121,7 @@ def test_the_truth_outside_the_window_shows_at_its_rim() -> None:
     true = np.array([4.5, 0.0, 0.0])
     scan = seen_from(true, CORNER)
     assert match(Field(CORNER), scan, np.zeros(3), (3.0, 0.1)).edge > 0.3
-    assert match(Field(CORNER), scan, np.zeros(3), (6.0, 0.1)).edge < 5e-3
+    assert match(Field(CORNER), scan, np.zeros(3), (6.0, 0.1)).edge < 1e-3
     turned = seen_from(np.array([0.0, 0.0, 0.25]), CORNER)
     assert match(Field(CORNER), turned, np.zeros(3), (3.0, 0.1)).edge > 0.3, "the yaw has a rim, too"
 

@@ -71,7 +71,7 @@ def test_no_closure_that_is_kept_is_wrong(driven: tuple[OnlineClosing, Array, Ar
     assert matches is not None
     error = SE2.local(SE2.between(truth[matches.i], truth[matches.j]), matches.pose)[matches.kept]
     assert len(error) > 10
-    assert np.abs(error[:, :2]).max() < 1.3
+    assert np.abs(error[:, :2]).max() < 1.0
     assert np.abs(error[:, 2]).max() < 0.1
     assert sum(len(factor) for factor in online.graph.factors if factor.keys[-1].kind == "x") >= matches.kept.sum()
 
