@@ -12,6 +12,7 @@ Source: M. Richards, Fundamentals of Radar Signal Processing, 2014, section 6.3 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,7 @@ __all__ = ["SONAR", "drawn", "imaged"]
 SONAR = replace(BLUEVIEW_M900, window=(0.5, 50.5))
 SPREAD = 2.0  # beams and bins, standard deviation of an echo: 0.34 deg and 0.1 m
 THIN = 0.5  # m
+BLOCK = 64  # keyframes drawn at once: memory does not grow with their number
 GUARD, TRAIN = 10, 20  # bins
 
 
@@ -38,15 +40,17 @@ def drawn(
     near, far = sonar.window
     snr = 10 ** (signal / 10)
     azimuth = ((np.arange(sonar.beams) + 0.5) / sonar.beams - 0.5) * sonar.fan
-    hits = scene.hits(poses, azimuth)
-    k, beam = np.nonzero(rng.random(hits.range.shape) < false_alarms ** (1 / (1 + snr * hits.cosine**2)))
-    echoes = [np.column_stack([k, hits.range[k, beam], azimuth[beam]])]
-    if len(scene.rocks):
-        to = scene.rocks - poses[:, None, :2]  # (n, rocks, 2)
-        r, bearing = np.hypot(to[..., 0], to[..., 1]), wrap(np.arctan2(to[..., 1], to[..., 0]) - poses[:, 2:])
-        visible = (np.abs(bearing) <= sonar.fan / 2) & (r <= scene.hits(poses, bearing).range)
+    echoes = []
+    for rows in _blocks(len(poses)):
+        hits = scene.hits(poses[rows], azimuth)
+        k, beam = np.nonzero(rng.random(hits.range.shape) < false_alarms ** (1 / (1 + snr * hits.cosine**2)))
+        echoes.append(np.column_stack([rows.start + k, hits.range[k, beam], azimuth[beam]]))
+    for rows in _blocks(len(poses) if len(scene.rocks) else 0):
+        to = scene.rocks - poses[rows, None, :2]  # (n, rocks, 2)
+        r, bearing = np.hypot(to[..., 0], to[..., 1]), wrap(np.arctan2(to[..., 1], to[..., 0]) - poses[rows, 2:])
+        visible = (np.abs(bearing) <= sonar.fan / 2) & (r <= scene.hits(poses[rows], bearing).range)
         k, rock = np.nonzero(visible & (rng.random(r.shape) < false_alarms ** (1 / (1 + snr))))
-        echoes.append(np.column_stack([k, r[k, rock], bearing[k, rock]]))
+        echoes.append(np.column_stack([rows.start + k, r[k, rock], bearing[k, rock]]))
     z = np.concatenate(echoes)
     z = z[np.isfinite(z[:, 1])]
     cell = np.array([(far - near) / sonar.bins, sonar.fan / sonar.beams])
@@ -59,6 +63,11 @@ def drawn(
     p, keyframe = z[:, 1:2] * np.column_stack([np.cos(z[:, 2]), np.sin(z[:, 2])]), z[:, 0].astype(np.intp)
     first = np.unique(np.column_stack([keyframe, np.floor(p / THIN)]), axis=0, return_index=True)[1]
     return Scans(p[first], keyframe[first], len(poses))
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """So many keyframes, a block at a time."""
+    yield from (slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK))
 
 
 def imaged(

@@ -28,6 +28,7 @@ from nls.sonar.scans import (
     Closing,
     Drift,
     Matches,
+    OnlineClosing,
     Scans,
     candidates,
     close,
@@ -92,12 +93,13 @@ class Mission:
         aside = np.cos(yaw) * way[:, 1] - np.sin(yaw) * way[:, 0]
         return np.hypot(ahead - matches.pose[:, 0], aside - matches.pose[:, 1]) > WRONG
 
-    def consistency(self, closed: Closing) -> tuple[float, float]:
+    def consistency(self, closed: Closing | OnlineClosing) -> tuple[float, float]:
         """Squared errors over their covariance, over expectation, after the alignment; rms sigma of a position, m."""
-        poses = closed.values[x]
+        values = closed.values
+        poses = values[x]
         error = ate(poses, self.truth, "rigid")
         n, p = len(poses), poses[:, :2] - poses[:, :2].mean(axis=0)
-        C = nls.Marginals(closed.graph, closed.values).joint(x[np.arange(n)], frame="world").matrix
+        C = nls.Marginals(closed.graph, values).joint(x[np.arange(n)], frame="world").matrix
         C = C.reshape(n, 3, n, 3)[:, :2, :, :2].reshape(2 * n, 2 * n)
         motions = np.zeros((2 * n, 3))  # that the alignment takes away
         motions[0::2, 0] = motions[1::2, 1] = 1.0
@@ -156,6 +158,23 @@ def variant(mission: Mission, name: str, drift: Drift | None = None, **options: 
     )
 
 
+def online(mission: Mission) -> str:
+    """A sentence on the map of one pass, keyframe by keyframe."""
+    closing, seconds = OnlineClosing(), []
+    for pose, points in zip(mission.poses, map(mission.scans.__getitem__, range(len(mission.scans))), strict=True):
+        began = time.process_time()
+        closing.update(pose, points)
+        seconds.append(time.process_time() - began)
+    closing.judge()
+    nees, sigma = mission.consistency(closing)
+    return (
+        f"Each keyframe once, as it comes (`OnlineClosing`): ATE {mission.error(closing.poses):.2f} m in the end, "
+        f"squared errors over their covariance {nees:.2f} of the expectation, sigma {sigma:.2f} m rms. Processor time "
+        f"{sum(seconds):.0f} s: a keyframe takes {1e3 * float(np.median(seconds)):.0f} ms (median) or "
+        f"{max(seconds):.1f} s (worst)."
+    )
+
+
 def halved_and_doubled(mission: Mission) -> list[str]:
     """ATE with every constant over a factor of two around its value."""
     rows = ["| constant | value | ATE at half of it, m | ATE at twice of it, m |", "|:--|--:|--:|--:|"]
@@ -194,6 +213,10 @@ def page(mission: Mission, quick: bool) -> list[str]:
         f"Squared errors of positions over their covariance: {nees:.2f} of the expectation; sigma {sigma:.2f} m rms.",
         "The position of DGPS is that of a float on a line, and its own error is part of it.",
         "",
+        "## While the vehicle drives",
+        "",
+        online(mission),
+        "",
         "## Other selections",
         "",
         "| variant | rounds | settled | kept | wrong | ATE, m | processor, s |",
@@ -220,6 +243,12 @@ The map has two ends, near 0.7 m and near 5 m, and the tables above do not show 
 widens the covariance of matches along a single straight wall, by the normals of their points, was tried in three forms
 and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with PARTNERS
 doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with PARTNERS halved and doubled.
+
+Points of a scan outside of what the map has observed, the sectors of its keyframes, may be neutral: neither for nor
+against a pose. Tried and left out. In closures and sequential matches: 0.68 m, settled after 5 rounds; in sequential
+matches alone 0.71 m. With `matching.INDEPENDENT` 25 and `verdicts.SPREAD` 1.2 m besides: 0.68 m, and on simulated quays
+the mean d2/3 of the matcher is 0.79, 1.56 without. But two of twenty simulated marinas of 160 keyframes stay 1.5 m and
+5.3 m off, 0.6 m and 0.5 m without: bent submaps slip to where fewer points count.
 """
 
 

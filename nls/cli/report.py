@@ -44,6 +44,7 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
         facts=_facts(job, result),
         seconds={name: timings[name] for name in rows(timings) if name != "process"},
         pictures={} if solved is None else _pictures(solved),
+        figures={} if solved is None else _error(solved),
         shell=True,
     )
     write_bytes(path, text.encode(errors="backslashreplace"))  # names of files can be any bytes
@@ -68,6 +69,15 @@ def _facts(job: Job, result: Result | UnderconstrainedError) -> dict[str, str]:
         "version": f"leadline {nls.__version__}",
     }
     return {name: fact for name, fact in facts.items() if fact}
+
+
+def _error(solved: Solved | SolvedScans) -> dict[str, str]:
+    """Of positions against the truth of a map from scans, rmse, before and after."""
+    from nls.cli.mission import Solved
+
+    if isinstance(solved, Solved) or not solved.errors:
+        return {}
+    return {"ATE": f"{solved.errors['dead_reckoning'].rmse:.3g} → {solved.errors['solution'].rmse:.3g} m"}
 
 
 def _pictures(solved: Solved | SolvedScans) -> dict[str, Any]:

@@ -26,6 +26,7 @@ __all__ = ["Harbor", "harbor"]
 SPEED = 0.25  # m/s
 MOST = 0.8  # of a drift: with 1 the reckoned way has no end
 FIXED_POINT = 60  # iterations: 0.8^60 is 2e-6
+LOUDEST = 200.0  # dB of a signal: the power is a number, and every echo is seen with far less
 LOOP = 40  # keyframes of a lap at least: pairs of submaps are 20 apart
 
 
@@ -107,7 +108,7 @@ def harbor(
     keyframes : 1 m apart.
     laps : of the same way, which is keyframes / laps long and 40 m at least.
     drift : factor on the errors of dead reckoning; 0 gives the true way.
-    signal : power of an echo over that of the noise, at right angles, dB.
+    signal : power of an echo over that of the noise, at right angles, 0 to 200 dB.
     false_alarms : share of the cells of an image, 0 to 1.
     images : whether the points are detected in an image of each keyframe, in 60 ms each, or drawn from their rates.
 
@@ -137,6 +138,8 @@ def harbor(
     if keyframes < LOOP * laps:
         raise OptionError("laps", laps, f"at most {keyframes // LOOP}, of {LOOP} keyframes each")
     check_not_negative(drift=drift, signal=signal)
+    if signal > LOUDEST:
+        raise OptionError("signal", signal, f"at most {LOUDEST:g} dB")
     check_between("false_alarms", false_alarms, 0, 1, "a rate between 0 and 1")
     if not isinstance(images, bool):
         raise OptionError("images", images, "True or False")

@@ -138,6 +138,7 @@ def test_nothing_is_accepted_along_a_straight_quay() -> None:
         ("laps", 0),
         ("drift", -1.0),
         ("signal", float("nan")),
+        ("signal", 3100.0),
         ("false_alarms", 1.0),
         ("images", 1),
     ],

@@ -48,6 +48,7 @@ class ReportData:
     facts: Mapping[str, str] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     pictures: Mapping[str, Figure] = field(default_factory=dict)
+    figures: Mapping[str, str] = field(default_factory=dict)
     shell: bool = False
 
     @property

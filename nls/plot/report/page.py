@@ -70,6 +70,7 @@ def report(
     facts: Mapping[str, str] | None = None,
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, Figure] | None = None,
+    figures: Mapping[str, str] | None = None,
     shell: bool = False,
 ) -> Page:
     """A solution on one page of HTML, with everything in it: no network and no scripts.
@@ -91,6 +92,7 @@ def report(
     facts : where it comes from, by name.
     seconds : where the time went, by part; only this differs between two runs.
     pictures : figures by caption, in the place of the maps before and after and of the ellipses.
+    figures : further key figures by name, such as the error against a truth.
     shell : whether advice is for the command line, not for Python.
 
     Returns
@@ -134,6 +136,7 @@ def report(
             facts or {},
             seconds or {},
             pictures or {},
+            figures or {},
             shell,
         )
         body = {make.__name__: element for make in SECTIONS if (element := make(data)) is not None}

@@ -38,7 +38,7 @@ def verdict(data: ReportData) -> Html:
 
 
 def key_figures(data: ReportData) -> Html:
-    """Sizes, chi2 and what holds the graph."""
+    """Sizes, chi2, what holds the graph, and what the caller knows besides."""
     result, explained = data.result, data.explanation
     kinds = ", ".join(f"{len(stack):,} {kind}" for kind, stack in data.values.stacks.items())
     figures = [("variables", kinds, ""), ("measurements", f"{len(data.graph):,}", "")]
@@ -53,6 +53,7 @@ def key_figures(data: ReportData) -> Html:
             ("start", data.init, ""),
             ("gauge", result.gauge, ""),
         ]
+    figures += [(name, figure, "") for name, figure in data.figures.items()]
     return listed(
         [(name, joined([figure, tag("small", note)])) for name, figure, note in figures if figure], class_="figures"
     )

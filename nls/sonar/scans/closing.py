@@ -137,8 +137,10 @@ def close(
         start = result.values
         steps = sequential_matches(start[x], scans) if sequential else None
         measured = graph if steps is None else FactorGraph([*graph.factors, steps], graph.fixed)
-        closed, result, kept = _selected(measured, start, matches, select)
+        closures, better, kept = chosen(measured, start, matches, select)
         matches.kept[matches.accepted] = kept
+        closed = measured if closures is None else FactorGraph([*measured.factors, closures], measured.fixed)
+        result = closed.optimize(better)
         moved = float(np.sqrt(np.mean(displacements(result.values[x][:, :2], start[x][:, :2]) ** 2)))
         history.append(Round(matches, result.values[x], result.chi2_final / max(result.dof, 1), moved))
         if report is not None:
@@ -182,22 +184,22 @@ def shares(i: Index, j: Index) -> Array:
     return np.asarray((uses[i] + uses[j]) / 2)
 
 
-def _selected(graph: FactorGraph, start: Values, matches: Matches, select: str) -> tuple[FactorGraph, Result, Mask]:
-    """The graph with the chosen closures, its optimization, and which of the accepted are kept (n,).
+def chosen(
+    graph: FactorGraph, start: Values, matches: Matches, select: str = "gnc"
+) -> tuple[Between | None, Values, Mask]:
+    """The closures that a selection keeps, if any, the values to go on from, and which of the accepted they are (n,).
 
     Every closure is judged by its own covariance, and counts in the estimate as `shares` says.
     """
-    chosen = matches.accepted
-    kept = np.ones(int(chosen.sum()), dtype=bool)
-    i, j, z, C = matches.i[chosen], matches.j[chosen], matches.pose[chosen], matches.covariance[chosen]
+    accepted = matches.accepted
+    kept = np.ones(int(accepted.sum()), dtype=bool)
+    i, j, z, C = matches.i[accepted], matches.j[accepted], matches.pose[accepted], matches.covariance[accepted]
     if select == "gnc" and len(kept):
         closures = Between(x[i], x[j], z, Covariance(C))
         robust = gnc(FactorGraph([*graph.factors, closures], graph.fixed), start, doubted=[closures])
         start, kept = robust.result.values, robust.weights[-1] > 0
     if not kept.any():
-        return graph, graph.optimize(start), kept
+        return None, start, kept
     i, j, z = i[kept], j[kept], z[kept]
     shared = Covariance(C[kept] * shares(i, j)[:, None, None])
-    noise = Robust(shared, Cauchy(1.0)) if select == "cauchy" else shared
-    closed = FactorGraph([*graph.factors, Between(x[i], x[j], z, noise)], graph.fixed)
-    return closed, closed.optimize(start), kept
+    return Between(x[i], x[j], z, Robust(shared, Cauchy(1.0)) if select == "cauchy" else shared), start, kept

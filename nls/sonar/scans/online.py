@@ -2,27 +2,29 @@
 
 A submap is complete when the keyframes behind its middle have come. It is matched then with older ones whose footprints
 overlap, in windows of three sigmas of their relative pose, as in `close`. A match that is accepted waits until as many
-have come as are a part of those in the map; then all that ever were accepted are judged anew (`nls.gnc`). So nothing
-enters the map unjudged, and what was rejected comes back when the others agree with it. Each is matched once, by the
+have come as are a part of those in the map; then all that ever were accepted are judged anew (`nls.gnc`), and those
+that are kept enter as one factor, in place of the one before. So nothing enters the map unjudged, what was rejected
+comes back when the others agree with it, and each counts as its submaps are used by then. Each is matched once, by the
 submaps as they were then.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import numpy.typing as npt
 
-from factors import Between, Covariance, Factor, Isotropic, Prior
+from factors import Factor, Isotropic, Prior
 from factors.keys import kinds
 from models import SE2, R
-from models.algebra import Array, Index
+from models.algebra import Array, Index, Mask
 from models.errors import OptionError
 from models.options import check_positive
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
 from nls.sonar.scans import candidates
+from nls.sonar.scans.closing import chosen
 from nls.sonar.scans.dead_reckoning import Drift, Reckoning
 from nls.sonar.scans.matches import Matches
 from nls.sonar.scans.scans import Scans
@@ -52,8 +54,8 @@ class OnlineClosing:
 
     Notes
     -----
-    Closures count as independent here, and `close` knows better: sigmas are about half of what they should be. For the
-    best map at the end, ``close(*dead_reckoning(online.reckoned, drift), online.scans)``.
+    For the best map at the end, ``close(*dead_reckoning(online.reckoned, drift), online.scans)``: there all submaps are
+    built, and all closures measured, from the better estimate.
 
     Examples
     --------
@@ -77,8 +79,8 @@ class OnlineClosing:
         self._points: list[Array] = []  # of every keyframe, in the frame of the sensor
         self._reach: list[float] = []  # of every scan, m from the vehicle
         self._matches: list[Matches] = []
-        self._closures: list[Factor] = []  # in the smoother
-        self._waiting: list[Factor] = []
+        self._closures: Factor | None = None  # in the smoother
+        self._kept: Mask = np.zeros(0, dtype=bool)  # of the accepted matches that were judged
 
     def __len__(self) -> int:
         return len(self._reckoned)
@@ -123,12 +125,16 @@ class OnlineClosing:
 
     def judge(self) -> None:
         """Judge all accepted matches that have come; by itself that is done whenever enough have."""
-        if self._waiting:
-            self.smoother.update(self._waiting)
-            self._closures += self._waiting
-            self._waiting = []
-        if self._closures:
-            self.smoother.decide(self._closures)
+        matches = self._all
+        if matches is None or not matches.accepted.any():
+            return
+        trusted = [factor for factor in self.smoother.graph.factors if not _closes(factor)]
+        closures, _, self._kept = chosen(FactorGraph(trusted), self.smoother.values, matches)
+        before, self._closures = self._closures, closures
+        if closures is not None:
+            self.smoother.update(closures)
+        if before is not None:
+            self.smoother.remove(before)  # after the new ones, which hold the map
 
     @property
     def poses(self) -> Array:
@@ -157,19 +163,28 @@ class OnlineClosing:
     @property
     def matches(self) -> Matches | None:
         """All candidates so far, matched when the later of the two was new; None before the first."""
+        matches = self._all
+        if matches is not None:
+            matches.kept[np.flatnonzero(matches.accepted)[: len(self._kept)]] = self._kept
+        return matches
+
+    @property
+    def _all(self) -> Matches | None:
+        """All candidates so far in one table."""
         if not self._matches:
             return None
         columns = (np.concatenate([getattr(part, column.name) for part in self._matches]) for column in fields(Matches))
-        all_matches = Matches(*columns)
-        out = {pair for factor in self.smoother.rejected for pair in _ends(factor)}
-        out |= {pair for factor in self._waiting for pair in _ends(factor)}
-        pairs = zip(all_matches.i.tolist(), all_matches.j.tolist(), strict=True)
-        kept = all_matches.accepted & ~np.array([pair in out for pair in pairs], dtype=bool)
-        return replace(all_matches, kept=kept)
+        return Matches(*columns)
 
     def __repr__(self) -> str:
-        closures = f"{sum(map(len, self._closures))} closures, {sum(map(len, self.smoother.rejected))} rejected"
-        return f"OnlineClosing({len(self)} keyframes, {closures}, {sum(map(len, self._waiting))} waiting)"
+        kept = int(self._kept.sum())
+        closures = f"{kept} closures, {len(self._kept) - kept} rejected"
+        return f"OnlineClosing({len(self)} keyframes, {closures}, {self._waiting} waiting)"
+
+    @property
+    def _waiting(self) -> int:
+        """Accepted matches that are not judged yet."""
+        return sum(int(part.accepted.sum()) for part in self._matches) - len(self._kept)
 
     def _scans(self, keyframes: Index) -> Scans:
         """The points of some keyframes, numbered as all are."""
@@ -187,14 +202,8 @@ class OnlineClosing:
         i = middle[a[middle[b] == newest]]
         if not len(i):
             return
-        new = self._matched(poses, scans, i, newest)
-        self._matches.append(new)
-        if (good := new.accepted).any():
-            self._waiting.append(
-                Between(x[new.i[good]], x[new.j[good]], new.pose[good], Covariance(new.covariance[good]))
-            )
-        waiting, there = sum(map(len, self._waiting)), sum(map(len, self._closures))
-        if waiting > self.enough * there:
+        self._matches.append(self._matched(poses, scans, i, newest))
+        if self._waiting > self.enough * len(self._kept):
             self.judge()
 
     def _near(self, poses: Array, newest: int) -> tuple[Scans, Index]:
@@ -217,7 +226,6 @@ class OnlineClosing:
         return Matches.of(poses, scans, i, j, window)
 
 
-def _ends(factor: Factor) -> list[tuple[int, int]]:
-    """Numbers of the two poses of every measurement."""
-    i, j = (keys.numbers.tolist() for keys in factor.keys)
-    return list(zip(i, j, strict=True))
+def _closes(factor: Factor) -> bool:
+    """Whether a factor has closures: relative poses, where steps have drifts besides."""
+    return [keys.kind for keys in factor.keys] == ["x", "x"]

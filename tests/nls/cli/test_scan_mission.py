@@ -67,7 +67,10 @@ def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
     assert {word: verdicts.count(word) for word in verdicts} == record["verdicts"]
     assert record["verdicts"]["kept"] == record["closures"] == len(graph.factors[-1])
     assert all(int(cells[0]) % 3 == 1 and int(cells[1]) % 3 == 1 for cells in body)
-    assert "The map" in (shell / "page.html").read_text()
+    page = (shell / "page.html").read_text()
+    assert "The map" in page
+    before, after = (record[name]["ate_rmse_m"] for name in ("dead_reckoning", "solution"))
+    assert f"<dt>ATE</dt><dd>{before:.3g} → {after:.3g} m" in page.replace("\n", "")
     assert "nls explain" not in (shell / "page.html").read_text()
 
     judged = shell.report("evaluate out/trajectory.csv m/truth.csv --align rigid")
