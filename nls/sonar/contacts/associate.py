@@ -26,7 +26,7 @@ from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.estimate import Estimate, estimated, measured_numbers
+from nls.sonar.contacts.estimate import FIRST, Estimate, estimated, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
@@ -155,11 +155,12 @@ def associate(
     gate = chi2_gate(measured_numbers(pings), probability)
     pieces = tracks = _linked(pings, graph, values, gate)
     expelled = np.zeros(len(pings), dtype=np.intp)
-    poses, stage, settled = values, 0, False
+    poses = _without(estimated(pings, graph, values, tracks, FIRST).values, kind)
+    stage, settled = 0, False
     history: list[int] = []
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, poses, tracks)
-        poses = Values.of(stack for name, stack in estimate.values.stacks.items() if name != kind.name)
+        poses = _without(estimate.values, kind)
         joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
         outside = estimate.d2 > OUTSIDE * gate
         misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
@@ -171,6 +172,11 @@ def associate(
         if report is not None:
             report(tracks)
     return _associated(pings, graph, poses, tracks, least, tuple(history), settled)
+
+
+def _without(values: Values, kind: Kind) -> Values:
+    """The values of all other kinds."""
+    return Values.of(stack for name, stack in values.stacks.items() if name != kind.name)
 
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
@@ -210,6 +216,6 @@ def _associated(
     sightings = pings.of_landmarks(numbers[decided], np.flatnonzero(decided))
     if len(names):
         stack = values.stack(pings.kind)
-        values = Values.of(other for name, other in values.stacks.items() if name != pings.kind.name)
+        values = _without(values, pings.kind)
         values.add(pings.kind, stack.manifold, stack.X, np.arange(len(names)))
     return Associated(numbers, sightings, values, history, settled, np.where(decided, estimate.d2, np.nan))

@@ -6,21 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Cauchy
+from factors import Cauchy, Huber
+from factors.robust import Kernel
 from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
-from nls.optimizers import GaussNewton, Stop
+from nls.optimizers import LevenbergMarquardt, Stop
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.places import Pings
 from nls.starts import locate_points, search_elevation
 from nls.values import Values
 
-__all__ = ["Estimate", "estimated"]
+__all__ = ["FIRST", "Estimate", "estimated"]
 
 KERNEL = Cauchy(2.0)
-ROUGHLY = Stop(max_iterations=8, chi2_rtol=1e-3)
+FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
+ROUGHLY = Stop(max_iterations=30, chi2_rtol=1e-3)
 WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
 DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
 
@@ -45,20 +47,20 @@ class Estimate:
     doubtful: Mask
 
 
-def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index) -> Estimate:
+def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, kernel: Kernel = KERNEL) -> Estimate:
     """Solve the graph with the landmarks of all tracks of two sightings and more, from these poses."""
     chosen, n = np.flatnonzero(of.sizes(tracks) > 1), len(tracks)
     d2 = np.zeros(n)
     if not len(chosen):
         return Estimate(tracks, graph, graph.optimize(poses).values, d2, np.zeros(n, dtype=bool))
     measured, d = pings.of_landmarks(tracks[chosen], chosen), pings.group.point_dim
-    factors, numbers = [*graph.factors, measured.robust(KERNEL)], np.unique(tracks[chosen])
+    factors, numbers = [*graph.factors, measured.robust(kernel)], np.unique(tracks[chosen])
     weak, spread = ([pings.aperture_factor(measured, times)] if pings.limit else [] for times in (WEAK, 1.0))
     solved = FactorGraph([*factors, *weak], graph.fixed)
     start = Values.of([*poses.stacks.values()])
     start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
     start = search_elevation(solved, start, pings.limit) if pings.limit else locate_points(solved, start)
-    values = solved.optimize(start, GaussNewton(ROUGHLY)).values
+    values = solved.optimize(start, LevenbergMarquardt(ROUGHLY)).values
     d2[chosen] = measured.chi2(values)
     size = of.sizes(tracks)
     dof = measured_numbers(pings) * size - d
