@@ -62,8 +62,8 @@ def near_landmarks(
     d, row = d[other], row[other]
     if pings.limit:
         q = pings.group.act(pings.group.inverse(S[d]), stack.X[row])
-        seen = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
-        d, row = d[seen], row[seen]
+        visible = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
+        d, row = d[visible], row[visible]
     return d, stack.numbers[row]
 
 
