@@ -88,5 +88,6 @@ def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice) -> Arr
     k = pings.group.point_dim
     far = np.linalg.norm(pings.middle[which], axis=1)
     position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
-    sigma = np.sqrt(np.maximum(position, 0.0)) + far * np.sqrt(np.maximum(turn, 0.0))
+    noise = np.linalg.eigvalsh(pings.covariances[which][:, pings.points.shape[1] // 2])[:, -1]  # of both sightings
+    sigma = np.sqrt(np.maximum(position, 0.0) + 2 * noise) + far * np.sqrt(np.maximum(turn, 0.0))
     return np.asarray(pings.extent[which] + np.sqrt(gate) * sigma)
