@@ -51,6 +51,12 @@ class Scene:
         """The true poses alone."""
         return poses_of(self.truth)
 
+    def truth_of(self, landmarks: Index) -> Values:
+        """The true poses, and some of the true landmarks."""
+        values, numbers = self.at_the_truth(), np.unique(landmarks)
+        values.add(l, self.truth.stack("l").manifold, self.truth[l[numbers]], numbers)
+        return values
+
 
 def poses_of(values: Values) -> Values:
     """The poses without the landmarks."""

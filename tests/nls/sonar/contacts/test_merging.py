@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from models.algebra import Index
 from nls.sonar.contacts.merging import linked, merged
-from nls.sonar.contacts.tracks import joined, renamed, share_a_ping
+from nls.sonar.contacts.tracks import joined, renamed
 
 GATE, ALIKE = 9.0, 2.0
 Fits = dict[tuple[int, int], float]
@@ -67,11 +67,12 @@ def test_pieces_of_one_landmark_are_no_rivals() -> None:
     assert joins(TRACKS, PING, mutual({(4, 0): 1.0, (4, 2): 1.5, (0, 2): 1.2})) == [0] * 6
 
 
-def test_a_rival_that_is_of_another_track_in_the_same_ping_is_none() -> None:
-    """Sightings 4 and 5 of one ping, two landmarks near each other: 5 fits only landmark 2, and fits it best."""
-    tracks, ping = [0, 0, 2, 2, 4, 5], [0, 1, 0, 1, 3, 3]
-    assert joins(tracks, ping, {(4, 0): 0.5, (4, 2): 2.0, (5, 2): 0.2}) == [0, 0, 2, 2, 0, 2]
-    assert joins(tracks, ping, {(4, 0): 0.5, (4, 2): 2.0, (5, 2): 2.2}) == [0, 0, 2, 2, 4, 2]  # 4 fits it better
+def test_a_rival_that_is_of_another_track_of_the_same_ping_is_none() -> None:
+    """Sighting 4 fits landmarks 0 and 2; track 5, not yet joined, fits 2 best and was seen beside 4 or not."""
+    tracks, fits = [0, 0, 2, 2, 4, 5, 5], {(4, 0): 0.5, (4, 2): 2.0, (5, 2): 0.2}
+    assert joins(tracks, [0, 1, 0, 1, 3, 3, 6], fits) == [0, 0, 2, 2, 0, 5, 5]
+    assert joins(tracks, [0, 1, 0, 1, 3, 4, 6], fits) == tracks
+    assert joins(tracks, [0, 1, 0, 1, 3, 3, 6], fits | {(5, 2): 2.2}) == tracks  # 4 fits it better
 
 
 @st.composite

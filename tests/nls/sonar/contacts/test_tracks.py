@@ -28,7 +28,14 @@ def scenes(draw: st.DrawFn) -> dict[str, Any]:
 
     k = draw(st.integers(0, 6))
     tracks, mask = renamed(whole(4)), whole(1) > 0
-    return {"n": n, "tracks": tracks, "ping": whole(3), "mask": mask, "a": tracks[whole(n - 1, k)], "b": whole(n - 1, k)}
+    return {
+        "n": n,
+        "tracks": tracks,
+        "ping": whole(3),
+        "mask": mask,
+        "a": tracks[whole(n - 1, k)],
+        "b": whole(n - 1, k),
+    }
 
 
 @given(scenes())
