@@ -57,6 +57,9 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_it_is_read_and_every_factor_knows_its_line(tmp_path: Path) -> None:
     given, path = mission(), written(tmp_path / "m")
+    head, rest = (path / "contacts.csv").read_text().split("\n", 1)
+    false = "0,1.05,0.0,0.01,0.004"  # is of no landmark, so that rows and measurements are not the same
+    (path / "contacts.csv").write_text("\n".join([head, false, rest]))
     graph, values, report = nls.load(path, elevation="prior")
     assert len(report.sources) == len(graph.factors)
     (k,) = (k for k, factor in enumerate(graph.factors) if isinstance(factor, RangeAzimuth))
@@ -73,7 +76,7 @@ def test_it_is_read_and_every_factor_knows_its_line(tmp_path: Path) -> None:
     for row in (0, len(graph.factors[j]) - 1):
         number = int(report.place(j, row).rsplit(":", 1)[1])
         assert int(lines[number - 1].split(",")[0]) == graph.factors[j].keys[0].numbers[row]
-    true = [int(line.split(",")[1]) for line in names_of().splitlines()[1:]]
+    true = [-1] + [int(line.split(",")[1]) for line in names_of().splitlines()[1:]]
     numbers = np.full(len(true), -1)
     numbers[[int(report.place(k, row).rsplit(":", 1)[1]) - 2 for row in range(len(contacts))]] = contacts.keys[
         1
