@@ -85,7 +85,7 @@ class Marginals:
     >>> import numpy as np
     >>> import sim
     >>> from nls import Marginals, kinds
-    >>> (x,) = kinds("x")
+    >>> x, l = kinds("x", "l")
     >>> world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
     >>> marginals = Marginals(world.graph, world.truth)
     >>> marginals.gauge
@@ -100,7 +100,6 @@ class Marginals:
     >>> from factors import Isotropic, Range
     >>> from models import R
     >>> from nls import FactorGraph, Values
-    >>> (l,) = kinds("l")
     >>> graph = FactorGraph([*world.graph.factors, Range(x[3], l[0], [5.0], Isotropic(0.1))])
     >>> poses = world.truth.stack("x")
     >>> marginals = Marginals(graph, Values({x: (poses.manifold, poses.X), l: (R(2), [[9.0, 9.0]])}))
@@ -137,8 +136,7 @@ class Marginals:
         except SingularSystemError:
             pattern, self._factorization, undetermined = anchored_factorization(pattern, values, linear_solver)
         self._pattern, self._undetermined = pattern, undetermined
-        self.placeless = placeless_kinds(pattern)
-        self.gauge = decided.description
+        self.placeless, self.gauge = placeless_kinds(pattern), decided.description
         self._free: FreePart | None = None
         if decided.free:
             unheld = decided.pattern.holding(decided.fixed)

@@ -329,8 +329,8 @@ def pair_precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> S
         raise GraphError(f"pair_precision_recall: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
     both = (labels >= 0) & (truth >= 0)
     right = _pairs(np.column_stack([labels, truth])[both])
-    said, due = _pairs(labels[labels >= 0]), _pairs(truth[truth >= 0])
-    return Score(right / said if said else 1.0, right / due if due else 1.0)
+    joined, due = _pairs(labels[labels >= 0]), _pairs(truth[truth >= 0])
+    return Score(right / joined if joined else 1.0, right / due if due else 1.0)
 
 
 def _pairs(groups: npt.NDArray[np.integer]) -> int:

@@ -62,9 +62,11 @@ def add_unnamed_contacts(
     rows = np.flatnonzero(associated.numbers >= 0)
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)
+    if not len(rows):
+        return start
     _add(graph, report, table, associated.sightings, rows, elevation)
     values = Values.of([*start.stacks.values()])
-    values.add(l, R(3), associated.values[l] if len(rows) else np.zeros((0, 3)))
+    values.add(l, R(3), associated.values[l])
     return values
 
 

@@ -73,6 +73,8 @@ def landmark_distances(
     pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index
 ) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that."""
+    if not len(d):
+        return np.zeros(0), np.zeros(0)
     measured = pings.of_landmarks(landmarks, d)
     pose, landmark = measured.keys[:2]
     model = measured.bind(pings.group, values.stack(pings.kind).manifold)

@@ -86,7 +86,8 @@ def _merged_once(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate
     rival = ~first & (cost < cost[best] + alike) & ~np.isin(a[best] * n + a, np.append(b * n + a, a * n + b))
     owner, by_cost = np.full(n, -1), np.argsort(-cost, kind="stable")
     owner[a[by_cost]] = b[by_cost]  # the track that fits a best
-    rival[rival] = ~share_a_ping(tracks, ping, b[rival], owner[a[rival]])  # a is of that other track
+    taken = rival & (owner[a] != b)
+    rival[taken] = ~share_a_ping(tracks, ping, b[taken], owner[a[taken]])  # a is of that other track
     clear = first & (np.bincount(best, rival, len(b)) == 0)
     b, a = b[clear], a[clear]
     size = sizes(tracks)

@@ -25,7 +25,7 @@ APART = 1e6  # m between one ping and the next, so that one tree holds them all
 def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate: float) -> tuple[Index, Index]:
     """Pairs (k,) of sightings, the second from one of so many pings after that of the first."""
     P, last = pings.group.act(pings.sensors(values), pings.middle), len(pings.poses) - 1
-    pairs = []
+    pairs = [np.zeros((0, 2), dtype=np.intp)]
     for lag in range(1, min(lags, last) + 1):
         i = np.arange(last + 1 - lag)
         sigma = motion_covariances(pings, graph, values, i, i + lag)
@@ -43,8 +43,9 @@ def near_sightings(pings: Pings, graph: FactorGraph, values: Values, which: Inde
     P = pings.group.act(pings.sensors(values), pings.middle)[which]
     c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, graph, values, gate)[which]).T
     c, d = which[c], which[d]
-    earlier = pings.ping[c] < pings.ping[d]
-    return c[earlier], d[earlier]
+    late = pings.ping[c] > pings.ping[d]  # the later pose may be the one with the larger error
+    pairs = np.unique(np.where(late, [d, c], [c, d])[:, pings.ping[c] != pings.ping[d]], axis=1)
+    return pairs[0], pairs[1]
 
 
 def near_landmarks(
@@ -62,8 +63,8 @@ def near_landmarks(
     d, row = d[other], row[other]
     if pings.limit:
         q = pings.group.act(pings.group.inverse(S[d]), stack.X[row])
-        seen = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
-        d, row = d[seen], row[seen]
+        visible = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
+        d, row = d[visible], row[visible]
     return d, stack.numbers[row]
 
 
@@ -87,5 +88,6 @@ def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice) -> Arr
     k = pings.group.point_dim
     far = np.linalg.norm(pings.middle[which], axis=1)
     position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
-    sigma = np.sqrt(np.maximum(position, 0.0)) + far * np.sqrt(np.maximum(turn, 0.0))
+    noise = np.linalg.eigvalsh(pings.covariances[which][:, pings.points.shape[1] // 2])[:, -1]  # of both sightings
+    sigma = np.sqrt(np.maximum(position, 0.0) + 2 * noise) + far * np.sqrt(np.maximum(turn, 0.0))
     return np.asarray(pings.extent[which] + np.sqrt(gate) * sigma)

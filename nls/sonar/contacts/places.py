@@ -16,6 +16,7 @@ import numpy as np
 from factors.base import Model
 from factors.elevation import Elevation
 from factors.keys import Keys, Kind
+from factors.mount import pose_group
 from factors.noise import Isotropic, square
 from factors.replaced import replaced
 from factors.sighting import Sighting
@@ -90,11 +91,10 @@ class Pings:
                 "sightings that locate their targets such as BearingRange"
             )
             raise GraphError(message, sightings.keys, sightings.name)
-        if not isinstance(stack.manifold, LieGroup):
-            raise GraphError(f"associate: {pose[[0]]!r} is in {stack.manifold}, expected SE2 or SE3", [pose[[0]]])
+        group = pose_group(sightings, stack.manifold)
         numbers, ping = np.unique(pose.numbers, return_inverse=True)
         poses = Keys(pose.kind, numbers)
-        return cls(sightings, kind, limit, stack.manifold, poses, stack.index(poses), ping)
+        return cls(sightings, kind, limit, group, poses, stack.index(poses), ping)
 
     def __len__(self) -> int:
         return len(self.sightings)

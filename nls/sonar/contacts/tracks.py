@@ -100,8 +100,8 @@ def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
     from scipy.sparse import csr_array
 
     n, pings = len(tracks), int(ping.max(initial=0)) + 1
-    seen = csr_array((np.ones(n), (tracks, ping)), shape=(n, pings))
-    return np.asarray(seen[a].multiply(seen[b]).sum(axis=1)).reshape(-1) > 0
+    sightings = csr_array((np.ones(n), (tracks, ping)), shape=(n, pings))
+    return np.asarray(sightings[a].multiply(sightings[b]).sum(axis=1)).reshape(-1) > 0
 
 
 def misfits(tracks: Index, pieces: Index, d2: Array, doubtful: Mask) -> Mask:

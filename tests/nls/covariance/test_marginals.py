@@ -100,6 +100,31 @@ def test_pairs_that_share_a_factor_come_out_of_one_pass(gauge: str) -> None:
         marginals.cross(x[[7, 3]], x[8], frame="body")
 
 
+def test_motions_of_pairs_against_the_dense_joint() -> None:
+    """G = X_i^-1 X_j: J Sigma J' with J by differences, both ways round, and for poses of space and of the plane."""
+    for space, far in ((SE2, [(0, 1), (3, 2), (7, 0)]), (SE3, [(1, 0), (2, 5), (6, 7)])):
+        sample = pose_graph(space, seed=3)
+        i, j = np.array(far).T
+        nothing = Between(x[i], x[j], space.identity(3), SqrtInformation(np.zeros((space.dim, space.dim))))
+        marginals = Marginals(FactorGraph([*sample.graph.factors, nothing]), sample.values)
+        motions = marginals.relative(x[i], x[j])
+        for k, (a, b) in enumerate(far):
+            X = sample.values[x[[a, b]]]
+            G, step = space.between(X[:1], X[1:]), 1e-6
+            J = np.zeros((space.dim, 2 * space.dim))
+            for column, E in enumerate(step * np.eye(2 * space.dim).reshape(-1, 2, space.dim)):
+                moved = space.retract(X, E)
+                J[:, column] = space.local(G, space.between(moved[:1], moved[1:]))[0] / step
+            Sigma = marginals.joint(x[[a, b]], frame="body").matrix
+            np.testing.assert_allclose(motions[k], J @ Sigma @ J.T, rtol=0, atol=1e-5 * Sigma.max())
+        held = FactorGraph(sample.graph.factors)
+        held.fix(x[0])
+        assert not Marginals(held, sample.values).relative(x[0], x[0]).any()
+    points = mixed(0)
+    with pytest.raises(GraphError, match="no poses of one group"):
+        Marginals(points.graph, points.values).relative(x[40], l[5])
+
+
 def test_the_order_of_variables_and_factors_does_not_matter() -> None:
     sample = mixed(2)
     marginals = Marginals(sample.graph, sample.values)

@@ -24,6 +24,7 @@ from nls.filters.association import (
     identified,
     jcbb,
     nearest,
+    pair_precision_recall,
     precision_recall,
 )
 from nls.filters.ekf import EKF
@@ -220,3 +221,27 @@ def test_options_that_are_none_are_refused() -> None:
         EKF(associate=nearest)  # type: ignore[arg-type]
     with pytest.raises(GraphError, match=r"\(2,\) landmarks found for 9 sightings"):
         identified(row_of_posts()[0].factors[2], [0, 1], l)  # type: ignore[arg-type]
+
+
+@for_all(seed=range(10))
+def test_pairs_are_counted_as_one_by_one(seed: int) -> None:
+    """Names do not matter, nothing left out or false is in a pair that is right."""
+    rng = np.random.default_rng(seed)
+    labels, true = rng.integers(-1, 4, size=(2, 30))
+    same = [(labels[i] == labels[j] >= 0, true[i] == true[j] >= 0) for i, j in product(range(30), range(30)) if i < j]
+    right = sum(a and b for a, b in same)
+    score = pair_precision_recall(labels, true)
+    assert score.precision == pytest.approx(right / sum(a for a, _ in same))
+    assert score.recall == pytest.approx(right / sum(b for _, b in same))
+    renamed = np.where(labels < 0, -1, 100 - labels)
+    assert pair_precision_recall(renamed, true) == score
+    assert pair_precision_recall(true, true) == (1.0, 1.0)
+
+
+def test_pairs_of_nothing_and_of_other_lengths() -> None:
+    assert pair_precision_recall([], []) == (1.0, 1.0)
+    assert pair_precision_recall([-1, -1], [3, 3]) == (1.0, 0.0)
+    assert pair_precision_recall([3, 3], [-1, -1]) == (0.0, 1.0)
+    for shapes in (([0, 0], [0]), ([[0]], [[0]])):
+        with pytest.raises(GraphError, match="pair_precision_recall: shapes"):
+            pair_precision_recall(*shapes)
