@@ -285,9 +285,7 @@ def precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> Score:
     >>> precision_recall([0, 0, 1, 0], [7, 7, 7, 8])
     Score(precision=0.5, recall=0.5)
     """
-    labels, truth = np.asarray(associations), np.asarray(true)
-    if labels.shape != truth.shape or labels.ndim != 1:
-        raise GraphError(f"precision_recall: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
+    labels, truth = _labels("precision_recall", associations, true)
     paired = np.flatnonzero(labels >= 0)
     _, begin, label_of = np.unique(labels[paired], return_index=True, return_inverse=True)
     makers, later = paired[begin], np.ones(len(paired), dtype=bool)
@@ -324,13 +322,19 @@ def pair_precision_recall(associations: npt.ArrayLike, true: npt.ArrayLike) -> S
     >>> pair_precision_recall([0, 0, -1, 0], [7, 7, 7, -1])
     Score(precision=0.3333333333333333, recall=0.3333333333333333)
     """
-    labels, truth = np.asarray(associations), np.asarray(true)
-    if labels.shape != truth.shape or labels.ndim != 1:
-        raise GraphError(f"pair_precision_recall: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
+    labels, truth = _labels("pair_precision_recall", associations, true)
     both = (labels >= 0) & (truth >= 0)
     right = _pairs(np.column_stack([labels, truth])[both])
     joined, due = _pairs(labels[labels >= 0]), _pairs(truth[truth >= 0])
     return Score(right / joined if joined else 1.0, right / due if due else 1.0)
+
+
+def _labels(function: str, associations: npt.ArrayLike, true: npt.ArrayLike) -> tuple[Index, Index]:
+    """Landmarks (n,) as said and as they are."""
+    labels, truth = np.asarray(associations), np.asarray(true)
+    if labels.shape != truth.shape or labels.ndim != 1:
+        raise GraphError(f"{function}: shapes {labels.shape} and {truth.shape}, expected (n,) twice")
+    return labels, truth
 
 
 def _pairs(groups: npt.NDArray[np.integer]) -> int:
