@@ -15,9 +15,9 @@ from __future__ import annotations
 from factors.keys import Keys
 from models.algebra import Array, congruence
 from models.errors import OptionError, SingularGeometryError
-from models.manifolds.base import Manifold
+from models.manifolds.base import LieGroup, Manifold
 
-__all__ = ["axes", "turned"]
+__all__ = ["axes", "of_motions", "turned"]
 
 EULER = ("roll", "pitch", "yaw", "x", "y", "z")
 
@@ -60,6 +60,16 @@ def axes(
 def turned(J: Array | None, Sigma: Array) -> Array:
     """J Sigma J', exactly symmetric, for stacks (n, d, d)."""
     return Sigma if J is None else congruence(J, Sigma)
+
+
+def of_motions(group: LieGroup, G: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
+    r"""Covariance (n, d, d) of motions G = X_i^-1 X_j (n, size) in the axes of j, from those of both poses.
+
+    .. math:: \delta = \delta_j - Ad(G)^{-1} \delta_i
+    """
+    Ad = group.adjoint_inverse(G)
+    cross = Ad @ C_ij
+    return turned(Ad, C_ii) + C_jj - cross - cross.mT
 
 
 def _euler(keys: Keys, manifold: Manifold, X: Array) -> Array:

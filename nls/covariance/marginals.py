@@ -20,7 +20,7 @@ from models.algebra import Array, Index
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
 from models.listing import some
 from nls.covariance.determined import Undetermined, anchored_factorization, used_components
-from nls.covariance.frames import axes, turned
+from nls.covariance.frames import axes, of_motions, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
@@ -269,10 +269,9 @@ class Marginals:
         group = self.values.stack(i.kind).manifold
         if not isinstance(group, LieGroup) or self.values.stack(j.kind).manifold is not group:
             raise GraphError(f"Marginals.relative: {i[[0]]!r} and {j[[0]]!r} are no poses of one group", [i, j])
-        Ad = group.adjoint_inverse(group.between(self.values[i], self.values[j]))
-        cross = Ad @ self.cross(i, j, frame="body")
         C_ii, C_jj = (self.covariance(keys, frame="body") for keys in (i, j))
-        return turned(Ad, C_ii) + C_jj - cross - cross.mT
+        G = group.between(self.values[i], self.values[j])
+        return of_motions(group, G, C_ii, self.cross(i, j, frame="body"), C_jj)
 
     def joint(self, keys: Keys | Sequence[Keys], frame: str | None = None, view: str | None = None) -> Joint:
         """Joint covariance of any set of variables, of one kind or several, with names on its rows.

@@ -21,6 +21,7 @@ from models import SE2, R
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError
 from models.options import check_positive
+from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
 from nls.incremental import Incremental
 from nls.sonar.scans import candidates
@@ -222,8 +223,9 @@ class OnlineClosing:
         C = self.smoother.marginals().joint(x[np.append(i, newest)], frame="body").matrix
         C = C.reshape(len(i) + 1, 3, len(i) + 1, 3).transpose(0, 2, 1, 3)
         j, k = np.full(len(i), newest), np.arange(len(i))
-        window = half_widths(SE2.between(poses[i], poses[j]), C[k, k], C[k, -1], C[[-1] * len(i), -1])
-        return Matches.of(poses, scans, i, j, window)
+        motion = SE2.between(poses[i], poses[j])
+        relative = of_motions(SE2, motion, C[k, k], C[k, -1], C[[-1] * len(i), -1])
+        return Matches.of(poses, scans, i, j, half_widths(relative))
 
 
 def _closes(factor: Factor) -> bool:

@@ -23,16 +23,11 @@ def windows(graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
     """Half widths (n, 2), m and rad, of the search for keyframes j (n,) from i: by their relative covariance."""
     T = SE2.between(values[x][i], values[x][j])
     nothing = Between(x[i], x[j], T, SqrtInformation(np.zeros((3, 3))))  # shared factors: covariances in one pass
-    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
-    C = marginals.all(x, frame="body")
-    return half_widths(T, C[i], marginals.cross(x[i], x[j], frame="body"), C[j])
+    return half_widths(Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values).relative(x[i], x[j]))
 
 
-def half_widths(T: Array, C_ii: Array, C_ij: Array, C_jj: Array) -> Array:
-    """Half widths (n, 2), m and rad, of the search for poses j at T (n, 3) from poses i, by their covariances."""
-    Ad = SE2.adjoint_inverse(T)
-    cross = Ad @ C_ij
-    relative = Ad @ C_ii @ Ad.mT + C_jj - cross - cross.mT
+def half_widths(relative: Array) -> Array:
+    """Half widths (n, 2), m and rad, of the search for poses whose covariance (n, 3, 3) from their partner is known."""
     variance = np.column_stack([np.linalg.eigvalsh(relative[:, :2, :2])[:, -1], relative[:, 2, 2]])
     sigma = np.sqrt(np.maximum(variance, 0.0))  # below 0 by rounding, where both poses are as good as one
     return np.column_stack([np.clip(SIGMAS * sigma[:, k], *LIMITS[k]) for k in range(2)])
