@@ -1,10 +1,8 @@
-r"""A track along trusted measurements: relative poses of any two of its poses, and their covariances.
+"""A track along trusted measurements: relative poses of any two of its poses, and their covariances.
 
-    C_t = P_t+1 + Ad P_t Ad' - Ad P_t,t+1 - (Ad P_t,t+1)',     Ad = Ad(X_t+1^-1 X_t)
-
-is the covariance of a step, in the axes of its end, from the marginals of the trusted graph. The steps are added as if
-they were independent (`nls.robust.consistency.Odometry`). They are where odometry measures them; a depth or an attitude
-that every pose measures by itself makes the sum too large, never too small.
+The covariance of a step, in the axes of its end, is that of the trusted graph (`nls.analysis.motions`). The steps are
+added as if they were independent (`nls.robust.consistency.Odometry`). They are where odometry measures them; a depth or
+an attitude that every pose measures by itself makes the sum too large, never too small.
 
 A track ends where nothing trusted joins a pose to the one before: dives that only have landmarks in common.
 """
@@ -15,13 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import Between
-from factors.keys import Keys, Kind
-from factors.noise import SqrtInformation
+from factors.keys import Keys
 from models import LieGroup
 from models.algebra import Array, Index, Numbers
-from nls.covariance import Marginals
-from nls.covariance.frames import turned
+from nls.analysis.motions import motion_covariances
 from nls.gauge import component_labels
 from nls.graph import FactorGraph
 from nls.posegraph import Edges
@@ -88,12 +83,6 @@ def along(graph: FactorGraph, values: Values, kind: str) -> Track:
     step = np.flatnonzero(label[1:] == label[:-1])
     part = np.concatenate([[0], np.cumsum(label[1:] != label[:-1])])
     i, j = Keys(kind, numbers[step]), Keys(kind, numbers[step + 1])
-    T, C = group.between(X[step], X[step + 1]), np.zeros((len(step), group.dim, group.dim))
-    if len(step):
-        joined = Between(i, j, T, SqrtInformation(np.zeros((group.dim, group.dim))))  # two that share a factor
-        marginals = Marginals(FactorGraph([*graph.factors, joined], graph.fixed), values)
-        P = marginals.all(Kind(kind), frame="body")[order]
-        Ad = group.adjoint(group.inverse(T))
-        cross = Ad @ marginals.cross(i, j, frame="body")
-        C = P[step + 1] + turned(Ad, P[step]) - cross - cross.mT
+    T = group.between(X[step], X[step + 1])
+    C = motion_covariances(graph, values, i, j) if len(step) else np.zeros((0, group.dim, group.dim))
     return Track(numbers, X, part, Odometry(Edges(group, step, step + 1, T, C), X))

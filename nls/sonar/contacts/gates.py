@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Between, SqrtInformation
+from factors import SqrtInformation
 from factors.keys import Kind
 from models.algebra import Array, Index, product
+from nls.analysis import motions
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts.places import Pings
@@ -31,8 +32,8 @@ __all__ = ["landmark_distances", "motion_covariances", "sighting_distances"]
 def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that."""
     X, group = values[pings.poses], pings.group
-    motions, motion = np.unique(np.column_stack([pings.ping[c], pings.ping[d]]), axis=0, return_inverse=True)
-    Sigma = motion_covariances(pings, graph, values, *motions.T)[motion.reshape(-1)]
+    pairs, motion = np.unique(np.column_stack([pings.ping[c], pings.ping[d]]), axis=0, return_inverse=True)
+    Sigma = motion_covariances(pings, graph, values, *pairs.T)[motion.reshape(-1)]
     K = pings.points.shape[1]
     every, of_c = np.repeat(d, K), np.repeat(c, K)
     S = pings.sensors(values)[of_c]
@@ -49,10 +50,7 @@ def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Inde
 
 def motion_covariances(pings: Pings, graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
     """Covariance (k, d, d) of the motions from pings i to pings j, in the axes of j."""
-    a, b = pings.poses[i], pings.poses[j]
-    G = pings.group.between(values[a], values[b])
-    nothing = Between(a, b, G, SqrtInformation(np.zeros((pings.group.dim, pings.group.dim))))
-    return Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values).relative(a, b)
+    return motions.motion_covariances(graph, values, pings.poses[i], pings.poses[j])
 
 
 def _least(b: Array, M: Array) -> Array:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Between, SqrtInformation
 from factors.keys import kinds
-from models import SE2
 from models.algebra import Array, Index
-from nls.covariance import Marginals
+from nls.analysis.motions import motion_covariances
 from nls.graph import FactorGraph
 from nls.values import Values
 
@@ -21,9 +19,7 @@ x = kinds("x")[0]
 
 def windows(graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
     """Half widths (n, 2), m and rad, of the search for keyframes j (n,) from i: by their relative covariance."""
-    T = SE2.between(values[x][i], values[x][j])
-    nothing = Between(x[i], x[j], T, SqrtInformation(np.zeros((3, 3))))  # shared factors: covariances in one pass
-    return half_widths(Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values).relative(x[i], x[j]))
+    return half_widths(motion_covariances(graph, values, x[i], x[j]))
 
 
 def half_widths(relative: Array) -> Array:
