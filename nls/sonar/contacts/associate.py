@@ -26,10 +26,11 @@ from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, Estimate, estimated, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
-from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
+from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings, pose_covariances
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
@@ -161,11 +162,14 @@ def associate(
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, poses, tracks)
         poses = _without(estimate.values, kind)
-        joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
+        if last := stage == len(STAGES):
+            joined = resolved(pings, estimate, least, probability)
+        else:
+            joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
         outside = estimate.d2 > OUTSIDE * gate
         misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
-        stage += int(np.count_nonzero(joined != tracks) <= FEW * len(tracks))
-        settled = stage == len(STAGES)
+        few = np.count_nonzero(joined != tracks) <= FEW * len(tracks)
+        settled, stage = bool(last and few), stage + int(few and not last)
         tracks = of.single(of.parted(joined, pieces, misfit), outside)
         expelled += outside | misfit
         history.append(int(np.count_nonzero(of.sizes(tracks) >= least)))
@@ -190,8 +194,9 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
 def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float, alike: float) -> Index:
     """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that."""
     tracks, graph, values = estimate.tracks, estimate.graph, estimate.values
-    d, landmarks = near_landmarks(pings, graph, values, tracks, np.flatnonzero(open_), gate)
-    c, e = near_sightings(pings, graph, values, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
+    Sigma = pose_covariances(pings, graph, values)
+    d, landmarks = near_landmarks(pings, Sigma, values, tracks, np.flatnonzero(open_), gate)
+    c, e = near_sightings(pings, Sigma, values, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
     near = landmark_distances(pings, graph, values, d, landmarks), sighting_distances(pings, graph, values, c, e)
     d2, width = (np.concatenate([of_landmark, of_one, of_one]) for of_landmark, of_one in zip(*near, strict=True))
     narrow = width < widest

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import SqrtInformation
+from factors import Between, SqrtInformation
 from factors.keys import Kind
 from models.algebra import Array, Index, product
 from nls.analysis import motions
@@ -26,7 +26,7 @@ from nls.graph import FactorGraph
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["landmark_distances", "motion_covariances", "sighting_distances"]
+__all__ = ["landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
 
 
 def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
@@ -73,20 +73,54 @@ def landmark_distances(
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that."""
     if not len(d):
         return np.zeros(0), np.zeros(0)
+    p = np.arange(len(d))
+    b, S = _innovations(pings, graph, values, d, landmarks, p, p)
+    return _quadratic(b, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+
+
+def ping_innovations(
+    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index
+) -> tuple[Array, list[Array]]:
+    """Innovations (k, m) of sightings d, by ping, from landmarks (k,), and for every ping the covariance of its own."""
+    _, first, count = np.unique(pings.ping[d], return_index=True, return_counts=True)
+    size = count.repeat(count)  # of the ping of each pairing
+    p, begin = np.arange(len(d)).repeat(size), first.repeat(count).repeat(size)
+    q = begin + np.arange(len(p)) - (np.cumsum(size) - size).repeat(size)
+    b, S = _innovations(pings, graph, values, d, landmarks, p, q)
+    m = b.shape[1]
+    blocks = np.split(S, np.cumsum(count**2)[:-1])
+    return b, [S.reshape(k, k, m, m).swapaxes(1, 2).reshape(k * m, k * m) for k, S in zip(count, blocks, strict=True)]
+
+
+def _innovations(
+    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index, p: Index, q: Index
+) -> tuple[Array, Array]:
+    """Innovations (k, m) of sightings d from landmarks (k,), and S (r, m, m) of some (r,) with others of their ping."""
     measured = pings.of_landmarks(landmarks, d)
     pose, landmark = measured.keys[:2]
     model = measured.bind(pings.group, values.stack(pings.kind).manifold)
-    nothing = type(measured)(
-        pose, landmark, measured.z, SqrtInformation(np.zeros((model.dim, model.dim))), measured.offset
-    )
-    marginals = Marginals(FactorGraph([*graph.factors, nothing], graph.fixed), values)
     (A_X, A_l), b = model.linearize(values[pose], values[landmark])
-    cross = product(product(A_X, marginals.cross(pose, landmark, frame="body")), A_l.mT)
+    dim = pings.group.point_dim
+    u, v = pings.kind[landmarks[p]], pings.kind[landmarks[q]]
+    apart = landmarks[p] < landmarks[q]
+    nothing = [type(measured)(pose, landmark, measured.z, _no_information(b.shape[1]), measured.offset)]
+    together = [Between(u[apart], v[apart], np.zeros(dim), _no_information(dim))] if apart.any() else []
+    marginals = Marginals(FactorGraph([*graph.factors, *nothing, *together], graph.fixed), values)
+    C = marginals.cross(pose, landmark, frame="body")
     P_X = marginals.all(Kind(pose.kind), frame="body")[values.stack(pose.kind).index(pose)]
-    P_l = marginals.all(pings.kind)[values.stack(pings.kind).index(landmark)]
-    S = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT) + cross + cross.mT
-    S += np.eye(b.shape[1])
-    return _quadratic(b, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    P_l = marginals.all(pings.kind)[values.stack(pings.kind).index(u)]
+    if apart.any():
+        other = landmarks[p] != landmarks[q]
+        P_l[other] = marginals.cross(u[other], v[other])
+    S = product(product(A_X[p], P_X[p]), A_X[q].mT) + product(product(A_l[p], P_l), A_l[q].mT)
+    S += product(product(A_X[p], C[q]), A_l[q].mT) + product(product(A_l[p], C[p].mT), A_X[q].mT)
+    S[p == q] += np.eye(b.shape[1])
+    return b, S
+
+
+def _no_information(dim: int) -> SqrtInformation:
+    """It makes two variables share a factor, and so have a cross-covariance, and measures nothing."""
+    return SqrtInformation(np.zeros((dim, dim)))
 
 
 def _quadratic(b: Array, M: Array) -> Array:

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array, Index, Mask
+from nls.analysis.chi_squared import chi2_tail
 from nls.sonar.contacts.tracks import joined, share_a_ping, sizes
 
-__all__ = ["linked", "merged"]
+__all__ = ["linked", "merged", "superfluous"]
 
 ALIKE = 2.0  # of d2: a second candidate within it is as good as the first
 MOST = 0.7  # part of the sightings of a track that have to fit
@@ -106,3 +107,35 @@ def _fitting(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: fl
     pairs, cost = pairs[fit], cost[fit]
     order = np.lexsort((cost, pairs // n))
     return pairs[order] // n, pairs[order] % n, cost[order]
+
+
+def superfluous(tracks: Index, d: Index, landmarks: Index, d2: Array, dim: int, probability: float) -> Mask:
+    """Sightings (n,) of tracks that nothing needs: all sightings of such a one fit landmarks of larger tracks.
+
+    Parameters
+    ----------
+    tracks : (n,).
+    d, landmarks, d2 : (k,) a sighting, the track of a landmark that is free in its ping, and how far it is from that.
+    dim : numbers of a sighting.
+    probability : with which noise explains the sum of these d2 of a track that is none.
+
+    Examples
+    --------
+    Of track 3 one sighting fits track 0, one track 5:
+
+    >>> tracks = np.array([0, 0, 0, 3, 3, 5, 5, 5])
+    >>> superfluous(tracks, np.array([3, 4]), np.array([0, 5]), np.array([1.0, 2.0]), 2, 0.999).nonzero()[0]
+    array([3, 4])
+    """
+    n, size = len(tracks), np.bincount(tracks, minlength=len(tracks))
+    other = size[tracks[d]]
+    larger = (size[landmarks] > other) | ((size[landmarks] == other) & (landmarks < tracks[d]))
+
+    def explained(stays: Mask) -> Mask:
+        use = larger & stays[landmarks]
+        least = np.full(n, np.inf)
+        np.minimum.at(least, d[use], d2[use])
+        total = np.asarray(np.bincount(tracks, least, n), dtype=np.float64)
+        return (chi2_tail(total, dim * size) > 1 - probability) & (size > 1)
+
+    return explained(~explained(np.ones(n, dtype=bool)))[tracks]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.algebra import Index
-from nls.sonar.contacts.merging import linked, merged
+from nls.sonar.contacts.merging import linked, merged, superfluous
 from nls.sonar.contacts.tracks import joined, renamed
 
 GATE, ALIKE = 9.0, 2.0
@@ -127,3 +127,28 @@ def test_links_are_the_best_both_ways_and_clear() -> None:
     assert links({(0, 2): 1.0, (0, 3): 1.5}, [1, 2]) == [0, 1, 0, 0, 4]  # every lag by itself
     assert links({(0, 2): 1.0, (2, 4): 1.0}, [1, 1]) == [0, 1, 0, 3, 0]
     assert links({(0, 2): 20.0, (0, 3): 8.0}) == [0, 1, 2, 0, 4]  # outside of the gate is no rival
+
+
+def test_a_track_whose_sightings_all_fit_larger_ones_is_superfluous() -> None:
+    """Tracks of three, two, three and four sightings: 3 may go to 0 and 5; and 8 is the largest."""
+    tracks = np.array([0, 0, 0, 3, 3, 5, 5, 5, 8, 8, 8, 8])
+
+    def needless(fits: Fits) -> set[int]:
+        d, landmarks = np.array(list(fits), dtype=np.intp).reshape(-1, 2).T
+        mask = superfluous(tracks, d, landmarks, np.array([*fits.values()], dtype=float), 2, 0.999)
+        return {int(track) for track in tracks[mask]}
+
+    assert needless({(3, 0): 1.0, (4, 5): 2.0}) == {3}
+    assert needless({(3, 0): 1.0}) == set()  # one of two has no other
+    assert needless({(3, 0): 9.1, (4, 5): 9.2}) == {3}  # together within 18.5, of four numbers
+    assert needless({(3, 0): 9.3, (4, 5): 9.3}) == set()
+    assert needless({(3, 0): 30.0, (3, 5): 1.0, (4, 5): 2.0}) == {3}
+    back = {(k, 3): 0.1 for k in (0, 1, 2)}
+    assert needless(back) == set()  # the landmark of two is no larger one
+    assert needless({(3, 0): 1.0, (4, 5): 2.0} | back) == {3}
+    assert needless({(k, 0): 1.0 for k in (5, 6, 7)} | {(k, 5): 1.0 for k in (0, 1, 2)}) == {
+        5
+    }  # of two alike the later
+    # 0 itself goes to 8, and so nothing goes to 0 in this round
+    assert needless({(3, 0): 1.0, (4, 0): 1.0} | {(k, 8): 1.0 for k in (0, 1, 2)}) == {0}
+    assert needless({}) == set()

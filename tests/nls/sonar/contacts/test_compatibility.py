@@ -1,0 +1,112 @@
+"""The sightings of a ping together: what one of them leaves open, the others decide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from factors import BearingRange, Between, Diagonal, Isotropic, Prior
+from models import SE2, R
+from models.algebra import Index
+from nls import FactorGraph, Marginals, Values, kinds
+from nls.sonar.contacts.compatibility import resolved
+from nls.sonar.contacts.estimate import estimated
+from nls.sonar.contacts.gates import landmark_distances, ping_innovations
+from nls.sonar.contacts.places import Pings
+from nls.sonar.contacts.tracks import renamed, sizes
+
+x, l = kinds("x", "l")
+NOISE = Diagonal(bearing=0.002, range=0.02)
+
+
+def row(shift: float, trees: list[int]) -> tuple[Pings, FactorGraph, Values]:
+    """Five trees 1 m apart, all visible from four poses; some from a fifth, whose dead reckoning is off by `shift`."""
+    tree = np.concatenate([np.tile(np.arange(5), 4), np.array(trees, dtype=int)])
+    pose = np.concatenate([np.repeat(np.arange(4), 5), np.full(len(trees), 4)])
+    X = np.zeros((5, 3))
+    X[:, 0] = [0, 1, 2, 3, 2]
+    local = np.column_stack([tree, np.full(len(tree), 8)]) - X[pose, :2]
+    z = np.column_stack([np.arctan2(local[:, 1], local[:, 0]), np.hypot(*local.T)])
+    X[4, 0] += shift
+    sigmas = np.array([[0.01, 0.01, 1e-3]] * 3 + [[0.5, 0.01, 1e-3]])
+    odometry = Between(x[np.arange(4)], x[np.arange(1, 5)], SE2.between(X[:-1], X[1:]), Diagonal(sigmas))
+    graph = FactorGraph([Prior(x[0], X[0], Isotropic(1e-3)), odometry])
+    sightings = BearingRange(x[pose], l[np.zeros(len(tree), dtype=int)], z, NOISE)
+    values = Values({x: (SE2, X)})
+    return Pings.of(sightings, values, l, None), graph, values
+
+
+def known_trees(trees: list[int]) -> Index:
+    """Tracks of the sightings of a row: the trees from the first four poses, and all of the fifth alone."""
+    return np.concatenate([np.tile(np.arange(5), 4), 20 + np.arange(len(trees))])
+
+
+def answer(shift: float, trees: list[int]) -> list[int]:
+    """The tree that each sighting from the fifth pose is given to, -1 where it stays alone."""
+    pings, graph, values = row(shift, trees)
+    tracks = resolved(pings, estimated(pings, graph, values, known_trees(trees)), 3, 0.999)
+    assert np.array_equal(tracks[:20], known_trees([]))
+    return [int(track) if track < 5 else -1 for track in tracks[20:]]
+
+
+def test_all_of_a_ping_decide_where_the_nearest_is_wrong() -> None:
+    """0.6 m off, every tree but the last looks like the next one. Only without a shift have all five a tree."""
+    trees = [0, 1, 2, 3, 4]
+    pings, graph, values = row(0.6, trees)
+    estimate = estimated(pings, graph, values, known_trees(trees))
+    d, landmarks = np.repeat(20 + np.arange(5), 5), np.tile(np.arange(5), 5)
+    d2, _ = landmark_distances(pings, estimate.graph, estimate.values, d, landmarks)
+    assert d2.reshape(5, 5).argmin(axis=1).tolist() == [1, 2, 3, 4, 4]
+    assert answer(0.6, trees) == trees
+    assert answer(0.6, [4, 2, 0, 1, 3]) == [4, 2, 0, 1, 3]
+    assert answer(0.6, [1]) == [2]  # one alone goes to the nearest
+    assert answer(0.0, [1, 3]) == [1, 3]
+
+
+def test_a_landmark_has_one_sighting_in_a_ping() -> None:
+    """The second sighting of tree 2 stays alone; a decided one keeps its tree."""
+    assert sorted(answer(0.0, [2, 2])) == [-1, 2]
+    trees = [2, 2]
+    pings, graph, values = row(0.0, trees)
+    tracks = known_trees(trees)
+    tracks[20] = 2  # the first is decided
+    assert resolved(pings, estimated(pings, graph, values, tracks), 3, 0.999).tolist() == tracks.tolist()
+
+
+def test_tracks_smaller_than_a_landmark_are_open() -> None:
+    """A pair of sightings of tree 1, taken for a landmark of its own, is given back to it; so is a needless track."""
+    pings, graph, values = row(0.0, [1])
+    for count in (1, 2):
+        tracks = known_trees([1])
+        tracks[tracks == 1] = [1] * (4 - count) + [20] * count
+        tracks[20] = 20
+        tracks = renamed(tracks)
+        assert sizes(tracks)[20] == count + 1
+        estimate = estimated(pings, graph, values, tracks)
+        assert resolved(pings, estimate, 3 if count == 1 else 2, 0.999).tolist() == [*known_trees([]), 1]
+
+
+def test_the_covariance_of_a_ping_is_that_of_the_joint_one() -> None:
+    """S = A P A' + I with P of the pose and all landmarks of its ping, from `Marginals.joint`."""
+    trees = [0, 2, 3]
+    pings, graph, values = row(0.3, trees)
+    estimate = estimated(pings, graph, values, known_trees(trees))
+    d, landmarks = np.array([3, 3, 4, 20, 21, 21]), np.array([3, 2, 1, 0, 2, 1])
+    b, S = ping_innovations(pings, estimate.graph, estimate.values, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values)
+    for part, S_ping in zip((slice(0, 3), slice(3, 6)), S, strict=True):
+        numbers, column = np.unique(landmarks[part], return_inverse=True)
+        pose = pings.poses[pings.ping[d[part]]]
+        P = marginals.joint([pose[[0]], l[numbers]], frame="body").matrix
+        model = pings.of_landmarks(landmarks[part], d[part]).bind(SE2, R(2))
+        (A_X, A_l), innovation = model.linearize(estimate.values[pose], estimate.values[l[landmarks[part]]])
+        A = np.zeros((3, 2, len(P)))
+        A[:, :, :3] = A_X
+        for k in range(3):
+            A[k, :, 3 + 2 * column[k] : 5 + 2 * column[k]] = A_l[k]
+        A = A.reshape(6, len(P))
+        np.testing.assert_allclose(S_ping, A @ P @ A.T + np.eye(6), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(b[part], innovation)
+    d2, _ = landmark_distances(pings, estimate.graph, estimate.values, d, landmarks)
+    block = S[1][2:4, 2:4]
+    assert d2[4] == pytest.approx(b[4] @ np.linalg.solve(block, b[4]))
