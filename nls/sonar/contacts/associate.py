@@ -4,12 +4,12 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    and the same holds backwards. Links that hang together are tracks.
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
 3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
-   alone with one another. A sighting that its landmark does not explain is alone again, and so is the worst piece of a
-   track whose chi2 noise does not explain.
+   alone with one another. A track with two answers waits. A sighting that its landmark does not explain is alone again,
+   and so is the worst piece of a track whose chi2 noise does not explain, or the worst sighting of its only piece.
 
 2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones
-first, where poses are known well beside each other. They correct the poses, and wide gates become narrow. What has two
-answers waits for the last stage, and what has two equal ones stays undecided.
+first, where poses are known well beside each other. They correct the poses, and wide gates become narrow. In the end
+the sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ from nls.values import Values
 __all__ = ["Associated", "associate"]
 
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
-# the widest innovations, in sigmas of the sensor, and by how much d2 of a rival is above that of the best
-STAGES = ((2.0, np.inf), (4.0, np.inf), (8.0, np.inf), (np.inf, np.inf), (np.inf, 1.0))
+STAGES = (2.0, 4.0, 8.0, np.inf)  # the widest innovations, in sigmas of the sensor
 FEW = 0.005  # part of the sightings; a round that moves no more is the last of its stage
 ROUNDS = 40
 OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
@@ -165,7 +164,7 @@ def associate(
         if last := stage == len(STAGES):
             joined = resolved(pings, estimate, least, probability)
         else:
-            joined = _joined(pings, estimate, expelled < TWICE, gate, *STAGES[stage])
+            joined = _joined(pings, estimate, expelled < TWICE, gate, STAGES[stage])
         outside = estimate.d2 > OUTSIDE * gate
         misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
         few = np.count_nonzero(joined != tracks) <= FEW * len(tracks)
@@ -191,7 +190,7 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
     return of.once_per_ping(tracks, pings.ping)
 
 
-def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float, alike: float) -> Index:
+def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float) -> Index:
     """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that."""
     tracks, graph, values = estimate.tracks, estimate.graph, estimate.values
     Sigma = pose_covariances(pings, graph, values)
@@ -201,7 +200,7 @@ def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: 
     d2, width = (np.concatenate([of_landmark, of_one, of_one]) for of_landmark, of_one in zip(*near, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate, alike)
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate)
 
 
 def _associated(

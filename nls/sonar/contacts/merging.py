@@ -1,8 +1,8 @@
 """Which tracks are one target: of pairs that fit, those that nothing else contradicts. What is doubtful stays apart.
 
 Two tracks that share a ping are two targets. A track b that fits several landmarks a is joined with the nearest only
-where the others, as near, fit that one too: then they may be one target in pieces. Otherwise the choice waits for the
-measurements of a later round.
+where the others fit that one too: then they may be one target in pieces. Otherwise the choice waits for the
+measurements of a later round. In the end a track that nothing needs is none.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from nls.sonar.contacts.tracks import joined, share_a_ping, sizes
 
 __all__ = ["linked", "merged", "superfluous"]
 
-ALIKE = 2.0  # of d2: a second candidate within it is as good as the first
+ALIKE = 2.0  # of d2: a link to a second sighting within it is as good as the first
 MOST = 0.7  # part of the sightings of a track that have to fit
 
 
@@ -53,7 +53,7 @@ def _clear(sighting: Index, lag: Index, d2: Array) -> Mask:
     return clear
 
 
-def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float, alike: float) -> Index:
+def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float) -> Index:
     """Tracks (n,), joined where sightings of them fit, until no other two do.
 
     Parameters
@@ -62,29 +62,28 @@ def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: floa
     ping : (n,) of the sightings.
     b, a, d2 : (k,) the track of a sighting, another track, and how far the sighting is from that one's target.
     gate : bound on d2.
-    alike : of d2; a second candidate that is farther by no more makes the first doubtful.
 
     Examples
     --------
     Track 0 was seen in pings 1 and 2, sighting 2 in ping 3 fits it:
 
-    >>> merged(np.array([0, 0, 2]), np.array([1, 2, 3]), np.array([2]), np.array([0]), np.array([0.5]), 9.0, 2.0)
+    >>> merged(np.array([0, 0, 2]), np.array([1, 2, 3]), np.array([2]), np.array([0]), np.array([0.5]), 9.0)
     array([0, 0, 0])
     """
     while True:
         before = tracks
-        tracks = _merged_once(before, ping, before[b], before[a], d2, gate, alike)
+        tracks = _merged_once(before, ping, before[b], before[a], d2, gate)
         if np.array_equal(tracks, before):
             return tracks
 
 
-def _merged_once(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float, alike: float) -> Index:
+def _merged_once(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float) -> Index:
     """Tracks (n,), each joined with one other at most."""
     b, a, cost = _fitting(tracks, ping, b, a, d2, gate)
     n = len(tracks)
     first = np.append(True, b[1:] != b[:-1])[: len(b)]
     best = np.maximum.accumulate(np.where(first, np.arange(len(b)), 0))  # the pair of least cost of the same b
-    rival = ~first & (cost < cost[best] + alike) & ~np.isin(a[best] * n + a, np.append(b * n + a, a * n + b))
+    rival = ~first & ~np.isin(a[best] * n + a, np.append(b * n + a, a * n + b))
     owner, by_cost = np.full(n, -1), np.argsort(-cost, kind="stable")
     owner[a[by_cost]] = b[by_cost]  # the track that fits a best
     taken = rival & (owner[a] != b)

@@ -105,20 +105,25 @@ def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
 
 
 def misfits(tracks: Index, pieces: Index, d2: Array, doubtful: Mask) -> Mask:
-    """Sightings (n,) of the piece that fits least, by the mean of d2 (n,), of each doubtful track (n,) of several.
+    """Sightings (n,) that fit least, by the mean of d2 (n,): of each doubtful track (n,) one piece, or one sighting.
+
+    A track of several pieces loses a piece (n,), a track of one piece loses a sighting.
 
     Examples
     --------
     >>> pieces = np.array([0, 0, 2, 2])
     >>> misfits(np.zeros(4, dtype=int), pieces, np.array([1.0, 2.0, 8.0, 5.0]), np.ones(4, dtype=bool))
     array([False, False,  True,  True])
+    >>> misfits(pieces, pieces, np.array([1.0, 2.0, 8.0, 5.0]), np.array([False, False, True, True]))
+    array([False, False,  True, False])
     """
     n = len(tracks)
-    pairs, first, pair = np.unique(tracks * n + pieces, return_index=True, return_inverse=True)
+    several = np.bincount(np.unique(tracks * n + pieces) // n, minlength=n)[tracks] > 1
+    parts = np.where(several, pieces, np.arange(n))
+    pairs, first, pair = np.unique(tracks * n + parts, return_index=True, return_inverse=True)
     mean = np.bincount(pair, d2) / np.bincount(pair)
     order = np.lexsort((mean, pairs // n))
     worst = np.append(pairs[order][1:] // n != pairs[order][:-1] // n, True)
-    several = np.bincount(pairs // n, minlength=n)[pairs // n] > 1
     chosen = np.zeros(len(pairs), dtype=bool)
     chosen[order] = worst
-    return np.asarray((chosen & several & doubtful[first])[pair])
+    return np.asarray((chosen & doubtful[first])[pair])

@@ -11,14 +11,14 @@ from models.algebra import Index
 from nls.sonar.contacts.merging import linked, merged, superfluous
 from nls.sonar.contacts.tracks import joined, renamed
 
-GATE, ALIKE = 9.0, 2.0
+GATE = 9.0
 Fits = dict[tuple[int, int], float]
 
 
-def joins(tracks: list[int], ping: list[int], fits: Fits, alike: float = ALIKE) -> list[int]:
+def joins(tracks: list[int], ping: list[int], fits: Fits) -> list[int]:
     """Tracks after `merged`; fits: of a track and the target of another, one sighting each."""
     b, a = np.array(list(fits), dtype=np.intp).reshape(-1, 2).T
-    return merged(np.array(tracks), np.array(ping), b, a, np.array([*fits.values()]), GATE, alike).tolist()
+    return merged(np.array(tracks), np.array(ping), b, a, np.array([*fits.values()]), GATE).tolist()
 
 
 def mutual(fits: Fits) -> Fits:
@@ -45,7 +45,7 @@ def test_most_of_the_sightings_have_to_fit() -> None:
     tracks, ping = np.array([0, 0, 2, 2, 2, 2]), np.arange(6)
     b, a = np.array([2] * 4 + [0, 0]), np.array([0] * 4 + [2, 2])
     for d2, together in (([1, 1, 1, 12, 1, 1], True), ([1, 1, 12, 12, 1, 1], False), ([1, 1, 1, 99, 1, 1], False)):
-        numbers = merged(tracks, ping, b, a, np.array(d2, dtype=float), GATE, ALIKE)
+        numbers = merged(tracks, ping, b, a, np.array(d2, dtype=float), GATE)
         assert (numbers == 0).all() == together, d2
 
 
@@ -53,13 +53,12 @@ def test_tracks_that_share_a_ping_are_two_targets() -> None:
     assert joins(TRACKS, [0, 1, 1, 3, 5, 6], mutual({(0, 2): 0.1})) == TRACKS
 
 
-def test_a_rival_as_near_makes_both_wait() -> None:
+def test_a_rival_makes_a_track_wait() -> None:
     """Sighting 4 fits both; the others overlap in a ping and so are two."""
     tracks, ping = [0, 0, 2, 2, 4], [0, 1, 1, 3, 5]
-    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 2.9}) == tracks
-    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 3.1}) == [0, 0, 2, 2, 0]
-    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 2.9}, alike=1.0) == [0, 0, 2, 2, 0]
-    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 1.0}, alike=1.0) == tracks
+    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 1.0}) == tracks
+    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 8.9}) == tracks
+    assert joins(tracks, ping, {(4, 0): 1.0, (4, 2): 9.1}) == [0, 0, 2, 2, 0]
 
 
 def test_pieces_of_one_landmark_are_no_rivals() -> None:
@@ -92,11 +91,11 @@ def test_the_order_of_sightings_and_pairs_does_not_matter(
     scene: tuple[Index, Index, Index, Index, Index, Index],
 ) -> None:
     tracks, ping, d, a, d2, order = scene
-    result = merged(tracks, ping, tracks[d], a, d2, GATE, ALIKE)
+    result = merged(tracks, ping, tracks[d], a, d2, GATE)
     place = np.argsort(order)  # of each sighting among the permuted ones
     moved = renamed(tracks[order])
     first = moved[place]  # the name that the track of each sighting has there
-    other = merged(moved, ping[order], first[d][::-1], first[a][::-1], d2[::-1], GATE, ALIKE)
+    other = merged(moved, ping[order], first[d][::-1], first[a][::-1], d2[::-1], GATE)
     assert np.array_equal(other, renamed(result[order]))
 
 
@@ -105,12 +104,12 @@ def test_what_is_joined_fits_and_nothing_is_left_to_join(
     scene: tuple[Index, Index, Index, Index, Index, Index],
 ) -> None:
     tracks, ping, d, a, d2, _ = scene
-    result = merged(tracks, ping, tracks[d], a, d2, GATE, ALIKE)
+    result = merged(tracks, ping, tracks[d], a, d2, GATE)
     inside = d2 < GATE
     hanging = joined(tracks, tracks[d][inside], a[inside])
     assert all(len(set(hanging[result == name])) == 1 for name in result)
     assert all(len(set(result[tracks == name])) == 1 for name in tracks)
-    assert np.array_equal(merged(result, ping, result[d], result[a], d2, GATE, ALIKE), result)
+    assert np.array_equal(merged(result, ping, result[d], result[a], d2, GATE), result)
 
 
 def test_links_are_the_best_both_ways_and_clear() -> None:

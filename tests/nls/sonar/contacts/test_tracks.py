@@ -90,12 +90,12 @@ def test_tracks_that_share_a_ping(scene: dict[str, Any]) -> None:
     assert share_a_ping(tracks, ping, a, b).tolist() == common
 
 
-def test_the_worst_piece_leaves_a_doubtful_track_of_several() -> None:
+def test_the_worst_piece_leaves_a_doubtful_track_and_of_one_piece_the_worst_sighting() -> None:
     tracks = np.array([0, 0, 0, 0, 4, 4, 6, 6])
     pieces = np.array([0, 0, 2, 2, 4, 4, 6, 7])
     d2 = np.array([30.0, 2.0, 9.0, 8.0, 50.0, 60.0, 90.0, 1.0])  # by the mean, not by the worst sighting, nor the sum
     doubtful = np.array([True] * 6 + [False] * 2)
-    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [0, 1]
+    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [0, 1, 5]
     d2[2:4] = [3.0, 40.0]
-    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [2, 3]
+    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [2, 3, 5]
     assert np.flatnonzero(misfits(tracks, pieces, d2, ~doubtful)).tolist() == [6]
