@@ -4,8 +4,9 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    and the same holds backwards. Links that hang together are tracks.
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
 3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
-   alone with one another. A track with two answers waits. A sighting that its landmark does not explain is alone again,
-   and so is the worst piece of a track whose chi2 noise does not explain, or the worst sighting of its only piece.
+   alone with one another. Only pairings that most of their ping agree with count, and a track with two answers waits. A
+   sighting that its landmark does not explain is alone again, and so is the worst piece of a track whose chi2 no noise
+   explains, or the worst sighting of its only piece.
 
 2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones
 first, where poses are known well beside each other. They correct the poses, and wide gates become narrow. In the end
@@ -26,7 +27,7 @@ from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.compatibility import resolved
+from nls.sonar.contacts.compatibility import resolved, supported
 from nls.sonar.contacts.estimate import FIRST, Estimate, estimated, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
@@ -196,8 +197,11 @@ def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: 
     Sigma = pose_covariances(pings, graph, values)
     d, landmarks = near_landmarks(pings, Sigma, values, tracks, np.flatnonzero(open_), gate)
     c, e = near_sightings(pings, Sigma, values, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
-    near = landmark_distances(pings, graph, values, d, landmarks), sighting_distances(pings, graph, values, c, e)
-    d2, width = (np.concatenate([of_landmark, of_one, of_one]) for of_landmark, of_one in zip(*near, strict=True))
+    d2, width = landmark_distances(pings, graph, values, d, landmarks)
+    near = np.flatnonzero((d2 < gate) & (width < widest))
+    d2[near[~supported(pings, estimate, d[near], landmarks[near], gate)]] = np.inf
+    of_one = sighting_distances(pings, graph, values, c, e)
+    d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
     return merged(tracks, pings.ping, b, a, d2[narrow], gate)

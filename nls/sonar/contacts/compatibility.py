@@ -1,18 +1,26 @@
-r"""Which landmarks the open sightings of a ping are of, all of one ping at once.
+r"""What the sightings of a ping say together.
 
 A pairing p of a sighting with a landmark has the innovation b_p and the Jacobians A_p of pose and landmark. Pairings of
 one ping share the error of its pose, and their landmarks are correlated:
 
-    nu = (b_1, ..., b_k),   S_pq = A_p P A_q' + [p = q] I,      the largest set with  nu' S^-1 nu  within its gate
+    nu = (b_1, ..., b_k),   S_pq = A_p P A_q' + [p = q] I,      a set is compatible with  nu' S^-1 nu  within its gate
 
-with P the joint covariance. That is the joint compatibility test of `nls.filters.association`.
+with P the joint covariance. A pairing q agrees with p where it is within its gate if p is right:
+
+    nu_q|p = b_q - S_qp S_pp^-1 b_p,    S_q|p = S_qq - S_qp S_pp^-1 S_pq
+
+Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE
+Transactions on Robotics and Automation 17, 2001; one pairing that proposes, and the others that vote: J. Civera,
+O. Grasa, A. Davison, J. Montiel, "1-point RANSAC for EKF filtering", Journal of Field Robotics 27, 2010.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from models.algebra import Index
+from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
@@ -22,7 +30,7 @@ from nls.sonar.contacts.merging import superfluous
 from nls.sonar.contacts.pairs import near_landmarks, pose_covariances
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["resolved"]
+__all__ = ["resolved", "supported"]
 
 
 def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -> Index:
@@ -35,9 +43,6 @@ def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -
     gate = chi2_gate(m, probability)
     every, Sigma = np.arange(len(tracks)), pose_covariances(pings, estimate.graph, estimate.values)
     d, landmarks = near_landmarks(pings, Sigma, estimate.values, tracks, every, gate)
-    n = len(pings.poses)
-    free = ~np.isin(landmarks * n + pings.ping[d], tracks * n + pings.ping)
-    d, landmarks = d[free], landmarks[free]
     d2, _ = landmark_distances(pings, estimate.graph, estimate.values, d, landmarks)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
@@ -46,23 +51,46 @@ def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -
     possible = open_[d] & ~needless[landmarks]
     d, landmarks = d[possible], landmarks[possible]
     groups = np.where(open_, len(tracks) + every, tracks)
-    if len(d):
-        sighting, landmark = _jointly(pings, estimate, d, landmarks, probability)
-        groups[sighting] = landmark
+    for rows, nu, S in _by_ping(pings, estimate, d, landmarks):
+        sightings, i = np.unique(d[rows], return_inverse=True)
+        numbers, j = np.unique(landmarks[rows], return_inverse=True)
+        at = jcbb(np.column_stack([i, j]), nu, S, len(sightings), probability)
+        groups[sightings[at >= 0]] = numbers[at[at >= 0]]
     return of.renamed(groups)
 
 
-def _jointly(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, probability: float) -> tuple[Index, Index]:
-    """Of pairings (k,) of sightings and landmarks those that are jointly compatible in their ping."""
+def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float) -> Mask:
+    """Which pairings (k,) of sightings and landmarks agree with the one of their ping that most others agree with."""
+    mask = np.zeros(len(d), dtype=bool)
+    for rows, nu, S in _by_ping(pings, estimate, d, landmarks):
+        agree = _agreement(nu, S, gate)
+        one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
+        agree &= one_answer | np.eye(len(rows), dtype=bool)
+        sightings, i = np.unique(d[rows], return_inverse=True)
+        votes = np.zeros((len(sightings), len(rows)), dtype=bool)
+        np.logical_or.at(votes, i, agree)
+        count = votes.sum(axis=0)
+        mask[rows] = agree[:, count == count.max()].any(axis=1)
+    return mask
+
+
+def _agreement(nu: Array, S: Array, gate: float) -> Mask:
+    """Whether pairing q (row) is within its gate if pairing p (column) is right (k, k)."""
+    k, m = nu.shape
+    B = S.reshape(k, m, k, m).swapaxes(1, 2)
+    own = np.arange(k)
+    gain = B @ np.linalg.inv(B[own, own])
+    left = nu[:, None] - (gain @ nu[..., None])[..., 0]
+    C = B[own, own][:, None] - gain @ B.mT
+    left[own, own], C[own, own] = 0.0, np.eye(m)
+    return np.asarray((left * np.linalg.solve(C, left[..., None])[..., 0]).sum(axis=2) < gate)
+
+
+def _by_ping(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> Iterator[tuple[Index, Array, Array]]:
+    """Rows (r,) of the pairings (k,) of every ping, their innovations (r, m), and their covariance (r m, r m)."""
+    if not len(d):
+        return
     order = np.argsort(pings.ping[d], kind="stable")
-    d, landmarks = d[order], landmarks[order]
-    b, S = ping_innovations(pings, estimate.graph, estimate.values, d, landmarks)
+    b, S = ping_innovations(pings, estimate.graph, estimate.values, d[order], landmarks[order])
     ends = np.cumsum(np.unique(pings.ping[d], return_counts=True)[1])[:-1]
-    chosen = []
-    for nu, S_ping, c, l in zip(np.split(b, ends), S, np.split(d, ends), np.split(landmarks, ends), strict=True):
-        sightings, i = np.unique(c, return_inverse=True)
-        numbers, j = np.unique(l, return_inverse=True)
-        at = jcbb(np.column_stack([i, j]), nu, S_ping, len(sightings), probability)
-        chosen.append(np.stack([sightings[at >= 0], numbers[at[at >= 0]]]))
-    sighting, landmark = np.concatenate(chosen, axis=1)
-    return sighting, landmark
+    yield from zip(np.split(order, ends), np.split(b, ends), S, strict=True)

@@ -56,7 +56,7 @@ def near_sightings(pings: Pings, Sigma: Array, values: Values, which: Index, gat
 def near_landmarks(
     pings: Pings, Sigma: Array, values: Values, tracks: Index, which: Index, gate: float
 ) -> tuple[Index, Index]:
-    """Some of the sightings (k,), and landmarks (k,) by number, of other tracks, that they may be of."""
+    """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping."""
     if pings.kind.name not in values.stacks:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     S, stack = pings.sensors(values), values.stack(pings.kind)
@@ -64,8 +64,9 @@ def near_landmarks(
     radius = pings.extent + _pose_errors(pings, Sigma, gate)
     d, row = _within(P[which], stack.X, radius[which]).T
     d = which[d]
-    other = stack.numbers[row] != tracks[d]
-    d, row = d[other], row[other]
+    n = len(pings.poses)
+    free = ~np.isin(stack.numbers[row] * n + pings.ping[d], tracks * n + pings.ping)
+    d, row = d[free], row[free]
     if pings.limit:
         q = pings.group.act(pings.group.inverse(S[d]), stack.X[row])
         visible = np.abs(np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]))) < BEYOND * pings.limit
