@@ -31,7 +31,7 @@ from nls.sonar.contacts.compatibility import resolved, supported
 from nls.sonar.contacts.estimate import FIRST, Estimate, estimated, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
-from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings, pose_covariances
+from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
@@ -193,14 +193,13 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
 
 def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float) -> Index:
     """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that."""
-    tracks, graph, values = estimate.tracks, estimate.graph, estimate.values
-    Sigma = pose_covariances(pings, graph, values)
-    d, landmarks = near_landmarks(pings, Sigma, values, tracks, np.flatnonzero(open_), gate)
-    c, e = near_sightings(pings, Sigma, values, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
-    d2, width = landmark_distances(pings, graph, values, d, landmarks)
+    tracks = estimate.tracks
+    d, landmarks = near_landmarks(pings, estimate, np.flatnonzero(open_), gate)
+    c, e = near_sightings(pings, estimate, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
+    d2, width = landmark_distances(pings, estimate, d, landmarks, gate)
     near = np.flatnonzero((d2 < gate) & (width < widest))
     d2[near[~supported(pings, estimate, d[near], landmarks[near], gate)]] = np.inf
-    of_one = sighting_distances(pings, graph, values, c, e)
+    of_one = sighting_distances(pings, estimate.graph, estimate.values, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]

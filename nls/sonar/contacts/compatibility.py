@@ -27,7 +27,7 @@ from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
-from nls.sonar.contacts.pairs import near_landmarks, pose_covariances
+from nls.sonar.contacts.pairs import near_landmarks
 from nls.sonar.contacts.places import Pings
 
 __all__ = ["resolved", "supported"]
@@ -41,9 +41,9 @@ def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -
     """
     tracks, m = estimate.tracks, measured_numbers(pings)
     gate = chi2_gate(m, probability)
-    every, Sigma = np.arange(len(tracks)), pose_covariances(pings, estimate.graph, estimate.values)
-    d, landmarks = near_landmarks(pings, Sigma, estimate.values, tracks, every, gate)
-    d2, _ = landmark_distances(pings, estimate.graph, estimate.values, d, landmarks)
+    every = np.arange(len(tracks))
+    d, landmarks = near_landmarks(pings, estimate, every, gate)
+    d2, _ = landmark_distances(pings, estimate, d, landmarks, gate)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)
@@ -91,6 +91,6 @@ def _by_ping(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> It
     if not len(d):
         return
     order = np.argsort(pings.ping[d], kind="stable")
-    b, S = ping_innovations(pings, estimate.graph, estimate.values, d[order], landmarks[order])
+    b, S = ping_innovations(pings, estimate, d[order], landmarks[order])
     ends = np.cumsum(np.unique(pings.ping[d], return_counts=True)[1])[:-1]
     yield from zip(np.split(order, ends), np.split(b, ends), S, strict=True)

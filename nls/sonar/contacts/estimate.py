@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from factors.robust import Kernel
 from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.sonar.contacts import tracks as of
@@ -45,6 +47,11 @@ class Estimate:
     values: Values
     d2: Array
     doubtful: Mask
+
+    @cached_property
+    def marginals(self) -> Marginals:
+        """Covariances of its poses and landmarks."""
+        return Marginals(self.graph, self.values)
 
 
 def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, kernel: Kernel = KERNEL) -> Estimate:

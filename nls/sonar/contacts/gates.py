@@ -18,11 +18,12 @@ from __future__ import annotations
 import numpy as np
 
 from factors import Between, SqrtInformation
-from factors.keys import Kind
+from factors.keys import Keys, Kind
 from models.algebra import Array, Index, product
 from nls.analysis import motions
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
@@ -68,54 +69,76 @@ def _least(b: Array, M: Array) -> Array:
 
 
 def landmark_distances(
-    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float
 ) -> tuple[Array, Array]:
-    """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that."""
+    """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
+
+    Errors of pose and landmark together are at most twice the sum of both, whatever their correlation. A pair outside
+    of the gate for that S keeps its d2, and the width of independent errors. The others have the joint covariance.
+    """
     if not len(d):
         return np.zeros(0), np.zeros(0)
-    p = np.arange(len(d))
-    b, S = _innovations(pings, graph, values, d, landmarks, p, p)
-    return _quadratic(b, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
+    P_X, P_l = _blocks(pings, estimate.marginals, pose, landmark)
+    spread = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT)
+    I = np.eye(b.shape[1])
+    d2, S = _quadratic(b, _inverse(I + 2 * spread)), I + spread
+    near = np.flatnonzero(d2 < gate)
+    if len(near):
+        own = np.arange(len(near))
+        S[near] = _innovation_covariances(pings, estimate, d[near], landmarks[near], own, own)
+        d2[near] = _quadratic(b[near], _inverse(S[near]))
+    return d2, np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
 
-def ping_innovations(
-    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index
-) -> tuple[Array, list[Array]]:
+def ping_innovations(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, list[Array]]:
     """Innovations (k, m) of sightings d, by ping, from landmarks (k,), and for every ping the covariance of its own."""
     _, first, count = np.unique(pings.ping[d], return_index=True, return_counts=True)
     size = count.repeat(count)  # of the ping of each pairing
     p, begin = np.arange(len(d)).repeat(size), first.repeat(count).repeat(size)
     q = begin + np.arange(len(p)) - (np.cumsum(size) - size).repeat(size)
-    b, S = _innovations(pings, graph, values, d, landmarks, p, q)
-    m = b.shape[1]
+    S = _innovation_covariances(pings, estimate, d, landmarks, p, q)
+    b, m = _linearized(pings, estimate, d, landmarks)[-1], S.shape[1]
     blocks = np.split(S, np.cumsum(count**2)[:-1])
     return b, [S.reshape(k, k, m, m).swapaxes(1, 2).reshape(k * m, k * m) for k, S in zip(count, blocks, strict=True)]
 
 
-def _innovations(
-    pings: Pings, graph: FactorGraph, values: Values, d: Index, landmarks: Index, p: Index, q: Index
-) -> tuple[Array, Array]:
-    """Innovations (k, m) of sightings d from landmarks (k,), and S (r, m, m) of some (r,) with others of their ping."""
-    measured = pings.of_landmarks(landmarks, d)
+def _linearized(
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index
+) -> tuple[Keys, Keys, tuple[Array, ...], Array]:
+    """Poses and landmarks of sightings d (k,), the Jacobians of both, and innovations (k, m)."""
+    measured, values = pings.of_landmarks(landmarks, d), estimate.values
     pose, landmark = measured.keys[:2]
     model = measured.bind(pings.group, values.stack(pings.kind).manifold)
-    (A_X, A_l), b = model.linearize(values[pose], values[landmark])
-    dim = pings.group.point_dim
+    A, b = model.linearize(values[pose], values[landmark])
+    return pose, landmark, A, b
+
+
+def _blocks(pings: Pings, marginals: Marginals, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
+    """Covariances (k, d, d) of poses and of landmarks."""
+    of_poses, of_landmarks = marginals.all(Kind(pose.kind), frame="body"), marginals.all(pings.kind)
+    values = marginals.values
+    return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(pings.kind).index(landmark)]
+
+
+def _innovation_covariances(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index) -> Array:
+    """S (r, m, m) of some (r,) of the pairings of sightings d with landmarks (k,) and others of the same ping."""
+    pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
+    measured, dim = pings.of_landmarks(landmarks, d), pings.group.point_dim
     u, v = pings.kind[landmarks[p]], pings.kind[landmarks[q]]
-    apart = landmarks[p] < landmarks[q]
+    apart, other = landmarks[p] < landmarks[q], landmarks[p] != landmarks[q]
     nothing = [type(measured)(pose, landmark, measured.z, _no_information(b.shape[1]), measured.offset)]
     together = [Between(u[apart], v[apart], np.zeros(dim), _no_information(dim))] if apart.any() else []
-    marginals = Marginals(FactorGraph([*graph.factors, *nothing, *together], graph.fixed), values)
+    joint = FactorGraph([*estimate.graph.factors, *nothing, *together], estimate.graph.fixed)
+    marginals = Marginals(joint, estimate.values)
+    P_X, P_l = _blocks(pings, marginals, pose[p], u)
     C = marginals.cross(pose, landmark, frame="body")
-    P_X = marginals.all(Kind(pose.kind), frame="body")[values.stack(pose.kind).index(pose)]
-    P_l = marginals.all(pings.kind)[values.stack(pings.kind).index(u)]
     if apart.any():
-        other = landmarks[p] != landmarks[q]
         P_l[other] = marginals.cross(u[other], v[other])
-    S = product(product(A_X[p], P_X[p]), A_X[q].mT) + product(product(A_l[p], P_l), A_l[q].mT)
+    S = product(product(A_X[p], P_X), A_X[q].mT) + product(product(A_l[p], P_l), A_l[q].mT)
     S += product(product(A_X[p], C[q]), A_l[q].mT) + product(product(A_l[p], C[p].mT), A_X[q].mT)
     S[p == q] += np.eye(b.shape[1])
-    return b, S
+    return S
 
 
 def _no_information(dim: int) -> SqrtInformation:

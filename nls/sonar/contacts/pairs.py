@@ -9,13 +9,13 @@ import numpy as np
 
 from factors.keys import Kind
 from models.algebra import Array, Index, Mask
-from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.gates import motion_covariances
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["near_landmarks", "near_pings", "near_sightings", "pose_covariances"]
+__all__ = ["near_landmarks", "near_pings", "near_sightings"]
 
 MOST = 32  # neighbors of a sighting that are looked at
 BEYOND = 1.5  # times half the aperture: a landmark farther above or below was not seen
@@ -38,34 +38,28 @@ def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate
     return c, d
 
 
-def pose_covariances(pings: Pings, graph: FactorGraph, values: Values) -> Array:
-    """Covariances (m, d, d) of the poses of all pings, in the axes of their bodies."""
-    return Marginals(graph, values).all(Kind(pings.poses.kind), frame="body")[pings.row]
-
-
-def near_sightings(pings: Pings, Sigma: Array, values: Values, which: Index, gate: float) -> tuple[Index, Index]:
-    """Pairs (k,) of some sightings in different pings, the first from the earlier one; Sigma as `pose_covariances`."""
-    P = pings.group.act(pings.sensors(values), pings.middle)[which]
-    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, Sigma, gate)[which]).T
+def near_sightings(pings: Pings, estimate: Estimate, which: Index, gate: float) -> tuple[Index, Index]:
+    """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
+    P = pings.group.act(pings.sensors(estimate.values), pings.middle)[which]
+    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, estimate, gate)[which]).T
     c, d = which[c], which[d]
     late = pings.ping[c] > pings.ping[d]  # the later pose may be the one with the larger error
     pairs = np.unique(np.where(late, [d, c], [c, d])[:, pings.ping[c] != pings.ping[d]], axis=1)
     return pairs[0], pairs[1]
 
 
-def near_landmarks(
-    pings: Pings, Sigma: Array, values: Values, tracks: Index, which: Index, gate: float
-) -> tuple[Index, Index]:
+def near_landmarks(pings: Pings, estimate: Estimate, which: Index, gate: float) -> tuple[Index, Index]:
     """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping."""
+    values = estimate.values
     if pings.kind.name not in values.stacks:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     S, stack = pings.sensors(values), values.stack(pings.kind)
     P = pings.group.act(S, pings.middle)
-    radius = pings.extent + _pose_errors(pings, Sigma, gate)
+    radius = pings.extent + _pose_errors(pings, estimate, gate)
     d, row = _within(P[which], stack.X, radius[which]).T
     d = which[d]
     n = len(pings.poses)
-    free = ~np.isin(stack.numbers[row] * n + pings.ping[d], tracks * n + pings.ping)
+    free = ~np.isin(stack.numbers[row] * n + pings.ping[d], estimate.tracks * n + pings.ping)
     d, row = d[free], row[free]
     if pings.limit:
         q = pings.group.act(pings.group.inverse(S[d]), stack.X[row])
@@ -83,8 +77,9 @@ def _within(points: Array, others: Array, radius: Array) -> Index:
     return np.column_stack([rows, near[rows, columns]])
 
 
-def _pose_errors(pings: Pings, Sigma: Array, gate: float) -> Array:
+def _pose_errors(pings: Pings, estimate: Estimate, gate: float) -> Array:
     """How far (n,) errors of the poses move the targets of sightings, m, within the gate."""
+    Sigma = estimate.marginals.all(Kind(pings.poses.kind), frame="body")[pings.row]
     return _radius(pings, Sigma[pings.ping], gate, slice(None)) - pings.extent
 
 

@@ -14,9 +14,10 @@ from models import SE2
 from models.algebra import Index
 from nls import FactorGraph, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["GATE", "Scene", "floor", "in_plane", "poor_ranges", "poses_of", "true_pairs", "unnamed"]
+__all__ = ["GATE", "Scene", "estimate_of", "floor", "in_plane", "poor_ranges", "poses_of", "true_pairs", "unnamed"]
 
 GATE = chi2_gate(2, 0.999)
 x, l = kinds("x", "l")
@@ -104,6 +105,11 @@ def poor_ranges() -> Scene:
     sightings = BearingRange(x[i], l[np.zeros(len(i), dtype=int)], z, Diagonal(bearing=0.003, range=0.3))
     values = Values({x: (SE2, X)})
     return Scene(FactorGraph([Prior(x[0], X[0], Isotropic(1e-3)), steps]), values, sightings, None, k, values)
+
+
+def estimate_of(tracks: Index, graph: FactorGraph, values: Values) -> Estimate:
+    """An estimate whose residuals nobody asks for."""
+    return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool))
 
 
 def true_pairs(scene: Scene) -> tuple[Index, Index]:

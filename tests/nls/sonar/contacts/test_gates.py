@@ -11,7 +11,7 @@ from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.sonar.contacts.gates import landmark_distances, motion_covariances, sighting_distances
 from nls.sonar.contacts.places import Pings
-from tests.nls.sonar.contacts.scenes import GATE, Scene, floor, in_plane, true_pairs
+from tests.nls.sonar.contacts.scenes import GATE, Scene, estimate_of, floor, in_plane, true_pairs
 
 x, l = kinds("x", "l")
 
@@ -93,7 +93,8 @@ def test_a_landmark_known_from_elsewhere_against_the_dense_covariance() -> None:
     graph.add(pings.aperture_factor(pings.of_landmarks(scene.true[early], early)))
     values = graph.optimize(scene.truth_of(scene.true[early])).values
     late = np.flatnonzero((pings.ping >= 12) & np.isin(scene.true, scene.true[early]))[::7]
-    d2, widths = landmark_distances(pings, graph, values, late, scene.true[late])
+    estimate = estimate_of(scene.true, graph, values)
+    d2, widths = landmark_distances(pings, estimate, late, scene.true[late], np.inf)
     marginals = Marginals(graph, values)
     for k in range(0, len(late), 4):
         pose, point = scene.sightings.keys[0][late[k]], l[int(scene.true[late[k]])]
@@ -107,5 +108,11 @@ def test_a_landmark_known_from_elsewhere_against_the_dense_covariance() -> None:
     assert np.mean(d2 < GATE) > 0.9
     wrong = np.roll(scene.true[late], 1)
     other = wrong != scene.true[late]
-    assert np.median(landmark_distances(pings, graph, values, late[other], wrong[other])[0]) > GATE
-    assert [len(array) for array in landmark_distances(pings, graph, values, late[:0], wrong[:0])] == [0, 0]
+    exact = landmark_distances(pings, estimate, late[other], wrong[other], np.inf)[0]
+    assert np.median(exact) > GATE
+    quick = landmark_distances(pings, estimate, late[other], wrong[other], GATE)[0]
+    assert np.array_equal(quick < GATE, exact < GATE)
+    assert (quick <= exact * (1 + 1e-9)).all()  # a bound from below
+    assert (quick < 0.99 * exact).any()
+    np.testing.assert_allclose(quick[quick < GATE], exact[quick < GATE])
+    assert [len(array) for array in landmark_distances(pings, estimate, late[:0], wrong[:0], GATE)] == [0, 0]

@@ -9,8 +9,8 @@ from factors import Isotropic, Prior
 from models.algebra import Index
 from nls import FactorGraph, Values, kinds
 from nls.sonar.contacts.gates import sighting_distances
-from nls.sonar.contacts.pairs import MOST, near_landmarks, near_pings, near_sightings, pose_covariances
-from tests.nls.sonar.contacts.scenes import GATE, Scene, floor, in_plane, poor_ranges, true_pairs
+from nls.sonar.contacts.pairs import MOST, near_landmarks, near_pings, near_sightings
+from tests.nls.sonar.contacts.scenes import GATE, Scene, estimate_of, floor, in_plane, poor_ranges, true_pairs
 
 l = kinds("l")[0]
 SCENES = {"floor": floor, "in_plane": in_plane, "poor_ranges": poor_ranges}
@@ -48,7 +48,7 @@ def test_sightings_from_anywhere(name: str) -> None:
     scene = SCENES[name]()
     pings = scene.pings
     which = np.sort(np.random.default_rng(0).choice(len(pings), MOST, replace=False))
-    c, d = near_sightings(pings, pose_covariances(pings, scene.graph, scene.values), scene.values, which, GATE)
+    c, d = near_sightings(pings, estimate_of(scene.true, scene.graph, scene.values), which, GATE)
     assert (pings.ping[c] < pings.ping[d]).all()
     assert np.isin([c, d], which).all()
     assert len(set(zip(c.tolist(), d.tolist(), strict=True))) == len(c)
@@ -73,11 +73,11 @@ def test_landmarks_near_a_sighting(name: str) -> None:
     pings, which = scene.pings, np.arange(0, len(scene.true), 3)
     values, nothing = scene.truth_of(scene.true), np.full(len(scene.true), -7)
     graph = with_landmarks(scene, values)
-    d, landmarks = near_landmarks(pings, pose_covariances(pings, graph, values), values, nothing, which, GATE)
+    d, landmarks = near_landmarks(pings, estimate_of(nothing, graph, values), which, GATE)
     assert all(among((which, scene.true[which]), (d, landmarks)))
     assert set(d.tolist()) <= set(which.tolist())
     assert len(d) < 0.7 * len(which) * len(np.unique(scene.true))
-    d, landmarks = near_landmarks(pings, pose_covariances(pings, graph, values), values, scene.true, which, GATE)
+    d, landmarks = near_landmarks(pings, estimate_of(scene.true, graph, values), which, GATE)
     assert len(d) or name == "in_plane"  # where they are too far apart
     assert (scene.true[d] != landmarks).all()
 
@@ -93,15 +93,13 @@ def test_a_landmark_far_above_the_aperture_was_not_seen() -> None:
         values = Values.of([*scene.values.stacks.values()])
         values.add(l, scene.truth.stack("l").manifold, point, [900])
         graph = with_landmarks(scene, values)
-        d, landmarks = near_landmarks(
-            pings, pose_covariances(pings, graph, values), values, np.arange(len(pings)), which, 1e3
-        )
+        d, landmarks = near_landmarks(pings, estimate_of(np.arange(len(pings)), graph, values), which, 1e3)
         assert (d.tolist(), landmarks.tolist()) == ([5] * count, [900] * count)
 
 
 def test_without_landmarks_none_is_near() -> None:
     scene = in_plane()
-    pings, values, every = scene.pings, scene.values, np.arange(len(scene.true))
-    Sigma = pose_covariances(pings, scene.graph, values)
-    assert [len(a) for a in near_landmarks(pings, Sigma, values, every, every, GATE)] == [0, 0]
-    assert [len(a) for a in near_sightings(pings, Sigma, values, every[:0], GATE)] == [0, 0]
+    every = np.arange(len(scene.true))
+    estimate = estimate_of(every, scene.graph, scene.values)
+    assert [len(array) for array in near_landmarks(scene.pings, estimate, every, GATE)] == [0, 0]
+    assert [len(array) for array in near_sightings(scene.pings, estimate, every[:0], GATE)] == [0, 0]
