@@ -13,14 +13,16 @@ __all__ = ["plot"]
 def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
     from nls.cli.formats import read
+    from nls.io.mission import MissionReport
     from nls.plot import trajectory
+    from nls.plot.mission import plan
     from nls.plot.picture import write_picture
 
     refuse_unwritable(options.output, read=options.file)
     refuse_name("output file", options.output, PICTURES)
     graph, values, report = read(options)
     options.phase.now(f"while writing {options.output}")
-    figure = trajectory(graph, values)
+    figure = (plan if isinstance(report, MissionReport) else trajectory)(graph, values)
     figure.suptitle(Path(report.path).name)
     write_picture(options.output, figure)
     options.phase.written.append(options.output)

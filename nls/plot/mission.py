@@ -1,4 +1,4 @@
-"""A solved mission: its track beside dead reckoning and the truth, and its landmarks with the elevation they may have.
+"""A mission from above and from the side: as it was read, solved beside dead reckoning, and its open elevations.
 
 Maps are charts: north (x) up, east (y) to the right. Side views look north, z, which is down, downwards.
 """
@@ -12,6 +12,7 @@ import numpy as np
 
 from factors.keys import kinds
 from nls.plot.ellipses import ellipses, visible_scale
+from nls.plot.trajectory import closures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,16 +20,19 @@ if TYPE_CHECKING:
 
     from models.algebra import Array
     from nls.covariance import Marginals
+    from nls.graph import FactorGraph
     from nls.io.mission.solution import Elevations, Track
     from nls.values import Values
 
-__all__ = ["landmark_map", "track"]
+__all__ = ["landmark_map", "plan", "track"]
 
 SOLUTION, DEAD, TRUE, POINT = "#0b4f6c", "#e07a2f", "#202020", "#3f8f4f"
 HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
 THOUSAND = 1e3  # m, from which three digits would be written as a power of ten
 WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
+VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
+MANY = 150  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 x, l = kinds("x", "l")
 
@@ -108,31 +112,30 @@ def landmark_map(
     matplotlib.figure.Figure
     """
     from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
 
     points = values[l[elevations.landmarks]]
     known = np.isfinite(elevations.sigma)
     sigma = np.degrees(elevations.sigma)
     reach = (elevations.range * elevations.sigma)[:, None] * elevations.along  # one sigma along the arc, m
-    path = np.asarray(values.stack(x).manifold.position(values[x]))
-    low, high = _box(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
-    north, east, down = high - low
-    inch = min(WIDEST / east, HIGHEST / (north + down))
-    figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
-    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
-    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+    path = _positions(values)
+    figure, panels = _views(np.concatenate([path, points, (points + reach)[known], (points - reach)[known]]))
+    above, beside = panels
+    above.set_title("Landmarks from above")
+    for ax, rows in zip(panels, VIEWS, strict=True):
+        P = points[:, rows]
         if truth is not None and "l" in truth.stacks:
             ax.plot(*truth[l][:, rows].T, "+", color=TRUE, markersize=5, alpha=0.5, label="truth")
-        ax.plot(*path[np.argsort(values.stack(x).numbers)][:, rows].T, color=SOLUTION, linewidth=0.8, label="track")
+        ax.plot(*path[:, rows].T, color=SOLUTION, linewidth=0.8, label="track")
         if not known.all():
             unknown = "landmark" if not known.any() else "landmark, elevation free"
-            ax.scatter(*points[~known][:, rows].T, s=12, facecolors="none", edgecolors=POINT, zorder=3, label=unknown)
+            ax.scatter(P[~known, 0], P[~known, 1], s=12, facecolors="none", edgecolors=POINT, zorder=3, label=unknown)
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
             most = float(sigma[known].max()) if aperture is None else float(np.degrees(aperture / np.sqrt(12)))
             dots = ax.scatter(
-                *points[known][:, rows].T,
+                P[known, 0],
+                P[known, 1],
                 c=sigma[known],
                 s=14,
                 cmap="YlOrRd",
@@ -143,9 +146,6 @@ def landmark_map(
                 zorder=3,
                 label="landmark",
             )
-        ax.set_aspect("equal")
-    above.set(title="Landmarks from above", ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
-    beside.set(title="from the side, looking north", xlabel="y, east [m]", ylabel="z, down [m]", ylim=(high[2], low[2]))
     if known.any():
         bar = figure.colorbar(
             dots,
@@ -160,6 +160,61 @@ def landmark_map(
     return figure
 
 
+def plan(graph: FactorGraph, values: Values) -> Figure:
+    """A mission as it was read, from above and from the side: track, landmarks, and faintly what saw them.
+
+    Parameters
+    ----------
+    graph : whose contacts are drawn, from pose to landmark.
+    values : poses ``x`` and landmarks ``l``, where there are any.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.collections import LineCollection
+
+    path = _positions(values)
+    points = values[l] if "l" in values.stacks else np.zeros((0, 3))
+    sights, _ = closures(graph, values, {"x", "l"})
+    figure, panels = _views(np.concatenate([path, points]))
+    sight = {"colors": "0.4", "alpha": min(0.3, MANY / max(len(sights), 1))}
+    for ax, rows in zip(panels, VIEWS, strict=True):
+        ax.add_collection(LineCollection([ends[:, rows] for ends in sights], linewidths=0.4, zorder=1, **sight))
+        ax.plot(*points[:, rows].T, ".", color=POINT, markersize=4, label=f"{len(points):,} landmarks")
+        ax.plot(*path[:, rows].T, color=SOLUTION, linewidth=1.6, label=f"track, {len(path):,} poses")
+        ax.plot(*path[:1, rows].T, "o", color=SOLUTION, markersize=5, label="first pose")
+    panels[0].set_title("From above")
+    handles, labels = panels[1].get_legend_handles_labels()
+    if len(sights):
+        handles.append(LineCollection([], colors="0.4", alpha=0.5))
+        labels.append("lines of sight")
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
+    return figure
+
+
+def _views(points: Array) -> tuple[Figure, tuple[Axes, Axes]]:
+    """Two panels for points (n, 3) at one scale: from above, north up; from the side, z downwards."""
+    from matplotlib.figure import Figure
+
+    low, high = _box(points)
+    north, east, down = high - low
+    inch = min(WIDEST / east, HIGHEST / (north + down))
+    figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
+    above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
+    above.set(ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
+    beside.set(title="from the side, looking north", xlabel="y, east [m]", ylabel="z, down [m]", ylim=(high[2], low[2]))
+    for ax in (above, beside):
+        ax.set_aspect("equal")
+    return figure, (above, beside)
+
+
+def _positions(values: Values) -> Array:
+    """Positions (n, 3) of the poses in the order of their numbers."""
+    stack = values.stack(x)
+    return np.asarray(stack.manifold.position(stack.X))[np.argsort(stack.numbers)]
+
+
 def _box(points: Array) -> tuple[Array, Array]:
     """Lower and upper corners (3,) of what is drawn: with a margin, and not too slim in any direction."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -170,6 +225,5 @@ def _box(points: Array) -> tuple[Array, Array]:
 
 def _path(axes: Axes, values: Values, **style: object) -> None:
     """Poses in the order of their numbers, east to the right and north up."""
-    stack = values.stack(x)
-    position: Array = np.asarray(stack.manifold.position(stack.X))[np.argsort(stack.numbers)]
+    position = _positions(values)
     axes.plot(position[:, 1], position[:, 0], **style)  # type: ignore[arg-type]

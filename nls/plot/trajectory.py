@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Stack, Values
 
-__all__ = ["before_after", "trajectory"]
+__all__ = ["before_after", "closures", "trajectory"]
 
 PATH, CLOSURE, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
@@ -86,7 +86,7 @@ def trajectory(
     stacks = _places(graph, values)
     dim = _dimension(stacks)
     axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
-    segments, total = _closures(graph, values, {stack.kind for stack in stacks})
+    segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, alpha = ("measurements", 0.15) if points else ("loop closures", 0.45)  # of points there are many
@@ -133,7 +133,7 @@ def _places(graph: FactorGraph, values: Values) -> list[Stack]:
     return [stack for kind, stack in values.stacks.items() if kind not in without and _positions(stack).shape[1]]
 
 
-def _closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:
+def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:
     """Segments (k, 2, dim) of measurements between variables that are not neighbors in number, and their count."""
     out = []
     for factor in graph.factors:

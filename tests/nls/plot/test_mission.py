@@ -13,7 +13,7 @@ import nls
 from factors import Diagonal, Isotropic, Prior
 from models import SE3
 from nls.io.mission import MissionReport, elevations, track_of
-from nls.plot.mission import landmark_map, track
+from nls.plot.mission import landmark_map, plan, track
 from tests.nls.io.mission.mission_files import folder
 
 x, l = nls.kinds("x", "l")
@@ -107,3 +107,33 @@ def test_landmarks_and_the_arcs_they_may_be_on(solved: Solved) -> None:
     unknown = landmark_map(values, elevations(graph, values))
     assert len(unknown.axes) == 2  # no scale of colors
     assert not [each for each in unknown.axes[0].collections if isinstance(each, LineCollection)]
+
+
+def test_a_mission_as_it_was_read(solved: Solved) -> None:
+    """North is up, east to the right, and what is deeper is drawn lower; every contact has its line."""
+    graph, dead, _, _ = solved
+    above, beside = plan(graph, dead).axes
+    assert beside.yaxis_inverted()
+    assert not above.yaxis_inverted()
+    path, points = SE3.position(dead[x]), dead[l]
+    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+        landmarks, track_line, first = (np.asarray(line.get_xydata()) for line in ax.lines)
+        assert np.array_equal(landmarks, points[:, rows])
+        assert np.array_equal(track_line, path[:, rows])
+        assert np.array_equal(first, path[:1, rows])
+        (lines,) = [each for each in ax.collections if isinstance(each, LineCollection)]
+        drawn = {tuple(np.round(segment.reshape(-1), 9)) for segment in np.asarray(lines.get_segments())}
+        (contacts,) = [factor for factor in graph.factors if factor.name == "RangeAzimuth"]
+        pose, landmark = contacts.keys[:2]
+        ends = np.column_stack([SE3.position(dead[pose])[:, rows], dead[landmark][:, rows]])
+        assert {tuple(np.round(end, 9)) for end in ends} <= drawn
+        assert ax.get_aspect() == 1.0
+    assert legend_of(above) == [f"{len(points)} landmarks", f"track, {len(path)} poses", "first pose", "lines of sight"]
+
+
+def test_a_mission_without_landmarks(solved: Solved) -> None:
+    graph, dead, _, _ = solved
+    poses = nls.Values.of([dead.stack(x)])
+    alone = nls.FactorGraph([factor for factor in graph.factors if {key.kind for key in factor.keys} == {"x"}])
+    figure = plan(alone, poses)
+    assert "lines of sight" not in legend_of(figure.axes[0])
