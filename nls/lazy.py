@@ -12,10 +12,10 @@ from importlib import import_module
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Any
 
-__all__ = ["importer", "refuse_shadows"]
+__all__ = ["importer", "postpone", "refuse_shadows"]
 
 SIBLINGS = ("models", "factors", "sim")  # installed beside `nls`
 
@@ -55,6 +55,29 @@ def importer(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return get
+
+
+def postpone(package: str, names: Sequence[str]) -> None:
+    """Import a package of other people, some of its modules only when they are used; nothing if it is imported already.
+
+    Parameters
+    ----------
+    package : its name.
+    names : of modules that it does not import itself.
+    """
+    if package in sys.modules:
+        return
+    from importlib.util import LazyLoader, find_spec, module_from_spec
+
+    whole = import_module(package)
+    for name in names:
+        spec = find_spec(f"{package}.{name}")
+        if spec is None or spec.loader is None:
+            continue
+        spec.loader = LazyLoader(spec.loader)
+        module = sys.modules[spec.name] = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        setattr(whole, name, module)
 
 
 def refuse_shadows() -> None:

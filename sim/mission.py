@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from math import radians
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimuth, sonar_factors
 from factors.sonar import refuse_search
@@ -209,6 +208,8 @@ def visible(X: Array, points: Array, sonar: ImagingSonar, offset: Array) -> tupl
     >>> visible(SE3.identity(2), np.array([above, ahead]), DIDSON_HIGH, SE3.identity()[0])
     (array([0, 1]), array([1, 1]))
     """
+    from scipy.spatial import cKDTree
+
     S = SE3.compose(X, offset[None])
     ahead, radius = _ball(sonar)
     middle = SE3.act(S, np.array([[ahead, 0.0, 0.0]]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from models import SO3
 from models.algebra import Array, Index
@@ -105,6 +104,8 @@ def meetings(
     ResourceLimitError
         So many pairs are near each other that listing them would take 800 MB.
     """
+    from scipy.spatial import cKDTree
+
     check_positive(radius=radius)
     check_not_negative(closure_ratio=closure_ratio)
     tree = cKDTree(positions)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from nls.cli import UNUSED
 from nls.cli.phase import Phase
+from nls.lazy import postpone
 
 __all__ = ["command"]
 
@@ -13,6 +15,7 @@ def command() -> int:
     phase.at_once()
 
     def run() -> int:
+        postpone("numpy", UNUSED)
         from sim.cli import main
 
         return main(phase=phase)

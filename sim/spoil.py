@@ -6,7 +6,6 @@ Each function returns another mission; `Mission.wrong` says which of its contact
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from factors import XYH, Diagonal, RangeAzimuth
 from models.algebra import Array, Index, wrap
@@ -130,6 +129,8 @@ def exchange_contacts(mission: Mission, wrong_associations: float, rng: np.rando
     >>> int(spoiled.wrong.sum()) == 2 * round(0.05 * len(mission.contacts))
     True
     """
+    from scipy.spatial import cKDTree
+
     check_rng(rng)
     check_fraction(wrong_associations=wrong_associations)
     count = round(wrong_associations * len(mission.contacts) / 2)

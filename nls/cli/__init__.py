@@ -15,10 +15,13 @@ from collections.abc import Sequence
 from time import perf_counter, process_time
 
 from nls.cli.phase import INTERRUPTED, Phase
+from nls.lazy import postpone
 
 __all__ = ["command", "main"]
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_THREAD_LIMIT", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
+# Modules of NumPy that SciPy loads by ``from numpy import *``, and nobody uses: a third of the import of both.
+UNUSED = ("f2py", "ma", "polynomial", "testing")
 
 
 def command() -> int:
@@ -54,8 +57,6 @@ def main(argv: Sequence[str] | None = None, startup: float = 0.0, phase: Phase |
 
 
 def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase) -> int:
-    from models.errors import LeadlineError, UnderconstrainedError
-    from nls.cli.outputs import complain
     from nls.cli.parser import parser
 
     debug = False
@@ -64,11 +65,12 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
         options.began, options.startup, options.phase = began, startup, phase
         options.argv = sys.argv[1:] if argv is None else list(argv)
         debug = getattr(options, "debug", False)
-        if options.version:
-            return _version()
-        if options.command is None:
+        if options.command is None and not options.version:
             parser().print_help()
             return 2
+        postpone("numpy", UNUSED)
+        if options.version:
+            return _version()
         if "file" in options:
             from nls.io.files import graph_file
 
@@ -76,20 +78,22 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
         return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
-    except UnderconstrainedError as error:
-        status, message = 1, error
-    except (LeadlineError, OSError, MemoryError) as error:
-        status, message = 2, error  # type: ignore[assignment]
     except Exception as error:  # broad: whatever fails, a user gets one line, and the traceback with --debug
-        status, message = 2, f"internal error, please report it (--debug shows where): {error!r}"  # type: ignore[assignment]
         if debug:
             raise
-    if debug:
-        raise message
-    if isinstance(message, OSError) and message.filename is None and message.strerror:
-        return phase.unprinted(message)  # every file has an error of its own
-    complain(message)
-    return status
+        return _failed(error, phase)
+
+
+def _failed(error: Exception, phase: Phase) -> int:
+    """One line for an error, and the exit status."""
+    from models.errors import LeadlineError, UnderconstrainedError
+    from nls.cli.outputs import complain
+
+    if isinstance(error, OSError) and error.filename is None and error.strerror:
+        return phase.unprinted(error)  # every file has an error of its own
+    known = isinstance(error, LeadlineError | OSError | MemoryError)
+    complain(error if known else f"internal error, please report it (--debug shows where): {error!r}")
+    return 1 if isinstance(error, UnderconstrainedError) else 2
 
 
 def _one_line_warning(message: Warning | str, *_: object, **__: object) -> None:

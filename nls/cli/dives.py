@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from nls.cli.mission import Solved, drift_record
 from nls.cli.mission_files import MissionFiles
+from nls.io.mission import MissionReport
 from nls.io.mission.dives import SHARED, Dive, DivesReport
 from nls.values import Values
 
 if TYPE_CHECKING:
+    from nls.cli.job import Job
     from nls.covariance import Marginals
 
-__all__ = ["SolvedDive", "SolvedDives", "outputs_of"]
+__all__ = ["SolvedDive", "SolvedDives", "outputs_of", "solution_of"]
 
 OF_ALL = ("map.csv", "beacons.csv", "map.ply", "landmarks.png")  # files of the map, which the dives share
 OF_EACH = (
@@ -79,6 +81,14 @@ class SolvedDives(Solved):
             for d in self.dives
         ]
         return out
+
+
+def solution_of(job: Job) -> Solved:
+    """The solution of a mission, or of several dives in one graph."""
+    report = job.report
+    assert isinstance(report, MissionReport)
+    kind = SolvedDives if isinstance(report, DivesReport) else Solved
+    return kind(job.graph, job.values, job.result, report, job.solver, job.options.gauge, job.projection)
 
 
 def outputs_of(solved: Solved, folder: str) -> list[tuple[Callable[[str], None], str]]:

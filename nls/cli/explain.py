@@ -57,6 +57,8 @@ def explain(options: argparse.Namespace) -> int:
 
 def _dives(report: LoadReport) -> list[str] | None:
     """The dive that each factor is of; None where there is one mission, or none."""
+    if report.format != "mission":
+        return None
     from nls.io.mission import DivesReport
 
     return report.dive_of if isinstance(report, DivesReport) else None
@@ -64,11 +66,12 @@ def _dives(report: LoadReport) -> list[str] | None:
 
 def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     """With what is implausible in the tables of a mission, first."""
+    if report.format != "mission":
+        return explanation
     from nls.explanation.findings import Finding, FindingKind
     from nls.io.mission import MissionReport
 
-    if not isinstance(report, MissionReport):
-        return explanation
+    assert isinstance(report, MissionReport)
     findings = [Finding(FindingKind.IMPLAUSIBLE, (), finding.numbers) for finding in report.findings]
     return replace(explanation, findings=(*findings, *explanation.findings))
 

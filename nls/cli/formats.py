@@ -20,13 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["refuse_unwritable_graph", "rendered"]
 
 
-def formats() -> tuple[str, ...]:
-    """Everything that can be written, by name."""
-    from nls.io import DIALECTS, POSES_ONLY
-
-    return (*DIALECTS[1:], *POSES_ONLY)
-
-
 def output_format(path: str, named: str | None) -> str:
     """The format of an output: as named, else by the suffix, as for `nls.save`.
 

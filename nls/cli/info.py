@@ -13,12 +13,11 @@ def info(options: argparse.Namespace) -> int:
     """Read, inspect, print; returns the exit status."""
     from nls.analysis.inspection import inspect
     from nls.cli.formats import read
-    from nls.io.scan_mission import ScanReport
 
     refuse_unwritable(json=options.json, read=options.file)
     graph, values, report = read(options)
     options.phase.doing = f"while inspecting {options.file}"
-    facts = (report.counts if isinstance(report, ScanReport) else {}) | inspect(graph, values)
+    facts = report.counts | inspect(graph, values)
     head = {"input": report.path, "format": report.format, "dimension": report.dimension}
     options.phase.now("while writing the report")
     write_json(head | {"tags": report.tags, "notes": report.notes} | facts, options.json)

@@ -7,12 +7,21 @@ import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from models.options import did_you_mean
+from nls.cli.choices import (
+    ALIGNMENTS,
+    CONVENTIONS,
+    DIALECTS,
+    FORMATS,
+    GAUGES,
+    OPTIMIZERS,
+    SIGMAS,
+    SOLVERS,
+    STARTS,
+    TREATMENTS,
+)
 
 __all__ = ["parser"]
 
-ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")  # see nls.metrics; its import is not for start-up
-TREATMENTS = ("free", "hinge", "prior")  # of the elevation, see factors.sonar_factors
 FILE = (
     "graph file, folder of a mission, of a scan mission or of a graph.npz or graph.g2o, or '-': standard input; files "
     "may be gzipped"
@@ -79,12 +88,16 @@ class Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
+            from models.options import did_you_mean
+
             error.message += did_you_mean(value, action.choices or ())
             raise
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         options, unknown = self.parse_known_args(args, namespace)
         if unknown:
+            from models.options import did_you_mean
+
             command = getattr(options, "command", None)
             known = self.choices_of(command)
             self.error(f"unrecognized arguments: {' '.join(unknown)}{did_you_mean(unknown[0].split('=')[0], known)}")
@@ -110,13 +123,6 @@ class Once(argparse.Action):
 
 def parser() -> Parser:
     """All commands and options."""
-    from nls.cli.formats import formats
-    from nls.cli.sigmas import CHOICES as SIGMAS
-    from nls.gauge import GAUGES
-    from nls.linear import SOLVERS
-    from nls.optimizers import OPTIMIZERS
-    from nls.starts import STARTS
-
     top = Parser("nls", description="Least squares on factor graphs: solve, explain, convert, draw.", epilog=EXAMPLES)
     top.formatter_class = argparse.RawDescriptionHelpFormatter
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
@@ -150,7 +156,7 @@ def parser() -> Parser:
         help="of the points and the grid in the folder of a mission: local (default), utm, EPSG:n; others than local "
         "need origin.csv and pyproj, and add columns to the tables",
     )
-    solve.add_argument("--to", choices=formats(), help="format of OUT.g2o (default: by its suffix)")
+    solve.add_argument("--to", choices=FORMATS, help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
     solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
@@ -201,7 +207,7 @@ def parser() -> Parser:
 
     convert = command("convert", "write a graph in another format", _convert)
     convert.add_argument("output", metavar="OUT", help="the file to write")
-    convert.add_argument("--to", choices=formats(), help="format of OUT (default: by its suffix)")
+    convert.add_argument("--to", choices=FORMATS, help="format of OUT (default: by its suffix)")
     convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     convert.add_argument("--renumber", action="store_true", help=RENUMBER)
 
@@ -261,9 +267,6 @@ def parser() -> Parser:
 
 def _input(command: argparse.ArgumentParser) -> None:
     """The file every command reads, and how it is read."""
-    from factors.conventions import CONVENTIONS
-    from nls.io import DIALECTS
-
     command.add_argument("file", metavar="FILE", help=FILE)
     command.add_argument("--dialect", default="auto", choices=DIALECTS, help="how its lines read (default: auto)")
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")

@@ -11,9 +11,7 @@ if TYPE_CHECKING:
     from nls.graph import FactorGraph
     from nls.io import LoadReport
 
-__all__ = ["CHOICES", "record"]
-
-CHOICES = ("stated", "estimate", "estimate:units", "estimate:components")
+__all__ = ["record"]
 
 
 def refuse(sigmas: str, robust: str | None) -> None:

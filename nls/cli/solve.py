@@ -99,13 +99,12 @@ def _read(job: Job) -> None:
     from nls.cli import formats
     from nls.cli.outputs import refuse_loss
     from nls.cli.preparation import prepare
-    from nls.io.mission import MissionReport
     from nls.stages import collected
 
     options = job.options
     with collected() as job.stages:
         job.as_read, job.values, job.report = formats.read(options)
-        if options.robust == "none" and isinstance(job.report, MissionReport):
+        if options.robust == "none" and job.report.format == "mission":
             job.judge_contacts, options.robust = False, None
         if job.form and job.form != job.report.format:
             refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
@@ -242,16 +241,11 @@ def _optimizer(job: Job, progress: Progress) -> Optimizer:
 def _write(job: Job) -> None:
     """Every output but the reports."""
     from nls.cli.solve_outputs import write_outputs
-    from nls.io.mission import DivesReport, MissionReport
 
-    if isinstance(job.report, MissionReport):
-        from nls.cli.mission import Solved
+    if job.report.format == "mission":
+        from nls.cli.dives import solution_of
 
-        solved: type[Solved] = Solved
-        if isinstance(job.report, DivesReport):
-            from nls.cli.dives import SolvedDives as solved
-        solver, gauge = job.solver, job.options.gauge
-        job.solved = solved(job.graph, job.values, job.result, job.report, solver, gauge, job.projection)
+        job.solved = solution_of(job)
     write_outputs(job)
     job.clock.lap("write")
 

@@ -18,11 +18,6 @@ Output = tuple[Callable[[str], None], str | None]
 
 def write_outputs(job: Job) -> None:
     """Write every output but the reports."""
-    from models.errors import GraphFileError
-    from nls.cli.dives import outputs_of
-    from nls.cli.mission import Solved
-    from nls.io.files import new_folder
-
     options = job.options
     outputs: list[Output] = [(lambda path: _covariance(job, path), options.covariance)]
     if options.covariance and not job.result.converged:
@@ -33,6 +28,10 @@ def write_outputs(job: Job) -> None:
         optimum = None if job.solved else options.output
         attempt(job, [(lambda path: _optimum(job, path), optimum), *outputs])
         return
+    from models.errors import GraphFileError
+    from nls.cli.dives import outputs_of
+    from nls.cli.mission import Solved
+    from nls.io.files import new_folder
 
     try:
         with new_folder(options.output):

@@ -66,11 +66,12 @@ def record_of(job: Job) -> dict[str, Any]:
 
 def _findings(report: LoadReport) -> dict[str, Any]:
     """What is implausible in the tables of a mission."""
+    if report.format != "mission":
+        return {}
     from nls.io.mission import MissionReport
     from nls.io.mission.plausible.words import record
 
-    if not isinstance(report, MissionReport):
-        return {}
+    assert isinstance(report, MissionReport)
     return {"findings": [record(finding) for finding in report.findings]}
 
 

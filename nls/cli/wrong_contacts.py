@@ -33,13 +33,14 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
     graph, values, report : of the mission, its start by dead reckoning.
     result : with all contacts, without robust kernels.
     """
+    contacts = contacts_of(graph)
+    if report.format != "mission" or not contacts:
+        return None
     import nls
     from models.errors import UnderconstrainedError
-    from nls.io.mission import MissionReport
     from nls.robust.misfit import misfit
 
-    contacts = contacts_of(graph)
-    if not isinstance(report, MissionReport) or not misfit(result, contacts):
+    if not misfit(result, contacts):
         return None
     kept = "all contacts are kept, though some do not fit"
     try:

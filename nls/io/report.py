@@ -126,6 +126,11 @@ class LoadReport:
         """Whether a measurement has a line; those of a native file have none."""
         return any(source.lines.any() for source in self.sources)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How much there is besides the graph, by name."""
+        return {}
+
     def warn(self, note: str) -> None:
         """A note that deserves a warning."""
         self.notes.append(note)

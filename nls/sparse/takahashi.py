@@ -22,10 +22,10 @@ backward pass of the multifrontal method, I. Duff, J. Reid, ACM TOMS 9 (1983).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg.lapack import dtrtri
 
 from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError
@@ -75,6 +75,7 @@ def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Ind
     offset, inside = np.cumsum(size) - size, nodes.node[start[i]] == nodes.node[start[j]]
     Sigma = np.empty(int(size.sum()))
     parts = [_places(nodes, start, dims, i, j, offset, pairs) for pairs in (inside, ~inside)]
+    import_module("scipy.linalg.lapack")  # its BLAS must be there before single_thread looks for it
     with single_thread():
         for k, *blocks in takahashi(L, nodes):
             for (source, target, first), block in zip(parts, blocks, strict=True):
@@ -91,6 +92,8 @@ def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array, 
     L : lower triangular, no zero pivot.
     nodes : its supernodes.
     """
+    from scipy.linalg.lapack import dtrtri
+
     columns = sp.csc_array(L[:, nodes.columns])
     columns.eliminate_zeros()  # CHOLMOD pads its own supernodes, which are others
     data, rows, indptr = columns.data, columns.indices, columns.indptr

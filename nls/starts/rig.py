@@ -15,7 +15,7 @@ Source: B. Horn, "Closed-form solution of absolute orientation using unit quater
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy.sparse as sp
 
 from factors.keys import Keys
 from models import SE3
@@ -105,7 +105,7 @@ def _placed(graph: FactorGraph, values: Values, pairs: Pairs, three_points: bool
     X, L, known = np.array(poses.X), np.array(points.X), _fixed(graph, values, points.kind)
     order = np.argsort(pose, kind="stable")
     first = np.searchsorted(pose[order], np.arange(len(X) + 1))
-    shared = csr_array((np.ones(len(rows), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
+    shared = sp.csr_array((np.ones(len(rows), dtype=np.intp), (point, pose)), shape=(len(L), len(X)))
     count = shared[known].sum(axis=0)  # (n,) points each pose shares with the known ones
 
     todo = np.zeros(len(poses), dtype=bool)  # poses that saw a point with camera or sonar

@@ -15,7 +15,7 @@ import pytest
 
 import nls
 import sim
-from nls.cli import THREADS, main
+from nls.cli import THREADS, choices, main
 from nls.io import write
 from nls.stages import collected, stage
 from tests.nls.io.g2o_files import PLANE
@@ -60,6 +60,40 @@ def test_only_what_is_used_is_imported() -> None:
     rest = ("nls.covariance", "nls.plot", "nls.io.bal", "nls.io.pyfg", "nls.analysis", "matplotlib", "threadpoolctl")
     assert fresh(f"import nls, sys; {used}; print([m for m in {rest} if m in sys.modules])") == "[]\n"
     assert fresh("from nls import *; print(FactorGraph.__module__, plot.__name__)") == "nls.graph nls.plot\n"
+
+
+@pytest.mark.parametrize("words", ["--help", "solve --help", ""])
+def test_help_does_not_wait_for_numpy(words: str) -> None:
+    program = f"import sys\nfrom nls.cli import main\nmain({words.split()})\nprint('numpy' in sys.modules)"
+    *page, loaded = fresh(program).splitlines()
+    assert len(page) > 20
+    assert loaded == "False"
+
+
+def test_the_choices_of_the_command_line_are_those_of_the_library() -> None:
+    from factors import conventions, sonar_factors
+    from nls import gauge, io, linear, metrics, optimizers, starts
+
+    assert (choices.ALIGNMENTS, choices.GAUGES) == (metrics.ALIGNMENTS, gauge.GAUGES)
+    assert (choices.CONVENTIONS, choices.DIALECTS) == (conventions.CONVENTIONS, io.DIALECTS)
+    assert choices.FORMATS == (*io.DIALECTS[1:], *io.POSES_ONLY)
+    registries = linear.SOLVERS, optimizers.OPTIMIZERS, starts.STARTS
+    assert (choices.SOLVERS, choices.OPTIMIZERS, choices.STARTS) == tuple(map(tuple, registries))
+    assert all(f"``{name}``" in str(sonar_factors.__doc__) for name in choices.TREATMENTS)
+
+
+def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -> None:
+    """And without the modules of NumPy that only ``from numpy import *`` asks for, until they are used."""
+    graph = str(written(tmp_path, PLANE))
+    rest = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.io.mission", "nls.io.scan_mission", "nls.robust")
+    program = (
+        f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"
+        f"print([m for m in {rest} if m in sys.modules])\nimport numpy\n"
+        "print(numpy.ma.array([1, 2], mask=[0, 1]).sum(), numpy.polynomial.Polynomial([1, 2])(3))"
+    )
+    assert fresh(program).splitlines() == ["0", "[]", "1 7.0"]
+    with_numpy = f"import numpy\nfrom nls.lazy import postpone\npostpone('numpy', ['f2py'])\n{program}"
+    assert fresh(with_numpy).splitlines()[0] == "0"
 
 
 def test_modules_of_the_package_are_there_without_an_import_of_theirs() -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["picture"]
 
-SMALL = 1000  # variables and measurements; pictures of more are not even tried as SVG (sphere2500's R: 216 MB, 0.06 MB)
+SMALL = 1000  # lines and dots; pictures of more are not even tried as SVG (sphere2500's R: 216 MB, 0.06 MB)
 LIGHT = 60_000  # bytes; an SVG of less is taken as it is
 DPI = 170
 WIDE = 7.0  # inches; wider ones have the page for themselves
@@ -25,7 +25,7 @@ def picture(figure: Figure, alt: str, caption: str, size: int, inches: tuple[flo
     Parameters
     ----------
     figure, alt, caption : what it shows, for those who see it, those who do not, and both.
-    size : variables and measurements it draws.
+    size : lines and dots it draws: variables and measurements of a map, numbers of a matrix.
     inches : to draw it larger or smaller than it is; letters keep their size.
     """
     if inches is not None:

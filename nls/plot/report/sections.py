@@ -216,7 +216,8 @@ def sparsity(data: ReportData) -> Html:
         for axes, name in zip(figure.axes, ("A", "H = A'A", "R, reordered"), strict=True):
             axes.set_title(name)
         caption = "Where A, H = A'A and its Cholesky factor R have numbers. Orange is fill-in, which H does not have."
-        drawn = picture(figure, f"Dots where there are numbers: {titles}", caption, data.size)
+        dots = cost["numbers_in_A"] + 2 * upper + cost["numbers_in_R"]
+        drawn = picture(figure, f"Dots where there are numbers: {titles}", caption, dots)
     return section("sparsity", "What does a step cost?", listed(facts, class_="facts"), drawn)
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from models import SE3, euler
 from models.algebra import Array
-from nls.cli import parser
 from nls.io import write_kitti, write_tum
 from nls.metrics import ALIGNMENTS, ate, cep, drms2, rpe
 from tests.nls.cli.shell import Shell, row, rows
@@ -30,10 +29,6 @@ def table(X: Array, numbers: Array, head: str = HEAD) -> str:
         ",".join([str(i), *map(repr, state)]) for i, state in zip(numbers, euler.from_se3(X).tolist(), strict=True)
     ]
     return "\n".join([head, *lines]) + "\n"
-
-
-def test_the_choices_are_those_of_the_library() -> None:
-    assert parser.ALIGNMENTS == ALIGNMENTS
 
 
 @pytest.mark.parametrize("align", ALIGNMENTS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,22 @@ def test_bars_are_drawn_to_scale() -> None:
         dot = float(re.search(r'cx="([0-9.]+)"', bar)[1])  # type: ignore[index]
         assert dot - middle == pytest.approx(96 * np.log(ratio) / np.log(7), abs=0.06)
         assert ("--good" in bar) == (ratio == 1.0)
+
+
+def test_a_matrix_of_many_numbers_is_not_even_drawn_as_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its dots count, not the variables of the graph: the drawing of 11 edges of space has 280 kB, the image 80."""
+    drawn: list[tuple[int, str]] = []
+
+    def counted(figure: Figure, kind: str) -> bytes:
+        drawn.append((len(figure.axes), kind))
+        return b"drawn"
+
+    monkeypatch.setattr(import_module("nls.plot.report.pictures"), "_drawn", counted)
+    for group in (SO3, SE3):
+        graph, start, result = solved(group)
+        report(graph, start, result)
+    assert [kind for axes, kind in drawn if axes == 3] == ["svg", "png"]
+    assert {kind for axes, kind in drawn if axes != 3} == {"svg"}
 
 
 def test_small_pictures_are_drawings_large_ones_images() -> None:
