@@ -13,8 +13,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 import nls
 import sim
 from models import SE3
+from nls.plot.style import CLOSURE, ESTIMATE
 
-INK, ACCENT = "#0b4f6c", "#e07a2f"
 STEPS, PARTS = 5, np.linspace(0, 1, 7)[1:-1]
 
 
@@ -46,15 +46,15 @@ def _drawn(world: sim.World, X: np.ndarray, chi2: list[float], title: str) -> Fi
     P = P - P.mean(axis=0)
     _, closures = world.graph.factors
     ends = np.stack([P[keys.numbers] for keys in closures.keys], axis=1)
-    ball.add_collection3d(Line3DCollection(ends, color=ACCENT, linewidth=0.6, alpha=0.6))
-    ball.plot(*P.T, color=INK, linewidth=0.9)
+    ball.add_collection3d(Line3DCollection(ends, color=CLOSURE, linewidth=0.6, alpha=0.6))
+    ball.plot(*P.T, color=ESTIMATE, linewidth=0.9)
     for set_limits in (ball.set_xlim, ball.set_ylim, ball.set_zlim):
         set_limits(-62, 62)
     ball.view_init(20, -60)
     ball.set_axis_off()
     ball.set_box_aspect((1, 1, 1), zoom=1.6)
     ball.set_title(title)
-    fall.semilogy(chi2, "o-", color=INK)
+    fall.semilogy(chi2, "o-", color=ESTIMATE)
     dof = 6 * (sum(map(len, world.graph.factors)) - len(P) + 1)
     fall.axhline(dof, color="0.5", linestyle="--", linewidth=1)
     fall.text(STEPS, 0.8 * dof, "expected of noise alone", ha="right", va="top", color="0.4")

@@ -17,8 +17,8 @@ from nls import kinds
 from nls.filters.base import steps
 from nls.filters.ekf import EKF
 from nls.filters.smoother import Smoother
+from nls.plot.style import ESTIMATE, LANDMARK, SERIES
 
-INK, ACCENT, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
 LARGER, EVERY = 10.0, 4
 ANGLES = np.linspace(0, 2 * np.pi, 41)
 CIRCLE = np.sqrt(-2 * np.log(0.05)) * np.stack([np.cos(ANGLES), np.sin(ANGLES)])
@@ -60,16 +60,16 @@ def _drawn(k: int, truth: Array, L: Array, path: list[Array], sure: list[Array],
         X, P = path[side], sure[side]
         axes.plot(*truth[:, :2].T, color="0.87", linewidth=4)
         shown = truth[: len(X), :2] + LARGER * (X[:, :2] - truth[: len(X), :2])
-        axes.plot(*shown.T, color=INK, linewidth=1.5)
+        axes.plot(*shown.T, color=ESTIMATE, linewidth=1.5)
         for at in [*range(5, k, 10), k]:
             c, s = np.cos(X[at, 2]), np.sin(X[at, 2])
-            _ellipse(axes, shown[at], np.array([[c, -s], [s, c]]) @ np.linalg.cholesky(P[at, :2, :2]), INK)
+            _ellipse(axes, shown[at], np.array([[c, -s], [s, c]]) @ np.linalg.cholesky(P[at, :2, :2]), ESTIMATE)
         keys, places, P_l = found[side]
         for number, p, P_n in zip(keys.numbers, places, P_l, strict=True):
             q = L[number] + LARGER * (p - L[number])
-            _ellipse(axes, q, np.linalg.cholesky(P_n), POINT)
+            _ellipse(axes, q, np.linalg.cholesky(P_n), LANDMARK)
         axes.plot(*L.T, "^", color="0.6", markersize=5)
-        axes.plot(*shown[-1], "o", color=ACCENT, markersize=8)
+        axes.plot(*shown[-1], "o", color=SERIES[1], markersize=8)
         axes.set_title(f"{name}: path {_rms(X, truth):.2f} m off")
         axes.set(xlim=(-50, 50), ylim=(-48, 48), xticks=[], yticks=[], aspect="equal")
     return figure

@@ -13,8 +13,8 @@ import sim
 from factors import Between, Diagonal
 from models import SE2
 from nls import Values, kinds
+from nls.plot.style import ESTIMATE, REJECTED
 
-INK, ACCENT = "#0b4f6c", "#e07a2f"
 WEIGHTS = np.concatenate([np.geomspace(1, 2e-3, 21), [0.0]])
 
 
@@ -42,15 +42,17 @@ def _drawn(world: sim.World, w: float, values: Values, chi2: float, i: int, j: i
     X, T = values.stack("x").X, world.truth.stack("x").X
     X = SE2.compose(SE2.compose(T[0], SE2.inverse(X[0])), X)
     place.plot(*T[:, :2].T, color="0.85", linewidth=4, label="truth")
-    place.plot(*X[:, :2].T, color=INK, linewidth=1.2, label="map")
-    place.plot(*X[[i, j], :2].T, "o-", color=ACCENT, linewidth=2, alpha=0.2 + 0.8 * bool(w), label="the wrong closure")
+    place.plot(*X[:, :2].T, color=ESTIMATE, linewidth=1.2, label="map")
+    place.plot(
+        *X[[i, j], :2].T, "o-", color=REJECTED, linewidth=2, alpha=0.2 + 0.8 * bool(w), label="the wrong closure"
+    )
     low, high = T[:, :2].min(axis=0) - 1.5, T[:, :2].max(axis=0) + 1.5
     place.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[], aspect="equal")
     figure.legend(*place.get_legend_handles_labels(), loc="lower right", bbox_to_anchor=(0.96, 0.04), frameon=False)
     error = np.sqrt(np.mean(np.sum((X - T)[:, :2] ** 2, axis=1)))
     place.set_title(f"weight of the wrong closure: {w:.2g}" if w else "the wrong closure is gone")
     dof = 3 * (sum(map(len, world.graph.factors)) - len(X) + 1)
-    bars.bar([0], [chi2 / dof], color=INK)
+    bars.bar([0], [chi2 / dof], color=ESTIMATE)
     bars.axhline(1, color="0.65", linestyle="--", linewidth=1.5)
     bars.text(1.05, 1, "expected", transform=bars.get_yaxis_transform(), va="center", fontsize=9, color="0.4")
     bars.set(xticks=[], ylim=(0.5, 200), yscale="log", ylabel="chi2 / dof of the others")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.style import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
 
 __all__ = ["convergence"]
-
-CHI2, UPDATE = "#0b4f6c", "#e07a2f"
 
 
 def convergence(result: Result, axes: Axes | None = None) -> Figure:
@@ -37,17 +36,17 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     number = [iteration.number for iteration in result.history]
     chi2 = np.array([iteration.chi2 for iteration in result.history])
     positive = bool((chi2 > 0).all())
-    (first,) = (axes.semilogy if positive else axes.plot)(number, chi2, "o-", color=CHI2, label="chi2")
+    (first,) = (axes.semilogy if positive else axes.plot)(number, chi2, "o-", color=SERIES[0], label="chi2")
     axes.set_xlabel("iteration")
-    axes.set_ylabel("chi2", color=CHI2)
+    axes.set_ylabel("chi2", color=SERIES[0])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     lines = [first]
     if len(number) > 1:
         twin = axes.twinx()
         (second,) = twin.semilogy(
-            number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=UPDATE, label="max |dx|"
+            number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=SERIES[1], label="max |dx|"
         )
-        twin.set_ylabel("max |dx|", color=UPDATE)
+        twin.set_ylabel("max |dx|", color=SERIES[1])
         lines.append(second)
     axes.legend(handles=lines, loc="upper right")
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")

@@ -18,6 +18,7 @@ from factors.keys import Keys, Kind
 from models.options import check_between, check_whole
 from nls.covariance.ellipse import outlines
 from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.style import ELLIPSE, LANDMARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ellipses"]
 
-POSE, POINT = "#8e3a80", "#3f8f4f"  # not the color of the trajectory they lie on
 MOST = 120  # of one kind, where it is not said how many
 VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
 
@@ -97,7 +97,7 @@ def ellipses(
         if north_up:
             position, Sigma = position[:, [1, 0, *range(2, position.shape[1])]], Sigma[:, ::-1, ::-1]
         pose = stack.manifold.dim > position.shape[1]
-        style = {"color": POSE if pose else POINT, "linewidth": 0.8}
+        style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
         label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}"
         label += "" if scale == 1 else f", {scale:g} times as large"
         _outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)

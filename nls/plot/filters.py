@@ -20,7 +20,8 @@ from models import LINE
 from nls.covariance.ellipse import outlines
 from nls.covariance.frames import axes as axes_of
 from nls.covariance.frames import turned
-from nls.plot.ellipses import POINT, POSE, _outlines
+from nls.plot.ellipses import _outlines
+from nls.plot.style import ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -34,9 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["estimator_figure", "power_laws", "several"]
 
-TRUE, PATH = "#202020", "#0b4f6c"
 BELOW = "0.82"  # of a true track, wide under the estimate
-COLORS = ("#0b4f6c", "#e07a2f", "#8e3a80", "#3f8f4f", "#c03a4a", "#7a6a2b", "#4a8fc0")
 EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 ROOM = 1.1  # above the highest line
@@ -87,14 +86,14 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
     """
     manifold = track.manifold
     axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
-    axes.plot(*manifold.position(track.X).T, color=PATH, linewidth=1.0, label=track.method)
+    axes.plot(*manifold.position(track.X).T, color=ESTIMATE, linewidth=1.0, label=track.method)
     shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
     J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
     _outlines(
         axes,
         manifold.position(track.X[shown]),
         outlines(turned(J, track.P[shown])),
-        color=POSE,
+        color=ELLIPSE,
         linewidth=0.8,
         label="95 % of the vehicle",
     )
@@ -102,17 +101,19 @@ def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
         stack = track.values.stack(track.landmarks.kind)
         L = track.values[track.landmarks]
         if stack.manifold is LINE:
-            for values, style in ((truth.stack(stack.kind).X, {"color": TRUE}), (L, {"color": POINT, "ls": "--"})):
+            for values, style in ((truth.stack(stack.kind).X, {"color": TRUE}), (L, {"color": LANDMARK, "ls": "--"})):
                 for alpha, r in values:
                     normal = np.array([np.cos(alpha), np.sin(alpha)])
                     axes.axline(r * normal, r * normal + (-normal[1], normal[0]), linewidth=0.6, **style)  # type: ignore[arg-type]
         else:
             axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=9, label="true landmarks")
-            axes.plot(*L.T, ".", color=POINT, markersize=4)
-            _outlines(axes, L, outlines(track.P_landmarks), color=POINT, linewidth=0.8, label="95 % of the landmarks")
+            axes.plot(*L.T, ".", color=LANDMARK, markersize=4)
+            _outlines(
+                axes, L, outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label="95 % of the landmarks"
+            )
             for number, place in zip(track.landmarks.numbers.tolist(), L, strict=True):
                 axes.annotate(
-                    f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=POINT, fontsize=8
+                    f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=LANDMARK, fontsize=8
                 )
     axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
@@ -123,9 +124,9 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
     """Sigma of the pose against the step: m on the left, deg on the right."""
     sigma = _sigmas(track)
     for k, (name, unit) in enumerate(BODY[:2]):
-        axes.plot(track.x.numbers, sigma[:, k], color=COLORS[k], linewidth=1.0, label=f"{name} [{unit}]")
+        axes.plot(track.x.numbers, sigma[:, k], color=SERIES[k], linewidth=1.0, label=f"{name} [{unit}]")
     right = axes.twinx()
-    right.plot(track.x.numbers, sigma[:, 2], color=COLORS[2], linewidth=1.0, linestyle="--", label="heading [deg]")
+    right.plot(track.x.numbers, sigma[:, 2], color=SERIES[2], linewidth=1.0, linestyle="--", label="heading [deg]")
     axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
     right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
     (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
@@ -137,8 +138,8 @@ def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
     e = UNITS * track.manifold.local(track.X, truth[track.x])
     sigma = _sigmas(track)
     for k, (axes, (name, unit)) in enumerate(zip(rows, BODY, strict=True)):
-        axes.fill_between(track.x.numbers, -3 * sigma[:, k], 3 * sigma[:, k], color=PATH, alpha=0.15, linewidth=0)
-        axes.plot(track.x.numbers, e[:, k], color=PATH, linewidth=0.8)
+        axes.fill_between(track.x.numbers, -3 * sigma[:, k], 3 * sigma[:, k], color=ESTIMATE, alpha=0.15, linewidth=0)
+        axes.plot(track.x.numbers, e[:, k], color=ESTIMATE, linewidth=0.8)
         axes.set_ylabel(f"{name} [{unit}]", fontsize=8)
         axes.margins(x=0)
     rows[0].set_title("errors and 3 sigma")
@@ -159,7 +160,7 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     line = track.values.stack(track.landmarks.kind).manifold is LINE
     right = axes.twinx() if line else None
     for k, (number, (at, variances)) in enumerate(sorted(by_landmark.items())):
-        variance, style = np.array(variances), {"color": COLORS[k % len(COLORS)], "linewidth": 1.0}
+        variance, style = np.array(variances), {"color": SERIES[k % len(SERIES)], "linewidth": 1.0}
         sigma = np.sqrt(variance[:, 1] if line else variance.mean(axis=1))
         axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
         if right is not None:
@@ -200,7 +201,7 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     q = manifold.position(truth[x])
     places.plot(*q.T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     for k, track in enumerate(tracks):
-        style = {"color": COLORS[k % len(COLORS)], "linewidth": 0.9, "label": track.method}
+        style = {"color": SERIES[k % len(SERIES)], "linewidth": 0.9, "label": track.method}
         p, steps = manifold.position(track.X), track.x.numbers
         places.plot(*p.T, **style)
         errors.plot(steps, np.linalg.norm(p - q, axis=1), **style)
@@ -240,7 +241,7 @@ def power_laws(
 
     figure = Figure(figsize=(6 * len(panels), 5), layout="constrained")
     for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
-        for color, (n, y, _) in zip(COLORS, lines.values(), strict=False):
+        for color, (n, y, _) in zip(SERIES, lines.values(), strict=False):
             axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)
             axes.loglog(n[-fitted:], y[-fitted:], color=color, linewidth=3.0)
         axes.set(title=title, xlabel=xlabel)
@@ -249,7 +250,7 @@ def power_laws(
         axes.set_xlim(right=20 * right)  # the words in one column, none above another
         axes.set_ylim(top=np.exp(high + 0.1 * (high - low)))
         place = -np.inf
-        ends = zip([y[-1] for _, y, _ in lines.values()], lines, COLORS, strict=False)
+        ends = zip([y[-1] for _, y, _ in lines.values()], lines, SERIES, strict=False)
         for y_end, name, color in sorted(ends):
             p = lines[name][2]
             place = max(float(np.log(y_end)), place + 0.06 * (high - low))

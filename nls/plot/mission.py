@@ -12,6 +12,7 @@ import numpy as np
 
 from factors.keys import kinds
 from nls.plot.ellipses import ellipses, visible_scale
+from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import closures
 
 if TYPE_CHECKING:
@@ -26,13 +27,12 @@ if TYPE_CHECKING:
 
 __all__ = ["landmark_map", "plan", "track"]
 
-SOLUTION, DEAD, TRUE, POINT = "#0b4f6c", "#e07a2f", "#202020", "#3f8f4f"
 HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
 THOUSAND = 1e3  # m, from which three digits would be written as a power of ten
 WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
 VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
-MANY = 150  # lines; the more there are, the fainter
+MANY = 250  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
 x, l = kinds("x", "l")
 
@@ -61,16 +61,16 @@ def track(
 
     figure = Figure(figsize=(11, 5.8) if errors else (7, 5.8), layout="constrained")
     axes = figure.subplots(1, 2 if errors else 1, squeeze=False)[0]
-    _path(axes[0], dead, color=DEAD, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
+    _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
         _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
-    _path(axes[0], values, color=SOLUTION, linewidth=1.0, label="solution")
+    _path(axes[0], values, color=ESTIMATE, linewidth=1.0, label="solution")
     if marginals is not None:
         ellipses(marginals, axes[0], scale=visible_scale(marginals, ["x"]), kind=x, north_up=True)
     axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
     axes[0].set_aspect("equal", adjustable="datalim")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
-    for (name, error), color in zip((errors or {}).items(), (DEAD, SOLUTION), strict=False):
+    for (name, error), color in zip((errors or {}).items(), (BEFORE, ESTIMATE), strict=False):
         axes[1].plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
         axes[1].set(xlabel="distance travelled [m]", ylabel=f"away from the {error.against} [m]", title="Along the way")
         axes[1].legend(loc="best", fontsize=8)
@@ -125,10 +125,12 @@ def landmark_map(
         P = points[:, rows]
         if truth is not None and "l" in truth.stacks:
             ax.plot(*truth[l][:, rows].T, "+", color=TRUE, markersize=5, alpha=0.5, label="truth")
-        ax.plot(*path[:, rows].T, color=SOLUTION, linewidth=0.8, label="track")
+        ax.plot(*path[:, rows].T, color=ESTIMATE, linewidth=0.8, label="track")
         if not known.all():
             unknown = "landmark" if not known.any() else "landmark, elevation free"
-            ax.scatter(P[~known, 0], P[~known, 1], s=12, facecolors="none", edgecolors=POINT, zorder=3, label=unknown)
+            ax.scatter(
+                P[~known, 0], P[~known, 1], s=12, facecolors="none", edgecolors=LANDMARK, zorder=3, label=unknown
+            )
         if known.any():
             ends = np.stack([points - reach, points + reach], axis=1)[known][:, :, rows]
             ax.add_collection(LineCollection(list(ends), colors="0.45", linewidths=0.9, label="one sigma of elevation"))
@@ -178,16 +180,16 @@ def plan(graph: FactorGraph, values: Values) -> Figure:
     points = values[l] if "l" in values.stacks else np.zeros((0, 3))
     sights, _ = closures(graph, values, {"x", "l"})
     figure, panels = _views(np.concatenate([path, points]))
-    sight = {"colors": "0.4", "alpha": min(0.3, MANY / max(len(sights), 1))}
+    sight = {"colors": SIGHT, "alpha": min(0.5, MANY / max(len(sights), 1))}
     for ax, rows in zip(panels, VIEWS, strict=True):
         ax.add_collection(LineCollection([ends[:, rows] for ends in sights], linewidths=0.4, zorder=1, **sight))
-        ax.plot(*points[:, rows].T, ".", color=POINT, markersize=4, label=f"{len(points):,} landmarks")
-        ax.plot(*path[:, rows].T, color=SOLUTION, linewidth=1.6, label=f"track, {len(path):,} poses")
-        ax.plot(*path[:1, rows].T, "o", color=SOLUTION, markersize=5, label="first pose")
+        ax.plot(*points[:, rows].T, ".", color=LANDMARK, markersize=4, label=f"{len(points):,} landmarks")
+        ax.plot(*path[:, rows].T, color=ESTIMATE, linewidth=1.6, label=f"track, {len(path):,} poses")
+        ax.plot(*path[:1, rows].T, "o", color=ESTIMATE, markersize=5, label="first pose")
     panels[0].set_title("From above")
     handles, labels = panels[1].get_legend_handles_labels()
     if len(sights):
-        handles.append(LineCollection([], colors="0.4", alpha=0.5))
+        handles.append(LineCollection([], colors=SIGHT))
         labels.append("lines of sight")
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
     return figure

@@ -13,6 +13,7 @@ import numpy as np
 
 from models import SE3
 from models.alignment import align
+from nls.plot.style import BEFORE, ESTIMATE, SIGHT, TRUE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["rig_before_after"]
 
-TRUE, BEFORE, AFTER = "#202020", "#e07a2f", "#0b4f6c"
 MANY, MOST = 20, 1000  # frusta, and points with their errors; of more an evenly spaced part is drawn
 LONGER, LONGEST = (1, 2, 5, 10, 20, 50, 100), 0.2  # how many times as long errors are drawn, up to a part of the width
 DEEP = 0.08  # of the width of the scene: the frustum of a camera
@@ -69,7 +69,7 @@ def rig_before_after(
     shown = "" if drawn == count else f" of {drawn} of {count} points"
     for ax, name, moved in zip(axes, ("raw", "optimized"), aligned, strict=False):
         lines = _map(ax, truth, moved, camera, times, norm)
-        ax.set_title(name, fontsize=15, color=BEFORE if name == "raw" else AFTER, fontweight="bold")
+        ax.set_title(name, fontsize=15, color=BEFORE if name == "raw" else ESTIMATE, fontweight="bold")
     for ax in axes[:2]:  # the same view
         ax.set(xlim=_union(ax_.get_xlim() for ax_ in axes[:2]), ylim=_union(ax_.get_ylim() for ax_ in axes[:2]))
     bar = figure.colorbar(lines, ax=axes[:2], location="bottom", extend="both", shrink=0.6, aspect=40, pad=0.02)
@@ -148,9 +148,9 @@ def _numbers(axes: Axes, changes: Mapping[str, tuple[float, float]]) -> None:
             "",
             (after, row),
             (before, row),
-            arrowprops={"arrowstyle": "-|>", "color": "#9a9a9a", "lw": 2, "mutation_scale": 20, "shrinkB": 6},
+            arrowprops={"arrowstyle": "-|>", "color": SIGHT, "lw": 2, "mutation_scale": 20, "shrinkB": 6},
         )
-        for value, color in ((before, BEFORE), (after, AFTER)):
+        for value, color in ((before, BEFORE), (after, ESTIMATE)):
             axes.plot(value, row, "o", color=color, markersize=10, zorder=3)
             axes.annotate(
                 f"{value:.2g}", (value, row), (0, 11), textcoords="offset points", ha="center", color=color, fontsize=13

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models import SE2
+from nls.plot.style import BEFORE, CLOSURE, ECHO, ESTIMATE, REJECTED, TRUE
 from nls.sonar.scans.scans import in_world
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["scan_map"]
 
-SOLUTION, DEAD, TRUE, POINT, KEPT, REJECTED = "#0b4f6c", "#e07a2f", "#000000", "#8b9196", "#2a9d4a", "#d1383d"
 LONG, SHORT = 9.0, 4.5  # inches of the map
 MOST = 200_000  # points that are drawn
 MARKS = 5e4  # square points of ink that all points of the scans have together
@@ -59,12 +59,12 @@ def scan_map(
     axes = figure.add_subplot()
     size = float(np.clip(MARKS / max(len(points), 1), 0.8, 4.0))
     drawn = points[:: max(1, -(-len(points) // MOST))]
-    axes.scatter(drawn[:, 0], drawn[:, 1], s=size, color=POINT, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
-    axes.plot(*dead[:, :2].T, color=DEAD, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
+    axes.scatter(drawn[:, 0], drawn[:, 1], s=size, color=ECHO, alpha=0.35, linewidths=0, rasterized=True, zorder=1.5)
+    axes.plot(*dead[:, :2].T, color=BEFORE, linewidth=1.0, linestyle="--", alpha=0.6, label="dead reckoning")
     if matches is not None:
         rejected = matches.accepted & ~matches.kept
         _joined(axes, poses, matches, rejected, REJECTED, 0.35, f"{int(rejected.sum())} closures rejected")
-        _joined(axes, poses, matches, matches.kept, KEPT, 0.45, f"{int(matches.kept.sum())} closures kept")
+        _joined(axes, poses, matches, matches.kept, CLOSURE, 0.45, f"{int(matches.kept.sum())} closures kept")
     title = f"{len(poses):,} keyframes, {len(points):,} points"
     if truth is not None:
         error = truth.ate(poses)
@@ -76,13 +76,13 @@ def scan_map(
             label="truth, aligned",
         )
         title = f"{error.rmse:.2f} m rmse from the truth, dead reckoning {truth.ate(dead).rmse:.2f} m"
-    axes.plot(*poses[:, :2].T, color=SOLUTION, linewidth=1.6, label="solution")
-    axes.plot(*poses[0, :2], "o", color=SOLUTION, markersize=5, label="start")
+    axes.plot(*poses[:, :2].T, color=ESTIMATE, linewidth=1.6, label="solution")
+    axes.plot(*poses[0, :2], "o", color=ESTIMATE, markersize=5, label="start")
     margin = 0.03 * side.max()
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
-    points_of_legend = axes.scatter([], [], s=9, color=POINT, label="points of the scans")
+    points_of_legend = axes.scatter([], [], s=9, color=ECHO, label="points of the scans")
     handles, _ = axes.get_legend_handles_labels()
     handles = [points_of_legend, *(handle for handle in handles if handle is not points_of_legend)]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8)

@@ -16,6 +16,7 @@ from models import SE3
 from models.errors import GraphError
 from models.sensors import ImagingSonar, cartesian, plane_projection
 from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.style import ARC, CONTACT, LANDMARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["arcs", "fan_image", "polar_image"]
 
-ARC, LANDMARK, CONTACT = "#e07a2f", "#3f8f4f", "#3aa0d8"
 ALONG = 33  # points an arc is drawn through
 
 

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from nls.linear import default_solver, factorize
 from nls.linear.singular import SingularSystemError
+from nls.plot.style import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["spy"]
 
 LABELS = 40  # with more variables than this the axes count columns instead of naming them
-INK, FILL = "#0b4f6c", "#e07a2f"
 
 
 def spy(system: LinearSystem) -> Figure:
@@ -52,12 +52,12 @@ def spy(system: LinearSystem) -> Figure:
 
     figure = Figure(figsize=(13, 4.8), layout="constrained")
     axes = figure.subplots(1, 3)
-    _dots(axes[0], sp.coo_array(system.A), INK)
+    _dots(axes[0], sp.coo_array(system.A), SERIES[0])
     axes[0].set_title(f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers")
-    _dots(axes[1], sp.coo_array(H), INK)
+    _dots(axes[1], sp.coo_array(H), SERIES[0])
     axes[1].set_title(f"H = A'A: {H.nnz} numbers")
-    _dots(axes[2], sp.coo_array(R), FILL)
-    _dots(axes[2], sp.coo_array(sp.triu(ordered)), INK)
+    _dots(axes[2], sp.coo_array(R), SERIES[1])
+    _dots(axes[2], sp.coo_array(sp.triu(ordered)), SERIES[0])
     fill = R.nnz - sp.triu(ordered).nnz
     of_damped = "of H + D, as something is free" if D is not None else "reordered"
     axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in")

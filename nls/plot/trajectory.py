@@ -9,6 +9,7 @@ import numpy as np
 
 from nls.gauge import placeless_kinds
 from nls.plot.axes import axes_or_new, figure_of
+from nls.plot.style import CLOSURE, ESTIMATE, LANDMARK, SIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["before_after", "closures", "trajectory"]
 
-PATH, CLOSURE, POINT = "#0b4f6c", "#e07a2f", "#3f8f4f"
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
@@ -89,17 +89,17 @@ def trajectory(
     segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
-        name, alpha = ("measurements", 0.15) if points else ("loop closures", 0.45)  # of points there are many
-        _lines(axes, segments, color=CLOSURE, linewidth=0.6, alpha=alpha, label=name)
+        name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
+        _lines(axes, segments, color=color, linewidth=0.6, alpha=0.3 if points else 0.5, label=name)
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
         if X.shape[1] != dim:
             continue
         if stack.manifold.dim > dim:
-            axes.plot(*X.T, color=PATH, linewidth=1.0, label="trajectory")
-            axes.plot(*X[:1].T, "o", color=PATH, markersize=5)
+            axes.plot(*X.T, color=ESTIMATE, linewidth=1.0, label="trajectory")
+            axes.plot(*X[:1].T, "o", color=ESTIMATE, markersize=5)
         else:
-            axes.plot(*X.T, "*", color=POINT, markersize=5, label=stack.kind)
+            axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if marginals is not None:
         ellipses(marginals, axes, every=every)
     axes.set_xlabel("x [m]")

@@ -12,7 +12,8 @@ from models.errors import GraphWarning, OptionError, UnderconstrainedError
 from nls import FactorGraph, GaussNewton, Marginals, Optimizer, Result, Stop, Values, kinds
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
-from nls.plot.filters import COLORS, estimator_figure, several
+from nls.plot.filters import estimator_figure, several
+from nls.plot.style import SERIES
 from sim.compare import compare, compared_rows, monte_carlo_rows
 from sim.estimators import ESTIMATORS, SCENES, batch, errors, estimator, followed, of_seed, tracked
 from tests.combinations import for_all
@@ -197,7 +198,7 @@ def test_picture_of_several(world: sim.LandmarkWorld) -> None:
         np.testing.assert_allclose(
             np.square(sigmas.lines[k].get_ydata()), 4.5 * np.trace(track.P[:, :2, :2], axis1=1, axis2=2)
         )
-        assert away.lines[k].get_color() == COLORS[k]
+        assert away.lines[k].get_color() == SERIES[k]
     assert [line.get_ydata()[0] for line in nees.lines[2:]] == list(nees_bounds(3, 1))
 
 

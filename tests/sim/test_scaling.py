@@ -11,7 +11,8 @@ import pytest
 import sim.scaling
 from models.errors import OptionError
 from nls import kinds
-from nls.plot.filters import COLORS, power_laws
+from nls.plot.filters import power_laws
+from nls.plot.style import SERIES
 from sim.estimators import errors, tracked
 from sim.scaling import AGAIN, Cost, circuit, costs, exponent, scaling_rows
 from tests.sim.commands import refused, table
@@ -117,7 +118,7 @@ def test_the_picture() -> None:
     np.testing.assert_array_equal(axes.lines[1].get_xydata(), np.transpose([n, y])[1:])  # thick: what is fitted
     words = {text.get_text(): (text.get_color(), text.get_position()) for text in axes.texts}
     assert list(words) == ["one, slope 1.00", "other"]
-    assert [color for color, _ in words.values()] == list(COLORS[:2])
+    assert [color for color, _ in words.values()] == list(SERIES[:2])
     (_, low), (_, high) = (place for _, place in words.values())
     assert high > 1.05 * low  # 0.40 and 0.41 would lie on each other
 

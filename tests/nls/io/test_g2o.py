@@ -14,7 +14,7 @@ from factors import Information
 from models import SE2
 from nls import GraphError, GraphFileError, GraphWarning, OptionError, kinds, load
 from nls.io.read import read_graph
-from nls.plot.trajectory import _closures
+from nls.plot.trajectory import closures
 from tests.combinations import for_all
 from tests.nls.graphs import distance
 from tests.nls.io.g2o_files import (
@@ -235,4 +235,4 @@ def test_neighbors_of_extreme_ids() -> None:
     low, high = -(2**63), 2**63 - 1
     edges = [(low, high), (high, low), (low, low + 1), (high, high - 1), (high, 0), (0, low)]
     graph, values, _ = read("\n".join(f"EDGE_SE2 {i} {j} 1 0 0 {INFORMATION_2}" for i, j in edges))
-    assert _closures(graph, values, set(values.stacks))[1] == 4
+    assert closures(graph, values, set(values.stacks))[1] == 4

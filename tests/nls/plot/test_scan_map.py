@@ -9,7 +9,8 @@ import numpy as np
 from factors.keys import kinds
 from models import SE2
 from nls.io.scan_mission import Truth, read_scan_mission
-from nls.plot.scan_map import KEPT, REJECTED, scan_map
+from nls.plot.scan_map import scan_map
+from nls.plot.style import CLOSURE, REJECTED
 from nls.sonar.scans import close
 from tests.nls.io.scan_mission.rooms import room, track, write
 
@@ -37,7 +38,7 @@ def test_what_is_drawn(tmp_path: Path) -> None:
     kept = int(matches.kept.sum())
     assert {*closures} == {f"{rejected} closures rejected", f"{kept} closures kept"}
     for label, color, alpha, count in (
-        (f"{kept} closures kept", KEPT, 0.45, kept),
+        (f"{kept} closures kept", CLOSURE, 0.45, kept),
         (f"{rejected} closures rejected", REJECTED, 0.35, rejected),
     ):
         lines_of = closures[label]

@@ -1,0 +1,27 @@
+"""The colors of all pictures: one thing has one color, and those that meet differ in lightness, too."""
+
+__all__ = [
+    "ARC",
+    "BEFORE",
+    "CLOSURE",
+    "CONTACT",
+    "ECHO",
+    "ELLIPSE",
+    "ESTIMATE",
+    "LANDMARK",
+    "REJECTED",
+    "SERIES",
+    "SIGHT",
+    "TRUE",
+]
+
+ESTIMATE = "#0b4f6c"  # the solution, its track
+BEFORE = "#e07a2f"  # what was there before it: dead reckoning, a start
+TRUE = "#202020"
+LANDMARK = "#3f8f4f"
+ELLIPSE = "#8e3a80"  # of poses; not the color of the track they lie on
+CLOSURE, REJECTED = "#4caf50", "#c03a4a"  # pairs of poses that are not neighbors
+CONTACT, ARC = "#3aa0d8", "#e07a2f"  # of a sonar, and where its target may be
+ECHO = "#8b9196"  # points of scans
+SIGHT = "#9a9a9a"  # lines from sensor to landmark
+SERIES = (ESTIMATE, BEFORE, ELLIPSE, LANDMARK, REJECTED, "#7a6a2b", "#4a8fc0")  # of several alike
