@@ -22,7 +22,6 @@ import subprocess  # noqa: E402
 import sys  # noqa: E402
 import tempfile  # noqa: E402
 from collections.abc import Callable  # noqa: E402
-from itertools import cycle  # noqa: E402
 from pathlib import Path  # noqa: E402
 from time import process_time  # noqa: E402
 from typing import Any  # noqa: E402
@@ -58,20 +57,14 @@ class Piece:
         from nls.sparse.pattern import Pattern
 
         self.world = make(np.random.default_rng(1))
-        other = make(np.random.default_rng(2))  # the order of the latest graph is remembered: two in turn never find it
-        self.solver = default_solver()
-        patterns = []
-        for world in (self.world, other):
-            graph, values = world.graph, world.truth
-            pattern = Pattern(graph.factors, values)
-            held = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values)).held
-            patterns.append(pattern.holding(held))
-        self.turns = cycle(patterns)
-        self.held, self.pattern = patterns[0].held, patterns[0]
+        graph, values = self.world.graph, self.world.truth
+        pattern = Pattern(graph.factors, values)
+        self.held = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values)).held
+        self.pattern = pattern.holding(self.held)
         from nls.system import LinearSystem
 
         self.system = LinearSystem.at(self.pattern, self.world.truth)
-        self.state, self.S = self.solver.analyze(self.pattern).factorization, self.system.H_blocks
+        self.state, self.S = default_solver().analyze(self.pattern).factorization, self.system.H_blocks
         self.H = self.state.hessian.matrix(self.S)  # lower triangle, in the order of elimination
         self.A = sp.csc_array(self.system.A)
         self.edges = len(self.world.graph)
@@ -82,7 +75,11 @@ class Piece:
         return Pattern(self.world.graph.factors, self.world.truth, self.held).blocks
 
     def analyze(self) -> object:
-        return self.solver.analyze(next(self.turns))
+        from nls.sparse.hessian import Hessian
+
+        blocks = self.pattern.blocks
+        hessian = Hessian(self.state.hessian.elimination, blocks.dims, blocks.diagonal, blocks.off)  # none that is kept
+        return type(self.state.decomposition)(hessian)
 
     def linearize(self) -> object:
         from nls.system import LinearSystem

@@ -135,7 +135,9 @@ class FactorGraph:
                 f"as it has measurements, got {got}"
             )
         factors = [f if m.all() else f[m] for f, m in zip(self.factors, arrays, strict=True) if m.any()]
-        return FactorGraph(factors, self.fixed)
+        graph = FactorGraph(factors, self.fixed)
+        graph._pattern = self._pattern  # serves it where nothing is left out
+        return graph
 
     def chi2(self, values: Values) -> float:
         """|b|^2 at the values, without one-half; with robust kernels the sum of their costs rho(|b_i|^2)."""

@@ -1,7 +1,8 @@
 """Lines, tags and numbers of a text file by whole-array operations: lines are split, never looped over in Python.
 
-Numbers are read all at once (`nls.io.decimals`). The few that have more digits or another form are matched against the
-grammar of a decimal number and go to Python's float(), which also takes "nan", "1_0" and the digits of other scripts.
+Numbers are read all at once (`nls.io.decimals`). The few of another form or of more than 19 digits, and those next to
+the middle of two floating-point numbers, are matched against the grammar of a decimal number and go to Python's
+float(), which also takes "nan", "1_0" and the digits of other scripts.
 """
 
 from __future__ import annotations

@@ -43,9 +43,12 @@ def reused(problem: Problem, X: Values, system: LinearSystem, watch: Watch) -> t
 
 
 def _nearly(watch: Watch) -> bool:
-    """Whether little is left to gain, if the next step gets shorter as the latest did; chi2 falls by its square."""
+    """Whether little is left to gain, if the next step gets shorter as the latest did; chi2 falls by its square.
+
+    After a first step that gained little there is less to gain: it began near the optimum.
+    """
     if len(watch.history) < 3:
-        return False
+        return len(watch.history) == 2 and _small(watch.fall, watch)
     before, update = watch.history[-2].update, watch.history[-1].update
     return update < SHORTER * before and _small(watch.fall * (update / before) ** 2 / 10, watch)
 

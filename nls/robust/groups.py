@@ -6,7 +6,8 @@ A_g its rows at the optimum and P the covariance there, it has the statistic
     t_g = b_g' (I - A_g P A_g')^-1 b_g,
 
 which is chi2 distributed with as many degrees of freedom as it has rows, if its closures are right: for a linear
-problem it is what chi2 falls by when the group is taken out. No other solution is needed for it.
+problem it is what chi2 falls by when the group is taken out. No other solution is needed for it. The P of all groups
+come out of one selected inverse: solving for the columns of 300 groups of city10000 takes 22 s, this 1.
 
 The same matrix tells how much that statistic can say. A closure c of the group is predicted by the rest with the
 covariance S_c, in the units of its own noise the block of c in (I - A_g P A_g')^-1. A wrong closure that says anything
@@ -30,7 +31,8 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
-from nls.covariance import Marginals
+from nls.analysis.motions import cross_covariances
+from nls.graph import FactorGraph
 from nls.optimizers import Result
 from nls.robust.consistency import Neighbors, unit_variance
 from nls.robust.loop_graph import LoopGraph
@@ -83,22 +85,42 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     b = np.concatenate([b for _, b in rows])[~poses.odometry]
     A = [np.concatenate([sides[slot] for sides, _ in rows])[~poses.odometry] for slot in (0, 1)]
     ends = [poses.i[~poses.odometry], poses.j[~poses.odometry]]
-    marginals, numbers = Marginals(graph, values), values.stacks[poses.kinds[0]].numbers
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
     groups = _judgeable(loops.neighbors, accepted)
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))
-    for members in groups[:MANY]:
+    del groups[MANY:]
+    touched = [np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True) for members in groups]
+    for members, (nodes, place), P in zip(
+        groups, touched, _joint(graph, values, loops, [n for n, _ in touched]), strict=True
+    ):
         k = len(members)
-        nodes, place = np.unique(np.concatenate([end[members] for end in ends]), return_inverse=True)
         blocks = np.zeros((k, d, len(nodes), d))
         for block, at in zip(A, np.split(place, 2), strict=True):
             blocks[np.arange(k), :, at] = block[members]
-        P = marginals.joint(Keys(poses.kinds[0], numbers[nodes]), frame="body").matrix
         A_g, b_g = blocks.reshape(k * d, -1), b[members].reshape(-1)
         S = np.linalg.inv(np.eye(k * d) - A_g @ P @ A_g.T)
         own = S.reshape(k, d, k, d)[np.arange(k), :, np.arange(k)]
         chance = np.exp(np.min(np.linalg.slogdet(own)[1] / 2 + volume[members]))
         yield Witness(members, float(b_g @ S @ b_g), min(float(chance), 1.0))
+
+
+def _joint(graph: FactorGraph, values: Values, loops: LoopGraph, groups: list[Index]) -> Iterator[Array]:
+    """The covariance (k d, k d) of each group of nodes (k,), in the axes of the body; one pass for all."""
+    kind, d = loops.poses.kinds[0], loops.poses.group.dim
+    numbers = values.stacks[kind].numbers
+    if not groups:
+        return
+    lower = [np.tril_indices(len(nodes)) for nodes in groups]
+    i, j = (np.concatenate([nodes[at[side]] for nodes, at in zip(groups, lower, strict=True)]) for side in (0, 1))
+    blocks = cross_covariances(graph, values, Keys(kind, numbers[i]), Keys(kind, numbers[j]))
+    begin = 0
+    for nodes, (row, column) in zip(groups, lower, strict=True):
+        k, end = len(nodes), begin + len(row)
+        P = np.empty((k, d, k, d))
+        P[row, :, column] = blocks[begin:end]
+        P[column, :, row] = blocks[begin:end].mT
+        begin = end
+        yield P.reshape(k * d, k * d)
 
 
 def _judgeable(neighbors: Neighbors, accepted: Mask) -> list[Index]:

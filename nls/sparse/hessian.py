@@ -8,8 +8,9 @@ scipy's A.T @ A: 10 ms.)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache, cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +20,7 @@ from models.errors import ResourceLimitError
 from nls.sparse.elimination import Elimination
 
 __all__ = ["Hessian", "triangle"]
+T = TypeVar("T")
 
 
 @cache
@@ -49,6 +51,7 @@ class Hessian:
 
     def __init__(self, elimination: Elimination, dims: Index, diagonal: Index, off: Index) -> None:
         self.elimination, self.dims = elimination, dims
+        self._analyses: dict[tuple[Callable[[Hessian, type], Any], type], Any] = {}
         e, V = elimination, len(dims)
         widths = dims[e.variables]
         starts = np.cumsum(widths) - widths
@@ -92,6 +95,17 @@ class Hessian:
             self.source[target] = source
         repeats = [(target.reshape(-1), source.reshape(-1)) for target, source, _ in entries(e.again, above[e.twin])]
         self._add = [np.concatenate(arrays) for arrays in zip(*repeats, strict=True)] or None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_analyses": {}}  # of programs whose objects do not leave the process
+
+    def analyzed(self, analyze: Callable[[Hessian, type], T], dtype: type) -> T:
+        """The analysis of this structure by a program, for numbers of a type: made at the first call, then kept."""
+        key = analyze, dtype
+        if key not in self._analyses:
+            self._analyses[key] = analyze(self, dtype)
+        analysis: T = self._analyses[key]
+        return analysis
 
     @cached_property
     def _on_diagonal(self) -> Index:

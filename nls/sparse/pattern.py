@@ -81,6 +81,8 @@ class Pattern:
             self.m = rows.stop
         ends = np.cumsum(self.dims)
         self.eliminations = Eliminations()
+        self._latest: Pattern | None = None  # with other variables held
+        self._hessian: Hessian | None = None
         self._sums = Scatter(
             [batch.slots for batch in self.batches], ends - self.dims, int(ends[-1]) if len(ends) else 0
         )
@@ -96,12 +98,15 @@ class Pattern:
         self._free_columns = np.flatnonzero(np.repeat(~held, self.dims)) if held.any() else None
 
     def holding(self, held: Mask) -> Pattern:
-        """The same rows and variables, with others of them held."""
-        pattern = copy(self)
-        for structure in ("structure", "blocks"):
-            pattern.__dict__.pop(structure, None)
-        pattern._hold(held)
-        return pattern
+        """The same rows and variables, with others of them held; the latest is kept, with its structure."""
+        if self._latest is None or not np.array_equal(self._latest.held, held):
+            pattern = copy(self)
+            for structure in ("structure", "blocks"):
+                pattern.__dict__.pop(structure, None)
+            pattern._latest = pattern._hessian = None
+            pattern._hold(held.copy())
+            self._latest = pattern
+        return self._latest
 
     def serves(self, factors: Sequence[Factor], values: Values) -> bool:
         """Whether it is the numbering of these factors over these variables, wherever they are."""
@@ -171,10 +176,18 @@ class Pattern:
         return Blocks(self.dims, self.held, [batch.slots for batch in self.batches])
 
     def hessian(self, order: Order | Index | None = None) -> Hessian:
-        """Structure of A'A over the free variables, eliminated in an order as for `Elimination`."""
+        """Structure of A'A over the free variables, eliminated in an order as for `Elimination`.
+
+        The latest is kept for the same function, with what linear solvers find out about it.
+        """
+        if self._hessian is not None and callable(order) and self._hessian.elimination.order is order:
+            return self._hessian
         blocks = self.blocks
         elimination = self.eliminations.of(blocks.u, blocks.v, len(blocks.dims), order)
-        return Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
+        hessian = Hessian(elimination, blocks.dims, blocks.diagonal, blocks.off)
+        if callable(order):
+            self._hessian = hessian
+        return hessian
 
     def _columns(self, variables: Index, d: int) -> Index:
         """Columns (k, d) of the components of variables, -1 where they are held."""

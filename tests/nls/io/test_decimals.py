@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from nls.io import decimals as module
 from nls.io import text as text_module
@@ -47,24 +51,94 @@ def test_all_lengths_and_points_are_read_here_and_to_the_bit() -> None:
     assert form.tolist() == [FRACTION if "." in word else WHOLE for word in words]
 
 
-def test_exponents_are_read_here_and_to_the_bit() -> None:
-    mantissas = ("1", "8.5017", "-3.25", "0.000123456", "+12345678.", ".5", "123456789.012345", "-0.0")
-    words = [f"{m}{e}{s}{x:02d}" for m, e, s, x in itertools.product(mantissas, "eE", "+-", (0, 1, 5, 6, 13))]
+def read_to_the_bit(words: list[str]) -> np.ndarray:
+    """The forms of the words; what is read has the bits of float()."""
     value, form = read(words)
     expected = np.array([float(word) for word in words])
-    assert (value.view(np.int64) == expected.view(np.int64)).all()
-    assert (form == FRACTION).all()
+    bits = [(word, x) for word, x, y, f in zip(words, value, expected, form, strict=True) if f and x.hex() != y.hex()]
+    assert not bits
+    return form
+
+
+def test_exponents_are_read_here_and_to_the_bit() -> None:
+    mantissas = ("1", "8.5017", "-3.25", "0.000123456", "+12345678.", ".5", "123456789.012345", "-0.10000000000000001")
+    exponents = (0, 1, 5, 6, 13, 22, 32)
+    words = [f"{m}{e}{s}{x:02d}" for m, e, s, x in itertools.product(mantissas, "eE", "+-", exponents)]
+    assert (read_to_the_bit(words) == FRACTION).all()
+
+
+@pytest.mark.parametrize("form", [".17g", ".16e", ".17f", "r"])
+def test_numbers_of_all_digits_are_read_here_and_to_the_bit(form: str) -> None:
+    numbers = np.random.default_rng(3).normal(size=3000) * 10.0 ** np.random.default_rng(4).integers(-5, 3, 3000)
+    words = [repr(x) if form == "r" else format(x, form) for x in numbers.tolist()]
+    assert (read_to_the_bit(words) == FRACTION).mean() > 0.98
+    assert max(map(len, words)) >= 22
+
+
+def test_long_numbers_with_the_point_anywhere() -> None:
+    """Three words: 17 to 24 characters, so many digits that fit 64 bits, zeros in front of others."""
+    rng, words = np.random.default_rng(12), list[str]()
+    for length in range(17, 25):
+        for point in range(-1, length):
+            digits = "0" * (length - 18) + "".join(map(str, rng.integers(1, 10, min(length, 18))))
+            word = digits if point < 0 else f"{digits[:point]}.{digits[point + 1 :]}"
+            words += [sign + word for sign in SIGNS]
+    form = read_to_the_bit(words)
+    assert len(words) > 400
+    assert (form == FRACTION).mean() > 0.97
+    assert (read(["1." + "0" * 22 + "1", "0" * 24 + "1"])[1] == UNREAD).all()
+
+
+def test_the_largest_integers_do_not_overflow() -> None:
+    largest = 1843 * 10**16
+    words = [f"{n + k * 10**p + 1}" for n in (largest, 2**64) for k in range(-9, 10) for p in range(2, 19)]
+    words += [word[:k] + "." + word[k:] for word in words for k in (1, 3, 4, 5, 12)]
+    form = read_to_the_bit(words)
+    assert 0.1 < (form == FRACTION).mean() < 0.3
+
+
+@given(st.floats(1e-12, 1e20), st.integers(17, 25), st.integers(-2, 2), st.sampled_from(["f", "e"]))
+def test_near_the_middle_of_two_numbers(x: float, digits: int, away: int, style: str) -> None:
+    """The middle of two neighbors, cut to some digits, and what is one or two of the last digit from there."""
+    with localcontext(prec=60):
+        middle = (Decimal(x) + Decimal(math.nextafter(x, math.inf))) / 2
+        near = Decimal(f"{middle:.{digits - 1}e}")
+        unit = Decimal((0, (1,), near.adjusted() - digits + 1))
+        words = [format(sign * (near + away * unit), style) for sign in (1, -1)]
+    read_to_the_bit([words[0], "7", words[1]])
+
+
+def test_a_number_in_the_middle_of_two_is_not_decided_here() -> None:
+    middles = [str(2 * k + 1) for k in np.random.default_rng(5).integers(2**52, 2**53, 50).tolist()]
+    assert not read_to_the_bit(
+        [*middles, *(f"{m}.0" for m in middles), *(f"{m[:-3]}.{m[-3:]}e+03" for m in middles)]
+    ).any()
+
+
+LONG = r"[+-]?([0-9]{0,12}\.[0-9]{1,12}|[0-9]{1,24})([eE][+-][0-9]{2})?"
+
+
+@given(st.lists(st.from_regex(LONG, fullmatch=True).filter(str.isascii), min_size=1, max_size=30))
+def test_words_of_every_kind_are_read_to_the_bit_or_not(words: list[str]) -> None:
+    read_to_the_bit(words)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=30))
+@example([5e-324, 2.2250738585072014e-308, 1.7976931348623157e308, 0.0, -0.0, 2.225073858507201e-308])
+def test_numbers_of_every_size_are_read_to_the_bit_or_not(numbers: list[float]) -> None:
+    read_to_the_bit([form.format(x) for x in numbers for form in ("{!r}", "{:.17g}", "{:.16e}", "{:.17f}")])
 
 
 SYNTAX = """- + . -. 1.2.3 1..2 --1 +-1 1-2 12345678.1234567.1 12.4567812.45678 e-05 .e-05 -.e-05 1e-5 1e-0x 1e-0. 1e-x5
-1e-.5 1ex05 1e005 1e.05 1-05 1e-23 1e+23 1.2.3e-05 9007199254740993 99999999999999999 0.123456789012345 nan x 1x x1 1/2
-12&5 1,5"""
+1e-.5 1ex05 1e005 1e.05 1-05 1e-51 1e+51 1.2.3e-05 99999999999999999999 1.2345678.12345678901 1.23456789012.45678901
+12345678901.34567.901 1234567890123456-8 .......1234567890123456 nan x 1x x1 1/2 12&5 1,5"""
 
 
 def test_words_that_are_not_read_here() -> None:
     for word in (*SYNTAX.split(), "", "\xa0", "\u0661", "1\x1e2", "1\x102", "\x00", "1\x00"):
         value, form = read(["12345678.9", word, "87654321"])
         assert form.tolist() == [FRACTION, UNREAD, WHOLE], word
+        assert read([f"-{word}e-05"])[1].tolist() == [UNREAD]
         assert value[[0, 2]].tolist() == [12345678.9, 87654321.0]
 
 

@@ -51,6 +51,33 @@ def test_they_end_where_full_steps_end_with_fewer_factorizations(group: LieGroup
     assert reused > 0
 
 
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_a_point_near_the_optimum_takes_one_factorization(group: LieGroup) -> None:
+    sample = pose_graph(group, n=40, start=0.1)
+    optimum = sample.graph.optimize(sample.values).values
+    near = optimum.retract(1e-5 * np.random.default_rng(1).normal(size=40 * group.dim))
+    kept, full = (sample.graph.optimize(near, method) for method in (None, GaussNewton()))
+    for result, count in ((kept, 1), (full, 2)):
+        assert sum("factorize" in h.seconds for h in result.history) == count
+        assert (result.converged, result.iterations) == (True, 2)
+    assert kept.chi2_final == pytest.approx(full.chi2_final, rel=1e-12)
+    assert distance(group, kept.values[x], full.values[x]) < 1e-8
+
+
+def test_none_is_tried_after_a_first_step_that_gained_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve_again, tried = Problem.solve_again, []
+
+    def counted(problem: Problem, system: LinearSystem) -> Array | None:
+        tried.append(system)
+        return solve_again(problem, system)
+
+    monkeypatch.setattr(Problem, "solve_again", counted)
+    sample = pose_graph(SE2, n=40, start=0.1)
+    result = sample.graph.optimize(sample.values)
+    assert not result.history[2].reused
+    assert len(tried) == result.reused > 0
+
+
 def test_the_last_of_them_is_not_linearized(monkeypatch: pytest.MonkeyPatch) -> None:
     linearize, points = Problem.linearize, []
 
