@@ -12,7 +12,7 @@ import numpy as np
 
 from factors.keys import kinds
 from nls.plot.ellipses import ellipses, visible_scale
-from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
+from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import closures
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ def track(
     values, dead : poses ``x`` of the solution and of dead reckoning.
     truth : true poses.
     marginals : covariances of the solution.
-    errors : tracks by what they are called, see `nls.io.mission.track_of`; their errors are drawn beside the map.
+    errors : tracks by what they are called, see `nls.io.mission.track_of`; their errors are drawn beside the map, and
+        with marginals the error to be expected, the root of the trace of the covariance of the position.
 
     Returns
     -------
@@ -73,6 +74,11 @@ def track(
     for (name, error), color in zip((errors or {}).items(), (BEFORE, ESTIMATE), strict=False):
         axes[1].plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
         axes[1].set(xlabel="distance travelled [m]", ylabel=f"away from the {error.against} [m]", title="Along the way")
+        axes[1].legend(loc="best", fontsize=8)
+    if errors and marginals is not None and marginals.underconstrained is None:
+        on = next(iter(errors.values()))
+        variance = np.trace(marginals.covariance(x[on.numbers], view="position"), axis1=1, axis2=2)
+        axes[1].plot(on.along, np.sqrt(variance), color=ELLIPSE, linestyle=":", label="solution, by its covariance")
         axes[1].legend(loc="best", fontsize=8)
     if errors:
         most = max([LEAST, *(float(error.error.max()) for error in errors.values())])

@@ -46,9 +46,14 @@ def test_the_track_from_above(solved: Solved) -> None:
     title = above.figure.get_suptitle()  # type: ignore[union-attr]
     assert title.startswith(f"After {errors['solution'].distance:.3g} m: dead reckoning ")
     assert title.endswith(f", solution {errors['solution'].end:.2g} m from the truth")
-    for line, name in zip(along.lines, errors, strict=True):
+    *judged, expected = along.lines
+    for line, name in zip(judged, errors, strict=True):
         assert np.array_equal(line.get_xydata(), np.column_stack([errors[name].along, errors[name].error]))
-    assert [line.get_label() for line in along.lines] == [f"{name}, against the truth" for name in errors]
+    assert [line.get_label() for line in judged] == [f"{name}, against the truth" for name in errors]
+    marginals, numbers = nls.Marginals(graph, values), errors["solution"].numbers
+    sigma = [np.sqrt(np.trace(marginals.covariance(x[int(k)], frame="world")[:3, :3])) for k in numbers]
+    np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
+    assert expected.get_label() == "solution, by its covariance"
     alone = track(values, dead)
     assert [line.get_label() for line in alone.axes[0].lines] == ["dead reckoning", "solution"]
     assert len(alone.axes) == 1
