@@ -79,7 +79,7 @@ def landmark_distances(
     if not len(d):
         return np.zeros(0), np.zeros(0)
     pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
-    P_X, P_l = _blocks(pings, estimate.marginals, pose, landmark)
+    P_X, P_l = _blocks(estimate, pose, landmark)
     spread = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT)
     I = np.eye(b.shape[1])
     d2, S = _quadratic(b, _inverse(I + 2 * spread)), I + spread
@@ -114,11 +114,11 @@ def _linearized(
     return pose, landmark, A, b
 
 
-def _blocks(pings: Pings, marginals: Marginals, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
+def _blocks(estimate: Estimate, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
     """Covariances (k, d, d) of poses and of landmarks."""
-    of_poses, of_landmarks = marginals.all(Kind(pose.kind), frame="body"), marginals.all(pings.kind)
-    values = marginals.values
-    return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(pings.kind).index(landmark)]
+    of_poses, of_landmarks = (estimate.marginals.all(Kind(kind), frame="body") for kind in (pose.kind, landmark.kind))
+    values = estimate.values
+    return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
 
 
 def _innovation_covariances(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index) -> Array:
@@ -131,7 +131,7 @@ def _innovation_covariances(pings: Pings, estimate: Estimate, d: Index, landmark
     together = [Between(u[apart], v[apart], np.zeros(dim), _no_information(dim))] if apart.any() else []
     joint = FactorGraph([*estimate.graph.factors, *nothing, *together], estimate.graph.fixed)
     marginals = Marginals(joint, estimate.values)
-    P_X, P_l = _blocks(pings, marginals, pose[p], u)
+    P_X, P_l = _blocks(estimate, pose[p], u)
     C = marginals.cross(pose, landmark, frame="body")
     if apart.any():
         P_l[other] = marginals.cross(u[other], v[other])
