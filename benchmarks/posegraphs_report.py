@@ -28,7 +28,8 @@ HEAD = [
     "- chi2: of the solution, evaluated here, in g2o's residual for everybody and in GTSAM's (Log, and the rotation "
     "information of a file taken 4 times as large in space); every solution is the optimum of its own cost",
     "- every contender reads the same plain g2o file: compressed ones were unpacked, and FR079 and the iSAM files "
-    "converted, beforehand",
+    "converted, beforehand; C++ programs read manhattan, CSAIL and kitti_00, which have edges only, with a start for "
+    "every pose added",
     "- peak: resident memory of the whole process at the end, libraries included",
 ]
 CALLS = "a Python function per edge is called back, which is where the time goes: it says nothing about"
@@ -36,6 +37,9 @@ PARTS = "ms and ratio are of start + optimize, on both sides"
 PEERS = {
     "gtsam": "gtsam: `readG2o`, a tight prior on the first pose, start from the file or chordal (in the plane LAGO, "
     "which refuses noise that is not diagonal), Gauss-Newton (GN) or Levenberg-Marquardt (LM), COLAMD or METIS",
+    "g2o_cpp": "g2o_cpp: g2o's C++ libraries, with CHOLMOD; own reader, start from the file or along a spanning tree",
+    "ceres_cpp": "ceres_cpp: Ceres' C++ library, with CHOLMOD; it has no reader and no pose-graph cost: both are in "
+    "`benchmarks/peers/ceres_driver.cpp`, with automatic derivatives; start from the file",
     "g2o": "g2o: the wheel registers no tag of the format (`load` returns True and reads nothing), so that a Python "
     f"loop builds its graph; {PARTS}",
     "pyceres": f"pyceres: has no pose-graph cost; {CALLS} Ceres in C++; sets below 1,500 edges only; {PARTS}",
@@ -53,7 +57,7 @@ def line(name: str, found: dict[str, Any]) -> str:
     said = [f"{name:20s}{found['edges']:7,} edges   leadline {ms(ours.get('total', np.nan)):>6s} ms"]
     for peer, ratio in found["ratio"].items():
         best = found["fastest"][peer]
-        said.append(f"{peer} {ms(found['runs'][peer][best]['total'])} ({best}) ratio {ratio:.2f}")
+        said.append(f"{peer} {ms(found['runs'][peer][best]['total'])} ({best}) ratio {ratio:.2f}, one thread")
     return "   ".join(said)
 
 
@@ -83,7 +87,8 @@ def write(results: dict[str, Any], folder: Path) -> None:
 def fastest(sets: dict[str, Any]) -> list[str]:
     """One row per set and library: its fastest variant that converged, and the ratio."""
     lines = [
-        "| set | edges | library | variant | ms | leadline / it | iterations | chi2 (g2o) | chi2 (GTSAM) | peak, MB |"
+        "| set | edges | library | variant | ms | leadline / it, one thread | iterations "
+        "| chi2 (g2o) | chi2 (GTSAM) | peak, MB |"
     ]
     lines.append("|:--|--:|:--|:--|--:|--:|--:|--:|--:|--:|")
     for name, found in sets.items():
