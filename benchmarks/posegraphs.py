@@ -5,6 +5,11 @@
 Loads, initializes and optimizes every public pose graph in the folder that LEADLINE_DATA names (without it: simulated
 worlds), with every contender of benchmarks/peers that is installed. The chi2 of every solution is evaluated here, in
 one convention for all and in the contender's own. Results: posegraphs.md, .json and .png.
+
+The C++ programs of g2o and Ceres are compiled where their headers are, and left out elsewhere:
+    Ceres    the package libceres-dev of Debian and Ubuntu, with g++ and libblas-dev
+    g2o      the package libg2o of ROS, or g2o's own build, installed; with CHOLMOD (libsuitesparse-dev) and Eigen
+Libraries elsewhere than in the system's folders: CPLUS_INCLUDE_PATH, LIBRARY_PATH and LD_LIBRARY_PATH say where.
 """
 
 from __future__ import annotations
@@ -25,7 +30,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from peers import CONTENDERS, TOLERANCE, Files
+from peers import CONTENDERS, PROGRAMS, TOLERANCE, Files, programs
 from pinv import ONE_THREAD, RESULTS, machine, peak_memory  # the script beside this one
 
 PLANE, SPACE = "pose-graphs-2d/", "pose-graphs-3d/"
@@ -112,6 +117,9 @@ def prepare(name: str, folder: Path, data: str | None) -> Problem:
             nls.save(path, graph, values)
     graphs = {convention: nls.load(path, convention)[0] for convention in ("g2o", "gtsam")}
     graph, values, _ = nls.load(path)
+    complete = path
+    if b"VERTEX" not in path.read_bytes():
+        nls.save(complete := folder / f"{path.stem}-complete.g2o", graph, values)
     stack, edges = values.stack("x"), graph.factors
     d = stack.manifold.dim
     np.savez(
@@ -123,7 +131,7 @@ def prepare(name: str, folder: Path, data: str | None) -> Problem:
         z=np.concatenate([f.z for f in edges]),
         information=np.concatenate([np.broadcast_to(f.noise.matrix, (len(f), d, d)) for f in edges]),
     )
-    files = Files(path, folder / f"{path.stem}.npz", d == 6)
+    files = Files(path, complete, folder / f"{path.stem}.npz", d == 6)
     return Problem(name, files, len(graph), len(stack), d * (len(graph) - len(stack) + 1), graphs, values)
 
 
@@ -152,10 +160,12 @@ def child(contender: str, variant: str, files: Files, out: Path, marginals: bool
     out.with_suffix(".json").write_text(json.dumps(record))  # libraries print what they like
 
 
-def launch(python: str, contender: str, variant: str, files: Files, out: Path, marginals: bool) -> dict[str, Any]:
-    """Run a child; what went wrong is in its `failed`."""
-    command = [python, __file__, "--child", contender, variant, str(files.graph), str(files.arrays)]
+def launch(runner: str, contender: str, variant: str, files: Files, out: Path, marginals: bool) -> dict[str, Any]:
+    """Run a child or a program; what went wrong is in its `failed`."""
+    command = [runner, __file__, "--child", contender, variant, *map(str, (files.graph, files.complete, files.arrays))]
     command += [str(int(files.space)), str(out), str(int(marginals))]
+    if contender in PROGRAMS:
+        command = programs.command(runner, variant, files, out)
     env = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | ONE_THREAD
     try:
         done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=PATIENCE)
@@ -165,15 +175,15 @@ def launch(python: str, contender: str, variant: str, files: Files, out: Path, m
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         lines = [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)] or lines
         return {"failed": lines[-1][:160] if lines else f"ended by signal {-done.returncode}"}
-    return dict(json.loads(out.with_suffix(".json").read_text()))
+    return programs.collect(out) if contender in PROGRAMS else dict(json.loads(out.with_suffix(".json").read_text()))
 
 
 # --- one set ----------------------------------------------------------------------------------------------------------
 
 
-def compare(problem: Problem, pythons: dict[str, str], rounds: int, staged: bool, folder: Path) -> dict[str, Any]:
+def compare(problem: Problem, runners: dict[str, str], rounds: int, staged: bool, folder: Path) -> dict[str, Any]:
     """Interleaved rounds of every contender and variant on one set; medians, chi2, and who is fastest."""
-    modules = {name: import_module(f"peers.{name}") for name in pythons}
+    modules = {name: import_module(f"peers.{name}") for name in runners}
     runs: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for name, module in modules.items():
         if module.MAX_EDGES is None or problem.edges <= module.MAX_EDGES:
@@ -192,7 +202,7 @@ def compare(problem: Problem, pythons: dict[str, str], rounds: int, staged: bool
                 if k > 0 and not first[name][variant] <= limit:
                     continue
                 out = folder / f"{name}-{variant}.npz"
-                done.append(launch(pythons[name], name, variant, problem.files, out, False))
+                done.append(launch(runners[name], name, variant, problem.files, out, False))
                 if name == "leadline" and "failed" in done[-1]:
                     raise SystemExit(f"leadline failed on {problem.name}: {done[-1]['failed']}")
                 if k > 0 or "failed" in done[0]:
@@ -209,7 +219,7 @@ def compare(problem: Problem, pythons: dict[str, str], rounds: int, staged: bool
         found["runs"][name] = {variant: summary(done, modules[name].READS) for variant, done in variants.items()}
     judge(found, modules, problem.dof)
     if staged:
-        found["marginals"] = marginals(problem, pythons, found["fastest"], rounds, folder)
+        found["marginals"] = marginals(problem, runners, found["fastest"], rounds, folder)
     return found
 
 
@@ -266,13 +276,13 @@ def judge(found: dict[str, Any], modules: dict[str, Any], dof: int) -> None:
 
 
 def marginals(
-    problem: Problem, pythons: dict[str, str], fastest: dict[str, str], rounds: int, folder: Path
+    problem: Problem, runners: dict[str, str], fastest: dict[str, str], rounds: int, folder: Path
 ) -> dict[str, float]:
     """Processor time of the covariances of all poses, ms, of those that compute them."""
     clocks: dict[str, list[float]] = {name: [] for name in ("leadline", "gtsam") if name in fastest}
     for _ in range(rounds):
         for name, clock in clocks.items():
-            run = launch(pythons[name], name, fastest[name], problem.files, folder / "marginals.npz", True)
+            run = launch(runners[name], name, fastest[name], problem.files, folder / "marginals.npz", True)
             clock += [run["cpu"]["marginals"]] if "failed" not in run else []
     return {name: float(np.median(clock)) for name, clock in clocks.items() if clock}
 
@@ -280,16 +290,22 @@ def marginals(
 # --- command line -----------------------------------------------------------------------------------------------------
 
 
-def installed(pythons: dict[str, str]) -> tuple[dict[str, str], list[str]]:
-    """The interpreter of every contender that can run, and sentences about the others."""
+def installed(pythons: dict[str, str], folder: Path) -> tuple[dict[str, str], list[str]]:
+    """The interpreter or program of every contender that can run, and sentences about the others."""
     can, notes = {}, []
     for name in CONTENDERS:
-        package = import_module(f"peers.{name}").PACKAGE
+        module = import_module(f"peers.{name}")
         if name in pythons:
             can[name] = pythons[name]
+        elif name in PROGRAMS:
+            try:
+                source = Path(module.__file__ or "").with_name(module.SOURCE)
+                can[name] = str(programs.compiled(source, module.LIBRARIES, folder))
+            except programs.NotCompiledError as error:
+                notes.append(f"{name}: not run; {error}; the head of benchmarks/posegraphs.py says what it needs")
         elif name == "g2o":
             notes.append("g2o: not run; its wheel needs NumPy 1, see benchmarks/requirements-g2o.txt and --python g2o=")
-        elif importlib.util.find_spec(package) is None:
+        elif importlib.util.find_spec(module.PACKAGE) is None:
             notes.append(f"{name}: not installed; pip install -r benchmarks/requirements.txt")
         else:
             can[name] = sys.executable
@@ -298,8 +314,9 @@ def installed(pythons: dict[str, str]) -> tuple[dict[str, str], list[str]]:
 
 def interpreter(text: str) -> tuple[str, str]:
     name, _, path = text.partition("=")
-    if name not in CONTENDERS or not os.access(path, os.X_OK):
-        raise argparse.ArgumentTypeError(f"expected PEER=PYTHON with PEER of {', '.join(CONTENDERS)}, got {text!r}")
+    peers = [peer for peer in CONTENDERS if peer not in PROGRAMS]
+    if name not in peers or not os.access(path, os.X_OK):
+        raise argparse.ArgumentTypeError(f"expected PEER=PYTHON with PEER of {', '.join(peers)}, got {text!r}")
     return name, path
 
 
@@ -311,8 +328,9 @@ def count(text: str) -> int:
 
 def main() -> int:
     if sys.argv[1:2] == ["--child"]:
-        contender, variant, graph, arrays, space, out, wanted = sys.argv[2:]
-        child(contender, variant, Files(Path(graph), Path(arrays), space == "1"), Path(out), wanted == "1")
+        contender, variant, graph, complete, arrays, space, out, wanted = sys.argv[2:]
+        files = Files(Path(graph), Path(complete), Path(arrays), space == "1")
+        child(contender, variant, files, Path(out), wanted == "1")
         return 0
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     data = os.environ.get("LEADLINE_DATA")
@@ -329,15 +347,16 @@ def main() -> int:
     import posegraphs_report as report
 
     names = options.sets or (QUICK if options.quick else choices)
-    pythons, notes = installed(dict(options.python))
-    results: dict[str, Any] = {"machine": machine(), "rounds": options.rounds, "notes": notes, "sets": {}}
+    results: dict[str, Any] = {"machine": machine(), "rounds": options.rounds, "notes": [], "sets": {}}
     results["simulated"] = data is None
-    for name in names:
-        with tempfile.TemporaryDirectory() as folder:
-            problem = prepare(name, Path(folder), data)
-            staged = name in STAGED or options.quick
-            found = results["sets"][name] = compare(problem, pythons, options.rounds, staged, Path(folder))
-        print(f"  {report.line(name, found)}", flush=True)
+    with tempfile.TemporaryDirectory() as compiled:
+        runners, results["notes"] = installed(dict(options.python), Path(compiled))
+        for name in names:
+            with tempfile.TemporaryDirectory() as folder:
+                problem = prepare(name, Path(folder), data)
+                staged = name in STAGED or options.quick
+                found = results["sets"][name] = compare(problem, runners, options.rounds, staged, Path(folder))
+            print(f"  {report.line(name, found)}", flush=True)
     report.write(results, options.out)
     return 0
 

@@ -50,10 +50,12 @@ def test_the_figures_are_those_of_the_last_benchmark(monkeypatch: pytest.MonkeyP
         pytest.skip("there is no README.md here (an installed copy has none)")
     monkeypatch.syspath_prepend(str(folder))
     results = json.loads((folder / "results" / "posegraphs.json").read_text())
-    text, rows = README.read_text(encoding="utf-8"), import_module("posegraphs_report").summary(results["sets"])
-    assert len(rows) > 10
-    assert "\n".join(rows) in text
-    assert results["machine"][0].removeprefix("- ")[:10] in text  # the date
+    text, summary = README.read_text(encoding="utf-8"), import_module("posegraphs_report").summary
+    for run, peer in ((results, "gtsam"), (results.get("programs", results), "g2o_cpp")):
+        rows = summary(run["sets"], peer)
+        assert len(rows) > 10
+        assert "\n".join(rows) in text
+        assert run["machine"][0].removeprefix("- ")[:10] in text  # the date
 
 
 def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

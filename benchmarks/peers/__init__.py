@@ -11,6 +11,11 @@ Run(files, variant)
     iterations    taken by optimize
     said          what else it has to say, for the JSON
     marginals()   covariances of all poses; only where the contender is asked for them
+
+Those of PROGRAMS run without Python. Instead of PACKAGE and Run they have:
+
+SOURCE            their C++ source beside this file; see driver.h
+LIBRARIES         names of the libraries it is linked with
 """
 
 from __future__ import annotations
@@ -22,9 +27,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["CONTENDERS", "TOLERANCE", "Files", "combined"]
+__all__ = ["CONTENDERS", "PROGRAMS", "TOLERANCE", "Files", "combined"]
 
-CONTENDERS = ("leadline", "gtsam", "g2o", "pyceres", "symforce")
+CONTENDERS = ("leadline", "gtsam", "g2o_cpp", "ceres_cpp", "g2o", "pyceres", "symforce")
+PROGRAMS = ("g2o_cpp", "ceres_cpp")
 TOLERANCE, MAX_ITERATIONS = 1e-6, 100  # relative decrease of the cost that ends an optimization
 
 
@@ -33,6 +39,7 @@ class Files:
     """A set as files: the g2o text, and arrays for those that cannot read it."""
 
     graph: Path
+    complete: Path  # the same with a start for every pose, for those that need one
     arrays: Path  # npz: ids, X, i, j, z, information (n, d, d); poses in g2o's order
     space: bool
 
