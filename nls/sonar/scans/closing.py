@@ -28,7 +28,7 @@ __all__ = ["SELECTIONS", "Closing", "Round", "close"]
 
 SELECTIONS = ("gnc", "cauchy", "none")
 ROUNDS = 8
-SETTLED = 0.2  # m rms by which a round changes the shape of the track, below which it is the last
+SETTLED = 0.3  # m rms by which a round changes the shape of the track, below which it is the last
 x = kinds("x")[0]
 
 
