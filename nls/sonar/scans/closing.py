@@ -66,7 +66,7 @@ class Closing:
     graph : the graph with the closures that were kept.
     result : its optimization.
     rounds : one `Round` each.
-    settled : whether the last round changed nothing any more; two rounds without a closure end, settled or not.
+    settled : whether the last round moved the track by less than 0.3 m rms; two without a closure end, settled or not.
     """
 
     graph: FactorGraph
