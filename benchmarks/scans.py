@@ -109,9 +109,9 @@ def all_at_once(count: int) -> dict[str, Any]:
     for owner, name, stage in (
         (candidates, "pairs", "pairs"),
         (closing, "windows", "windows"),
-        (closing, "Field", "matching"),
-        (closing, "match", "matching"),
-        (closing, "_selected", "solving"),
+        (closing.Matches, "of", "matching"),
+        (closing, "sequential_matches", "matching"),
+        (closing, "chosen", "solving"),
     ):
         watch(owner, name, stage)
     before = peak_memory(reset=True)

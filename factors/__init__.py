@@ -27,6 +27,7 @@ from factors.range import Range
 from factors.range_azimuth import RangeAzimuth
 from factors.robust import DCS, Cauchy, GemanMcClure, Huber, Kernel, Robust, Tukey, Welsch
 from factors.scaled_range import ScaledRange
+from factors.sequential_match import SequentialMatch
 from factors.shifted import Shifted
 from factors.sighting import Sighting
 from factors.sonar import sonar_factors
@@ -68,6 +69,7 @@ __all__ = [
     "RangeAzimuth",
     "Robust",
     "ScaledRange",
+    "SequentialMatch",
     "Shifted",
     "Sighting",
     "SqrtInformation",

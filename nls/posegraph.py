@@ -4,9 +4,9 @@ A relative pose z of node j in node i, both of one group, is an edge with the no
 
     T_j = T_i o z o Exp(xi),   xi ~ N(0, C),   C = (A_j'A_j)^-1,   A_j = d b / d xi at residual zero,
 
-so C has the axes of the end j, whatever the convention of the residual. An edge is odometry if its ends follow each
-other in number, and a loop closure otherwise. Weights kappa of rotations and tau of positions reduce the information
-Omega = W'W of an edge to two numbers, for costs that are quadratic in rotation matrices.
+so C has the axes of the end j, whatever the convention. An edge is odometry if its ends follow each other in number,
+and a loop closure otherwise, unless its factor is of sequential matches. Weights kappa of rotations, tau of positions
+reduce the information Omega = W'W of an edge to two numbers, for costs that are quadratic in rotation matrices.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from models import LieGroup, Manifold
 from models.advice import Advice
 from models.algebra import Array, Index, Mask, congruence, gram
 from models.errors import GraphError
+from models.manifolds.rn import Vectors
 from nls.gauge import fixed_variables
 from nls.graph import FactorGraph
 from nls.sparse.components import connected, firsts
@@ -74,9 +75,9 @@ def odometry(pattern: Pattern) -> list[Mask]:
 
 
 def closures(pattern: Pattern) -> list[Mask]:
-    """Per batch (k,) the relative poses that are no `odometry`: loop closures, matches."""
-    masks = zip(pattern.batches, odometry(pattern), strict=True)
-    return [~follows & is_relative(batch.model.factor) for batch, follows in masks]
+    """Per batch (k,) the relative poses that close loops: no `odometry`, no sequential matches."""
+    place = places(pattern)
+    return [_closing(batch, place) for batch in pattern.batches]
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,7 @@ class PoseGraph:
     ----------
     group, pattern, batches : as they were given.
     kinds : the kinds of variables they join; their stacks, one after the other, are the nodes.
-    n : the number of nodes.
-    variables : (n,) their numbers among all variables.
+    n, variables : the number of nodes, and their numbers (n,) among all variables.
     place, order : (n,) place of every node in the order by kind and number, and the nodes in that order.
     fixed : (n,) nodes that the graph holds fixed; no start moves them.
     i, j : (m,) nodes; z : (m, size) measurements, of all batches one after the other.
@@ -161,8 +161,7 @@ class PoseGraph:
         self.place = self.nodes(self._places[self.variables])
         self.order = np.empty(self.n, dtype=np.intp)
         self.order[self.place] = np.arange(self.n)
-        held = [keys for keys in graph.fixed if keys.kind in self.kinds]
-        self.fixed = fixed_variables(held, values)[self.variables]
+        self.fixed = fixed_variables([k for k in graph.fixed if k.kind in self.kinds], values)[self.variables]
         self.i, self.j = (self.nodes(np.concatenate([batch.variables[slot] for batch in batches])) for slot in (0, 1))
         self._z, self.z = z, np.concatenate(z)
 
@@ -183,8 +182,13 @@ class PoseGraph:
 
     @cached_property
     def odometry(self) -> Mask:
-        """(m,) edges that are odometry; all others are closures."""
+        """(m,) edges that are odometry."""
         return np.concatenate([_steps(batch, self._places) for batch in self.batches])
+
+    @cached_property
+    def closures(self) -> Mask:
+        """(m,) edges that close loops."""
+        return np.concatenate([_closing(batch, self._places) for batch in self.batches])
 
     @cached_property
     def C(self) -> Array:
@@ -209,8 +213,7 @@ class PoseGraph:
     def mean_weights(self) -> tuple[Array, Array]:
         """kappa and tau (m,), 1/rad^2 and 1/m^2: trace of the block of Omega over its size."""
         D, d = self.group.dim, self.group.point_dim
-        squares = [np.square(W) for W in self._W]
-        Omega = self._of_edges([W2 if W2.ndim == 2 else W2.sum(axis=1) for W2 in squares])
+        Omega = self._of_edges([W**2 if W.ndim == 2 else (W**2).sum(axis=1) for W in self._W])
         return Omega[:, d:].sum(axis=1) / (D - d), Omega[:, :d].sum(axis=1) / d
 
     def isotropic_weights(self) -> tuple[Array, Array]:
@@ -235,8 +238,8 @@ class PoseGraph:
 
     def _of_edges(self, parts: list[Array]) -> Array:
         """(m, ...) numbers of all edges, from those of every batch: (k, ...), or (1, ...) where they are the same."""
-        sizes = [len(batch) for batch in self.batches]
-        return np.concatenate([np.broadcast_to(x, (k, *x.shape[1:])) for x, k in zip(parts, sizes, strict=True)])
+        sized = zip(map(len, self.batches), parts, strict=True)
+        return np.concatenate([np.broadcast_to(x, (k, *x.shape[1:])) for k, x in sized])
 
     def sums(self, at_i: Array, at_j: Array) -> Array:
         """Sum (n, ...) at every node of the numbers (m, ...) that its edges have there."""
@@ -248,9 +251,8 @@ class PoseGraph:
     @cached_property
     def _incidence(self) -> tuple[sp.csr_array, sp.csr_array]:
         """Matrices (n, m) that sum over the edges that begin, and that end, at every node."""
-        m = len(self.i)
-        begins, ends = (sp.csr_array((np.ones(m), (node, np.arange(m))), (self.n, m)) for node in (self.i, self.j))
-        return begins, ends
+        ones, m = np.ones(len(self.i)), np.arange(len(self.i))
+        return sp.csr_array((ones, (self.i, m)), (self.n, len(m))), sp.csr_array((ones, (self.j, m)), (self.n, len(m)))
 
     @cached_property
     def component(self) -> Index:
@@ -272,8 +274,7 @@ class PoseGraph:
 
     def pairs(self) -> Index:
         """One edge for every joined pair of nodes."""
-        pair = np.minimum(self.i, self.j) * self.n + np.maximum(self.i, self.j)
-        return np.unique(pair, return_index=True)[1]
+        return np.unique(np.minimum(self.i, self.j) * self.n + np.maximum(self.i, self.j), return_index=True)[1]
 
     def odometry_tree(self) -> tuple[Index, Index]:
         """`tree` along the order; a gap in it is bridged by the edge that jumps over the fewest places."""
@@ -366,6 +367,13 @@ def _steps(batch: Batch, place: Index) -> Mask:
     if not is_relative(batch.model.factor) or batch.kinds[0] != batch.kinds[1]:
         return np.zeros(len(batch), dtype=bool)
     return np.asarray(np.abs(place[batch.variables[0]] - place[batch.variables[1]]) == 1)
+
+
+def _closing(batch: Batch, place: Index) -> Mask:
+    """(k,) relative poses of a batch that close loops; vectors of two kinds, a drift and its mean, close none."""
+    factor, vectors = batch.model.factor, isinstance(batch.model.manifolds[0], Vectors)
+    closes = is_relative(factor) and not factor.sequential and not (vectors and batch.kinds[0] != batch.kinds[1])
+    return ~_steps(batch, place) & closes
 
 
 def _inverse_trace(blocks: Array) -> Array:

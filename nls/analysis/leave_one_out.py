@@ -19,7 +19,7 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_gate
-from nls.posegraph import closures
+from nls.posegraph import closures, odometry
 
 if TYPE_CHECKING:
     from factors.base import Model
@@ -93,13 +93,15 @@ def measuring(model: Model) -> Index:
 def kinds_of(pattern: Pattern, count: int) -> dict[str, list[tuple[int, Index]]]:
     """Measurements by kind: factor type, relative poses in steps and closures if there are both; (batch, indices)."""
     out: dict[str, list[tuple[int, Index]]] = {}
-    split = closures(pattern)[:count]
-    mixed = {batch.model.factor.name for batch, c in zip(pattern.batches, split, strict=False) if c.any()}
-    for k, (batch, closing) in enumerate(zip(pattern.batches, split, strict=False)):
+    split = list(zip(pattern.batches, odometry(pattern), closures(pattern), strict=True))[:count]
+    mixed = {batch.model.factor.name for batch, _, closing in split if closing.any()}
+    for k, (batch, along, closing) in enumerate(split):
         name = batch.model.factor.name
         if batch.model.factor.limit_only:
             continue
-        sides = {f"{name}, steps": ~closing, f"{name}, closures": closing} if name in mixed else {name: ~closing}
+        sides = {name: np.ones(len(batch), dtype=bool)}
+        if name in mixed:
+            sides = {f"{name}, steps": along, f"{name}, closures": closing, name: ~along & ~closing}
         for side, mask in sides.items():
             if mask.any():
                 out.setdefault(side, []).append((k, np.flatnonzero(mask)))

@@ -82,9 +82,9 @@ def witnesses(loops: LoopGraph, values: Values, accepted: Mask) -> Iterator[Witn
     """The groups of accepted closures (m,) at their optimum, those of the largest residuals first."""
     poses, graph, d = loops.poses, loops.graph.only(loops.masks(accepted)), loops.poses.group.dim
     rows = [batch.model.linearize(*batch.gather(values)) for batch in poses.batches]
-    b = np.concatenate([b for _, b in rows])[~poses.odometry]
-    A = [np.concatenate([sides[slot] for sides, _ in rows])[~poses.odometry] for slot in (0, 1)]
-    ends = [poses.i[~poses.odometry], poses.j[~poses.odometry]]
+    b = np.concatenate([b for _, b in rows])[poses.closures]
+    A = [np.concatenate([sides[slot] for sides, _ in rows])[poses.closures] for slot in (0, 1)]
+    ends = [poses.i[poses.closures], poses.j[poses.closures]]
     volume = np.linalg.slogdet(loops.closures.C)[1] / 2 + _passing(loops, values)
     groups = _judgeable(loops.neighbors, accepted)
     groups.sort(key=lambda members: -float(np.square(b[members]).mean()))

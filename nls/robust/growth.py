@@ -168,4 +168,4 @@ def _solved(loops: LoopGraph, values: Values, accepted: Mask) -> tuple[Values, A
         values = start
     values = subgraph.optimize(values, BRIEF).values
     s = np.concatenate([batch.model.factor.chi2(values) for batch in loops.poses.batches])
-    return values, s[~loops.poses.odometry]
+    return values, s[loops.poses.closures]

@@ -42,7 +42,7 @@ class LoopGraph:
     @cached_property
     def closures(self) -> Edges:
         """The m loop closures."""
-        return self.edges[~self.poses.odometry]
+        return self.edges[self.poses.closures]
 
     @cached_property
     def odometry(self) -> Edges:
@@ -64,9 +64,9 @@ class LoopGraph:
         return X if isinstance(group, Vectors) else group.position(X)
 
     def masks(self, accepted: Mask) -> list[Mask]:
-        """Per factor which measurements are odometry, accepted closures (m,), or of another kind."""
-        inliers = self.poses.odometry.copy()
-        inliers[~inliers] = accepted
+        """Per factor which measurements are accepted closures (m,), or no closures."""
+        inliers = ~self.poses.closures
+        inliers[self.poses.closures] = accepted
         parts = zip(self.poses.batches, self.poses.by_batch(inliers), strict=True)
         of = {id(batch.model.factor): mask for batch, mask in parts}
         return [of.get(id(factor), np.ones(len(factor), dtype=bool)) for factor in self.graph.factors]
@@ -74,7 +74,7 @@ class LoopGraph:
     def accepted(self, masks: Sequence[Mask]) -> Mask:
         """Which closures (m,) the masks of all factors keep: the inverse of `masks`."""
         of = {id(factor): mask for factor, mask in zip(self.graph.factors, masks, strict=True)}
-        return np.concatenate([of[id(batch.model.factor)] for batch in self.poses.batches])[~self.poses.odometry]
+        return np.concatenate([of[id(batch.model.factor)] for batch in self.poses.batches])[self.poses.closures]
 
     def spanned(self, accepted: Mask) -> int:
         """How many steps of odometry lie between the two ends of an accepted closure."""
@@ -113,7 +113,7 @@ def loop_graph(graph: FactorGraph, values: Values) -> LoopGraph:
             advice=[Advice("odometry"), Advice.robust("Cauchy", 1), Advice("judge all")],
         )
     steps = _surest(edges, poses.odometry)
-    poses.refuse_infinite(np.concatenate([steps, np.flatnonzero(~poses.odometry)]))
+    poses.refuse_infinite(np.concatenate([steps, np.flatnonzero(poses.closures)]))
     X = poses.along(poses.tree(steps), poses.stack(values))
     return LoopGraph(graph, poses.replaced(values, X), poses, edges, steps)
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from factors import Between, Factor, Noise, Prior, SqrtInformation
+from factors import Between, Factor, Noise, Prior, SequentialMatch, SqrtInformation
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
@@ -202,13 +202,13 @@ def difference(group: Manifold) -> Callable[[Array, Array], Array]:
     return truth
 
 
-def between(group: LieGroup, convention: str) -> Sample:
+def between(group: LieGroup, convention: str, kind: type[Between] = Between) -> Sample:
     return Sample(
-        f"Between-{group}-{convention}",
+        f"{kind.__name__}-{group}-{convention}",
         (group, group),
         group,
         group.dim,
-        lambda keys, z, noise: Between(*keys, z, noise, convention=convention),
+        lambda keys, z, noise: kind(*keys, z, noise, convention=convention),
         difference(group),
         convention,
     )
@@ -255,6 +255,7 @@ def from_function(name: str, manifolds: tuple[Manifold, ...], dim: int, f: Calla
 
 SAMPLES = [
     *(between(group, convention) for group in GROUPS for convention in CONVENTIONS),
+    between(SE2, "log", SequentialMatch),
     *(prior(group, convention) for group in GROUPS for convention in CONVENTIONS),
     *(prior(SE2, convention, ("yaw", "x")) for convention in CONVENTIONS),
     *(prior(SE3, convention, ("z", "roll", "pitch")) for convention in CONVENTIONS),

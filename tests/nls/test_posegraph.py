@@ -18,6 +18,7 @@ from factors import (
     Isotropic,
     Noise,
     Prior,
+    SequentialMatch,
     SqrtInformation,
     Wheels,
 )
@@ -28,6 +29,7 @@ from models.algebra import Array, Index
 from models.errors import GraphError
 from models.vehicles import wheel_travel
 from nls import FactorGraph, Values
+from nls.analysis.leave_one_out import kinds_of
 from nls.linear.laplacian import Laplacian
 from nls.linear.singular import SingularSystemError
 from nls.posegraph import Edges, PoseGraph, closures, odometry, pose_graphs
@@ -314,6 +316,26 @@ def test_the_surest_of_parallel_steps_carries_the_track() -> None:
         wheels = Wheels(x[k], x[k + 1], slipping, SqrtInformation(np.diag([3.0, 3.0, across])), 0.5)
         robust = nls.gnc(FactorGraph([scans, wheels][::order]), values)
         assert [r.factor for r in robust.rejected] == ["Between(x95, x107)"]
+
+
+def test_sequential_matches_are_neither_odometry_nor_closures() -> None:
+    """They are a kind of their own, and gnc doubts the closures beside them alone, whichever factor comes first."""
+    i, j, z = square(RNG(6))
+    k = np.arange(0, 117, 2)
+    near = SE2.compose(SE2.compose(z[k], z[k + 1]), z[k + 2])
+    near = SE2.compose(near, SE2.exp(0.02 * RNG(2).normal(size=near.shape)))
+    poses, matches = Between(x[i], x[j], z, Isotropic(0.01)), SequentialMatch(x[k], x[k + 3], near, Isotropic(0.02))
+    for order in (1, -1):
+        graph, values = FactorGraph([poses, matches][::order]), Values({x: (SE2, np.zeros((121, 3)))})
+        pattern = graph.pattern(values)
+        assert [int(mask.sum()) for mask in odometry(pattern)][::order] == [120, 0]
+        assert [int(mask.sum()) for mask in closures(pattern)][::order] == [20, 0]
+        (both,) = pose_graphs(graph, values)
+        assert [int(mask.sum()) for mask in (both.odometry, both.closures)] == [120, 20]
+        kinds = {name: sum(len(index) for _, index in rows) for name, rows in kinds_of(pattern, 2).items()}
+        assert kinds == {"Between, steps": 120, "Between, closures": 20, "SequentialMatch": len(k)}
+        robust = nls.gnc(graph, values)
+        assert (robust.doubted, [r.factor for r in robust.rejected]) == (20, ["Between(x95, x107)"])
 
 
 def test_sensors_whose_place_is_estimated_leave_starts_and_gnc_to_the_others() -> None:

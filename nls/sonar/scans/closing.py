@@ -28,7 +28,7 @@ __all__ = ["SELECTIONS", "Closing", "Round", "close"]
 
 SELECTIONS = ("gnc", "cauchy", "none")
 ROUNDS = 8
-SETTLED = 0.2  # m rms by which a round changes the shape of the track, below which it is the last
+SETTLED = 0.3  # m rms by which a round changes the shape of the track, below which it is the last
 x = kinds("x")[0]
 
 
@@ -66,7 +66,7 @@ class Closing:
     graph : the graph with the closures that were kept.
     result : its optimization.
     rounds : one `Round` each.
-    settled : whether the last round changed nothing any more; two rounds without a closure end, settled or not.
+    settled : whether the last round moved the track by less than 0.3 m rms; two without a closure end, settled or not.
     """
 
     graph: FactorGraph

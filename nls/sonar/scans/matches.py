@@ -54,13 +54,14 @@ class Matches:
     def of(cls, poses: Array, scans: Scans, i: Index, j: Index, window: Array) -> Matches:
         """Match the submaps (n,) around keyframes j with those around i, from present poses (count, 3), and judge."""
         guess = SE2.between(poses[i], poses[j])
+        part = {k: submap(poses, scans, k, candidates.HALF) for k in np.unique(np.append(i, j)).tolist()}
         by_field: list[Match] = []
         order = np.argsort(i, kind="stable")  # one field at a time: they are large
         for a, rows in groupby(order.tolist(), key=lambda row: int(i[row])):
-            field = Field(submap(poses, scans, a, candidates.HALF))
+            field = Field(part[a])
             for row in rows:
-                points = submap(poses, scans, int(j[row]), candidates.HALF)
-                by_field.append(match_submap(field, points, guess[row], (float(window[row, 0]), float(window[row, 1]))))
+                reach, turn = window[row].tolist()
+                by_field.append(match_submap(field, part[int(j[row])], guess[row], (reach, turn)))
         fits = Fits.of([by_field[place] for place in np.argsort(order).tolist()])
         verdict = verdicts(fits.score, fits.ratio, fits.edge, fits.spread, window[:, 0])
         return cls(i, j, **vars(fits), window=window, verdict=verdict, kept=np.zeros(len(i), dtype=bool))

@@ -38,6 +38,7 @@ STEPS = 10  # Gauss-Newton steps at most
 CELLS = 50_000_000  # most scores of a window, with their transforms 1 GB
 REACH = np.array([0.8, 0.8, 2 * YAW_STEP])  # m, m, rad: farthest from the best cell, that of the score, to the pose
 HALVINGS = 4  # of a step that does not raise the score
+LEAST_STEP = 0.002  # squared sigmas by the tempered score, below which a step is not taken
 NARROW = 1e-4  # share of the largest eigenvalue below which a direction is not seen
 
 
@@ -106,7 +107,7 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
     S, yaws, offsets = scores(field.coarse, p, T, window)
     best = np.unravel_index(S.argmax(), S.shape)
     peak = float(S[best])
-    away = np.hypot(*np.meshgrid(offsets - offsets[best[1]], offsets - offsets[best[2]])).T > AWAY
+    away = np.hypot((offsets - offsets[best[1]])[:, None], offsets - offsets[best[2]]) > AWAY
     second = float(S.max(axis=0)[away].max()) if away.any() else 0.0
     P = np.exp((S - peak) * min(1.0, INDEPENDENT / len(p)), dtype=np.float64)
     P /= P.sum()
@@ -136,8 +137,8 @@ def scores(
             float(cells),
         )
     poses = np.column_stack([np.broadcast_to(guess[:2], (len(yaws), 2)), guess[2] + yaws])
-    q = SE2.act(np.repeat(poses, len(p), axis=0), np.tile(p, (len(yaws), 1)))
-    image, k, l = np.repeat(np.arange(len(yaws)), len(p)), *field.cells(q).T
+    q = p @ np.swapaxes(SE2.rotation(poses), 1, 2) + poses[:, None, :2]
+    image, k, l = np.repeat(np.arange(len(yaws)), len(p)), *field.cells(q.reshape(-1, 2)).T
     sides = field.L.shape
     inside = (k >= -reach) & (k < sides[0] + reach) & (l >= -reach) & (l < sides[1] + reach)
     row, column = (k[inside] - reach) % nx, (l[inside] - reach) % ny  # so that the offset -reach is the first of S
@@ -172,10 +173,14 @@ def _refined(field: Field, p: Array, T: Array) -> Array:
         return turned, *field.at(turned + T[:2])
 
     best, (turned, L, slope) = T, moved(T)
+    temper = min(1.0, INDEPENDENT / len(p))
     for _ in range(STEPS):
         J = np.column_stack([slope, slope[:, 1] * turned[:, 0] - slope[:, 0] * turned[:, 1]])  # dL/dT
         r2 = np.maximum(2 * (-np.log(STRAY) - L), 1e-2)
-        step = np.linalg.lstsq((J / r2[:, None]).T @ J, J.sum(axis=0), rcond=NARROW)[0]
+        gradient = J.sum(axis=0)
+        step = np.linalg.lstsq((J / r2[:, None]).T @ J, gradient, rcond=NARROW)[0]
+        if temper * (gradient @ step) < LEAST_STEP:
+            break
         for halving in range(HALVINGS + 1):
             candidate = best + np.clip(T + step / 2**halving - best, -REACH, REACH)
             turned_there, L_there, slope_there = moved(candidate)
@@ -184,6 +189,4 @@ def _refined(field: Field, p: Array, T: Array) -> Array:
         else:
             break
         T, turned, L, slope = candidate, turned_there, L_there, slope_there
-        if np.abs(step).max() < 1e-3:
-            break
     return np.append(T[:2], wrap(T[2]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import Between, Cauchy, Covariance, Robust
+from factors import Cauchy, Covariance, Robust, SequentialMatch
 from factors.keys import kinds
 from models import SE2
 from models.algebra import Array, Index
@@ -22,7 +22,7 @@ WINDOW = (2.0, float(np.radians(4.0)))  # half widths of the search, m, rad
 x = kinds("x")[0]
 
 
-def sequential_matches(poses: Array, scans: Scans) -> Between | None:
+def sequential_matches(poses: Array, scans: Scans) -> SequentialMatch | None:
     """One factor between a keyframe and one a few before it for every scan that fits those before; None without any.
 
     A kernel weighs them: the points that are common to all scans because they move with the vehicle say that it stands.
@@ -42,7 +42,7 @@ def sequential_matches(poses: Array, scans: Scans) -> Between | None:
     i = np.maximum(j - (BACK + 1) // 2, 0)
     z = SE2.compose(SE2.between(poses[i], poses[j]), fits.pose[accepted])
     C = (BACK + 1) * fits.covariance[accepted]  # the points of a scan take part in so many matches
-    return Between(x[i], x[j], z, Robust(Covariance(C), Cauchy(1.0)))
+    return SequentialMatch(x[i], x[j], z, Robust(Covariance(C), Cauchy(1.0)))
 
 
 def comparable(scans: Scans) -> Index:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -75,7 +76,12 @@ def test_a_room_is_solved_with_all_files(shell: Shell) -> None:
 
     judged = shell.report("evaluate out/trajectory.csv m/truth.csv --align rigid")
     assert judged["ate"]["rmse_m"] == pytest.approx(record["solution"]["ate_rmse_m"], rel=1e-6)
-    assert "Between" in shell("explain out/graph.npz")
+    explained = shell("explain out/graph.npz")
+    count = {kind: int(number) for kind, number in re.findall(r"^([A-Z][\w, ]+?) {2,}(\d+) ", explained, re.MULTILINE)}
+    assert count.keys() == {"DriftingStep", "Between", "Prior", "Heading", "SequentialMatch", "Between, closures"}
+    assert count["Between, closures"] == record["closures"] > 0
+    assert count["Between"] == len(values.stack("d")), "drifts about their mean"
+    assert count["SequentialMatch"] > 20
 
 
 def test_without_a_closure_the_solution_is_dead_reckoning(shell: Shell, undrawn: None) -> None:

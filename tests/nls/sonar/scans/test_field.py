@@ -31,6 +31,22 @@ def test_the_formula_at_any_place() -> None:
     assert Field(POINTS).L.dtype == np.float32
 
 
+def test_distances_are_exact_where_points_are_at_centers_of_cells() -> None:
+    """Up to four sigmas, along the axes and across them; L is next to 0 beyond."""
+    points = 0.25 * RNG.integers(-20, 21, (6, 2)) * [1.0, 3.0]
+    for sigma, resolution in ((0.5, 0.25), (0.25, 0.125), (2.0, 0.0625)):
+        field = Field(points, sigma, resolution)
+        q = field.origin + resolution * np.indices(field.L.shape).reshape(2, -1).T[::7]
+        d = np.linalg.norm(q[:, None] - points, axis=2).min(axis=1)
+        L = field.L.reshape(-1)[::7]
+        near = d <= 4 * sigma
+        assert near.any()
+        assert not near.all()
+        same(L[near], by_formula(points, q[near], sigma), atol=1e-6)
+        assert (L[~near] < 0.007).all()
+        assert not L[d > 4 * sigma + 1.5 * resolution].any()
+
+
 def test_the_gradient_is_that_of_L_within_a_cell() -> None:
     field = Field(POINTS, 0.5, 0.2)
     q = field.origin + 0.2 * (RNG.integers(0, 80, (200, 2)) + RNG.uniform(0.1, 0.9, (200, 2)))
