@@ -51,10 +51,13 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     middle = figure.add_subplot(1, 3, 2, **space)
     right = figure.add_subplot(1, 3, 3)
     trajectory(graph, before, left)
-    left.set_title(f"before: chi2 = {graph.chi2(before):.4g}")
+    chi2 = graph.chi2(before)
+    left.set_title(f"before: chi2 = {chi2:.4g}")
     trajectory(graph, result.values, middle)
     middle.set_title(f"after: chi2 = {result.chi2_final:.4g}")
     convergence(result, right)
+    if not np.isclose(chi2, result.chi2_initial):
+        right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
     if title:
         figure.suptitle(title)
     return figure

@@ -95,6 +95,8 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     assert titles[1] == f"after: chi2 = {result.chi2_final:.4g}"
     assert titles[2] == f"converged after {result.iterations} iterations"
     assert figure.get_suptitle() == "a survey"
+    titles = [axes.get_title() for axes in before_after(sample.graph, pose_graph(group, start=0.4).values, result).axes]
+    assert titles[2].endswith(f",\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
     alone = convergence(result)
     np.testing.assert_array_equal(alone.axes[0].get_lines()[0].get_ydata(), [it.chi2 for it in result.history])
     np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
