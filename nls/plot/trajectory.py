@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["before_after", "closures", "trajectory"]
 
+LEAST = 1e-3  # m, of the widest side
+FLAT, TICKS = 0.15, 7  # of the widest side of a box in space: the least of the others; ticks of the widest
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
@@ -108,16 +110,29 @@ def trajectory(
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     if dim == 3:
-        spread = np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim])
         axes.set_zlabel("z [m]")  # type: ignore[attr-defined]
-        axes.set_box_aspect(np.maximum(np.ptp(spread, axis=0), 1e-9), zoom=0.85)  # type: ignore[call-arg]
-        axes.tick_params(labelsize=7)
+        _box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]))
     else:
         axes.set_aspect("equal", adjustable="datalim")
     if len(segments) or (marginals is not None and axes.get_legend_handles_labels()[0]):
         shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
         axes.legend(loc="upper left", fontsize=8, title=shown.strip(", ") or None)
     return figure_of(axes)
+
+
+def _box(axes: Axes, points: Array) -> None:
+    """One scale for all axes, a box around the points (n, 3) that is not too flat, and ticks that fit its sides."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = points.min(axis=0), points.max(axis=0)
+    widest = max(float((high - low).max()), LEAST)
+    half = np.maximum(0.52 * (high - low), FLAT / 2 * widest)
+    axes.set_box_aspect(half.copy(), zoom=0.85)  # type: ignore[call-arg]  # which scales the array in place
+    for name, middle, size in zip("xyz", (low + high) / 2, half, strict=True):
+        axes.set(**{f"{name}lim": (middle - size, middle + size)})
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(MaxNLocator(max(2, round(TICKS * size / half.max()))))
+    axes.tick_params(labelsize=7)
 
 
 def _positions(stack: Stack) -> Array:

@@ -102,6 +102,25 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
 
 
+def test_a_flat_graph_in_space_has_one_scale_and_no_slit_for_a_box() -> None:
+    """9 m, 2 m and 0 m: the box is at least 0.15 of its length wide, and few ticks are on its short sides."""
+    i = np.arange(10)
+    X = np.zeros((10, 7))
+    X[:, 0], X[:, 1], X[:, 6] = i, i % 3, 1
+    graph = FactorGraph([Between(x[i[:-1]], x[i[1:]], SE3.between(X[:-1], X[1:]), Isotropic(0.1))])
+    (axes,) = trajectory(graph, Values({x: (SE3, X)})).axes
+    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])  # type: ignore[attr-defined]
+    size = np.ptp(limits, axis=1)
+    np.testing.assert_allclose(size, [1.04 * 9, 1.04 * 2, 0.15 * 9])
+    box = np.asarray(axes._box_aspect)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(box / box[0], size / size[0])
+    ticks = [
+        sum(low <= t <= high for t in axis.get_majorticklocs())
+        for axis, (low, high) in zip((axes.xaxis, axes.yaxis, axes.zaxis), limits, strict=True)
+    ]  # type: ignore[attr-defined]
+    assert ticks[0] > 4 >= max(ticks[1:])
+
+
 def test_convergence_to_zero_and_without_a_step() -> None:
     sample = pose_graph(R(2))
     sample.graph.fix(x[0:8])
