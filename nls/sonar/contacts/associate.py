@@ -162,16 +162,19 @@ def associate(
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, poses, tracks)
         poses = _without(estimate.values, kind)
+        open_ = expelled < TWICE
         if last := stage == len(STAGES):
-            joined = resolved(pings, estimate, least, probability)
+            joined = resolved(pings, estimate, open_, least, probability)
         else:
-            joined = _joined(pings, estimate, expelled < TWICE, gate, STAGES[stage])
+            joined = _joined(pings, estimate, open_, gate, STAGES[stage])
         outside = estimate.d2 > OUTSIDE * gate
         misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
         few = np.count_nonzero(joined != tracks) <= FEW * len(tracks)
         settled, stage = bool(last and few), stage + int(few and not last)
         tracks = of.single(of.parted(joined, pieces, misfit), outside)
         expelled += outside | misfit
+        if stage == len(STAGES) and not last:  # what no single track was for may be somebody's with all of its ping
+            expelled[:] = 0
         history.append(int(np.count_nonzero(of.sizes(tracks) >= least)))
         if report is not None:
             report(tracks)

@@ -33,10 +33,10 @@ from nls.sonar.contacts.places import Pings
 __all__ = ["resolved", "supported"]
 
 
-def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -> Index:
-    """The tracks (n,) of an estimate, their open sightings given to landmarks ping by ping.
+def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
+    """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
 
-    Open are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
+    Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
     sighting in a ping: what is decided stays.
     """
     tracks, m = estimate.tracks, measured_numbers(pings)
@@ -47,10 +47,10 @@ def resolved(pings: Pings, estimate: Estimate, least: int, probability: float) -
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)
-    open_ = needless | (of.sizes(tracks) < least)
-    possible = open_[d] & ~needless[landmarks]
+    undecided = needless | (of.sizes(tracks) < least)
+    possible = (undecided & open_)[d] & ~undecided[landmarks]
     d, landmarks = d[possible], landmarks[possible]
-    groups = np.where(open_, len(tracks) + every, tracks)
+    groups = np.where(undecided, len(tracks) + every, tracks)
     for rows, nu, S in _by_ping(pings, estimate, d, landmarks):
         sightings, i = np.unique(d[rows], return_inverse=True)
         numbers, j = np.unique(landmarks[rows], return_inverse=True)

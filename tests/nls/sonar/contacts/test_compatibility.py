@@ -13,7 +13,7 @@ from nls.sonar.contacts.compatibility import resolved, supported
 from nls.sonar.contacts.estimate import estimated
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.places import Pings
-from nls.sonar.contacts.tracks import renamed, sizes
+from nls.sonar.contacts.tracks import renamed, single, sizes
 from tests.nls.sonar.contacts.scenes import GATE
 
 x, l = kinds("x", "l")
@@ -45,7 +45,8 @@ def known_trees(trees: list[int]) -> Index:
 def answer(shift: float, trees: list[int]) -> list[int]:
     """The tree that each sighting from the fifth pose is given to, -1 where it stays alone."""
     pings, graph, values = row(shift, trees)
-    tracks = resolved(pings, estimated(pings, graph, values, known_trees(trees)), 3, 0.999)
+    every = np.ones(len(pings), dtype=bool)
+    tracks = resolved(pings, estimated(pings, graph, values, known_trees(trees)), every, 3, 0.999)
     assert np.array_equal(tracks[:20], known_trees([]))
     return [int(track) if track < 5 else -1 for track in tracks[20:]]
 
@@ -91,7 +92,16 @@ def test_a_landmark_has_one_sighting_in_a_ping() -> None:
     pings, graph, values = row(0.0, trees)
     tracks = known_trees(trees)
     tracks[20] = 2  # the first is decided
-    assert resolved(pings, estimated(pings, graph, values, tracks), 3, 0.999).tolist() == tracks.tolist()
+    every = np.ones(len(pings), dtype=bool)
+    estimate = estimated(pings, graph, values, tracks)
+    assert resolved(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
+
+
+def test_a_sighting_that_is_not_open_stays_alone() -> None:
+    pings, graph, values = row(0.0, [1, 3])
+    open_ = np.arange(len(pings)) != 21
+    tracks = resolved(pings, estimated(pings, graph, values, known_trees([1, 3])), open_, 3, 0.999)
+    assert tracks[20:].tolist() == [1, 21]
 
 
 def test_tracks_smaller_than_a_landmark_are_open() -> None:
@@ -104,7 +114,10 @@ def test_tracks_smaller_than_a_landmark_are_open() -> None:
         tracks = renamed(tracks)
         assert sizes(tracks)[20] == count + 1
         estimate = estimated(pings, graph, values, tracks)
-        assert resolved(pings, estimate, 3 if count == 1 else 2, 0.999).tolist() == [*known_trees([]), 1]
+        assert resolved(pings, estimate, np.ones(21, dtype=bool), 3 if count == 1 else 2, 0.999).tolist() == [
+            *known_trees([]),
+            1,
+        ]
 
 
 def test_the_covariance_of_a_ping_is_that_of_the_joint_one() -> None:
@@ -131,3 +144,14 @@ def test_the_covariance_of_a_ping_is_that_of_the_joint_one() -> None:
     d2, _ = landmark_distances(pings, estimate, d, landmarks, np.inf)
     block = S[1][2:4, 2:4]
     assert d2[4] == pytest.approx(b[4] @ np.linalg.solve(block, b[4]))
+
+
+def test_only_a_decided_landmark_is_given_sightings() -> None:
+    """Of tree 1 two sightings are together and two alone: with three for a landmark all four are alone."""
+    pings, graph, values = row(0.0, [3])
+    tracks = known_trees([3])
+    tree = np.flatnonzero(tracks == 1)
+    tracks = single(tracks, tree[2:])
+    every, estimate = np.ones(len(pings), dtype=bool), estimated(pings, graph, values, tracks)
+    assert resolved(pings, estimate, every, 3, 0.999)[tree].tolist() == tree.tolist()
+    assert resolved(pings, estimate, every, 2, 0.999)[tree].tolist() == [1, 1, 1, 1]
