@@ -40,6 +40,7 @@ SPOILED: dict[str, dict[str, float]] = {  # parts of the contacts
 SWEEP = ("40 % false", "30 % lost", "60 % lost")  # a fifth of the seeds
 AXES = {"false contacts": ("clean", "5 % false", "10 % false", "20 % false", "40 % false")}
 AXES |= {"lost contacts": ("clean", "30 % lost", "60 % lost")}
+LINES = (("precision", "precision", "C0"), ("recall", "recall", "C1"), ("share", "explained", "C2"))
 x, l = kinds("x", "l")
 
 
@@ -122,13 +123,12 @@ def draw(trials: list[Trial], path: Path) -> None:
         above, below = axes[:, column]
         for scene, marker in zip(SCENES, "os", strict=True):
             of = [[t for t in trials if (t.scene, t.spoiled) == (scene, name)] for name in spoiled]
-            for name, color in (("precision", "C0"), ("recall", "C1"), ("share", "C2")):
+            style = {"marker": marker, "ls": "-" if marker == "o" else ":"}
+            for name, label, color in LINES:
                 y = [np.mean([getattr(t, name) for t in some]) for some in of]
-                label = f"{'explained' if name == 'share' else name}, {scene}"
-                above.plot(parts, y, marker=marker, color=color, label=label, ls="-" if marker == "o" else ":")
+                above.plot(parts, y, color=color, label=f"{label}, {scene}", **style)
             ratio = [[t.ate / t.named for t in some] for some in of]
             reckoned = [np.mean([t.reckoned / t.named for t in some]) for some in of]
-            style = {"marker": marker, "ls": "-" if marker == "o" else ":"}
             below.plot(parts, [np.median(some) for some in ratio], color="C3", label=f"without names, {scene}", **style)
             below.plot(
                 parts, [np.max(some) for some in ratio], color="C3", alpha=0.4, label=f"worst seed, {scene}", **style
@@ -141,8 +141,8 @@ def draw(trials: list[Trial], path: Path) -> None:
         below.axhline(1.0, color="k", lw=0.8)
     axes[0, 0].set(ylabel="part", ylim=(0, 1.05))
     axes[1, 0].set(ylabel="ATE, times that with all true names")
-    for row in axes:
-        row[1].legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for left, right in axes:
+        right.legend(*left.get_legend_handles_labels(), fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=120)
 
 
