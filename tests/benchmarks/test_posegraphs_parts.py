@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,15 +15,6 @@ from models import SE2, SE3
 from nls import FactorGraph, Values, kinds
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def part(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
-    """Import a script of the benchmarks."""
-    if not FOLDER.is_dir():
-        pytest.skip("there are no benchmarks here (an installed copy has none)")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    return import_module
 
 
 def run(load: float, optimize: float, g2o: float, gtsam: float) -> dict[str, Any]:

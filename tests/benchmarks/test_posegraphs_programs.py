@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +26,6 @@ int main(int, char** argv) {
   record.write(7);
 }
 """
-
-
-@pytest.fixture
-def part(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
-    """Import a script of the benchmarks."""
-    if not FOLDER.is_dir():
-        pytest.skip("there are no benchmarks here (an installed copy has none)")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    return import_module
 
 
 def source(folder: Path, text: str) -> Path:
