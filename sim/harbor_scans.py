@@ -67,7 +67,8 @@ def drawn(
 
 def _blocks(count: int) -> Iterator[slice]:
     """So many keyframes, a block at a time."""
-    yield from (slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK))
+    for begin in range(0, count, BLOCK):
+        yield slice(begin, min(begin + BLOCK, count))
 
 
 def imaged(

@@ -7,9 +7,20 @@ import numpy as np
 from models.algebra import Array, Index
 from models.options import check_between, check_whole
 
-__all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail"]
+__all__ = ["chi2_gate", "chi2_interval", "chi2_log_tail", "chi2_tail", "mahalanobis"]
 
 TINY = 1e-290  # probability; below, the expansion for large t serves
+
+
+def mahalanobis(xi: Array, S: Array) -> Array:
+    """Squared Mahalanobis distances xi' S^-1 xi (...) of errors (..., m) with covariances S (..., m, m).
+
+    Examples
+    --------
+    >>> mahalanobis(np.array([[3.0, 0.0], [0.0, 4.0]]), np.array([np.eye(2), 4 * np.eye(2)])).tolist()
+    [9.0, 4.0]
+    """
+    return np.asarray((xi * np.linalg.solve(S, xi[..., None])[..., 0]).sum(axis=-1))
 
 
 def chi2_gate(dim: int, probability: float) -> float:

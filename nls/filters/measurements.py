@@ -10,7 +10,7 @@ from factors.base import Factor, Model
 from factors.sighting import Sighting
 from models import Manifold
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.filters.association import Association, Candidates
 from nls.filters.base import POSE
 from nls.filters.map_state import MapState
@@ -67,7 +67,7 @@ def distances(state: MapState, model: Model, rows: Index) -> tuple[Array, Array]
     A = np.concatenate([A_x, A_l], axis=2)
     columns = np.concatenate([np.broadcast_to(np.arange(d), (n, d)), state.columns(rows)], axis=1)
     S = A @ state.P[columns[:, :, None], columns[:, None, :]] @ A.mT + np.eye(model.dim)
-    return np.asarray((b * np.linalg.solve(S, b[..., None])[..., 0]).sum(axis=1)), b
+    return mahalanobis(b, S), b
 
 
 def associated(state: MapState, associate: Association, factor: Sighting, manifolds: tuple[Manifold, ...]) -> Index:

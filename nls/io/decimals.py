@@ -127,9 +127,8 @@ def _longer(window: Words, mark: Bytes, starts: Index, ends: Index) -> tuple[Arr
 
 def _scaled(w: Words, shift: Index) -> tuple[Words, Mask]:
     """Bits of w 10^shift (n,), correctly rounded where that is certain, which it never is of 0."""
-    top = (
-        w.astype(float).view(np.int64) >> 52
-    )  # too large by 1 just below a power of two, where nothing is certain then
+    # too large by 1 just below a power of two, where nothing is certain then
+    top = w.astype(float).view(np.int64) >> 52
     w = w << (1086 - top).view(np.uint64)
     p = TENS.take(shift + FAR, mode="clip")
     a, b, c, d = w >> 32, w & LOW, p >> 32, p & LOW

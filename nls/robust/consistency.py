@@ -35,7 +35,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance.frames import turned
 from nls.posegraph import Edges
 from nls.sparse.components import connected
@@ -107,11 +107,6 @@ class Odometry:
 def unit_variance(noise: float) -> float:
     """The variance of unit weight where there is noise; 1, that of the stated sigmas, where there is rounding alone."""
     return noise if noise > EXACT else 1.0
-
-
-def mahalanobis(xi: Array, S: Array) -> Array:
-    """xi' S^-1 xi (m,)."""
-    return np.asarray((xi * np.linalg.solve(S, xi[..., None])[..., 0]).sum(axis=1))
 
 
 def _compared(track: Odometry, loops: Edges, a: Index, b: Index) -> Array:

@@ -35,10 +35,9 @@ from factors.sighting import Sighting
 from models import SE3
 from models.algebra import Array, Index, Mask
 from models.sensors import cartesian
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.covariance.frames import turned
 from nls.graph import FactorGraph
-from nls.robust.consistency import mahalanobis
 from nls.robust.landmarks import Landmarks
 from nls.robust.track import Track, along
 from nls.starts.elevation import APERTURE

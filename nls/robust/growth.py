@@ -28,11 +28,10 @@ from math import ceil
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.graph import FactorGraph
 from nls.optimizers import GaussNewton, Stop
 from nls.posegraph import Edges
-from nls.robust.consistency import mahalanobis
 from nls.robust.groups import misfits, witnesses
 from nls.robust.loop_graph import LoopGraph, loop_graph
 from nls.robust.paths import path_covariances

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from models.algebra import Array, Index, Mask
-from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
@@ -83,7 +83,7 @@ def _agreement(nu: Array, S: Array, gate: float) -> Mask:
     left = nu[:, None] - (gain @ nu[..., None])[..., 0]
     C = B[own, own][:, None] - gain @ B.mT
     left[own, own], C[own, own] = 0.0, np.eye(m)
-    return np.asarray((left * np.linalg.solve(C, left[..., None])[..., 0]).sum(axis=2) < gate)
+    return mahalanobis(left, C) < gate
 
 
 def _by_ping(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> Iterator[tuple[Index, Array, Array]]:

@@ -86,7 +86,7 @@ def landmark_distances(
     near = np.flatnonzero(d2 < gate)
     if len(near):
         own = np.arange(len(near))
-        S[near] = _innovation_covariances(pings, estimate, d[near], landmarks[near], own, own)
+        _, S[near] = _innovations(pings, estimate, d[near], landmarks[near], own, own)
         d2[near] = _quadratic(b[near], _inverse(S[near]))
     return d2, np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
@@ -97,8 +97,8 @@ def ping_innovations(pings: Pings, estimate: Estimate, d: Index, landmarks: Inde
     size = count.repeat(count)  # of the ping of each pairing
     p, begin = np.arange(len(d)).repeat(size), first.repeat(count).repeat(size)
     q = begin + np.arange(len(p)) - (np.cumsum(size) - size).repeat(size)
-    S = _innovation_covariances(pings, estimate, d, landmarks, p, q)
-    b, m = _linearized(pings, estimate, d, landmarks)[-1], S.shape[1]
+    b, S = _innovations(pings, estimate, d, landmarks, p, q)
+    m = b.shape[1]
     blocks = np.split(S, np.cumsum(count**2)[:-1])
     return b, [S.reshape(k, k, m, m).swapaxes(1, 2).reshape(k * m, k * m) for k, S in zip(count, blocks, strict=True)]
 
@@ -121,8 +121,10 @@ def _blocks(estimate: Estimate, pose: Keys, landmark: Keys) -> tuple[Array, Arra
     return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
 
 
-def _innovation_covariances(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index) -> Array:
-    """S (r, m, m) of some (r,) of the pairings of sightings d with landmarks (k,) and others of the same ping."""
+def _innovations(
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index
+) -> tuple[Array, Array]:
+    """Innovations (k, m) of sightings d from landmarks (k,), and S (r, m, m) of pairings p (r,) with q of a ping."""
     pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
     measured, dim = pings.of_landmarks(landmarks, d), pings.group.point_dim
     u, v = pings.kind[landmarks[p]], pings.kind[landmarks[q]]
@@ -138,7 +140,7 @@ def _innovation_covariances(pings: Pings, estimate: Estimate, d: Index, landmark
     S = product(product(A_X[p], P_X), A_X[q].mT) + product(product(A_l[p], P_l), A_l[q].mT)
     S += product(product(A_X[p], C[q]), A_l[q].mT) + product(product(A_l[p], C[p].mT), A_X[q].mT)
     S[p == q] += np.eye(b.shape[1])
-    return S
+    return b, S
 
 
 def _no_information(dim: int) -> SqrtInformation:
