@@ -5,12 +5,13 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
 3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
    alone with one another. Only pairings that most of their ping agree with count, and a track with two answers waits. A
-   sighting that its landmark does not explain is alone again, and so is the worst piece of a track whose chi2 no noise
-   explains, or the worst sighting of its only piece.
+   sighting that its landmark does not explain is alone again. Pieces without which chi2 is much less are a landmark of
+   their own again (`nls.sonar.contacts.splitting`). Of a track in one piece, whose chi2 no noise explains, the worst
+   sighting is alone.
 
-2 and 3 again, from the better estimate, until next to nothing changes. The gates of `STAGES` come in turn: narrow ones
-first, where poses are known well beside each other. They correct the poses, and wide gates become narrow. In the end
-the sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
+2 and 3 again, from the better estimate, until next to nothing changes: first with narrow gates, where poses are known
+well beside each other, then with all. The narrow ones correct the poses, and wide gates become narrow. In the end the
+sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
+from nls.sonar.contacts.splitting import split
 from nls.values import Values
 
 __all__ = ["Associated", "associate"]
 
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
-STAGES = (2.0, 4.0, 8.0, np.inf)  # the widest innovations, in sigmas of the sensor
-FEW = 0.005  # part of the sightings; a round that moves no more is the last of its stage
+FEW = 0.005  # part of the sightings; a round that moves no more is the last with its gates
 ROUNDS = 40
+SURE = 0.99  # pieces of one target stay together with this probability
 OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
 TWICE = 2  # a sighting that its landmark did not explain so often is joined with no other any more
 l = kinds("l")[0]
@@ -104,6 +106,7 @@ def associate(
     kind: Kind = l,
     least: int = 3,
     probability: float = 0.999,
+    narrow: float = 4.0,
     rounds: int = ROUNDS,
     report: Callable[[Index], None] | None = None,
 ) -> Associated:
@@ -117,6 +120,8 @@ def associate(
     kind : of the landmarks.
     least : sightings that make a landmark; fewer stay undecided.
     probability : with which a right pairing is within its gate.
+    narrow : innovations of the first rounds have at most so many sigmas of the sensor. A gate then should hold one
+        target as a rule: where targets are a few sigmas apart, 2 is better.
     rounds : at most.
     report : called with the tracks (n,) after every round.
 
@@ -129,7 +134,7 @@ def associate(
     GraphError
         Sightings that leave more free than an elevation, whose sensor has no known place, or of a kind that has values.
     OptionError
-        An aperture, a probability or a count that is none.
+        An aperture, a probability or a count that is none; `narrow` below 1, where no innovation is.
     UnderconstrainedError
         The graph leaves poses free.
 
@@ -152,28 +157,33 @@ def associate(
     check_whole("least", least, 2)
     check_whole("rounds", rounds, 1)
     check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
+    check_between("narrow", narrow, 1, np.inf, "sigmas of the sensor, above 1, such as 4")
     pings = Pings.of(sightings, values, kind, aperture)
-    gate = chi2_gate(measured_numbers(pings), probability)
+    gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     pieces = tracks = _linked(pings, graph, values, gate)
     expelled = np.zeros(len(pings), dtype=np.intp)
     poses = _without(estimated(pings, graph, values, tracks, FIRST).values, kind)
-    stage, settled = 0, False
+    widest, last, settled = narrow, False, False
     history: list[int] = []
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, poses, tracks)
         poses = _without(estimate.values, kind)
         open_ = expelled < TWICE
-        if last := stage == len(STAGES):
+        if last:
             joined = resolved(pings, estimate, open_, least, probability)
         else:
-            joined = _joined(pings, estimate, open_, gate, STAGES[stage])
-        outside = estimate.d2 > OUTSIDE * gate
-        misfit = of.misfits(tracks, pieces, estimate.d2, estimate.doubtful)
+            joined = _joined(pings, estimate, open_, gate, widest)
+        misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
+        alone = misfit | (estimate.d2 > OUTSIDE * gate)
+        leaving = split(pings, graph, estimate, pieces, apart)
         few = np.count_nonzero(joined != tracks) <= FEW * len(tracks)
-        settled, stage = bool(last and few), stage + int(few and not last)
-        tracks = of.single(of.parted(joined, pieces, misfit), outside)
-        expelled += outside | misfit
-        if stage == len(STAGES) and not last:  # what no single track was for may be somebody's with all of its ping
+        tracks = of.single(of.parted(joined, tracks, leaving), alone)
+        expelled += alone | leaving
+        settled = bool(last and few)
+        if few and widest < np.inf:
+            widest = np.inf
+        elif few and not last:  # what no single track was for may be somebody's with all of its ping
+            last = True
             expelled[:] = 0
         history.append(int(np.count_nonzero(of.sizes(tracks) >= least)))
         if report is not None:

@@ -27,7 +27,7 @@ from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
+__all__ = ["landmark_distances", "linearized", "motion_covariances", "ping_innovations", "sighting_distances"]
 
 
 def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
@@ -78,7 +78,7 @@ def landmark_distances(
     """
     if not len(d):
         return np.zeros(0), np.zeros(0)
-    pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
+    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
     P_X, P_l = _blocks(estimate, pose, landmark)
     spread = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT)
     I = np.eye(b.shape[1])
@@ -103,7 +103,7 @@ def ping_innovations(pings: Pings, estimate: Estimate, d: Index, landmarks: Inde
     return b, [S.reshape(k, k, m, m).swapaxes(1, 2).reshape(k * m, k * m) for k, S in zip(count, blocks, strict=True)]
 
 
-def _linearized(
+def linearized(
     pings: Pings, estimate: Estimate, d: Index, landmarks: Index
 ) -> tuple[Keys, Keys, tuple[Array, ...], Array]:
     """Poses and landmarks of sightings d (k,), the Jacobians of both, and innovations (k, m)."""
@@ -125,7 +125,7 @@ def _innovations(
     pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index
 ) -> tuple[Array, Array]:
     """Innovations (k, m) of sightings d from landmarks (k,), and S (r, m, m) of pairings p (r,) with q of a ping."""
-    pose, landmark, (A_X, A_l), b = _linearized(pings, estimate, d, landmarks)
+    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
     measured, dim = pings.of_landmarks(landmarks, d), pings.group.point_dim
     u, v = pings.kind[landmarks[p]], pings.kind[landmarks[q]]
     apart, other = landmarks[p] < landmarks[q], landmarks[p] != landmarks[q]

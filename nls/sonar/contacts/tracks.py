@@ -9,7 +9,7 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask
 
-__all__ = ["joined", "misfits", "once_per_ping", "parted", "renamed", "share_a_ping", "single", "sizes"]
+__all__ = ["joined", "once_per_ping", "parted", "renamed", "several", "share_a_ping", "single", "sizes", "worst"]
 
 
 def renamed(groups: Index) -> Index:
@@ -89,6 +89,18 @@ def sizes(tracks: Index) -> Index:
     return np.bincount(tracks, minlength=len(tracks))[tracks]
 
 
+def several(tracks: Index, pieces: Index) -> Mask:
+    """Which sightings (n,) are of a track of several pieces (n,).
+
+    Examples
+    --------
+    >>> several(np.array([0, 0, 2]), np.array([0, 1, 2]))
+    array([ True,  True, False])
+    """
+    n = len(tracks)
+    return np.asarray(np.bincount(np.unique(tracks * n + pieces) // n, minlength=n)[tracks] > 1)
+
+
 def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
     """Which pairs (k,) of tracks a and b were seen in one ping, and so are two targets.
 
@@ -104,26 +116,15 @@ def share_a_ping(tracks: Index, ping: Index, a: Index, b: Index) -> Mask:
     return np.asarray(sightings[a].multiply(sightings[b]).sum(axis=1)).reshape(-1) > 0
 
 
-def misfits(tracks: Index, pieces: Index, d2: Array, doubtful: Mask) -> Mask:
-    """Sightings (n,) that fit least, by the mean of d2 (n,): of each doubtful track (n,) one piece, or one sighting.
-
-    A track of several pieces loses a piece (n,), a track of one piece loses a sighting.
+def worst(tracks: Index, d2: Array, which: Mask) -> Mask:
+    """The sighting (n,) of largest d2 (n,) of every track of some sightings (n,).
 
     Examples
     --------
-    >>> pieces = np.array([0, 0, 2, 2])
-    >>> misfits(np.zeros(4, dtype=int), pieces, np.array([1.0, 2.0, 8.0, 5.0]), np.ones(4, dtype=bool))
-    array([False, False,  True,  True])
-    >>> misfits(pieces, pieces, np.array([1.0, 2.0, 8.0, 5.0]), np.array([False, False, True, True]))
+    >>> worst(np.array([0, 0, 2, 2]), np.array([1.0, 2.0, 8.0, 5.0]), np.array([False, False, True, True]))
     array([False, False,  True, False])
     """
-    n = len(tracks)
-    several = np.bincount(np.unique(tracks * n + pieces) // n, minlength=n)[tracks] > 1
-    parts = np.where(several, pieces, np.arange(n))
-    pairs, first, pair = np.unique(tracks * n + parts, return_index=True, return_inverse=True)
-    mean = np.bincount(pair, d2) / np.bincount(pair)
-    order = np.lexsort((mean, pairs // n))
-    worst = np.append(pairs[order][1:] // n != pairs[order][:-1] // n, True)
-    chosen = np.zeros(len(pairs), dtype=bool)
-    chosen[order] = worst
-    return np.asarray((chosen & doubtful[first])[pair])
+    order = np.lexsort((d2, tracks))
+    chosen = np.zeros(len(tracks), dtype=bool)
+    chosen[order] = np.append(tracks[order][1:] != tracks[order][:-1], True)[: len(order)]
+    return chosen & which

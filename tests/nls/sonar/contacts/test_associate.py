@@ -162,6 +162,7 @@ def test_refusals() -> None:
         {"rounds": 0},
         {"probability": 1.0},
         {"probability": 0.0},
+        {"narrow": 1.0},
         {"aperture": -1.0},
         {"aperture": None},
     ):

@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.algebra import Index
-from nls.sonar.contacts.tracks import joined, misfits, once_per_ping, parted, renamed, share_a_ping, single, sizes
+from nls.sonar.contacts.tracks import (
+    joined,
+    once_per_ping,
+    parted,
+    renamed,
+    several,
+    share_a_ping,
+    single,
+    sizes,
+    worst,
+)
 
 Partition = set[frozenset[int]]
 
@@ -90,12 +100,15 @@ def test_tracks_that_share_a_ping(scene: dict[str, Any]) -> None:
     assert share_a_ping(tracks, ping, a, b).tolist() == common
 
 
-def test_the_worst_piece_leaves_a_doubtful_track_and_of_one_piece_the_worst_sighting() -> None:
-    tracks = np.array([0, 0, 0, 0, 4, 4, 6, 6])
-    pieces = np.array([0, 0, 2, 2, 4, 4, 6, 7])
-    d2 = np.array([30.0, 2.0, 9.0, 8.0, 50.0, 60.0, 90.0, 1.0])  # by the mean, not by the worst sighting, nor the sum
-    doubtful = np.array([True] * 6 + [False] * 2)
-    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [0, 1, 5]
-    d2[2:4] = [3.0, 40.0]
-    assert np.flatnonzero(misfits(tracks, pieces, d2, doubtful)).tolist() == [2, 3, 5]
-    assert np.flatnonzero(misfits(tracks, pieces, d2, ~doubtful)).tolist() == [6]
+def test_the_worst_sighting_of_a_track() -> None:
+    tracks, d2 = np.array([0, 1, 0, 1, 4]), np.array([3.0, 1.0, 2.0, 5.0, 0.0])
+    every = np.ones(5, dtype=bool)
+    assert np.flatnonzero(worst(tracks, d2, every)).tolist() == [0, 3, 4]
+    assert np.flatnonzero(worst(tracks, d2, tracks == 1)).tolist() == [3]
+    assert not worst(tracks[:0], d2[:0], every[:0]).any()
+
+
+@given(scenes())
+def test_tracks_of_several_pieces(scene: dict[str, Any]) -> None:
+    tracks, ping = scene["tracks"], scene["ping"]
+    assert several(tracks, renamed(ping)).tolist() == [len(set(ping[tracks == track])) > 1 for track in tracks]

@@ -1,0 +1,66 @@
+"""Landmarks made of two: the fall of chi2 against a second solution, and right landmarks that stay whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.algebra import Index
+from nls.analysis.chi_squared import chi2_gate
+from nls.sonar.contacts.estimate import Estimate, estimated
+from nls.sonar.contacts.splitting import split
+from nls.sonar.contacts.tracks import renamed, several
+from tests.nls.sonar.contacts.scenes import Scene, floor, in_plane
+
+
+def solved(scene: Scene, tracks: Index) -> Estimate:
+    return estimated(scene.pings, scene.graph, scene.at_the_truth(), renamed(tracks))
+
+
+def in_time(scene: Scene, parts: int) -> Index:
+    """Pieces of the true landmarks: their sightings of every such part of the mission."""
+    pings = scene.pings
+    return renamed(scene.true * parts + pings.ping * parts // len(pings.poses))
+
+
+@pytest.mark.parametrize(("scene", "number"), [(floor(1), 0), (floor(2), 0), (in_plane(), 1)])
+def test_the_fall_of_chi2_is_that_of_a_second_solution(scene: Scene, number: int) -> None:
+    """Ranges of one landmark are longer on the way back: a gate below the fall parts it, a gate above keeps it."""
+    late = in_time(scene, 2) != renamed(scene.true)
+    sigma = 1 / scene.pings.model(np.arange(1)).W.reshape(-1)[-number]
+    twice = [k for k in np.unique(scene.true[late]) if np.count_nonzero(scene.true[~late] == k) > 2]
+    for k in twice[:3]:
+        chosen, sightings, z = late & (scene.true == k), scene.sightings, scene.sightings.z.copy()
+        z[chosen, number] += 4 * sigma
+        sightings = type(sightings)(*sightings.keys[:2], z, sightings.noise, sightings.offset)
+        longer, apart = replace(scene, sightings=sightings), np.where(chosen, len(z), scene.true)
+        one, two = solved(longer, scene.true), solved(longer, apart)
+        fall = float(one.graph.chi2(one.values) - two.graph.chi2(two.values))
+        pieces = renamed(apart)
+        leaving = split(longer.pings, scene.graph, one, pieces, 0.5 * fall)
+        assert set(pieces[leaving]) in ({int(np.argmax(chosen))}, {int(np.argmax(scene.true == k))})
+        assert np.array_equal(leaving, pieces == pieces[leaving][0])
+        assert not split(longer.pings, scene.graph, one, pieces, 2 * fall).any()
+
+
+@pytest.mark.parametrize("parts", [2, 6])
+def test_a_landmark_stays_whole_in_any_pieces(parts: int) -> None:
+    """Of right landmarks few seem to be two, at 99 %, and no more where pieces are many."""
+    gate, count, split_up = chi2_gate(3, 0.99), 0, 0
+    for seed in range(1, 5):
+        scene = floor(seed)
+        pieces = in_time(scene, parts)
+        estimate = solved(scene, scene.true)
+        leaving = split(scene.pings, scene.graph, estimate, pieces, gate)
+        count += len(np.unique(scene.true[several(estimate.tracks, pieces)]))
+        split_up += len(np.unique(scene.true[leaving]))
+    assert count > 80
+    assert split_up <= 0.02 * count
+
+
+def test_a_landmark_of_one_piece_stays() -> None:
+    scene = floor()
+    estimate = solved(scene, scene.true)
+    assert not split(scene.pings, scene.graph, estimate, renamed(scene.true), 1e-9).any()
