@@ -29,6 +29,7 @@ extensions = [
     "gallery",
     "line_breaks",
     "made_figure",
+    "notebook_download",
     "overview",
 ]
 exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]  # pictures may lie below _build
@@ -40,6 +41,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+nb_ipywidgets_js = {}  # a slider needs a kernel, and the pages load nothing over the network
 
 # --- reference ---
 autodoc_member_order = "groupwise"
