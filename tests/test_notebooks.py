@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.ipynb"))
 MUTANTS = tomllib.loads((ROOT / "tools" / "broken.toml").read_text(encoding="utf-8"))["mutant"]
+HIDDEN = {"hide-cell", "remove-cell"}  # tags of cells whose code a page does not show
 CLAIM = re.compile(
     r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n\*\*You will be able to\*\* .+\n\n\*\*You need\*\* "
 )
@@ -61,11 +62,11 @@ def test_its_exercises_check_themselves(path: Path) -> None:
     (exercises,) = [cell["source"] for cell in cells(path, "markdown") if "## Exercises" in cell["source"]]
     numbers = re.findall(r"^(\d)\. ", exercises.partition("## Exercises")[2], flags=re.MULTILINE)
     assert len(numbers) >= 3
-    tagged = dict.fromkeys(("hide-input", "hide-cell"), "")
+    tagged = dict.fromkeys(("hide-input", "hide-cell", "remove-cell", "remove-output"), "")
     for cell in cells(path, "code"):
         tags = cell["metadata"].get("tags", [])
         hidden = cell["metadata"].get("jupyter", {}).get("source_hidden", False)
-        assert hidden == bool({"hide-input", "hide-cell"} & set(tags)), "folded on the site and in Jupyter"
+        assert hidden == bool({"hide-input", *HIDDEN} & set(tags)), "folded on the site and in Jupyter"
         for tag in tags:
             tagged[tag] += cell["source"]
     for number in numbers:
