@@ -20,7 +20,7 @@ TEXT = "Download this notebook with its outputs"
 
 def _link(app: Sphinx, doctree: nodes.document) -> None:
     env = app.env
-    if env.doc2path(env.docname, base=False).endswith(".ipynb"):
+    if Path(env.doc2path(env.docname)).suffix == ".ipynb":
         executed = Path(env.mystnb_config.output_folder, f"{env.docname}.ipynb")
         target = "/" + Path(os.path.relpath(executed, app.srcdir)).as_posix()
         reference = download_reference("", "", nodes.Text(TEXT), reftarget=target, refdoc=env.docname)
