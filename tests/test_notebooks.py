@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.ipynb"))
 MUTANTS = tomllib.loads((ROOT / "tools" / "broken.toml").read_text(encoding="utf-8"))["mutant"]
+LINES = 25  # of a cell
 HIDDEN = {"hide-cell", "remove-cell"}  # tags of cells whose code a page does not show
 CLAIM = re.compile(
     r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n\*\*You will be able to\*\* .+\n\n\*\*You need\*\* "
@@ -55,6 +56,21 @@ def test_a_notebook(path: Path) -> None:
             assert (FOLDER / target).exists(), target
             if target.endswith(".ipynb"):
                 assert title(FOLDER / target).startswith(name), f"{target} is called {title(FOLDER / target)!r}"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
+def test_a_page_teaches_slowly(path: Path) -> None:
+    """Short cells, assertions in cells that the page hides, and a question before each figure."""
+    before = ""
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        lines = "".join(cell["source"]).splitlines()
+        if cell["cell_type"] == "code":
+            assert len(lines) <= LINES, f"{cell['id']} has {len(lines)} lines"
+            if not HIDDEN & set(cell["metadata"].get("tags", [])):
+                assert not any(line.strip().startswith("assert ") for line in lines), f"{cell['id']} asserts"
+            if lines[-1] in ("figure", "plt.show()"):
+                assert re.search(r"\*\*Question\.\*\* [^*]*\?", before), f"{cell['id']}: no question before the figure"
+        before = "\n".join(lines) if cell["cell_type"] == "markdown" else ""
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
