@@ -24,9 +24,14 @@ class Parser(argparse.ArgumentParser):
 
 
 def parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """The parameters that are options: all but the generator."""
+    """The parameters that are options: all but the generator, and those that Python alone can give, by keyword."""
     signature = inspect.signature(make).parameters
-    return {option: parameter for option, parameter in signature.items() if parameter.default is not parameter.empty}
+    positional = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    return {
+        option: parameter
+        for option, parameter in signature.items()
+        if parameter.default is not parameter.empty and parameter.kind is positional
+    }
 
 
 def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset: bool = False) -> None:
