@@ -1,5 +1,6 @@
 """Configuration of the site; `make docs` builds it with every warning fatal."""
 
+import os
 import sys
 import tomllib
 from importlib.metadata import version as installed_version
@@ -12,6 +13,7 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # nls in shell cells
 
 project = "leadline"
 author = "the leadline developers"
