@@ -291,7 +291,7 @@ def _unchecked(mission: dict[str, Any]) -> list[str]:
 
 def _drift(mission: dict[str, Any]) -> tuple[str, str]:
     """Errors at the end and on average of dead reckoning, and of the solution where there is a truth, in words."""
-    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
+    judge = "the truth" if mission["judge"] == "truth" else "the solution (there is no truth.csv)"
     named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
     drift = ", ".join(
         f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()
