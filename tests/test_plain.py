@@ -33,8 +33,7 @@ x = 1  # No prose.
 def test_sentences_of_a_page() -> None:
     assert plain.sentences(PAGE) == [
         "One thought, with a link and x.",
-        "Another one:",
-        "x ends on the next line.",
+        "Another one: x ends on the next line.",
         "What it is.",
         "A point;",
         "half of it.",

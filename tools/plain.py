@@ -28,7 +28,7 @@ MATH = re.compile(r"\$\$.*?\$\$", re.DOTALL)
 INLINE = [(re.compile(r"\$[^$\n]+\$"), "x"), (re.compile(r"`+([^`]*)`+"), "x"), (re.compile(r"\{[a-z:]+\}"), "")]
 INLINE += [(re.compile(r"!?\[([^\]]*)\]\([^)]*\)"), r"\1"), (re.compile(r"[*_]{1,2}(?=\S)|(?<=\S)[*_]{1,2}"), "")]
 BLOCK = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*+]|\d+\.)\s)|\n(?=\s*\|)|\n(?=#)")
-END = re.compile(r"(?<=[a-z0-9)\]\"'x`%][.!?:;])\s+(?=[A-Z\"'(`x])|(?<=[;])\s+")
+END = re.compile(r"(?<=[A-Za-z0-9)\]\"'x`%][.!?])\s+(?=[\w\"'(`])|(?<=:)\s+(?=[A-Z])|(?<=;)\s+")
 DOT = re.compile(r"\b(e\.g|i\.e|cf|vol|pp|no|eq|fig|sec)\.", re.IGNORECASE)
 
 
