@@ -60,7 +60,7 @@ class Factor(Traits, Abstract):
     ----------
     relative : True when the residual does not change if all variables are moved by the same group element. Only a part
         of a graph all of whose factors say so has a gauge that may be held.
-    unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor: they neither
+    unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
     per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part
         of the batch takes its rows of them.
@@ -173,7 +173,7 @@ class Factor(Traits, Abstract):
 
     @property
     def name(self) -> str:
-        """What kind of measurement this is, for messages."""
+        """Kind of this measurement, for messages."""
         return type(self).__name__
 
     def __repr__(self) -> str:

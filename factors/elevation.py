@@ -64,7 +64,7 @@ class Elevation(InSpace):
 
 
 class ElevationHinge(Elevation):
-    r"""That a target was in the aperture when it was seen: no cost inside, a quadratic one outside.
+    r"""A target was in the aperture when it was seen: no cost inside, a quadratic one outside.
 
     .. math:: h(X, l) = \mathrm{sign}(q) \max(|q| - q_{max}, 0), \quad q = \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2}),
 

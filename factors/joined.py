@@ -62,7 +62,7 @@ def alike(a: Model, b: Model) -> bool:
 
 
 def sort_of(factor: Factor) -> Hashable:
-    """All that batches have in common that may be one."""
+    """Attributes that batches must share to be joined."""
     per = factor.per_measurement
     own = [(k, type(v) if k in per else _hashable(v)) for k, v in vars(factor).items() if k not in OWN]
     return type(factor), factor.kernel, tuple([keys.kind for keys in factor.keys]), tuple(own)

@@ -64,7 +64,7 @@ def command(name: str, seed: int, arguments: dict[str, Any]) -> str:
 
 
 def values_of(hint: Any) -> dict[str, Any]:
-    """What argparse needs to know of a parameter with this type: words, a number or a whole number."""
+    """Arguments for argparse of a parameter with this type: words, a number or a whole number."""
     if hint is bool:
         return {"action": "store_true"}
     if typing.get_origin(hint) is typing.Literal:

@@ -66,7 +66,7 @@ def runs(
     resume: str | Path | None = None,
     progress: bool = False,
 ) -> list[Record]:
-    """What a function finds for every seed, in the order of the seeds.
+    """The result of a function for every seed, in the order of the seeds.
 
     Parameters
     ----------

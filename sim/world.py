@@ -1,4 +1,4 @@
-r"""What a simulated world is, and the three steps every one of them shares: measure, chain, build.
+r"""Simulated worlds, and the three steps that all of them share: measure, chain, build.
 
     z = h Exp(v),   v ~ N(0, Sigma),   h = x_i^{-1} x_j
 
