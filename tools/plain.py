@@ -82,9 +82,9 @@ def texts(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def candidates(found: list[str]) -> list[str]:
+def candidates(sentences: list[str]) -> list[str]:
     """The sentences that are long or begin with a pronoun, the longest first."""
-    return sorted((s for s in found if words(s) > LONG or SUBJECT.match(s)), key=words, reverse=True)
+    return sorted((s for s in sentences if words(s) > LONG or SUBJECT.match(s)), key=words, reverse=True)
 
 
 def main() -> None:
@@ -96,15 +96,15 @@ def main() -> None:
     pages = [(path, sentences(texts(path))) for path in paths]
     print("  words  longest  above 25  pronoun subject  page")
     total = [0, 0, 0]
-    for path, found in pages:
-        counts = [words(s) for s in found]
-        row = [sum(counts), sum(n > LONG for n in counts), sum(bool(SUBJECT.match(s)) for s in found)]
+    for path, listed in pages:
+        counts = [words(s) for s in listed]
+        row = [sum(counts), sum(n > LONG for n in counts), sum(bool(SUBJECT.match(s)) for s in listed)]
         total = [a + b for a, b in zip(total, row, strict=True)]
         name = path.relative_to(ROOT) if path.is_absolute() else path
         print(f"{row[0]:7,d} {max(counts, default=0):8d} {row[1]:9d} {row[2]:16d}  {name}")
     print(f"{total[0]:7,d} {'':8} {total[1]:9d} {total[2]:16d}  all")
-    for path, found in pages:
-        if chosen := candidates(found):
+    for path, listed in pages:
+        if chosen := candidates(listed):
             print(f"\n{path.relative_to(ROOT) if path.is_absolute() else path}")
             print("\n".join(f"  {words(s):3d}  {s}" for s in chosen))
 

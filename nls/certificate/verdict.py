@@ -23,7 +23,7 @@ __all__ = ["Certificate", "certify"]
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known about the global optimum of a pose graph in the SE-Sync cost; ``report()`` says it in words.
+    """Certificate of the global optimum of a pose graph in the SE-Sync cost; ``report()`` says it in words.
 
     Attributes
     ----------
@@ -68,12 +68,12 @@ class Certificate:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """What helps where the solution is not the lowest."""
+        """Cures where the solution is not the lowest."""
         return () if self.lower_chi2 is None else (Advice("start at better"),)
 
     def report(self, shell: bool = False) -> str:
-        """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
-        lines, and two more where `lower_chi2` is known, with the advice for Python or for the command line."""
+        """The verdict, its minimum and the distance of the given values, and the eigenvalues: four lines. Two more
+        where `lower_chi2` is known, with the advice for Python or for the command line."""
         sentences = {
             "certified": "globally optimal in the SE-Sync cost, which differs slightly from chi2. This does not "
             "validate the measurements",
@@ -128,10 +128,10 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
 
     Notes
     -----
-    chi2 has another optimum, near this one where residuals are small: a certificate tells about chi2 only as far as
-    the two minima lie in one valley, and `Certificate.moved` says how far they are apart. D. Rosen, L. Carlone,
-    A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization over the special Euclidean
-    group", IJRR 38(2-3), 2019.
+    chi2 has another optimum, near this one where residuals are small. A certificate holds for chi2 only if the two
+    minima lie in one valley, and `Certificate.moved` says how far they are apart. D. Rosen, L. Carlone, A. Bandeira, J.
+    Leonard, "SE-Sync: a certifiably correct algorithm for synchronization over the special Euclidean group", IJRR
+    38(2-3), 2019.
 
     Examples
     --------

@@ -161,7 +161,7 @@ class Solved:
 
     @cached_property
     def calibrations(self) -> list[Determination]:
-        """What the measurements say of the calibrations."""
+        """The calibrations by the measurements."""
         from nls.io.mission.determination import determinations
 
         marginals = self._covariances[0] if self.report.calibrations else None
@@ -169,7 +169,7 @@ class Solved:
 
     @property
     def judge(self) -> str | None:
-        """What the tracks are compared with; None where nothing checks dead reckoning."""
+        """The reference of the tracks; None where nothing checks dead reckoning."""
         return next((track.against for track in self.tracks.values()), None)
 
     @cached_property
@@ -179,7 +179,7 @@ class Solved:
         return tracks[0].distance
 
     def record(self) -> dict[str, Any]:
-        """What the report for programs says of the mission."""
+        """The mission in the report for programs."""
         distance = self.distance
         anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
@@ -218,7 +218,7 @@ class Solved:
 
 
 def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
-    """What the report for programs says of tracks, by their name."""
+    """Tracks in the report for programs, by their name."""
     return {
         name.replace(" ", "_"): {
             "drift_percent": 100 * track.drift,

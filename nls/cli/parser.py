@@ -178,7 +178,7 @@ def parser() -> Parser:
     solve.add_argument(
         "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
     )
-    solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
+    solve.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
     solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
     solve.add_argument(
         "--allow-doubtful", action="store_true", help="exit 0 where the choice of --robust gnc-tls is in doubt, too"

@@ -57,9 +57,9 @@ class FastSLAM(Filter):
     Notes
     -----
     The covariance of the pose is that of the sample. It is too small, the more so the longer the path and the fewer the
-    particles: each resampling keeps some paths and forgets the rest, so that all particles soon descend from one of
-    long ago, and what that one had wrong they all have. For the same reason the landmarks of a loop are not corrected
-    when it closes, beyond what the particles that are left still differ in.
+    particles. Each resampling keeps some paths and forgets the rest. So all particles soon descend from one of long ago
+    and share its errors. For the same reason the landmarks of a loop are not corrected when it closes, beyond what the
+    particles that are left still differ in.
 
     Examples
     --------

@@ -131,7 +131,7 @@ def carriers_of_singles(directions: sp.csc_array, least: float) -> list[Index]:
 
 
 def separated(N: Array, singles: sp.csc_array, scale: Array) -> Array:
-    """What free directions hold besides those of single variables, each moving as few unknowns as may be.
+    """Free directions besides those of single variables, each moving as few unknowns as possible.
 
     Parameters
     ----------

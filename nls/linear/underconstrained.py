@@ -1,4 +1,4 @@
-"""What is free and why: variables no factor touches, components nothing anchors, and the null directions by name."""
+"""Free directions: variables no factor touches, components nothing anchors, and null directions by name."""
 
 from __future__ import annotations
 

@@ -10,9 +10,9 @@ place that looks like another gives a whole group of wrong closures, all of whic
 with it whatever it says, and counts for nothing.
 
 The same d tell by how much the stated sigmas are too large: sigma0^2 is the 10 % quantile of d over that of chi2.
-Geodesy calls it the variance of unit weight. A median would not do, as wrong neighbors may outnumber the right ones. It
-changes no estimate, but every test. Numbers without any noise say nothing of it. Where sigma0 is above 1 either the
-sigmas are too small or most neighbors are wrong; nobody can tell, and the stated sigmas are used.
+Geodesy calls it the variance of unit weight. A median would not do, as wrong neighbors may outnumber the right ones.
+This changes no estimate, but every test. Numbers without any noise say nothing of it. Where sigma0 is above 1 either
+the sigmas are too small or most neighbors are wrong; nobody can tell, and the stated sigmas are used.
 
 Neighbors say nothing of a long way along odometry, which has errors of its own. That is tested by
 

@@ -182,11 +182,11 @@ def in_image(camera: Camera, X: Array, L: Array) -> tuple[Index, Index]:
         A point is in no image.
     """
     i, k = np.divmod(np.arange(len(X) * len(L)), len(L))
-    seen = camera.sees(SE3.act(SE3.inverse(X)[i], L[k]))
-    lost = np.setdiff1d(k, k[seen])
+    visible = camera.sees(SE3.act(SE3.inverse(X)[i], L[k]))
+    lost = np.setdiff1d(k, k[visible])
     if len(lost):
         raise GraphError(f"rig: {len(lost)} of {len(L)} points are in no image, the first in row {lost[0]} of points")
-    return i[seen], k[seen]
+    return i[visible], k[visible]
 
 
 def scene(rng: np.random.Generator, camera: Camera, poses: int, points: int, i: Index, k: Index) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-r"""What a solved mission is worth: the drift of its track, and how well the elevation of its landmarks is known.
+r"""Quality of a solved mission: the drift of its track, and how well the elevation of its landmarks is known.
 
     drift = |t_n - t_n,true| / distance,    distance = sum |t_k+1 - t_k|
 
