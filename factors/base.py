@@ -62,11 +62,11 @@ class Factor(Traits, Abstract):
         of a graph all of whose factors say so has a gauge that may be held.
     unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
-    per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part
+    per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part
         of the batch takes its rows of them.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
-    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
+    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks). Where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """

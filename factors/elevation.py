@@ -89,7 +89,7 @@ class ElevationHinge(Elevation):
 
     Notes
     -----
-    Inside the aperture nothing is added to the information: a target that only the hinge keeps in place is free there,
+    Inside the aperture nothing is added to the information. A target that only the hinge keeps in place is free there,
     and a covariance says so. One that pushes counts there as a measurement as good as its softness, which is more than
     a limit knows; for the landmarks of a mission `nls.io.mission.elevations` puts the aperture in its place. Which
     hinges push changes from step to step, so undamped Gauss-Newton may go in a circle; a graph with one is solved by

@@ -8,7 +8,7 @@ With the weighted means u', v' and M = sum w_i (u_i - u') (v_i - v')' = U S V', 
 
     R = U diag(1, .., det(U) det(V)) V',   t = u' - R v'
 
-Without the determinant the best orthogonal matrix may be a reflection: of coplanar points, as three always are, it is
+Without the determinant the best orthogonal matrix may be a reflection. Of coplanar points, as three always are, it is
 one in about every other case. R is unique where S_2 + det(U) det(V) S_3 > 0 (in the plane S_1 + det S_2): points on one
 line, or on one spot, leave a rotation free. S_3 = 0, a plane, is fine.
 

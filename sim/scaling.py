@@ -4,9 +4,9 @@ r"""The cost of a step against the number of landmarks: a filter keeps every cor
     online    the graph so far solved at each step, from the last optimum          a step O(m),   all steps O(m^2)
     batch     the graph solved once                                                               all steps O(m)
 
-Measured on a ring that grows with its landmarks: the vehicle goes round once, past all of them, and a little further,
-so that the loop is closed and every landmark is known. Poses see equally many landmarks whatever the size of the ring.
-Times are those of the processor, on one BLAS thread.
+Measured on a ring that grows with its landmarks: the vehicle goes round once, past all of them, and a little further.
+So the loop is closed and every landmark is known. Poses see equally many landmarks whatever the size of the ring. Times
+are those of the processor, on one BLAS thread.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 r"""FastSLAM 1.0 and 2.0: particles for the pose, and in each of them one small filter for every landmark.
 
-Given the path, landmarks do not depend on each other, so a particle is a pose X and per landmark a mean l and a
+Given the path, landmarks do not depend on each other. So a particle is a pose X and per landmark a mean l and a
 covariance C. With whitened Jacobians A and innovations b of the factors (unit noise), at each step, for every particle:
 
     motion      m, Lambda = A_u' A_u                   where it leads, and the information of that

@@ -50,8 +50,8 @@ class MarginalPrior(Factor):
 
     Notes
     -----
-    Straight steps from X0 are no rotation: where all variables turn together by an angle that nothing else holds,
-    far landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
+    Straight steps from X0 are no rotation. Where all variables turn together by an angle that nothing else holds, far
+    landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
     Levenberg-Marquardt, as for every factor that is `damped`.
 
     Examples

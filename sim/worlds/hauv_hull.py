@@ -35,7 +35,7 @@ def hauv_hull(
 
     Levels along y, 0.25 m a step and 0.4 m apart, flown in turn to starboard and port, three poses down between two of
     them; heading north throughout. The vehicle sways by 2 deg and 0.15 m. A level sonar on a vehicle that strafes sees
-    no elevation: what there is comes from the sway and the way down, and undamped Gauss-Newton may cycle.
+    no elevation. What there is comes from the sway and the way down, and undamped Gauss-Newton may cycle.
 
     Parameters
     ----------

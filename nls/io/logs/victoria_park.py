@@ -4,7 +4,7 @@ Files ``DRS.txt``, ``LASER_TREE.txt`` and ``GPS.txt`` (each may end in ``.gz``).
 bearing for every tree detected in it. The trees have no names. Bearings are positive to the left.
 
 GPS has two columns of meters. Taken for x and y they are the mirror image of what wheels and laser say (over the first
-five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise), so they are taken for north and east.
+five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise). So they are taken for north and east.
 
 The encoder is on the left rear wheel, the laser at the left end of the front bumper; their places are those used with
 the data in the source: J. Guivant, E. Nebot, "Optimization of the simultaneous localization and map-building algorithm

@@ -14,7 +14,7 @@ odometry and sensor parameters for mobile robots", IEEE Trans. Robotics 29(2), 2
 - c changes z by (w_j - w_i) c: a late clock shows where speed or rate of turn change.
 
 Closures say little of it. The graph follows them to the way of the sensor, and submaps that are built from there agree
-with it: with a sensor 1 m off, closures of the third round ask for 0.1 m of it.
+with it. With a sensor 1 m off, closures of the third round ask for 0.1 m of it.
 """
 
 from __future__ import annotations
