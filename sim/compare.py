@@ -121,7 +121,7 @@ def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) 
 
 
 def quality(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """What the columns of these rows are."""
+    """The columns of these rows."""
     lines = [
         ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
         ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),

@@ -35,7 +35,7 @@ SCENES: dict[str, Callable[..., LandmarkWorld]] = {"subsea": subsea, "lines": li
 
 
 def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, iterations: int = 1) -> Track:
-    """What an estimator finds in a world.
+    """The solution of a world by one estimator.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a space of unknowns or measurements must offer, and what every Lie group builds on it.
+"""The interface of a space of unknowns or measurements, and its extension by every Lie group.
 
 The library perturbs on the right, in the body frame, translation first: X <- X Exp(delta), delta = (rho, phi).
 Functions take and return whole stacks: the leading axes are the batch, the last one is the stored form.

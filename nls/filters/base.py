@@ -1,4 +1,4 @@
-r"""What every filter shares: the graph cut into steps, the interface of a filter, the record of a run.
+r"""Common base of filters: the graph cut into steps, the interface of a filter, the record of a run.
 
 A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is
 (`observations`). They are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
@@ -42,7 +42,7 @@ POSE = "x"  # the kind whose numbers are the steps of time; the other kind of a 
 
 @dataclass(frozen=True)
 class Step:
-    """What a filter is given at once.
+    """The input of a filter at one step.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def _groups(at: Index) -> list[tuple[int, Index]]:
 
 @dataclass(frozen=True)
 class Track:
-    """What a filter believed, step by step, and in the end.
+    """The estimates of a filter, step by step, and in the end.
 
     Attributes
     ----------

@@ -83,10 +83,10 @@ class EKF(Filter):
     landmarks, an update O(n^2), each further iteration O(n). A graph that closes loops between poses needs them all: a
     filter of the latest pose refuses such factors.
 
-    A chart to 4 m, bearings to 0.2 deg: at 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
+    A chart to 4 m, bearings to 0.2 deg. At 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
     linearization. Over 30 seeds of `sim.subsea` with ``independent`` landmarks the mean NEES of the last pose, 3 of a
-    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where
-    they were seen, ``correlated``, need no more than one.
+    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where they
+    were seen, ``correlated``, need no more than one.
 
     Examples
     --------

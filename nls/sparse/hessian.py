@@ -1,9 +1,9 @@
 """A block-sparse symmetric matrix H as the lower triangle of a sparse matrix, filled from an array of blocks.
 
-The structure (which block lands where) is computed once per graph: every number of the lower triangle has a source in
-one flat array S that holds the blocks, `nls.sparse.blocks` for A'A. An iteration fills S and takes from it:
-H.data = S[source]. Pairs of variables that several factors share are added afterwards. (20,687 SE(2) edges: 2 ms;
-scipy's A.T @ A: 10 ms.)
+The structure (which block lands where) is computed once per graph. Every number of the lower triangle has a source in
+one flat array S that holds the blocks, `nls.sparse.blocks` for A'A. An iteration fills S and takes from it: H.data =
+S[source]. Pairs of variables that several factors share are added afterwards. (20,687 SE(2) edges: 2 ms; scipy's A.T @
+A: 10 ms.)
 """
 
 from __future__ import annotations
