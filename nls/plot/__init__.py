@@ -3,6 +3,7 @@
 from nls.plot.convergence import convergence
 from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
+from nls.plot.factor_graph import factor_graph
 from nls.plot.report import report
 from nls.plot.sonar import fan_image, polar_image
 from nls.plot.sparsity import spy
@@ -13,6 +14,7 @@ __all__ = [
     "convergence",
     "elevation_map",
     "ellipses",
+    "factor_graph",
     "fan_image",
     "polar_image",
     "report",

@@ -8,6 +8,7 @@ __all__ = [
     "ECHO",
     "ELLIPSE",
     "ESTIMATE",
+    "HELD",
     "LANDMARK",
     "REJECTED",
     "SERIES",
@@ -23,5 +24,6 @@ ELLIPSE = "#8e3a80"  # of poses; not the color of the track they lie on
 CLOSURE, REJECTED = "#4caf50", "#c03a4a"  # pairs of poses that are not neighbors
 CONTACT, ARC = "#3aa0d8", "#e07a2f"  # of a sonar, and where its target may be
 ECHO = "#8b9196"  # points of scans
+HELD = "#cfd3d6"  # variables that are held fixed
 SIGHT = "#9a9a9a"  # lines from sensor to landmark
 SERIES = (ESTIMATE, BEFORE, ELLIPSE, LANDMARK, REJECTED, "#7a6a2b", "#4a8fc0")  # of several alike
