@@ -146,7 +146,7 @@ def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> f
 
 
 def magnification(extent: float, largest: float) -> float:
-    """1, 2, 5, 10, ...: how many times as large an ellipse must be drawn to be seen on a map, by extent and sigma, m."""
+    """1, 2, 5, 10, ...: how many times as large an ellipse is drawn to be seen, by width of the map and sigma, m."""
     scale = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
     steps = [m * 10.0**k for k in range(6) for m in (1, 2, 5)]
     return max((step for step in steps if step <= scale), default=1.0)
