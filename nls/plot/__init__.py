@@ -4,6 +4,7 @@ from nls.plot.convergence import convergence
 from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
+from nls.plot.frustum import frustum
 from nls.plot.offsets import offsets
 from nls.plot.report import report
 from nls.plot.sonar import fan_image, polar_image
@@ -17,6 +18,7 @@ __all__ = [
     "ellipses",
     "factor_graph",
     "fan_image",
+    "frustum",
     "offsets",
     "polar_image",
     "report",

@@ -26,7 +26,7 @@ __all__ = ["before_after", "closures", "trajectory"]
 
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
-PAD = {2: 4.0, 3: 9.0}  # points between the numbers of an axis and its name
+PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
 FLAT, TICKS = 0.15, 7  # of the widest side of a box in space: the least of the others; ticks of the widest
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
@@ -126,13 +126,11 @@ def trajectory(
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if marginals is not None:
         ellipses(marginals, axes, every=every)
-    axes.set_xlabel("x [m]", labelpad=PAD[dim])
-    axes.set_ylabel("y [m]", labelpad=PAD[dim])
     if dim == 3:
         down = any(isinstance(factor, DOWN) for factor in graph.factors)
-        axes.set_zlabel("z, down [m]" if down else "z [m]")  # type: ignore[attr-defined]
-        _box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]), down)
+        space_box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]), down)
     else:
+        axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")
     handles, labels = axes.get_legend_handles_labels()
     if len(segments):  # a line that can be seen, however faint they are
@@ -143,8 +141,8 @@ def trajectory(
     return figure_of(axes)
 
 
-def _box(axes: Axes, points: Array, down: bool) -> None:
-    """One scale for all axes, a box around the points (n, 3) that is not too flat, and ticks that fit its sides.
+def space_box(axes: Axes, points: Array, down: bool) -> None:
+    """One scale for all axes, a box around the points (n, 3) that is not too flat, ticks that fit its sides, and names.
 
     With z down, y grows to the front: x, y, z are right-handed then, too.
     """
@@ -159,6 +157,9 @@ def _box(axes: Axes, points: Array, down: bool) -> None:
         axes.set(**{f"{name}lim": (middle - sign * size, middle + sign * size)})
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(MaxNLocator(max(2, round(TICKS * size / half.max()))))
+    axes.set_xlabel("x [m]", labelpad=PAD)
+    axes.set_ylabel("y [m]", labelpad=PAD)
+    axes.set_zlabel("z, down [m]" if down else "z [m]")  # type: ignore[attr-defined]
     axes.tick_params(labelsize=7)
 
 
