@@ -1,6 +1,8 @@
 """Pictures, and a page of them; here alone is matplotlib imported, and lazily."""
 
+from nls.plot.belief import belief
 from nls.plot.convergence import convergence
+from nls.plot.correlations import correlations
 from nls.plot.elevation_map import elevation_map
 from nls.plot.ellipses import ellipses
 from nls.plot.factor_graph import factor_graph
@@ -13,7 +15,9 @@ from nls.plot.trajectory import before_after, trajectory
 
 __all__ = [
     "before_after",
+    "belief",
     "convergence",
+    "correlations",
     "elevation_map",
     "ellipses",
     "factor_graph",
