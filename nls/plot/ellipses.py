@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["ellipses"]
 
 MOST = 120  # of one kind, where it is not said how many
-VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
+VISIBLE = 0.04  # of the width of the map: the largest ellipse is drawn at least so large
 
 
 def ellipses(

@@ -25,6 +25,8 @@ __all__ = ["factor_graph"]
 
 MOST = 60  # variables whose names can be read
 CIRCLE, SQUARE = 25, 9  # points: diameter and side
+CLEAR = 0.36  # of a line: between the middles of a square and of a circle
+ROUNDS = 30  # of moving squares away from circles and from each other
 APART, BESIDE, MARGIN = 0.28, 0.62, 0.4  # of a line: between factors of the same variables; of one variable; the rim
 SQUARES = tuple(color for color in SERIES if color not in (ESTIMATE, LANDMARK))
 
@@ -76,9 +78,9 @@ def factor_graph(graph: FactorGraph, values: Values | None = None, axes: Axes | 
         )
     places = _in_rows(names, measurements) if values is None else _at_values(names, values)
     lengths = [np.linalg.norm(places[a] - places[b]) for _, line in measurements for a, b in pairwise(line)]
-    unit = float(np.median(lengths)) if lengths else 1.0
+    unit = float(np.median(lengths)) if lengths and values is not None else 1.0  # rows are 1 apart
     center = None if values is None else np.mean(list(places.values()), axis=0)
-    beside = _squares(measurements, places, unit, center)
+    beside = _apart(np.array(_squares(measurements, places, unit, center)), np.array(list(places.values())), unit)
     drawn = np.array([*places.values(), *beside])
     low, high = drawn.min(axis=0) - MARGIN * unit, drawn.max(axis=0) + MARGIN * unit
     width, height = np.clip((high - low) / unit, (5.0, 1.5), (11.0, 9.0))
@@ -187,3 +189,22 @@ def _squares(
         angle += (k - (count - 1) / 2) * np.pi / 5
         out.append(middle + BESIDE * unit * np.array([np.cos(angle), np.sin(angle)]))
     return out
+
+
+def _apart(squares: Array, circles: Array, unit: float) -> Array:
+    """Squares (n, 2) moved away from circles (m, 2) and from each other, where they would cover them."""
+    for _ in range(ROUNDS):
+        pushes = np.zeros_like(squares)
+        for others, least in ((circles, CLEAR * unit), (squares, APART * unit)):
+            away = squares[:, None] - others
+            distance = np.linalg.norm(away, axis=2)
+            near = (distance < least) & ~((others is squares) & np.eye(len(squares), len(others), dtype=bool))
+            same = np.where(np.arange(len(squares))[:, None] < np.arange(len(others)), -1.0, 1.0)  # to both sides
+            direction = np.where(
+                distance[..., None] > 1e-9 * unit,
+                away / np.maximum(distance, 1e-9 * unit)[..., None],
+                np.stack([np.zeros_like(same), same], axis=2),
+            )
+            pushes += np.sum((near * (least - distance) / 2)[..., None] * direction, axis=1)
+        squares = squares + pushes
+    return squares

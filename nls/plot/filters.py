@@ -77,7 +77,7 @@ def estimator_figure(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 9), layout="constrained")
+    figure = Figure(figsize=(10.5, 9), layout="constrained")
     grid = figure.add_gridspec(6, 2)
     estimator_map(track, truth, figure.add_subplot(grid[:3, 0]), sightings)
     vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
@@ -214,7 +214,7 @@ def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "
     from nls.filters.consistency import nees as nees_of
     from nls.filters.consistency import nees_bounds, regular
 
-    figure = Figure(figsize=(13, 9.6), layout="constrained")
+    figure = Figure(figsize=(10.5, 9), layout="constrained")
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
     q = manifold.position(truth[x])

@@ -67,7 +67,7 @@ def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Ke
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 9), layout="constrained")
+    figure = Figure(figsize=(10.5, 8.8), layout="constrained")
     (field, heading), (position, landmarks) = figure.subplots(2, 2)
     estimator_map(track, truth, field, sightings)
     field.set_title("field")

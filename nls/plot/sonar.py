@@ -57,7 +57,7 @@ def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> 
     'range [m]'
     """
     _check(image, sonar)
-    axes = axes_or_new(axes, (4, 6))
+    axes = axes_or_new(axes, (5, 5.5))
     half = np.degrees(sonar.fan) / 2
     extent = (-half, half, *sonar.window)
     shades = axes.imshow(_decibels(image).T, **SHADES, origin="lower", aspect="auto", extent=extent)

@@ -50,7 +50,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
 
     from nls.plot.convergence import convergence
 
-    figure = Figure(figsize=(14, 4.6), layout="constrained")
+    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
     figure.set_layout_engine("constrained", wspace=0.06)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
@@ -108,6 +108,7 @@ def trajectory(
 
     stacks = _places(graph, values)
     dim = _dimension(stacks)
+    alone = axes is None
     axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
     segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
@@ -137,7 +138,10 @@ def trajectory(
         shown = f", {len(segments)} of {total}" if len(segments) < total else ""
         handles, labels = [Line2D([], [], color=color), *handles], [name + shown, *labels]
     if len(segments) or (marginals is not None and handles):
-        axes.legend(handles, labels, loc="upper left", fontsize=8)
+        if alone:
+            figure_of(axes).legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        else:
+            axes.legend(handles, labels, loc="best", fontsize=8)
     return figure_of(axes)
 
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from factors import Between, Isotropic, Landmark, Prior
+from factors import Between, Isotropic, Landmark, Prior, RangeAzimuth
 from models import SE2, SE3, R
 from models.errors import GraphError
 from nls import FactorGraph, Values, kinds
@@ -59,11 +59,21 @@ def test_with_values_variables_are_where_they_are() -> None:
     figure = factor_graph(graph, values)
     np.testing.assert_array_equal(circles(figure)["x2"], [2, 1])
     same = squares(figure)["Between, 3"][[0, 2]]  # of the same two variables: on both sides of their line
-    np.testing.assert_allclose(same.mean(axis=0), [1, 0.5])
+    np.testing.assert_allclose(same.mean(axis=0), [1, 0.5], atol=0.1)
     assert np.linalg.norm(same[0] - same[1]) > 0.3
     faces = [tuple(c.get_facecolor()[0]) for c in figure.axes[0].collections if len(c.get_offsets())]
     assert [face == to_rgba(HELD) for face in faces] == [False, False, False, False, True]  # l1, l2, x1, x2, x3
     assert [text.get_text() for text in figure.legends[0].get_texts()][-1] == "held fixed"
+
+
+def test_no_square_covers_a_circle_or_another_square() -> None:
+    """Of measurements of three variables the middle may be that of another variable."""
+    k = np.zeros(4, dtype=int)
+    sonar = RangeAzimuth(x[[0, 0, 1, 1]], l[[0, 1, 0, 1]], np.ones((4, 2)), NOISE, offset=l[k + 7])
+    figure = factor_graph(FactorGraph([sonar]))
+    points = np.concatenate([*squares(figure).values(), np.array(list(circles(figure).values()))])
+    apart = np.linalg.norm(points[:4, None] - points, axis=2) + np.eye(4, len(points))
+    assert apart.min() > 0.25
 
 
 def test_a_chart_of_space_has_north_up() -> None:

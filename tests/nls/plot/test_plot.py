@@ -73,7 +73,7 @@ def test_drifts_have_no_place() -> None:
     assert min(float(np.min(line.get_xdata())) for line in axes.lines) == 100.0
     (closures,) = (c for c in axes.collections if isinstance(c, LineCollection))
     assert len(closures.get_segments()) == 2
-    assert axes.get_legend().get_texts()[0].get_text() == "loop closures"
+    assert axes.figure.legends[0].get_texts()[0].get_text() == "loop closures"  # type: ignore[union-attr]
     labels = [str(c.get_label()) for c in axes.collections]
     assert [label for label in labels if "ellipse" in label] == ["95 % ellipse of every x"]
 
