@@ -28,7 +28,7 @@ DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
 PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
-FLAT, TICKS = 0.15, 7  # of the widest side of a box in space: the least of the others; ticks of the widest
+FLAT, TICKS = 0.15, 5  # of the widest side of a box in space: the least of the others; ticks of the widest
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
@@ -51,7 +51,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     from nls.plot.convergence import convergence
 
     figure = Figure(figsize=(11.5, 4.2), layout="constrained")
-    figure.set_layout_engine("constrained", wspace=0.06)
+    figure.set_layout_engine("constrained", wspace=0.12)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
     middle = figure.add_subplot(1, 3, 2, **space)
