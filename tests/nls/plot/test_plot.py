@@ -142,7 +142,10 @@ def test_a_small_fall_of_chi2_is_drawn_linearly() -> None:
     far = sample.graph.optimize(sample.values)
     assert convergence(far).axes[0].get_yscale() == "log"
     near = sample.graph.optimize(far.values)
-    assert convergence(near).axes[0].get_yscale() == "linear"
+    axes = convergence(near).axes[0]
+    assert (axes.get_yscale(), axes.get_ylabel()) == ("linear", f"chi2 - {near.chi2_final:.6g}")
+    expected = [iteration.chi2 - near.chi2_final for iteration in near.history]
+    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), expected)
 
 
 def test_convergence_to_zero_and_without_a_step() -> None:
