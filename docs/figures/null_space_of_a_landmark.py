@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from models import SE3
 from models.manifolds import euler
+from nls.plot.style import ARC, ELLIPSE, ESTIMATE
 
-INK, ACCENT, SECOND = "#0b4f6c", "#e07a2f", "#8e3a80"
+INK, ACCENT, SECOND = ESTIMATE, ARC, ELLIPSE
 RANGE, TRUE = 4.0, np.radians(-6.0)
 APERTURE = np.radians(14.0)  # half of it, up and down: what the sonar hears
 ROLL, PITCH = np.radians(25.0), np.radians(15.0)

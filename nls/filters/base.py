@@ -207,6 +207,10 @@ class Track:
         """Absolute trajectory error of the poses when they were the latest; smoothed: as believed in the end."""
         return ate(self.values[self.x] if smoothed else self.X, truth[self.x], align)
 
+    def landmark_errors(self, truth: Values) -> Array:
+        """Steps (m, d) of the landmarks from the truth to where they are believed in the end: dX and dY of points."""
+        return self.values.stack(self.landmarks.kind).manifold.local(truth[self.landmarks], self.values[self.landmarks])
+
 
 class Filter(Abstract):
     """An estimator that takes a step at a time. A subclass gives `start`, `step`, `pose` and `landmarks`."""
