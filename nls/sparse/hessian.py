@@ -84,7 +84,7 @@ class Hessian:
             shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
             for height, width in (divmod(int(shape), base) for shape in np.flatnonzero(np.bincount(shapes))):
                 same = np.flatnonzero(shapes == height * base + width)
-                r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
+                r, c = np.divmod(np.arange(height * width), width)
                 target = self.indptr[starts[column[same], None] + c] + (width - c + r) + above[same, None]
                 inside = np.stack([r * width + c, c * height + r])  # of a contribution as it is, and turned
                 p = pairs[same]
