@@ -57,6 +57,10 @@ class Manifold(Abstract):
     def identity(self, n: int = 1) -> Array:
         """A stack (n, size) of the neutral element."""
 
+    def coordinates(self, X: Array) -> Array:
+        """The tangent step (n, dim) from the neutral element to X (n, size)."""
+        return self.local(self.identity(len(X)), X)
+
     @abstractmethod
     def position(self, X: Array) -> Array:
         """Where to draw X: a stack (..., 2 or 3) in meters, (..., 0) for a space without places."""
@@ -223,6 +227,9 @@ class LieGroup(Manifold):
     def local(self, X: Array, Y: Array) -> Array:
         """Log(X^-1 Y)."""
         return self.log(self.between(X, Y))
+
+    def coordinates(self, X: Array) -> Array:
+        return self.log(X)
 
     def interpolate(self, X: npt.ArrayLike, Y: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """X Exp(t Log(X^-1 Y)): from X at t = 0 to Y at t = 1 with a constant velocity, along the shorter turn.

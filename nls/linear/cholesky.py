@@ -56,20 +56,11 @@ def _order(graph: sp.csc_matrix, method: str) -> Index:
     return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
 
 
-def _ones(hessian: Hessian, dtype: type) -> sp.csc_matrix:
-    """A matrix of the structure."""
-    H = sp.csc_matrix(
-        (np.ones(len(hessian.indices), dtype=dtype), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
-    )
-    H.has_sorted_indices = True
-    return H
-
-
-def _symbolic(hessian: Hessian, dtype: type) -> Any:
+def _symbolic(H: sp.csc_matrix) -> Any:
     """CHOLMOD's symbolic factorization."""
     module = cholmod()
     assert module is not None
-    return module.analyze(_ones(hessian, dtype), mode="auto", ordering_method="natural")
+    return module.analyze(H, mode="auto", ordering_method="natural")
 
 
 class Cholmod(Decomposition):
@@ -97,8 +88,10 @@ class Cholmod(Decomposition):
         module = cholmod()
         assert module is not None
         self._module, self._hessian, self._factorized = module, hessian, False
-        self._H = _ones(hessian, dtype)
-        self._chol = hessian.analyzed(_symbolic, dtype).copy()
+        ones: Array = np.ones(len(hessian.indices), dtype=dtype)
+        self._H = sp.csc_matrix((ones, hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n))
+        self._H.has_sorted_indices = True
+        self._chol = hessian.analyzed(_symbolic, self._H).copy()
 
     def __getstate__(self) -> tuple[Hessian, Array, bool]:
         return self._hessian, self._H.data, self._factorized
