@@ -160,8 +160,8 @@ def matched(
     """The chi2 of peers after as many iterations as leadline takes, each by its fastest variant."""
     out, found = folder / "matched.npz", {}
     for name, variant in fastest.items():
-        run = launch(runners[name], name, variant, replace(problem.files, most=most), out, False)
-        if name != "leadline" and "failed" not in run:
+        files = replace(problem.files, most=most)
+        if name != "leadline" and "failed" not in launch(runners[name], name, variant, files, out, False):
             found[name] = {c: problem.chi2(*solution(out), c) for c in problem.graphs}
     return found
 
