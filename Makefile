@@ -25,8 +25,9 @@ docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal, then
 	.venv/bin/sphinx-build -nW --keep-going -j auto -b html docs docs/_build/html
 	.venv/bin/python tools/check_site.py docs/_build/html
 
-benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (3 minutes)
+benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (4 minutes)
 	.venv/bin/python benchmarks/guard.py
+	@[ -z "$$LEADLINE_DATA" ] || .venv/bin/python benchmarks/posegraphs.py --gate
 	@set -e; $(BENCHMARK)
 
 evidence: .venv/installed ## every script of benchmarks/evidence, in order

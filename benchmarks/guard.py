@@ -2,10 +2,7 @@
 
     python benchmarks/guard.py [--update] [--baselines FILE] [--seconds 2] [--only NAME ...]
 
-Both are timed in turn, many times, in one process with one BLAS thread; the smallest processor times are compared. Such
-ratios stay the same where times do not: on a busy machine, and much the same on another one. A ratio that exceeds its
-baseline by half is measured again; when it does so again it is named, and the exit status is 1. --update writes the
-ratios of this run as the new baselines.
+How they are compared: benchmarks/gate.py.
 """
 
 from __future__ import annotations
@@ -16,24 +13,20 @@ ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "BLIS",
 os.environ.update(ONE_THREAD)  # before NumPy is imported
 
 import argparse  # noqa: E402
-import json  # noqa: E402
 import resource  # noqa: E402
 import subprocess  # noqa: E402
 import sys  # noqa: E402
 import tempfile  # noqa: E402
 from collections.abc import Callable  # noqa: E402
 from pathlib import Path  # noqa: E402
-from time import process_time  # noqa: E402
 from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
 import scipy.sparse as sp  # noqa: E402
-from pinv import machine, positive  # noqa: E402 - the script beside this one
+from gate import Clock, add_options, gate, refuse, stopwatch  # noqa: E402 - the script beside this one
 
 BASELINES = Path(__file__).parent / "baselines.json"
 ROOT = Path(__file__).parents[1]
-ALLOWED = 1.5  # times its baseline
-LEAST = 5  # rounds of a ratio
 TO_SOLVE = "import nls; nls.load, nls.initialize, nls.FactorGraph, nls.Cholesky"  # they are imported when first used
 
 Work = Callable[[], object]
@@ -44,20 +37,14 @@ Pair = tuple[Work, Work]  # ours, the reference
 
 
 class Piece:
-    """A world with all the intermediate results that a piece or a reference starts from.
+    """A world (graph, truth, start) with all the intermediate results that a piece or a reference starts from."""
 
-    Parameters
-    ----------
-    make : the simulated world, from a seed.
-    """
-
-    def __init__(self, make: Callable[[np.random.Generator], Any]) -> None:
+    def __init__(self, world: Any) -> None:
         from nls.gauge import choose_gauge, fixed_variables
         from nls.linear import default_solver
         from nls.sparse.pattern import Pattern
 
-        self.world = make(np.random.default_rng(1))
-        graph, values = self.world.graph, self.world.truth
+        self.world, graph, values = world, world.graph, world.truth
         pattern = Pattern(graph.factors, values)
         self.held = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values)).held
         self.pattern = pattern.holding(self.held)
@@ -127,10 +114,14 @@ class Reference:
         return np.cumsum(np.bincount(self.index[order]))
 
     def products(self) -> object:
-        """Ten products of stacks, a block an edge."""
-        for _ in range(10):
+        """Two products of stacks, a block an edge, and 50 passes over nine numbers an edge: as in a linearization."""
+        for _ in range(2):
             out = self.M @ self.N
-        return out
+        x = np.ascontiguousarray(self.M.reshape(len(self.M), -1)[:, :9].T)
+        for _ in range(50):
+            x = x * x + 0.1
+            x /= x.max()
+        return out, x
 
     def scipy_gram(self) -> object:
         return self.piece.A.T @ self.piece.A
@@ -164,18 +155,14 @@ def pieces(folder: Path) -> dict[str, Pair]:
     import nls
     import sim
 
-    plane = Piece(lambda rng: sim.manhattan(rng, n_poses=4000))
-    space = Piece(lambda rng: sim.sphere(rng, rings=40, per_ring=40))
+    plane = Piece(sim.manhattan(np.random.default_rng(1), n_poses=4000))
+    space = Piece(sim.sphere(np.random.default_rng(1), rings=40, per_ring=40))
     in_plane, in_space = Reference(plane), Reference(space)
     file = folder / "graph.g2o"
     nls.save(file, plane.world.graph, plane.world.start)
 
-    def words() -> object:
-        """The words of the file, those that are numbers converted."""
-        return np.array([word for word in file.read_bytes().split() if word[0] < 65]).astype(float)
-
     return {
-        "read": (lambda: nls.load(file), words),
+        "read": (lambda: nls.load(file), lambda: words(file)),
         "build": (plane.build, in_plane.sorts),
         "analyze": (plane.analyze, in_plane.analysis),
         "linearize SE2": (plane.linearize, in_plane.products),
@@ -189,6 +176,11 @@ def pieces(folder: Path) -> dict[str, Pair]:
     }
 
 
+def words(file: Path) -> object:
+    """The words of a file, those that are numbers converted."""
+    return np.array([word for word in file.read_bytes().split() if word[0] < 65]).astype(float)
+
+
 def start_up(statement: str) -> float:
     """Processor time of a fresh Python that runs a statement, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -197,34 +189,9 @@ def start_up(statement: str) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-# --- the measurement --------------------------------------------------------------------------------------------------
-
-
-def timed(work: Work) -> float:
-    """Processor time of one run, s."""
-    began = process_time()
-    work()
-    return process_time() - began
-
-
-def ratio(ours: Callable[[], float], reference: Callable[[], float], seconds: float) -> tuple[float, float, int]:
-    """Least time of ours over least time of the reference, run in turn; the least time of ours; rounds."""
-    a, b = [ours()], [reference()]  # the first runs load what is loaded late
-    rounds, spent = 0, 0.0
-    while rounds < LEAST or spent < seconds:
-        a.append(ours())
-        b.append(reference())
-        spent += a[-1] + b[-1]
-        rounds += 1
-    return min(a) / min(b), min(a), rounds
-
-
-def measurements(folder: Path) -> dict[str, tuple[Callable[[], float], Callable[[], float]]]:
+def measurements(folder: Path) -> dict[str, tuple[Clock, Clock]]:
     """All ratios by name: two clocks each."""
-    both = {
-        name: (lambda ours=ours: timed(ours), lambda reference=reference: timed(reference))
-        for name, (ours, reference) in pieces(folder).items()
-    }
+    both = {name: (stopwatch(ours), stopwatch(reference)) for name, (ours, reference) in pieces(folder).items()}
     for name, statement in (("import nls", "import nls"), ("import to solve", TO_SOLVE)):
         both[name] = (lambda ours=statement: start_up(ours), lambda: start_up("import numpy, scipy.sparse"))
     return both
@@ -235,9 +202,7 @@ def measurements(folder: Path) -> dict[str, tuple[Callable[[], float], Callable[
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--update", action="store_true", help="write the ratios of this run as the new baselines")
-    parser.add_argument("--baselines", type=Path, default=BASELINES, metavar="FILE", help="default beside this script")
-    parser.add_argument("--seconds", type=positive, default=2.0, help="processor time for one ratio")
+    add_options(parser, BASELINES)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these ratios alone")
     options = parser.parse_args()
     from nls.linear import Cholesky
@@ -245,40 +210,12 @@ def main() -> int:
     if (why := Cholesky.missing()) is not None:
         print(f"guard: the references need CHOLMOD: {why}", file=sys.stderr)
         return 2
-    if options.update and options.only:
-        parser.error("--update needs all ratios: leave out --only")
-    baselines: dict[str, float] = {}
-    if not options.update:
-        if not options.baselines.exists():
-            parser.error(f"{options.baselines} does not exist: make it with --update")
-        baselines = json.loads(options.baselines.read_text())["ratios"]
-    head = machine()
+    refuse(parser, options, bool(options.only))
     with tempfile.TemporaryDirectory() as folder:
         measured = measurements(Path(folder))
         if unknown := set(options.only or ()) - set(measured):
             parser.error(f"no ratio {', '.join(sorted(unknown))}; there are {', '.join(measured)}")
-        found, over = {}, []
-        print(f"{'ours / reference':20s}{'ratio':>8s}{'baseline':>10s}{'ours, ms':>10s}{'rounds':>8s}")
-        for name in options.only or measured:
-            found[name], least, rounds = ratio(*measured[name], options.seconds)
-            baseline = baselines.get(name)
-            if baseline is not None and found[name] > ALLOWED * baseline:
-                again, least, rounds = ratio(*measured[name], 2 * options.seconds)
-                found[name] = min(found[name], again)
-                if found[name] > ALLOWED * baseline:
-                    over.append(f"{name}: {found[name]:.3g}, {found[name] / baseline:.1f} times its {baseline:.3g}")
-            said = f"{baseline:.3g}" if baseline is not None else "none"
-            print(f"{name:20s}{found[name]:8.3g}{said:>10s}{1e3 * least:10.2f}{rounds:8d}", flush=True)
-    if options.update:
-        record = {"machine": [line.removeprefix("- ") for line in head], "ratios": found}
-        options.baselines.write_text(json.dumps(record, indent=1) + "\n")
-        print(f"written: {options.baselines}")
-        return 0
-    if unnamed := [name for name in found if name not in baselines]:
-        over.append(f"no baseline for {', '.join(unnamed)}: make them with --update")
-    for line in over:
-        print(f"guard: {line}", file=sys.stderr)
-    return 1 if over else 0
+        return gate("guard", {name: measured[name] for name in options.only or measured}, options)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
 """Pose graphs from file to optimum: this library against others, every run a fresh process.
 
     python benchmarks/posegraphs.py [--quick] [--rounds 3] [--sets NAME ...] [--python PEER=PYTHON ...] [--out DIR]
+    python benchmarks/posegraphs.py --gate [--sets NAME ...] [--seconds 2] [--update] [--baselines FILE]
 
 Loads, initializes and optimizes every public pose graph in the folder that LEADLINE_DATA names (without it: simulated
 worlds), with every contender of benchmarks/peers that is installed. The chi2 of every solution is evaluated here, in
-one convention for all and in the contender's own. Results: posegraphs.md, .json and .png.
+one convention for all and in the contender's own; one that computes another cost has no time. Results: posegraphs.md,
+.json and .png. With --gate it times this library alone, see benchmarks/gate.py: has it become slower on a set?
 
 The C++ programs of g2o and Ceres are compiled where their headers are, and left out elsewhere:
     Ceres    the package libceres-dev of Debian and Ubuntu, with g++ and libblas-dev
@@ -17,122 +19,31 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import math
 import os
 import re
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter, process_time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from gate import Clock, add_options, gate, refuse, stopwatch  # the scripts beside this one
 from peers import CONTENDERS, PROGRAMS, TOLERANCE, Files, programs
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory  # the script beside this one
+from pinv import ONE_THREAD, RESULTS, machine, peak_memory
+from posegraphs_sets import QUICK, SETS, STAGED, Problem, prepare
 
-PLANE, SPACE = "pose-graphs-2d/", "pose-graphs-3d/"
-SETS = {  # name: file, dialect
-    "manhattan": (PLANE + "manhattan.g2o", "auto"),
-    "intel": (PLANE + "intel.g2o", "auto"),
-    "CSAIL": (PLANE + "CSAIL.g2o", "auto"),
-    "kitti_00": (PLANE + "kitti_00.g2o", "auto"),
-    "city10000": (PLANE + "city10000.g2o.gz", "auto"),
-    "ring": (PLANE + "ring.g2o", "auto"),
-    "input_INTEL": (PLANE + "input_INTEL.g2o", "auto"),
-    "input_M3500": (PLANE + "input_M3500_g2o.g2o", "auto"),
-    "manhattanOlson3500": (PLANE + "manhattanOlson3500.g2o", "auto"),
-    "FR079": (PLANE + "FR079_P_toro.graph", "auto"),
-    "city10000 truth": (PLANE + "city10000_groundtruth_edges.txt", "isam"),
-    "tinyGrid3D": (SPACE + "tinyGrid3D.g2o", "auto"),
-    "smallGrid3D": (SPACE + "smallGrid3D.g2o", "auto"),
-    "Klaus3": (SPACE + "Klaus3.g2o", "auto"),
-    "parking-garage": (SPACE + "parking-garage.g2o.gz", "auto"),
-    "sphere2500": (SPACE + "sphere2500.g2o.gz", "auto"),
-    "torus3D": (SPACE + "torus3D.g2o.gz", "auto"),
-    "sphere400": (SPACE + "sphere400.txt", "isam"),
-    "sphere2500 truth": (SPACE + "sphere2500_groundtruth_edges.txt", "isam"),
-}
-QUICK = ("ring", "smallGrid3D")
-STAGED = ("sphere2500", "city10000")  # of these also the stages and all marginals
+BASELINES = Path(__file__).parent / "baselines_posegraphs.json"
 STAGES = ("load", "start", "optimize")
 NEAR, FAR = 2.0, 10.0  # slower than the fastest of its library, or than leadline, by such a factor: runs once only
+SAME = 1e-5  # relative difference of a cost from the one evaluated here; six digits of a quaternion change it by 1e-6
 NEGLIGIBLE = 1e-9  # chi2 per degree of freedom that no measurement can tell from zero
 PATIENCE = 60.0  # s; a longer run is ended
-
-
-@dataclass
-class Problem:
-    """A set ready for all contenders, and what evaluates their solutions."""
-
-    name: str
-    files: Files
-    edges: int
-    poses: int
-    dof: int = 0
-    graphs: dict[str, Any] = field(default_factory=dict)  # by convention
-    values: Any = None
-
-    def chi2(self, ids: npt.NDArray[np.int64], X: npt.NDArray[np.float64], convention: str) -> float:
-        return float(self.graphs[convention].chi2(self.placed(ids, X)))
-
-    def placed(self, ids: npt.NDArray[np.int64], X: npt.NDArray[np.float64]) -> Any:
-        return self.values.replaced({"x": X[np.searchsorted(ids, self.values.stack("x").numbers)]})
-
-    def optimum(self, ids: npt.NDArray[np.int64], X: npt.NDArray[np.float64], convention: str) -> float:
-        """Where a solution leads in a convention, to the last digits."""
-        import nls
-
-        to_the_end = nls.GaussNewton(nls.Stop(chi2_rtol=1e-13, update_tol=1e-10))
-        return float(self.graphs[convention].optimize(self.placed(ids, X), to_the_end).chi2_final)
-
-
-# --- the sets ---------------------------------------------------------------------------------------------------------
-
-
-def prepare(name: str, folder: Path, data: str | None) -> Problem:
-    """Write a set as one plain g2o file, and its arrays."""
-    import nls
-    import sim
-    from nls.io.files import read_bytes
-
-    worlds = {
-        "ring": lambda rng: sim.ring(rng, laps=4, per_lap=50),
-        "smallGrid3D": lambda rng: sim.grid3d(rng, n_poses=125),
-        "sphere2500": lambda rng: sim.sphere(rng, rings=50, per_ring=50),
-        "city10000": lambda rng: sim.manhattan(rng, n_poses=10_000),
-    }
-    path = folder / f"{name.replace(' ', '-')}.g2o"
-    if data is None:
-        world = worlds[name](np.random.default_rng(1))
-        nls.save(path, world.graph, world.start)
-    else:
-        source, dialect = Path(data) / SETS[name][0], SETS[name][1]
-        graph, values, report = nls.load(source, dialect=dialect)
-        if report.format == "g2o":
-            path.write_bytes(read_bytes(source))  # unpacked
-        else:
-            nls.save(path, graph, values)
-    graphs = {convention: nls.load(path, convention)[0] for convention in ("g2o", "gtsam")}
-    graph, values, _ = nls.load(path)
-    complete = path
-    if b"VERTEX" not in path.read_bytes():
-        nls.save(complete := folder / f"{path.stem}-complete.g2o", graph, values)
-    stack, edges = values.stack("x"), graph.factors
-    d = stack.manifold.dim
-    np.savez(
-        folder / f"{path.stem}.npz",
-        ids=stack.numbers,
-        X=stack.X,
-        i=np.concatenate([f.keys[0].numbers for f in edges]),
-        j=np.concatenate([f.keys[1].numbers for f in edges]),
-        z=np.concatenate([f.z for f in edges]),
-        information=np.concatenate([np.broadcast_to(f.noise.matrix, (len(f), d, d)) for f in edges]),
-    )
-    files = Files(path, complete, folder / f"{path.stem}.npz", d == 6)
-    return Problem(name, files, len(graph), len(stack), d * (len(graph) - len(stack) + 1), graphs, values)
 
 
 # --- one run, in a process of its own ---------------------------------------------------------------------------------
@@ -156,14 +67,21 @@ def child(contender: str, variant: str, files: Files, out: Path, marginals: bool
     np.savez(out, ids=np.asarray(ids)[order], X=np.asarray(X)[order])
     if marginals:
         timed("marginals")
-    record = {"cpu": cpu, "wall": wall, "iterations": run.iterations, "peak": peak, "said": run.said}
+    record = {
+        "cpu": cpu,
+        "wall": wall,
+        "iterations": run.iterations,
+        "cost": run.cost(),
+        "peak": peak,
+        "said": run.said,
+    }
     out.with_suffix(".json").write_text(json.dumps(record))  # libraries print what they like
 
 
 def launch(runner: str, contender: str, variant: str, files: Files, out: Path, marginals: bool) -> dict[str, Any]:
     """Run a child or a program; what went wrong is in its `failed`."""
     command = [runner, __file__, "--child", contender, variant, *map(str, (files.graph, files.complete, files.arrays))]
-    command += [str(int(files.space)), str(out), str(int(marginals))]
+    command += [str(int(files.space)), str(files.most), str(out), str(int(marginals))]
     if contender in PROGRAMS:
         command = programs.command(runner, variant, files, out)
     env = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | ONE_THREAD
@@ -207,19 +125,44 @@ def compare(problem: Problem, runners: dict[str, str], rounds: int, staged: bool
                     raise SystemExit(f"leadline failed on {problem.name}: {done[-1]['failed']}")
                 if k > 0 or "failed" in done[0]:
                     continue
-                with np.load(out) as poses:
-                    ids, X = poses["ids"], poses["X"]
-                if not np.isfinite(X).all():
-                    done[0] = {"failed": "ends at poses that are not finite"}
-                    continue
-                done[0]["chi2"] = {c: problem.chi2(ids, X, c) for c in problem.graphs}
+                done[0] = evaluated(problem, done[0], out, modules[name].COST)
                 if name == "leadline":
-                    found["optimum"] = {c: problem.optimum(ids, X, c) for c in problem.graphs}
+                    found["optimum"] = {c: problem.optimum(*solution(out), c) for c in problem.graphs}
     for name, variants in runs.items():
         found["runs"][name] = {variant: summary(done, modules[name].READS) for variant, done in variants.items()}
     judge(found, modules, problem.dof)
+    found["matched"] = matched(problem, runners, found["fastest"], runs["leadline"]["auto"][0]["iterations"], folder)
     if staged:
         found["marginals"] = marginals(problem, runners, found["fastest"], rounds, folder)
+    return found
+
+
+def solution(out: Path) -> tuple[Any, Any]:
+    """Ids and poses that a run has left."""
+    with np.load(out) as poses:
+        return poses["ids"], poses["X"]
+
+
+def evaluated(problem: Problem, run: dict[str, Any], out: Path, convention: str) -> dict[str, Any]:
+    """A run with the chi2 of its solution, or why it cannot be compared."""
+    ids, X = solution(out)
+    if not np.isfinite(X).all():
+        return {"failed": "ends at poses that are not finite"}
+    chi2 = {c: problem.chi2(ids, X, c) for c in problem.graphs}
+    if not math.isclose(run["cost"], chi2[convention], rel_tol=SAME, abs_tol=NEGLIGIBLE * max(problem.dof, 1)):
+        return {"failed": f"its cost is {run['cost']:.9g} where {convention}'s is {chi2[convention]:.9g}"}
+    return run | {"chi2": chi2}
+
+
+def matched(
+    problem: Problem, runners: dict[str, str], fastest: dict[str, str], most: int, folder: Path
+) -> dict[str, dict[str, float]]:
+    """The chi2 of peers after as many iterations as leadline takes, each by its fastest variant."""
+    out, found = folder / "matched.npz", {}
+    for name, variant in fastest.items():
+        files = replace(problem.files, most=most)
+        if name != "leadline" and "failed" not in launch(runners[name], name, variant, files, out, False):
+            found[name] = {c: problem.chi2(*solution(out), c) for c in problem.graphs}
     return found
 
 
@@ -233,7 +176,7 @@ def summary(done: list[dict[str, Any]], reads: bool) -> dict[str, Any]:
     if "failed" in done[0]:
         return {"failed": done[0]["failed"]}
     good = [run for run in done if "failed" not in run]
-    out = {k: done[0][k] for k in ("iterations", "chi2", "said")} | {"rounds": len(good)}
+    out = {k: done[0][k] for k in ("iterations", "cost", "chi2", "said")} | {"rounds": len(good)}
     for clock in ("cpu", "wall"):
         out[clock] = {stage: float(np.median([run[clock][stage] for run in good])) for stage in STAGES}
     out["total"] = float(np.median([total(run, reads) for run in good]))
@@ -273,6 +216,22 @@ def judge(found: dict[str, Any], modules: dict[str, Any], dof: int) -> None:
             found["ratio"][name] = mine / best[fastest]
             if found["optimum"][cost] > 1.01 * lowest + slack:
                 found["theirs_is_lower"].append(name)
+
+
+def clocks(problem: Problem) -> tuple[Clock, Clock]:
+    """From file to optimum by this library; the same words, and one iteration by CHOLMOD and SciPy alone."""
+    from guard import Piece, Reference, words
+
+    import nls
+    from nls.sparse.threads import single_thread
+
+    def solve() -> Any:
+        graph, values, _ = nls.load(problem.files.graph)
+        return graph.optimize(nls.initialize(graph, values)[0]).values
+
+    reference = Reference(Piece(SimpleNamespace(graph=problem.graphs["g2o"], truth=solve())))
+    yardstick = single_thread()(lambda: (words(problem.files.graph), reference.iteration()))
+    return stopwatch(solve), stopwatch(yardstick)
 
 
 def marginals(
@@ -328,8 +287,8 @@ def count(text: str) -> int:
 
 def main() -> int:
     if sys.argv[1:2] == ["--child"]:
-        contender, variant, graph, complete, arrays, space, out, wanted = sys.argv[2:]
-        files = Files(Path(graph), Path(complete), Path(arrays), space == "1")
+        contender, variant, graph, complete, arrays, space, most, out, wanted = sys.argv[2:]
+        files = Files(Path(graph), Path(complete), Path(arrays), space == "1", int(most))
         child(contender, variant, files, Path(out), wanted == "1")
         return 0
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -342,7 +301,16 @@ def main() -> int:
     parser.add_argument(
         "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for posegraphs.md, .json, .png"
     )
+    parser.add_argument("--gate", action="store_true", help="compare this library's speed with the baselines")
+    add_options(parser, BASELINES)
     options = parser.parse_args()
+    if options.gate or options.update:
+        refuse(parser, options, bool(options.sets or options.quick))
+        if not data:
+            parser.error("the baselines are of the public sets: LEADLINE_DATA has to name their folder")
+        with tempfile.TemporaryDirectory() as folder:
+            names = options.sets or (QUICK if options.quick else choices)
+            return gate("posegraphs", {n: clocks(prepare(n, Path(folder), data)) for n in names}, options)
     options.out.mkdir(parents=True, exist_ok=True)
     import posegraphs_report as report
 

@@ -1,6 +1,8 @@
 """Configuration of the site; `make docs` builds it with every warning fatal."""
 
+import os
 import sys
+import tomllib
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # nls in shell cells
 
 project = "leadline"
 author = "the leadline developers"
@@ -29,7 +32,9 @@ extensions = [
     "gallery",
     "line_breaks",
     "made_figure",
+    "notebook_download",
     "overview",
+    "shell_cells",
 ]
 exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints"]  # pictures may lie below _build
 
@@ -40,6 +45,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
+nb_ipywidgets_js = {}  # a slider needs a kernel, and the pages load nothing over the network
 
 # --- reference ---
 autodoc_member_order = "groupwise"
@@ -55,12 +61,19 @@ Inliner.dispatch["|"] = lambda self, match, lineno: (
 
 # --- looks ---
 html_theme = "sphinx_book_theme"
-html_title = "leadline"
+html_title = f"leadline {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
-html_theme_options = {"show_toc_level": 2, "use_download_button": False, "use_fullscreen_button": False}
+html_theme_options = {
+    "show_toc_level": 2,
+    "use_download_button": False,
+    "use_fullscreen_button": False,
+    "navbar_persistent": [],  # the search box is in the sidebar; one is enough
+}
+if repository := tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"].get("urls"):
+    html_theme_options |= {"repository_url": repository["Repository"], "use_repository_button": True}
 mathjax3_config = {
     "tex": {
         "macros": {
@@ -85,10 +98,10 @@ def spread(app: Sphinx, env: BuildEnvironment, docnames: list[str]) -> None:
     docnames[:] = [name for first in range(4) for name in docnames[first::4]]
 
 
-# --- tables of measurements want the room that the contents of a page take ---
+# --- tables of measurements and the first page want the room that the contents of a page take ---
 def widen(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: document | None) -> None:
-    """Benchmarks have no second sidebar."""
-    if pagename.startswith("benchmarks/"):
+    """Benchmarks and the first page have no second sidebar."""
+    if pagename == "index" or pagename.startswith("benchmarks/"):
         context["secondary_sidebar_items"] = []
 
 

@@ -60,13 +60,13 @@ class Factor(Traits, Abstract):
     ----------
     relative : True when the residual does not change if all variables are moved by the same group element. Only a part
         of a graph all of whose factors say so has a gauge that may be held.
-    unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor: they neither
+    unmoved : slots that a common motion of everything does not touch, such as the calibration of a sensor. They neither
         anchor a part of the graph nor join two parts.
-    per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise: a part
+    per_measurement : names of the attributes that may hold one row per measurement, besides keys, z and noise. A part
         of the batch takes its rows of them.
     limit_only : True when it says that something is within limits: no measurement, its rows are no degrees of freedom.
     eliminated : unknowns of its own that each measurement has already spent: as many fewer degrees of freedom.
-    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks): where the
+    damped : True when undamped steps are known to fail (a perspective projection, a residual with kinks). Where the
         optimizer is left to the library, it takes Levenberg-Marquardt.
     frame, opaque : traits, see `factors.traits`; a new sensor states its uses by these and by the methods there.
     """
@@ -173,7 +173,7 @@ class Factor(Traits, Abstract):
 
     @property
     def name(self) -> str:
-        """What kind of measurement this is, for messages."""
+        """Kind of this measurement, for messages."""
         return type(self).__name__
 
     def __repr__(self) -> str:

@@ -39,9 +39,9 @@ class BetweenSensors(Factor):
 
     Notes
     -----
-    The gauge is that of `Between`. A variable offset is calibrated by turning only, and one turn leaves free what
-    commutes with it: there have to be turns about two centers (plane) or two axes (space). K. Daniilidis, "Hand-eye
-    calibration using dual quaternions", 1999.
+    The gauge is that of `Between`. Only turns calibrate a variable offset, and one turn leaves free what commutes with
+    it. There have to be turns about two centers (plane) or two axes (space). K. Daniilidis, "Hand-eye calibration using
+    dual quaternions", 1999.
 
     Examples
     --------

@@ -43,9 +43,9 @@ class BundleProjection(Factor):
     Notes
     -----
     The camera looks along its negative z axis. A point behind it (P_z > 0) is not refused, as the data sets do not
-    exclude it either. A point needs two cameras. Besides the six motions of the whole scene its *scale* is free: hold a
-    second thing, or let the damping of Levenberg-Marquardt choose, which `damped` asks for. S. Agarwal, N. Snavely,
-    S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010.
+    exclude it either. A point needs two cameras. Besides the six motions of the whole scene its *scale* is free. Hold a
+    second thing, or let the damping of Levenberg-Marquardt choose, as `damped` asks. S. Agarwal, N. Snavely, S. Seitz,
+    R. Szeliski, "Bundle adjustment in the large", ECCV 2010.
 
     Examples
     --------

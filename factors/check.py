@@ -24,13 +24,13 @@ OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first h
 
 
 class Gatherer(Protocol):
-    """What `check_jacobians` needs of values: the bound factor and one stack per slot."""
+    """Values for `check_jacobians`: the bound factor and one stack per slot."""
 
     def gather(self, factor: Factor) -> tuple[Model, tuple[Array, ...]]: ...
 
 
 class Graph(Protocol):
-    """What `check_jacobians` needs of a graph."""
+    """A graph for `check_jacobians`."""
 
     @property
     def factors(self) -> Sequence[Factor]: ...

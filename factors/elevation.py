@@ -64,7 +64,7 @@ class Elevation(InSpace):
 
 
 class ElevationHinge(Elevation):
-    r"""That a target was in the aperture when it was seen: no cost inside, a quadratic one outside.
+    r"""A target was in the aperture when it was seen: no cost inside, a quadratic one outside.
 
     .. math:: h(X, l) = \mathrm{sign}(q) \max(|q| - q_{max}, 0), \quad q = \mathrm{atan2}(p_z, \sqrt{p_x^2 + p_y^2}),
 
@@ -89,7 +89,7 @@ class ElevationHinge(Elevation):
 
     Notes
     -----
-    Inside the aperture nothing is added to the information: a target that only the hinge keeps in place is free there,
+    Inside the aperture nothing is added to the information. A target that only the hinge keeps in place is free there,
     and a covariance says so. One that pushes counts there as a measurement as good as its softness, which is more than
     a limit knows; for the landmarks of a mission `nls.io.mission.elevations` puts the aperture in its place. Which
     hinges push changes from step to step, so undamped Gauss-Newton may go in a circle; a graph with one is solved by

@@ -73,8 +73,8 @@ class EpipolarArc(Factor):
 
     Notes
     -----
-    Four numbers, three of them spent on the target: a contact seen twice says one thing about the relative pose, that
-    the second lies on the curve which the arc of the first makes in its image. Six such determine a pose at best.
+    Four numbers, three of them spent on the target. A contact seen twice says one thing about the relative pose: the
+    second lies on the curve of the first one's arc in its image. Six such determine a pose at best.
 
     Motions in the plane of the sonar fit el and -el equally well. The factor takes the better side, the one below where
     they are equal: the cost is the same, what it says about heave, roll and pitch is opposite. Yaw fits every elevation

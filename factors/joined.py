@@ -22,7 +22,7 @@ OWN = ("keys", "_z", "_noise", "_model", "slots")  # what every batch has of its
 def joined(models: Sequence[Model]) -> list[Factor]:
     """The measurements of bound factors in as few batches as there are kinds of measurements.
 
-    One batch of 1,000 is evaluated as fast as a few of one: where a graph grows measurement by measurement, its batches
+    One batch of 1,000 is evaluated as fast as a few of one. Where a graph grows measurement by measurement, its batches
     are joined now and then. Batches are of one kind where everything is equal but variables, z, noise, and what is
     given for each measurement.
 
@@ -62,7 +62,7 @@ def alike(a: Model, b: Model) -> bool:
 
 
 def sort_of(factor: Factor) -> Hashable:
-    """All that batches have in common that may be one."""
+    """Attributes that batches must share to be joined."""
     per = factor.per_measurement
     own = [(k, type(v) if k in per else _hashable(v)) for k, v in vars(factor).items() if k not in OWN]
     return type(factor), factor.kernel, tuple([keys.kind for keys in factor.keys]), tuple(own)

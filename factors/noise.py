@@ -50,7 +50,7 @@ def component_names(names: Sequence[str] | str) -> tuple[str, ...]:
 
 
 class Noise(Abstract):
-    """What is known about the error of a batch of measurements, shared by all or one per measurement.
+    """The error of a batch of measurements, shared by all or one per measurement.
 
     The arrays of a noise have the measurements as leading axis, n or 1: `take` relies on it.
     """

@@ -42,7 +42,7 @@ class Projection(InSpace):
     -----
     A point behind the camera is refused and never given the image of the opposite point in front. Damped optimizers
     turn back from a step that leads there. One view leaves the point on a ray, and images alone leave the whole scene
-    without a scale: a range or a known distance gives it. Source: R. Hartley, A. Zisserman, Multiple View Geometry in
+    without a scale. A range or a known distance gives it. Source: R. Hartley, A. Zisserman, Multiple View Geometry in
     Computer Vision, 2004, section 6.1.
 
     Examples

@@ -16,7 +16,7 @@ __all__ = ["RangeAzimuth"]
 
 
 class InSpace(Sighting):
-    """What a sonar that looks into space says of a target, in the order of `measures`.
+    """Range and azimuth of a target by a sonar that looks into space, in the order of `measures`.
 
     Attributes
     ----------

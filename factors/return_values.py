@@ -1,4 +1,4 @@
-"""What the methods of a factor must return: refused by the name of the factor, with what was expected."""
+"""Checks of the values returned by methods of a factor. Errors name the factor and the expected value."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Batch(Protocol):
 
 
 def checked_space(factor: Batch, space: object) -> Manifold:
-    """What `Factor.space` returned, if it is a space.
+    """The result of `Factor.space`, if it is a space.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def checked_space(factor: Batch, space: object) -> Manifold:
 
 
 def checked_prediction(factor: Batch, prediction: object, shape: tuple[int, ...]) -> tuple[Array, object]:
-    """What `Factor.predict` returned, if it is an array of this shape and Jacobians or None.
+    """The result of `Factor.predict`, if it is an array of this shape and Jacobians or None.
 
     Raises
     ------

@@ -21,8 +21,9 @@ class SequentialMatch(Between):
 
     Notes
     -----
-    It measures as `Between` does. Numbers of poses do not tell one from the other: a small loop may close after three
-    poses, and a scan may be matched with the third before it. So the factor says it, and is not doubted as a closure.
+    The prediction is that of `Between`. Numbers of poses do not tell one from the other. A small loop may close after
+    three poses, and a scan may be matched with the third before it. So the factor says it, and is not doubted as a
+    closure.
 
     Examples
     --------

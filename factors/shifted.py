@@ -39,7 +39,7 @@ class Shifted(Factor):
 
     Notes
     -----
-    A clock: a value that was measured c before the time of its row is :math:`y(t - c) \approx y(t) - \dot y c`, so G is
+    A clock: a value that was measured c before the time of its row is :math:`y(t - c) \approx y(t) - \dot y c`. So G is
     *minus* the rate of the measurement by time. This is exact while the rate is constant over the time c. The
     calibration is determined only where its rates differ from measurement to measurement, or where other measurements
     say the same without it, such as a `Prior`. J. Kelly, G. Sukhatme, "A general framework for temporal calibration of

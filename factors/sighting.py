@@ -1,4 +1,4 @@
-r"""What landmark, range and bearing have in common: the target's position in the frame of the sensor, then g of it.
+r"""Common base of landmark, range and bearing: the target's position in the frame of the sensor, then g of it.
 
 S = X o O                        pose of the sensor: vehicle X, mounting O (sensor to vehicle)
 p = S^-1 l,   z = g(p)           l: the target, or the position of the target's pose L = (R_L, l)

@@ -1,4 +1,4 @@
-"""What a factor is for, as it states by itself: starts and analyses ask for its use, never for its type.
+"""Uses of a factor, stated by the factor. Starts and analyses ask for its use, never for its type.
 
 The model in each method is the factor bound to the spaces of its variables, `factors.base.Model`.
 """

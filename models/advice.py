@@ -1,4 +1,4 @@
-"""What helps, as a value: an action and what it is about. Python and the command line write some of them differently.
+"""A cure as a value: an action and its object. Python and the command line write some of them differently.
 
 Errors, results and findings carry advice; whoever shows them says in which of the two ways.
 """
@@ -98,7 +98,7 @@ class Advice:
     Parameters
     ----------
     action : one of `ACTIONS`.
-    about : what it is about.
+    about : its object.
 
     Examples
     --------

@@ -8,7 +8,7 @@ With the weighted means u', v' and M = sum w_i (u_i - u') (v_i - v')' = U S V', 
 
     R = U diag(1, .., det(U) det(V)) V',   t = u' - R v'
 
-Without the determinant the best orthogonal matrix may be a reflection: of coplanar points, as three always are, it is
+Without the determinant the best orthogonal matrix may be a reflection. Of coplanar points, as three always are, it is
 one in about every other case. R is unique where S_2 + det(U) det(V) S_3 > 0 (in the plane S_1 + det S_2): points on one
 line, or on one spot, leave a rotation free. S_3 = 0, a plane, is fine.
 
@@ -17,7 +17,7 @@ Three points also have a closed form. D(p) = [p_1 - p_2, p_1 - p_3, (p_1 - p_2) 
     D(u) = R D(v),   R = D(u) D(v)^-1,   t = mean(u_i - R v_i)
 
 and is regular where the points are not in line. From noisy points the product is no rotation; the one nearest to it is
-taken, with the same determinant. It differs from the least-squares motion by an amount of the size of the noise.
+taken, with the same determinant. The difference from the least-squares motion is of the size of the noise.
 
 With a scale s as well, min sum w_i |u_i - (s R v_i + t)|^2, R is the same, and
 

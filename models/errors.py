@@ -34,7 +34,7 @@ class LeadlineError(Exception):
 
     Parameters
     ----------
-    message : what is wrong, with the name of the thing and its number.
+    message : the fault, with the name of the thing and its number.
     advice : what helps; ``str()`` has it as Python writes it, one a line.
     """
 

@@ -5,9 +5,9 @@ r"""Latitude and longitude as meters north, east and down of an origin, and back
     p = R' (X - X_0),   R = the directions north, east and down at the origin                  north, east, down
 
 Both ways are exact: the way back finds the latitude by Bowring's formula, iterated to rounding. Down is the direction
-at the origin, so at sea level a point at the distance s lies s^2 / (2 a) below the plane: 8 cm after a kilometer.
-Depths are therefore kept apart: a position (lat, lon, depth) becomes the north and east of the point, and the depth
-itself (`local`), the convention of a chart.
+at the origin. So at sea level a point at the distance s lies s^2 / (2 a) below the plane: 8 cm after a kilometer.
+Depths are kept apart. A position (lat, lon, depth) becomes north, east and the depth itself (`local`), the convention
+of a chart.
 
 Source: B. Hofmann-Wellenhof et al., GNSS, 2008, section 8.2; B. Bowring, "Transformation from spatial to geographical
 coordinates", Survey Review 23(181), 1976.

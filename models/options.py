@@ -1,4 +1,4 @@
-"""What an option may be: one number or one whole number; no array, text, True or False. Names near a misspelled one."""
+"""Values of options: one number or one whole number; no array, text, True or False. Names near a misspelled one."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ class RayRange:
         J_b : (n, 3, 2) db/dz, as `Camera.ray` returns it.
         Sigma_z : (2, 2) or (n, 2, 2) covariance of the pixels.
         sigma_r : standard deviation of the ranges, m, one or (n,).
-        Sigma_s : (3, 3) or (n, 3, 3) covariance of where the sonar is, m^2; known exactly when omitted. What it adds is
+        Sigma_s : (3, 3) or (n, 3, 3) covariance of where the sonar is, m^2; known exactly when omitted. This part is
             common to all points: their errors are then correlated.
         near : as `jacobians`.
 

@@ -1,13 +1,12 @@
 """The gauge: what relative measurements leave free, and what is done about it, by name.
 
-- ``first``: in every component made of relative measurements only, with nothing fixed, hold one variable, the lowest
-  numbered of the kind with the most degrees of freedom (its pose, where there are poses)
+- ``first``: hold one variable in every component that has only relative measurements and nothing fixed: the lowest
+  numbered of the kind with the most degrees of freedom (a pose, where there are poses)
 - ``prior``: give that variable a prior of unit information at its start value instead
 - ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse
 - ``none``: do nothing; a graph with a free gauge is then refused as under-constrained
 
-Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``: nothing says
-anything about them, so nothing can be wrong.
+Variables that no factor touches are held where they are, with a warning, unless the gauge is ``none``.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ GAUGES = ("first", "prior", "free", "none")
 
 @dataclass(frozen=True)
 class Gauge:
-    """What was decided: variables held, and the sentence for the report.
+    """The decision: variables held, and the sentence for the report.
 
     `pattern` is the graph with the priors that were added, nothing held. `fixed` are the held variables that are not
     the gauge: those the user fixed and those no factor touches.

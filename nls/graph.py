@@ -1,4 +1,4 @@
-"""The factor graph: factors and what is held fixed. It owns no values."""
+"""The factor graph: factors and what is held fixed. A graph owns no values."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class FactorGraph:
     def add(self, factor: Factor) -> Factor:
         """Add a factor (a batch of measurements) and return it, the handle for `remove`.
 
-        Many factors of one measurement each become batches in `factors` when the graph is evaluated: a batch of 1,000
+        Many factors of one measurement each become batches in `factors` when the graph is evaluated. A batch of 1,000
         takes as long as a few single ones.
         """
         if not isinstance(factor, Factor):

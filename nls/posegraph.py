@@ -347,7 +347,7 @@ def pose_graphs(graph: FactorGraph, values: Values) -> Iterator[PoseGraph]:
 
 
 def stated(batch: Batch, trait: str, space: Manifold) -> Array | None:
-    """What a batch says by a trait of its factor, elements (k, size) of a space; None where it says nothing.
+    """Elements (k, size) of a space that a batch gives by a trait of its factor; None where it says nothing.
 
     Raises
     ------

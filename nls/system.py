@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted
-from models.algebra import Array, apply
+from models.algebra import Array, apply, dot
 from models.errors import EvaluationError
 from nls.sparse.pattern import Pattern
 from nls.values import Values
@@ -120,7 +120,8 @@ class LinearSystem:
     @cached_property
     def column_norms(self) -> Array:
         """Length of every column of A, (n,)."""
-        return np.asarray(np.sqrt(np.take(self.H_blocks, self.pattern.blocks.on_diagonal)))
+        with np.errstate(over="ignore"):
+            return np.sqrt(self.pattern.by_column([dot(A_k.mT, A_k.mT) for A_k in A] for A in self.blocks))
 
     @property
     def scaled_gradient(self) -> float:

@@ -213,8 +213,7 @@ class Values:
     @property
     def coordinates(self) -> Array:
         """(dim,) tangent step from the neutral element to every variable: how far from zero the numbers are."""
-        stacks = self.stacks.values()
-        steps = [s.manifold.local(s.manifold.identity(len(s)), s.X).reshape(-1) for s in stacks]
+        steps = [stack.manifold.coordinates(stack.X).reshape(-1) for stack in self.stacks.values()]
         return np.concatenate(steps) if steps else np.zeros(0)
 
     def spaces(self) -> Values:

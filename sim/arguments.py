@@ -24,9 +24,14 @@ class Parser(argparse.ArgumentParser):
 
 
 def parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """The parameters that are options: all but the generator."""
+    """The parameters that are options: all but the generator, and those that Python alone can give, by keyword."""
     signature = inspect.signature(make).parameters
-    return {option: parameter for option, parameter in signature.items() if parameter.default is not parameter.empty}
+    positional = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    return {
+        option: parameter
+        for option, parameter in signature.items()
+        if parameter.default is not parameter.empty and parameter.kind is positional
+    }
 
 
 def add_parameters(sub: argparse.ArgumentParser, make: Callable[..., Any], unset: bool = False) -> None:
@@ -59,7 +64,7 @@ def command(name: str, seed: int, arguments: dict[str, Any]) -> str:
 
 
 def values_of(hint: Any) -> dict[str, Any]:
-    """What argparse needs to know of a parameter with this type: words, a number or a whole number."""
+    """Arguments for argparse of a parameter with this type: words, a number or a whole number."""
     if hint is bool:
         return {"action": "store_true"}
     if typing.get_origin(hint) is typing.Literal:

@@ -1,4 +1,4 @@
-r"""What a simulated rig of a camera and a sonar is, and how far an estimate of it is from the truth.
+r"""Simulated rigs of a camera and a sonar, and the distance of an estimate from the truth.
 
     images      z = h(x_i, l_k) + v        pixels (u, v) of point k from camera i
     contacts    z = h(x_i o s, l_k) + v    range and azimuth of the same points, s the sonar in the frame of the camera
@@ -86,14 +86,14 @@ class Rig:
 
     @property
     def images(self) -> Projection:
-        """What the camera measured."""
+        """The measurements of the camera."""
         factor = self.graph.factors[0]
         assert isinstance(factor, Projection)
         return factor
 
     @property
     def contacts(self) -> RangeAzimuth:
-        """What the sonar measured."""
+        """The measurements of the sonar."""
         factor = self.graph.factors[1]
         assert isinstance(factor, RangeAzimuth)
         return factor

@@ -21,7 +21,7 @@ from sim.monte_carlo import FailedRunsError, runs, sentence
 from sim.native_files import HOLD, native_files
 from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
-SCENE_FILES = "graph.npz, truth.npz, estimate.png (four pictures), estimate.json"
+SCENE_FILES = "graph.npz, truth.npz, estimate.png and offsets.png (four pictures each), estimate.json"
 SETTINGS = {  # of the estimators: which has it, and what it is
     "particles": (("fastslam1", "fastslam2"), "of fastslam1 and fastslam2 (default 100)"),
     "lag": (("fixed-lag",), "poses in the window of fixed-lag (default 20)"),
@@ -148,21 +148,28 @@ def _single(
         if "nees" in statistics
         else "not defined: the covariance is singular"
     )
+    walls = f" in r, {statistics['walls']:.3g} deg in alpha" if "walls" in statistics else ""
     rows = [
         ("estimator", track.method),
         ("ATE", f"{statistics['ate']:.4g} m, {statistics['aligned']:.4g} m after the best rigid motion"),
         ("smoothed", f"{statistics['smoothed']:.4g} m (ATE of the poses as they are believed in the end)"),
+        ("map", f"{statistics['landmarks']:.4g} m{walls} (rmse of {len(track.landmarks)} landmarks in the end)"),
         ("final", f"{statistics['final']:.4g} m off; 3 sigma {3 * statistics['sigma']:.4g} m per axis"),
         ("NEES", f"{nees}; {low:.2f} to {high:.2f} with 95 %"),
     ]
 
     def files() -> tuple[dict[str, bytes], str]:
+        from nls.plot import offsets
         from nls.plot.filters import estimator_figure
+        from nls.plot.picture import drawn
 
-        figure = estimator_figure(track, world.truth, history, f"{world.name}, seed {world.seed}")
+        title, sightings = f"{world.name}, seed {world.seed}", world.sightings.keys
+        figure = estimator_figure(track, world.truth, history, title, sightings)
+        beside = drawn("offsets.png", offsets(track, world.truth, title, sightings))
         report = {**request, "estimator": name, "method": track.method, **statistics}
-        return {**_pictured("estimate", figure, report), **native_files(world)}, (
+        return {**_pictured("estimate", figure, report), "offsets.png": beside, **native_files(world)}, (
             "estimate.png: the map, sigmas of vehicle and landmarks, errors within 3 sigma.\n"
+            "offsets.png: the map, and errors of heading, position and landmarks along the axes of the world.\n"
             "estimate.json: options and errors, m.\n" + HOLD
         )
 
@@ -177,7 +184,8 @@ def _compared(
     def files() -> tuple[dict[str, bytes], str]:
         from nls.plot.filters import several
 
-        figure = several([entry.track for entry in comparison], world.truth, f"{world.name}, seed {world.seed}")
+        tracks, title = [entry.track for entry in comparison], f"{world.name}, seed {world.seed}"
+        figure = several(tracks, world.truth, world.start, title)
         report = {
             entry.name: {
                 "method": entry.track.method,

@@ -24,9 +24,9 @@ from sim.monte_carlo import Record
 
 __all__ = ["compare", "compared_rows", "monte_carlo_rows"]
 
-COLUMNS = ("ate", "aligned", "smoothed", "final")
+COLUMNS = ("ate", "aligned", "smoothed", "final", "landmarks")
 SINGULAR = "singular"
-TITLES = ("ATE", "aligned", "smoothed", "final", "3 sigma")
+TITLES = ("ATE", "aligned", "smoothed", "final", "landmarks", "3 sigma")
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,11 @@ def monte_carlo_rows(seeds: Sequence[int], records: Sequence[Record], dim: int) 
 
 
 def quality(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """What the columns of these rows are."""
+    """The columns of these rows."""
     lines = [
         ("ATE", "m, rmse of the positions when each was the latest; aligned: after the best rigid motion"),
         ("smoothed", "m, the same of the positions as they are believed in the end, nothing aligned"),
+        ("landmarks", "m, rmse of the landmarks in the end, nothing aligned; of walls that of their distance r"),
         ("final, 3 sigma", "m, error of the last position, and what is said of it, per axis"),
     ]
     if any(SINGULAR in text for _, text in rows):

@@ -1,4 +1,4 @@
-"""What spoils real measurements: so far, loop closures between places that only look alike."""
+"""Faults of real measurements: so far, loop closures between places that only look alike."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from factors.keys import Keys
+from models import LINE
 from models.algebra import Array
 from models.errors import GraphWarning, LeadlineError, OptionError
 from nls import Marginals, initialize
@@ -35,7 +36,7 @@ SCENES: dict[str, Callable[..., LandmarkWorld]] = {"subsea": subsea, "lines": li
 
 
 def tracked(world: LandmarkWorld, name: str, particles: int = 100, lag: int = 20, iterations: int = 1) -> Track:
-    """What an estimator finds in a world.
+    """The solution of a world by one estimator.
 
     Parameters
     ----------
@@ -117,22 +118,32 @@ def errors(world: LandmarkWorld, track: Track) -> dict[str, float]:
     dict
         ``ate``, ``aligned``: rmse of the positions when they were the latest, nothing and rigidly aligned, m;
         ``smoothed``: of the positions as they are believed in the end, m; ``final``: error of the last position, m;
-        ``sigma``: of the last position as it is reported, per axis, m; ``nees``: of the last pose, left out where its
-        covariance is singular, as that of particles is which are one or two in the end.
+        ``landmarks``: rmse of the landmarks in the end, m, nothing aligned; of walls that of r, and ``walls``: that of
+        alpha, deg; ``sigma``: of the last position as it is reported, per axis, m; ``nees``: of the last pose, left out
+        where its covariance is singular, as that of particles is which are one or two in the end.
     """
     truth = world.truth
     last, X = track.x[[len(track.x) - 1]], truth[track.x][-1:]
     away = track.manifold.position(track.X[-1:]) - track.manifold.position(X)
+    away_l, walls = track.landmark_errors(truth), truth.stack(track.landmarks.kind).manifold is LINE
     statistics = {
         "ate": track.ate(truth).rmse,
         "aligned": track.ate(truth, "rigid").rmse,
         "smoothed": track.ate(truth, smoothed=True).rmse,
         "final": float(np.linalg.norm(away)),
+        "landmarks": _rms(away_l[:, 1:] if walls else away_l),
         "sigma": float(np.sqrt(np.trace(track.P[-1, :2, :2]) / 2)),
     }
+    if walls:
+        statistics["walls"] = float(np.degrees(_rms(away_l[:, :1])))
     if regular(track.P[-1:])[0]:
         statistics["nees"] = float(nees(last, track.manifold, track.X[-1:], track.P[-1:], X)[0])
     return statistics
+
+
+def _rms(e: Array) -> float:
+    """Root of the mean square length of errors (n, d)."""
+    return float(np.sqrt(np.mean(np.sum(np.square(e), axis=1))))
 
 
 def of_seed(

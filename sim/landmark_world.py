@@ -1,4 +1,4 @@
-r"""What a simulated world of a vehicle in the plane and its landmarks is: one data set for filters and graphs.
+r"""A simulated world of a vehicle in the plane and its landmarks: one data set for filters and graphs.
 
     start       z = x_0 Exp(v)               what is believed of the first pose
     odometry    z = h(x_k, x_k+1) [+] v      pose to pose
@@ -49,7 +49,7 @@ class LandmarkWorld:
 
     @property
     def first(self) -> Prior:
-        """What is believed of the first pose."""
+        """The prior of the first pose."""
         factor = self.graph.factors[0]
         assert isinstance(factor, Prior)
         return factor
@@ -63,7 +63,7 @@ class LandmarkWorld:
 
     @property
     def sightings(self) -> BearingRange | Line:
-        """What was seen of the landmarks, in the order of the poses."""
+        """The sightings of the landmarks, in the order of the poses."""
         factor = self.graph.factors[2]
         assert isinstance(factor, BearingRange | Line)
         return factor

@@ -1,4 +1,4 @@
-r"""What a simulated sonar mission is, and how one is made from where the vehicle went and what there is to see.
+r"""Simulated sonar missions, made from a track and the landmarks in sight.
 
     XYH          z = h(x_t, x_t+1) + v     steps in x, y and heading, levelled
     ZPR          z = h(x_t) + v            depth, pitch and roll
@@ -83,7 +83,7 @@ class Mission:
 
     @property
     def contacts(self) -> RangeAzimuth:
-        """What the sonar measured of the landmarks."""
+        """The sonar contacts of the landmarks."""
         factor = self.graph.factors[4]
         assert isinstance(factor, RangeAzimuth)
         return factor

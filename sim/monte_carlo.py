@@ -2,7 +2,7 @@ r"""Monte-Carlo: one function, many seeds, on all cores or on any `concurrent.fu
 
     runs(function, seeds)  ->  [function(seed) for seed in seeds]
 
-A seed decides everything a run draws, and every run has one BLAS thread, so the records are the same bits whatever the
+A seed decides everything a run draws, and every run has one BLAS thread. So the records are the same bits whatever the
 workers and their number. With `resume` each record is appended to a file as soon as it is there, and a run that was
 killed goes on where it stopped:
 
@@ -66,7 +66,7 @@ def runs(
     resume: str | Path | None = None,
     progress: bool = False,
 ) -> list[Record]:
-    """What a function finds for every seed, in the order of the seeds.
+    """The result of a function for every seed, in the order of the seeds.
 
     Parameters
     ----------

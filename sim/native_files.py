@@ -13,7 +13,7 @@ HOLD = "graph.npz: the measurements and the start, as nls solve reads them.\ntru
 
 
 class Simulated(Protocol):
-    """What every world has."""
+    """Attributes of every world."""
 
     @property
     def graph(self) -> FactorGraph: ...

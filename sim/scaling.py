@@ -1,12 +1,12 @@
-r"""What a step costs against the number of landmarks: a filter keeps every correlation, a graph only measurements.
+r"""The cost of a step against the number of landmarks: a filter keeps every correlation, a graph only measurements.
 
     EKF       P has (3 + 2 m)^2 numbers, each of which every update changes        a step O(m^2), all steps O(m^3)
     online    the graph so far solved at each step, from the last optimum          a step O(m),   all steps O(m^2)
     batch     the graph solved once                                                               all steps O(m)
 
-Measured on a ring that grows with its landmarks: the vehicle goes round once, past all of them, and a little further,
-so that the loop is closed and every landmark is known. Poses see equally many landmarks whatever the size of the ring.
-Times are those of the processor, on one BLAS thread.
+Measured on a ring that grows with its landmarks: the vehicle goes round once, past all of them, and a little further.
+So the loop is closed and every landmark is known. Poses see equally many landmarks whatever the size of the ring. Times
+are those of the processor, on one BLAS thread.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SIGMAS = (2e-3, 2e-3, 5e-6)  # of a step, m, m, rad: the largest ring closes wit
 
 @dataclass
 class Cost:
-    """What an estimator costs, size by size, and why there are no larger ones.
+    """The cost of an estimator, size by size, and why there are no larger ones.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def circuit(rng: np.random.Generator, landmarks: int) -> LandmarkWorld:
 def costs(
     seed: int, names: Sequence[str], settings: Mapping[str, int], seconds: float, sizes: Sequence[int] = SIZES
 ) -> list[Cost]:
-    """What estimators cost on circuits of several sizes.
+    """The cost of estimators on circuits of several sizes.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ beam, each meet their first surface at an angle of incidence i, and
 so that a wall at right angles has the root mean square amplitude a, and an oblique one less by the law of Lambert. The
 background is v = w before the first surface, and `shadow` times w behind it (the share of the rays counts where the
 edge of a shadow is in a beam). The texture t is 1 for Rayleigh speckle. For K-distributed speckle it is a gamma
-variable of shape nu and mean 1, drawn for every cell: the smaller nu, the more often a bright cell.
+variable of shape nu and mean 1, drawn for every cell. The smaller nu, the more often a bright cell.
 
 Source: J. Goodman, Speckle Phenomena in Optics, 2007, sections 2.2 (background) and 2.3 (a constant plus speckle);
 E. Jakeman and P. Pusey, "A model for non-Rayleigh sea echo", IEEE Trans. Antennas and Propagation 24(6), 1976;

@@ -1,4 +1,4 @@
-"""What spoils the data of a sonar mission: contacts that are lost, false or taken for a neighbor's, and poor odometry.
+"""Faults of a sonar mission: contacts that are lost, false or taken for a neighbor's, and poor odometry.
 
 Each function returns another mission; `Mission.wrong` says which of its contacts are wrong. The others are untouched.
 """

@@ -1,4 +1,4 @@
-"""What a simulated survey is: the tables its sensors wrote, and the answer apart."""
+"""A simulated survey: the tables its sensors wrote, and the answer apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""What the sensors of a survey measure of a track, each with the noise and the errors that its table states.
+r"""The sensors of a survey along a track, each with the noise and the errors that its table states.
 
     DVL       v_d = (1 + scale) R_bd' (v + w x a) + noise,   R_bd = Rz(yaw of the mounting)
     AHRS      roll, pitch, yaw - declination, + noise, stamped late by the error of its clock

@@ -1,4 +1,4 @@
-"""What an imaging sonar of a survey sees of marks on the bottom: contacts.csv, sonar.csv, and the poses they are of."""
+"""Marks on the bottom by the imaging sonar of a survey: contacts.csv, sonar.csv, and their poses."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-r"""What a simulated world is, and the three steps every one of them shares: measure, chain, build.
+r"""Simulated worlds, and the three steps that all of them share: measure, chain, build.
 
     z = h Exp(v),   v ~ N(0, Sigma),   h = x_i^{-1} x_j
 
-The noise is drawn in the tangent space at the true h, so the residual Log(h^-1 z) of the convention `log` is v itself:
+The noise is drawn in the tangent space at the true h. So the residual Log(h^-1 z) of the convention `log` is v itself:
 chi2 at the truth is a chi-square variable with as many degrees of freedom as there are measured numbers.
 """
 

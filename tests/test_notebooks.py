@@ -17,6 +17,8 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("[0-9]*.ipynb"))
 MUTANTS = tomllib.loads((ROOT / "tools" / "broken.toml").read_text(encoding="utf-8"))["mutant"]
+LINES = 25  # of a cell
+HIDDEN = {"hide-cell", "remove-cell"}  # tags of cells whose code a page does not show
 CLAIM = re.compile(
     r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n\*\*You will be able to\*\* .+\n\n\*\*You need\*\* "
 )
@@ -57,15 +59,30 @@ def test_a_notebook(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
+def test_a_page_teaches_slowly(path: Path) -> None:
+    """Short cells, assertions in cells that the page hides, and a question before each figure."""
+    before = ""
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        lines = "".join(cell["source"]).splitlines()
+        if cell["cell_type"] == "code":
+            assert len(lines) <= LINES, f"{cell['id']} has {len(lines)} lines"
+            if not HIDDEN & set(cell["metadata"].get("tags", [])):
+                assert not any(line.strip().startswith("assert ") for line in lines), f"{cell['id']} asserts"
+            if lines[-1] in ("figure", "plt.show()"):
+                assert re.search(r"\*\*Question\.\*\* [^*]*\?", before), f"{cell['id']}: no question before the figure"
+        before = "\n".join(lines) if cell["cell_type"] == "markdown" else ""
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name[:2])
 def test_its_exercises_check_themselves(path: Path) -> None:
     (exercises,) = [cell["source"] for cell in cells(path, "markdown") if "## Exercises" in cell["source"]]
     numbers = re.findall(r"^(\d)\. ", exercises.partition("## Exercises")[2], flags=re.MULTILINE)
     assert len(numbers) >= 3
-    tagged = dict.fromkeys(("hide-input", "hide-cell"), "")
+    tagged = dict.fromkeys(("hide-input", "hide-cell", "remove-cell", "remove-output"), "")
     for cell in cells(path, "code"):
         tags = cell["metadata"].get("tags", [])
         hidden = cell["metadata"].get("jupyter", {}).get("source_hidden", False)
-        assert hidden == bool({"hide-input", "hide-cell"} & set(tags)), "folded on the site and in Jupyter"
+        assert hidden == bool({"hide-input", *HIDDEN} & set(tags)), "folded on the site and in Jupyter"
         for tag in tags:
             tagged[tag] += cell["source"]
     for number in numbers:

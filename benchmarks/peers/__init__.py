@@ -9,6 +9,7 @@ Run(files, variant)
     load(), start(), optimize()   each timed
     poses()       ids (n,) and poses (n, 3) or (n, 7), as in a g2o file
     iterations    taken by optimize
+    cost()        of its solution as the library itself computes it, as a chi2: compared with the one evaluated here
     said          what else it has to say, for the JSON
     marginals()   covariances of all poses; only where the contender is asked for them
 
@@ -31,7 +32,7 @@ __all__ = ["CONTENDERS", "PROGRAMS", "TOLERANCE", "Files", "combined"]
 
 CONTENDERS = ("leadline", "gtsam", "g2o_cpp", "ceres_cpp", "g2o", "pyceres", "symforce")
 PROGRAMS = ("g2o_cpp", "ceres_cpp")
-TOLERANCE, MAX_ITERATIONS = 1e-6, 100  # relative decrease of the cost that ends an optimization
+TOLERANCE = 1e-6  # relative decrease of the cost that ends an optimization
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Files:
     complete: Path  # the same with a start for every pose, for those that need one
     arrays: Path  # npz: ids, X, i, j, z, information (n, d, d); poses in g2o's order
     space: bool
+    most: int = 100  # iterations
 
     def read_arrays(self) -> dict[str, Any]:
         with np.load(self.arrays) as arrays:

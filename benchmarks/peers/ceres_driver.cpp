@@ -127,6 +127,7 @@ int main(int, char** argv) {
   if (!summary.IsSolutionUsable()) return failed(summary.message);
   const std::size_t numbers = arguments.space ? 7 : 3;
   for (const auto& [id, pose] : poses) record.pose(id, std::vector<double>(pose.begin(), pose.begin() + numbers));
-  record.write(static_cast<int>(summary.num_successful_steps + summary.num_unsuccessful_steps) - 1);
+  record.write(static_cast<int>(summary.num_successful_steps + summary.num_unsuccessful_steps) - 1,
+               2 * summary.final_cost);
   return 0;
 }

@@ -3,7 +3,7 @@
 //     driver GRAPH STEM VARIANT SPACE TOLERANCE MAX_ITERATIONS
 //
 // GRAPH      a g2o file
-// STEM.json  processor time and wall clock of load, start and optimize, ms; iterations; peak memory, MB
+// STEM.json  processor time and wall clock of load, start and optimize, ms; iterations; cost; peak memory, MB
 // STEM.txt   a line for each pose, lowest id first: id and the numbers of a g2o file, x y angle or x y z qx qy qz qw
 // SPACE      1 for poses in space, 0 for poses in the plane
 // TOLERANCE  the optimization ends when the relative decrease of the cost is smaller
@@ -51,9 +51,9 @@ class Record {
     poses_ << '\n';
   }
 
-  void write(int iterations) {
-    json_ << "{\"cpu\": {" << cpu_ << "}, \"wall\": {" << wall_ << "}, \"iterations\": " << iterations
-          << ", \"peak\": " << peak_ << ", \"said\": {}}\n";
+  void write(int iterations, double chi2) {
+    json_ << std::setprecision(17) << "{\"cpu\": {" << cpu_ << "}, \"wall\": {" << wall_ << "}, \"iterations\": "
+          << iterations << ", \"cost\": " << chi2 << ", \"peak\": " << peak_ << ", \"said\": {}}\n";
   }
 
   // Peak memory so far is that of the run; the poses that are written later add to it.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from peers import MAX_ITERATIONS, TOLERANCE, Files, combined
+from peers import TOLERANCE, Files, combined
 
 PACKAGE, COST, READS, MAX_EDGES = "g2o", "g2o", False, None
 VARIANTS = combined(("file", "spanning tree"), ("GN", "LM"))
@@ -61,9 +61,13 @@ class Run:
     def optimize(self) -> None:
         stop = self.g2o.SparseOptimizerTerminateAction()
         stop.set_gain_threshold(TOLERANCE)
-        stop.set_max_iterations(MAX_ITERATIONS)
+        stop.set_max_iterations(self.files.most)
         self.optimizer.add_post_iteration_action(stop)
-        self.iterations = self.optimizer.optimize(MAX_ITERATIONS)
+        self.iterations = self.optimizer.optimize(self.files.most)
+
+    def cost(self) -> float:
+        self.optimizer.compute_active_errors()
+        return float(self.optimizer.active_chi2())
 
     def poses(self) -> tuple[Any, Any]:
         ids = np.array(sorted(self.vertices), dtype=np.int64)

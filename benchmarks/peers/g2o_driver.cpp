@@ -49,6 +49,7 @@ int main(int, char** argv) {
     optimizer.vertex(id)->getEstimateData(pose);
     record.pose(id, pose);
   }
-  record.write(iterations);
+  optimizer.computeActiveErrors();
+  record.write(iterations, optimizer.activeChi2());
   return 0;
 }

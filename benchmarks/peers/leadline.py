@@ -32,11 +32,13 @@ class Run:
         self.said = {
             "start": self.method,
             "converged": result.converged,
-            "chi2": result.chi2_final,
             "dof": result.dof,
             "linear_solver": result.linear_solver,
             "timings": result.timings,
         }
+
+    def cost(self) -> float:
+        return float(self.result.chi2_final)
 
     def poses(self) -> tuple[Any, Any]:
         stack = self.result.values.stack("x")

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from peers import MAX_ITERATIONS, TOLERANCE, Files
+from peers import TOLERANCE, Files
 
 __all__ = ["NotCompiledError", "collect", "command", "compiled"]
 
@@ -48,7 +48,7 @@ def compiled(source: Path, libraries: tuple[str, ...], folder: Path) -> Path:
 def command(program: str, variant: str, files: Files, out: Path) -> list[str]:
     """How a program is run; see driver.h."""
     words = [program, str(files.complete), str(out.with_suffix("")), variant, str(int(files.space))]
-    return [*words, str(TOLERANCE), str(MAX_ITERATIONS)]
+    return [*words, str(TOLERANCE), str(files.most)]
 
 
 def collect(out: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from peers import MAX_ITERATIONS, TOLERANCE, Files
+from peers import TOLERANCE, Files
 from peers.edges import edges, turn
 
 PACKAGE, COST, READS, MAX_EDGES = "pyceres", "g2o", False, 1500
@@ -44,11 +44,15 @@ class Run:
         options, summary = pyceres.SolverOptions(), pyceres.SolverSummary()
         options.linear_solver_type = pyceres.LinearSolverType.SPARSE_NORMAL_CHOLESKY
         options.sparse_linear_algebra_library_type = pyceres.SparseLinearAlgebraLibraryType.SUITE_SPARSE
-        options.function_tolerance, options.max_num_iterations, options.num_threads = TOLERANCE, MAX_ITERATIONS, 1
+        options.function_tolerance, options.max_num_iterations, options.num_threads = TOLERANCE, self.files.most, 1
         options.gradient_tolerance = options.parameter_tolerance = 1e-15  # the cost alone decides, as elsewhere
         options.minimizer_progress_to_stdout, options.logging_type = False, pyceres.LoggingType.SILENT
         pyceres.solve(options, self.problem, summary)
         self.iterations = summary.num_successful_steps + summary.num_unsuccessful_steps - 1  # the start counts as one
+        self.final_cost = summary.final_cost
+
+    def cost(self) -> float:
+        return 2 * float(self.final_cost)
 
     def poses(self) -> tuple[Any, Any]:
         return self.arrays["ids"], np.array([np.concatenate(blocks) for blocks in self.X])

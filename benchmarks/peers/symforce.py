@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from peers import MAX_ITERATIONS, TOLERANCE, Files
+from peers import TOLERANCE, Files
 from peers.edges import edges
 
 PACKAGE, COST, READS, MAX_EDGES = "cc_sym", "g2o", False, 1500
@@ -35,15 +35,18 @@ class Run:
             function = linearization(edge, self.keys[i], self.keys[j], i == held, j == held, space)
             factors.append(cc_sym.Factor(function, [self.keys[k] for k in (i, j) if k != held]))
         parameters = cc_sym.default_optimizer_params()
-        parameters.iterations, parameters.early_exit_min_reduction = MAX_ITERATIONS, TOLERANCE
+        parameters.iterations, parameters.early_exit_min_reduction = self.files.most, TOLERANCE
         self.optimizer = cc_sym.Optimizer(parameters, factors)
 
     def start(self) -> None:
         pass
 
     def optimize(self) -> None:
-        stats = self.optimizer.optimize(self.values)
-        self.iterations = len(stats.iterations) - 1
+        self.stats = self.optimizer.optimize(self.values)
+        self.iterations = len(self.stats.iterations) - 1
+
+    def cost(self) -> float:
+        return 2 * float(self.stats.iterations[self.stats.best_index].new_error)
 
     def poses(self) -> tuple[Any, Any]:
         found = [self.values.at(key) for key in self.keys.values()]

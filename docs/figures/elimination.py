@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from models.algebra import Array
+from nls.plot.style import SERIES
 
-COLORS = ListedColormap(["white", "#0b4f6c", "#e07a2f"])  # empty, measured, fill-in
+COLORS = ListedColormap(["white", SERIES[0], SERIES[1]])  # empty, measured, fill-in
 SIDE = 7
 
 

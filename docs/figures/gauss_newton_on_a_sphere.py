@@ -7,14 +7,22 @@ The start is the odometry of `sim.sphere`. Each frame stands between two iterate
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 import nls
 import sim
 from models import SE3
 from nls.plot.style import CLOSURE, ESTIMATE
 
+TURN, TILT = np.radians(-60), np.radians(20)  # of the view; without perspective
+VIEW = np.array(
+    [
+        [-np.sin(TURN), -np.cos(TURN) * np.sin(TILT)],
+        [np.cos(TURN), -np.sin(TURN) * np.sin(TILT)],
+        [0.0, np.cos(TILT)],
+    ]
+)
 STEPS, PARTS = 5, np.linspace(0, 1, 7)[1:-1]
 
 
@@ -40,24 +48,22 @@ def make() -> tuple[list[Figure], list[float]]:
 
 def _drawn(world: sim.World, X: np.ndarray, chi2: list[float], title: str) -> Figure:
     figure = Figure(figsize=(8, 4.2))
-    ball = figure.add_axes((0.0, 0.0, 0.52, 0.92), projection="3d")
+    ball = figure.add_axes((0.0, 0.0, 0.52, 0.92))
     fall = figure.add_axes((0.63, 0.13, 0.35, 0.77))
     P = SE3.position(X)
-    P = P - P.mean(axis=0)
+    P = (P - P.mean(axis=0)) @ VIEW
     _, closures = world.graph.factors
     ends = np.stack([P[keys.numbers] for keys in closures.keys], axis=1)
-    ball.add_collection3d(Line3DCollection(ends, color=CLOSURE, linewidth=0.6, alpha=0.6))
+    ball.add_collection(LineCollection(list(ends), color=CLOSURE, linewidth=0.6, alpha=0.6))
     ball.plot(*P.T, color=ESTIMATE, linewidth=0.9)
-    for set_limits in (ball.set_xlim, ball.set_ylim, ball.set_zlim):
-        set_limits(-62, 62)
-    ball.view_init(20, -60)
+    ball.set(xlim=(-62, 62), ylim=(-62, 62), xticks=[], yticks=[], aspect="equal")
     ball.set_axis_off()
-    ball.set_box_aspect((1, 1, 1), zoom=1.6)
     ball.set_title(title)
     fall.semilogy(chi2, "o-", color=ESTIMATE)
     dof = 6 * (sum(map(len, world.graph.factors)) - len(P) + 1)
     fall.axhline(dof, color="0.5", linestyle="--", linewidth=1)
     fall.text(STEPS, 0.8 * dof, "expected of noise alone", ha="right", va="top", color="0.4")
     fall.set(xlim=(-0.3, STEPS + 0.3), ylim=(dof / 4, 3 * chi2[0]), xlabel="step", title=f"chi2 = {chi2[-1]:,.0f}")
+    fall.set_yticks([10.0**k for k in range(3, 8)], ["10³", "10⁴", "10⁵", "10⁶", "10⁷"])  # mathtext is slow
     fall.minorticks_off()
     return figure

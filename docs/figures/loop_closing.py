@@ -17,7 +17,7 @@ from nls import kinds
 from nls.filters.base import steps
 from nls.filters.ekf import EKF
 from nls.filters.smoother import Smoother
-from nls.plot.style import ESTIMATE, LANDMARK, SERIES
+from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK
 
 LARGER, EVERY = 10.0, 4
 ANGLES = np.linspace(0, 2 * np.pi, 41)
@@ -63,13 +63,13 @@ def _drawn(k: int, truth: Array, L: Array, path: list[Array], sure: list[Array],
         axes.plot(*shown.T, color=ESTIMATE, linewidth=1.5)
         for at in [*range(5, k, 10), k]:
             c, s = np.cos(X[at, 2]), np.sin(X[at, 2])
-            _ellipse(axes, shown[at], np.array([[c, -s], [s, c]]) @ np.linalg.cholesky(P[at, :2, :2]), ESTIMATE)
+            _ellipse(axes, shown[at], np.array([[c, -s], [s, c]]) @ np.linalg.cholesky(P[at, :2, :2]), ELLIPSE)
         keys, places, P_l = found[side]
         for number, p, P_n in zip(keys.numbers, places, P_l, strict=True):
             q = L[number] + LARGER * (p - L[number])
             _ellipse(axes, q, np.linalg.cholesky(P_n), LANDMARK)
         axes.plot(*L.T, "^", color="0.6", markersize=5)
-        axes.plot(*shown[-1], "o", color=SERIES[1], markersize=8)
+        axes.plot(*shown[-1], "o", color=BEFORE, markersize=8)
         axes.set_title(f"{name}: path {_rms(X, truth):.2f} m off")
         axes.set(xlim=(-50, 50), ylim=(-48, 48), xticks=[], yticks=[], aspect="equal")
     return figure

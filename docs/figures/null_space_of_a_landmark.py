@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from models import SE3
 from models.manifolds import euler
+from nls.plot.style import ARC, ELLIPSE, ESTIMATE
 
-INK, ACCENT, SECOND = "#0b4f6c", "#e07a2f", "#8e3a80"
+INK, ACCENT, SECOND = ESTIMATE, ARC, ELLIPSE
 RANGE, TRUE = 4.0, np.radians(-6.0)
 APERTURE = np.radians(14.0)  # half of it, up and down: what the sonar hears
 ROLL, PITCH = np.radians(25.0), np.radians(15.0)
@@ -20,7 +21,7 @@ ROLL, PITCH = np.radians(25.0), np.radians(15.0)
 
 def make() -> tuple[list[Figure], list[float]]:
     """Frames and seconds."""
-    turn = np.linspace(0.5, 2.5, 25)[1:] * np.pi  # the last frame, which may stand alone, is as high as the slide goes
+    turn = np.linspace(0.5, 2.5, 17)[1:] * np.pi  # the last frame, which may stand alone, is as high as the slide goes
     swing = TRUE + (APERTURE - abs(TRUE)) * np.sin(turn)
     first = SE3.identity(1)[0]
     up = SE3.exp(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))  # z down: 1 m higher,
@@ -28,7 +29,7 @@ def make() -> tuple[list[Figure], list[float]]:
     ahead, _, below = SE3.act(SE3.inverse(second[None]), _arc(np.array(TRUE)))[0]
     assert abs(np.arctan2(below, ahead)) < APERTURE  # the second image sees it, too
     frames = [_drawn(el, first, second) for el in swing]
-    return frames, [0.12] * len(frames)
+    return frames, [0.18] * len(frames)
 
 
 def _seen(X: np.ndarray, p: np.ndarray) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
     R_k+1 = R_k dR_k,    p_k+1 = p_k + R_k dp_k
 
-The scan multiplies every rotation by the one 1, 2, 4, ... places before it, so that after log2(n) products of the whole
+The scan multiplies every rotation by the one 1, 2, 4, ... places before it. So after log2(n) products of the whole
 stack each is the product of all up to it. Source: W. Hillis, G. Steele, "Data parallel algorithms", CACM 29(12), 1986.
 """
 
@@ -23,8 +23,8 @@ def chain(group: LieGroup, first: npt.ArrayLike, steps: npt.ArrayLike) -> Array:
     """Poses along a path: first, first o z_0, first o z_0 o z_1, ...
 
     A parallel prefix product of plain arrays: after the k-th of log2(n) passes every element is the product of the 2^k
-    before it, so a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several
-    components there is `nls.starts.chain`.
+    before it. So a chain of 5,000 poses takes 13 batched compositions. For graphs with gaps and several components
+    there is `nls.starts.chain`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What `integrate` accepts: arrays of the right shape, finite, with rising times; all else is refused by name."""
+"""Input of `integrate`: arrays of the right shape, finite, with rising times; all else is refused by name."""
 
 from __future__ import annotations
 

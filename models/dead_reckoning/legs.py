@@ -112,8 +112,8 @@ def integrate(
     v : (n, 3) velocity of the DVL over the bottom, in its own axes, m/s; anything where it is not valid.
     w : (m, 3) rates of a gyro in body axes, rad/s, known biases already subtracted; or give attitude.
     boundaries : (k + 1,) times at which legs begin and end, s, rising, where there are samples before and after.
-    sigma_v : standard deviation of one velocity, m/s: a number, (3,) along the axes of the DVL, or (n, 3). That of a
-        noise density N, m/s/sqrt(Hz), is N / sqrt(step of time).
+    sigma_v : standard deviation of one velocity, m/s: a number, (3,) along the axes of the DVL, or (n, 3). A noise
+        density N, m/s/sqrt(Hz), has the standard deviation N / sqrt(step of time).
     attitude : (m, 4) unit quaternions x y z w or (m, 3) roll, pitch, yaw, body to world, rad.
     sigma_w : noise density of the gyro, rad/s/sqrt(Hz), a number or (3,) along the axes of the body.
     sigma_attitude : standard deviation of one attitude, rad, a number or (3,) about the axes of the body.
@@ -145,11 +145,11 @@ def integrate(
     -----
     Sample errors are independent of each other. What legs share, the bridge of a drop-out and the samples at its ends
     or at a boundary, counts in each so that their sum is right (exact in a straight line, on the safe side else); a leg
-    alone is known better than its covariance says. Errors that last count once a leg: scale and bias go on from leg to
-    leg, while each `Between` of a graph takes them for its own, and the covariance of a long track comes out too small.
-    A heading that is wrong by the same angle throughout turns all legs in the world and shows in none: measure it by
-    `Heading`. Neighbors share the error of the attitude at their boundary with opposite signs: a chain of legs knows
-    less than the attitudes it is made of, so add those to the graph as well.
+    alone is known better than its covariance says. Errors that last count once a leg. Scale and bias go on from leg to
+    leg, but each `Between` of a graph takes them for its own. So the covariance of a long track comes out too small. A
+    heading that is wrong by the same angle throughout turns all legs in the world and shows in none: measure it by
+    `Heading`. Neighbors share the error of the attitude at their boundary with opposite signs. A chain of legs knows
+    less than its attitudes, so add those to the graph as well.
 
     400,000 samples in legs of 1 s take 5 s and 0.8 GB.
 

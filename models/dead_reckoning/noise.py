@@ -68,7 +68,7 @@ def from_samples(C: Array, leg: Index, mix: Mixture, sigma: Array, k: int, weigh
     source = np.concatenate([leg * n + mix.a, leg[two] * n + mix.b[two]])  # one number for a leg and a sample
 
     def parts(y: Array) -> Array:
-        """What the nodes (m, ...) have of both samples."""
+        """Values of the nodes (m, ...), from both samples."""
         s = mix.s.reshape(-1, *[1] * (y.ndim - 1))
         return np.concatenate([(1 - s) * y, s[two] * y[two]])
 

@@ -6,10 +6,11 @@ Each sample holds until the next. Over the time dt of one step the vehicle turns
     z = T_i^-1 T_j                                               a leg, from one boundary to the next
     Sigma = sum over its steps of  A_k A_k' dt,   A_k = Ad(T_k+1^-1 T_j)^-1 J_r(xi_k) S_k
 
-The error of the twist is white noise S e: every column of S is a source of unit density, so that twice as many steps
-have twice the variance of the twist, and cutting a leg in two where a step begins changes nothing. Within a step its
-error is held: the variance across that comes from the turn is smaller by 1 / (4 K^2) of it in a leg of K equal steps,
-25 % of one, 0.25 % of ten. Errors that last, such as a wheel of another diameter, are no white noise.
+The error of the twist is white noise S e, and every column of S is a source of unit density. Twice as many steps have
+twice the variance of the twist. Cutting a leg in two where a step begins changes nothing. Within a step its error is
+held. The variance across that comes from the turn is smaller by 1 / (4 K^2) of it in a leg of K equal steps, 25 % of
+one, 0.25 % of ten. Errors that last, such as a wheel of another diameter, are no white noise.
+
 Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.3.3.
 """
 

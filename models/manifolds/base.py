@@ -1,4 +1,4 @@
-"""What a space of unknowns or measurements must offer, and what every Lie group builds on it.
+"""The interface of a space of unknowns or measurements, and its extension by every Lie group.
 
 The library perturbs on the right, in the body frame, translation first: X <- X Exp(delta), delta = (rho, phi).
 Functions take and return whole stacks: the leading axes are the batch, the last one is the stored form.
@@ -56,6 +56,10 @@ class Manifold(Abstract):
     @abstractmethod
     def identity(self, n: int = 1) -> Array:
         """A stack (n, size) of the neutral element."""
+
+    def coordinates(self, X: Array) -> Array:
+        """The tangent step (n, dim) from the neutral element to X (n, size)."""
+        return self.local(self.identity(len(X)), X)
 
     @abstractmethod
     def position(self, X: Array) -> Array:
@@ -223,6 +227,9 @@ class LieGroup(Manifold):
     def local(self, X: Array, Y: Array) -> Array:
         """Log(X^-1 Y)."""
         return self.log(self.between(X, Y))
+
+    def coordinates(self, X: Array) -> Array:
+        return self.log(X)
 
     def interpolate(self, X: npt.ArrayLike, Y: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """X Exp(t Log(X^-1 Y)): from X at t = 0 to Y at t = 1 with a constant velocity, along the shorter turn.

@@ -6,7 +6,7 @@ r"""Roll, pitch and yaw, and the Euler 6-vector (roll, pitch, yaw, x, y, z) of a
     T = [[1, 0, -sin pitch], [0, cos roll, sin roll cos pitch], [0, -sin roll, cos roll cos pitch]],  det T = cos pitch
 
 At pitch = +-90 deg (gimbal lock) roll and yaw are no longer two numbers but one; functions that would have to choose
-raise `SingularGeometryError`. (roll, pitch, yaw) and (roll + pi, pi - pitch, yaw + pi) are the same rotation: pitch in
+raise `SingularGeometryError`. (roll, pitch, yaw) and (roll + pi, pi - pitch, yaw + pi) are the same rotation. Pitch in
 [-pi/2, pi/2] is the canonical form, and the one returned.
 
 Source: J. Diebel, "Representing attitude", Stanford, 2006, sections 5.6 and 8.2.

@@ -4,9 +4,9 @@ alpha is the direction of the normal, r the distance of the line from the origin
 
     (alpha, r) ~ (alpha + pi, -r)
 
-are one line. It is the angle that tells which of the two is meant: `local` takes the one whose normal is within 90 deg
-of the other line's. The sign of r cannot tell, for a line through the origin has none. r is free to change its sign
-while an estimate moves; `models.sensors.normalized` makes it positive for output.
+are one line. The angle tells which of the two is meant: `local` takes the one whose normal is within 90 deg of the
+other line's. The sign of r cannot tell, for a line through the origin has none. r is free to change its sign while an
+estimate moves; `models.sensors.normalized` makes it positive for output.
 
 The space is a Moebius band: going round once by alpha = pi comes back with r reversed. It is no group.
 

@@ -1,6 +1,6 @@
 r"""Rotations of space, SO(3), stored as unit quaternions (x, y, z, w), Hamilton, body to world.
 
-A quaternion is used as it was read; every function divides by its length where that matters, so rounded input (six
+A quaternion is used as it was read; every function divides by its length where that matters. So rounded input (six
 digits in a file) gives exact rotations and is written back bit for bit. q and -q are the same rotation: wherever a
 quaternion is reduced to three numbers, w >= 0 is taken.
 

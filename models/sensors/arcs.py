@@ -35,7 +35,7 @@ ALIKE = 1e-11  # of 1 + chi2, what rounding makes of it
 
 
 def second_view(G: Array, h: Array) -> tuple[Array, tuple[Array, Array]]:
-    """What the second view measures of points of the first.
+    """Measurements of the second view of points of the first.
 
     Parameters
     ----------

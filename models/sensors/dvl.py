@@ -1,4 +1,4 @@
-r"""What a Doppler velocity log measures: its own velocity over the bottom, in its own axes, off the vehicle's center.
+r"""Doppler velocity logs: their own velocity over the bottom, in their own axes, off the vehicle's center.
 
 The DVL sits at a on the vehicle, turned by R_bd (DVL axes to body axes): its mounting is the pose O = (a, R_bd). With
 the body's velocity v and rate w, both in body axes,
@@ -66,7 +66,7 @@ class DVL:
     name : how it prints.
     sigma : standard deviation of one velocity along each of its axes, m/s.
     scale : standard deviation of its scale factor (sound speed, beam angles), a fraction of the speed; one number for
-        the whole dive. What data sheets call long-term accuracy.
+        the whole dive. The long-term accuracy of data sheets.
     mount : (7,) pose of the DVL on the vehicle, SE3 as x y z qx qy qz qw; at the center and aligned when omitted.
 
     Raises

@@ -1,10 +1,10 @@
 r"""Imaging sonars: how many beams and range bins, how wide and how high, and what that makes of a measurement.
 
-A beam is fan / beams wide, a bin (far - near) / bins long, and a contact is known to one of each: an error spread
-evenly over a cell of width w has the standard deviation w / sqrt(12). Finding a contact in a real image is worse than
-that; `quality` is how many times worse, and is the user's to say.
+A beam is fan / beams wide, a bin (far - near) / bins long. A contact is known to one of each. An error spread evenly
+over a cell of width w has the standard deviation w / sqrt(12). Finding a contact in a real image is worse than that;
+`quality` is how many times worse, and is the user's to say.
 
-What it measures of a point, and the Jacobian of that, is `models.sensors.spherical.range_azimuth`.
+The measurement of a point and its Jacobian are `models.sensors.spherical.range_azimuth`.
 
 Every other sonar is its numbers, and a range window is set with `dataclasses.replace`:
 

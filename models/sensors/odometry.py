@@ -1,4 +1,4 @@
-r"""What the navigation of a hovering vehicle measures: relative (x, y, heading) and absolute (z, pitch, roll).
+r"""Navigation of a hovering vehicle: relative (x, y, heading) and absolute (z, pitch, roll).
 
 Depth, pitch and roll are measured without drift; x, y and heading are integrated and drift. With a pose X = (R, t),
 R = Rz(yaw) Ry(pitch) Rx(roll) body to world, and its right increment (rho, phi):

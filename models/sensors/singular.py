@@ -17,7 +17,7 @@ class SingularAt(SingularGeometryError):
 
     Parameters
     ----------
-    message : what is singular and what to do.
+    message : the singularity and its cure.
     index : the element of the stack.
     """
 

@@ -74,7 +74,7 @@ def cartesian(h: Array) -> tuple[Array, Array]:
 
 
 def range_azimuth(p: Array) -> tuple[Array, Array]:
-    """What an imaging sonar measures of points p (n, 3): (range, azimuth) (n, 2), m and rad, and J (n, 2, 3).
+    """Measurement of points p (n, 3) by an imaging sonar: (range, azimuth) (n, 2), m and rad, and J (n, 2, 3).
 
     Raises
     ------
@@ -86,7 +86,7 @@ def range_azimuth(p: Array) -> tuple[Array, Array]:
 
 
 def elevation(p: Array) -> tuple[Array, Array]:
-    """What it does not measure of points p (n, 3): the elevation (n, 1), rad, and J (n, 1, 3).
+    """The unmeasured elevation (n, 1) of points p (n, 3), rad, and J (n, 1, 3).
 
     Raises
     ------

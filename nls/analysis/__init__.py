@@ -1,9 +1,8 @@
 """Numbers about a graph: what is free, which measurements are doubtful, what is known of one variable. No sentences.
 
-`observability` tells what a data set determines of one variable, such as a mounting, `helpful_motions` which motion of
-the vehicle would help, `landmark_information` what is known of every landmark, and `unverified_groups` which loop
-closures carry the map although nothing verifies them. `variance_components` finds the scale
-of the sigmas of every kind.
+`observability` tells what a data set determines of one variable, such as a mounting, and `helpful_motions` which motion
+would help. `landmark_information` has the information of every landmark. `unverified_groups` has loop closures that
+carry the map although nothing verifies them. `variance_components` finds the scale of the sigmas of every kind.
 """
 
 from nls.analysis.helpful import Motion, Motions, helpful_motions

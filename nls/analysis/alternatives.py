@@ -118,7 +118,7 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
 
     Notes
     -----
-    Noise must explain chi2 of the other, or it must be at most half of the one that stands: wrong closures and sigmas
+    Noise must explain chi2 of the other, or it must be at most half of the one that stands. Wrong closures and sigmas
     that are off remain under every reading.
     """
     scale = max(1.0, other.chi2 / max(other.dof, 1))

@@ -1,4 +1,4 @@
-r"""What the measurements leave free, and every measurement against all others with that held.
+r"""Directions that the measurements leave free, and every measurement against all others with these held.
 
 The directions and the anchors that hold them come from `nls.linear.anchors`.
 """
@@ -55,7 +55,7 @@ class Freedom:
 
 
 def freedom(pattern: Pattern, values: Values) -> Freedom:
-    """All that is free at the values.
+    """All free directions at the values.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ the others still hold the map where it is, and right closures look wrong. Withou
     t_g = e_g' (I - C_g)^-1 e_g  ~  chi2(m_g),    C_g = A_g P A_g',
 
 with the stacked residuals e_g of the group and the joint covariance C_g of what the fit says about it. t_g is what chi2
-falls by without the group, exactly where the problem is linear. Groups and single measurements differ in m, so they
+falls by without the group, exactly where the problem is linear. Groups and single measurements differ in m. So they
 compete by the probability of chi2(m) above t: a right closure in a group adds 3 to m, and about 3 to t.
 
 C_g costs one solution for every number of the group. Only the groups of the largest mean squared residual are judged. A

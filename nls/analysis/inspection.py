@@ -1,4 +1,4 @@
-"""What a graph is made of and what a solve would cost, without solving it."""
+"""The contents of a graph and the cost of a solve, without solving it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""What the measurements say about every landmark, and along which direction they say least.
+r"""The information about every landmark, and its weakest direction.
 
     H_l = sum A_i' A_i over the measurements of landmark l           the poses taken for known
     M_l = H_l - H_lr H_rr^-1 H_rl,   r: everything but l              marginal: nothing taken for known

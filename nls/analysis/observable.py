@@ -1,4 +1,4 @@
-"""What is known of one variable, in words: sigmas by component, what is free and with what, the weakest direction."""
+"""The knowledge of one variable, in words: sigmas by component, free directions, the weakest direction."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Row = tuple[str, str, str, str]
 
 @dataclass(frozen=True)
 class Observability:
-    """What a data set determines of one variable, everything else being estimated too. ``print`` it.
+    """The information of a data set about one variable, everything else being estimated too. ``print`` it.
 
     Arrays are in the tangent space of the variable (of a pose: its own axes), m and rad.
 

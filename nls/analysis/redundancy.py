@@ -1,7 +1,7 @@
 r"""Groups of loop closures that carry the map and that nothing verifies: their redundancy and external reliability.
 
-Closures whose ends are near one another at both sides say the same, and share their errors: one place taken for another
-makes all of them wrong by one motion. That model error of a group is a vector nabla of d numbers,
+Closures whose ends are near one another at both sides say the same, and share their errors. One place taken for another
+makes all of them wrong by one motion. The model error of a group is a vector nabla of d numbers,
 
     b = A dx + C nabla + e,    e ~ N(0, I),    C = A_j Ad(T_j^-1 T_r) in the rows of the group, 0 elsewhere.
 

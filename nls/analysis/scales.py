@@ -3,7 +3,7 @@ r"""Numbers of a kind of measurement that are beyond all others: lengths of rela
     length_i > 10^6 median(length)                          of all relative poses of a kind
     (W'W)_cc,i > 10^6 max of the others' (W'W)_cc           of a component c; the others are more than half of the kind
 
-A million is no threshold of chance: no vehicle steps a thousand kilometers among steps of a meter, and no sensor is a
+A million is no threshold of chance. No vehicle steps a thousand kilometers among steps of a meter, and no sensor is a
 thousand times as sharp as its like. Unit mistakes (mm for m, degrees for rad) of one measurement are a thousand times.
 """
 

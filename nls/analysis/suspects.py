@@ -52,7 +52,7 @@ class NoOptimumError(Exception):
 
 @dataclass(frozen=True)
 class Suspects:
-    """What was taken out, and how the rest is judged without it.
+    """Removed measurements, and how the rest is judged without them.
 
     Attributes
     ----------

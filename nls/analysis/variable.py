@@ -51,7 +51,7 @@ def observability(
     key : one variable, such as the mounting of a sensor s[0].
     length : m; a rotation of 1 rad counts as so many meters when directions are compared. The mean distance between the
         variables its factors join when omitted: the mean range of a sonar.
-    gauge : ``first``, ``prior`` or ``none``, as in `nls.gauge`. It matters for poses and landmarks only.
+    gauge : ``first``, ``prior`` or ``none``, as in `nls.gauge`. The frame matters for poses and landmarks only.
 
     Returns
     -------
@@ -69,9 +69,9 @@ def observability(
 
     Notes
     -----
-    It is local, at these values. What is free by geometry alone (all turns about one axis, say) is free at the true
-    values and, noise having bent the axis, only hopelessly weak at the estimated ones: look at the sigmas, not just at
-    the rank.
+    It is local, at these values. A direction that is free by geometry alone (all turns about one axis, say) is free at
+    the true values. At the estimated ones noise has bent the axis, and the direction is only very weak. So look at the
+    sigmas, not only at the rank.
 
     Examples
     --------

@@ -28,7 +28,7 @@ under Gaussian noise: without outliers the scale is right, and an outlier adds n
 
     v_k = sum w_i |e_i|^2 / beta(m_i),    beta(m) = E[w(s) s] / m,    s ~ chi2(m),
 
-and N_kl is reduced by the correlations of w(s) s with s. That is Huber's second proposal for the scale.
+and N_kl is reduced by the correlations of w(s) s with s. This is Huber's second proposal for the scale.
 
 Sources: F. R. Helmert, "Die Ausgleichungsrechnung nach der Methode der kleinsten Quadrate", 2nd ed., 1907; W.
 Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", Allgemeine Vermessungs-Nachrichten 86,
@@ -171,10 +171,10 @@ def variance_components(
 
     Notes
     -----
-    A kind keeps its stated sigmas where its redundancy is below 1, or would be at the scale that fits: priors that
-    nothing checks, or yaw of an odometry with so small an error that the others cannot show it. Errors are taken for
-    independent. Of errors that last (a bias, a wrong speed of sound) the residuals show a part only: where there are
-    some, the covariances stay too small.
+    A kind keeps its stated sigmas where its redundancy is below 1, or would be at the scale that fits. Examples are
+    priors that nothing checks, or a yaw of odometry too exact for the others to check. Errors are taken for
+    independent. The residuals show only a part of errors that last (a bias, a wrong speed of sound). With such errors
+    the covariances stay too small.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 r"""Free directions of a whole part of the graph, as motions of the world: translations, rotations, scale.
 
-A motion of the world moves a point p by  v + omega x p + s p  and turns a frame by omega. What it does to the unknowns
-of a part of the graph is a column of G. The motions in the span of free directions N are the k with
+A motion of the world moves a point p by v + omega x p + s p and turns a frame by omega. Its effect on the unknowns of a
+part of the graph is a column of G. The motions in the span of free directions N are the k with
 
     (I - Q Q') G k = 0,   N = Q R,   columns scaled as those of A
 """
@@ -37,7 +37,7 @@ class Motion:
 
 
 def generators(manifold: Manifold, X: Array) -> Array:
-    """What the seven motions of the world do to variables at X, (n, dim, 7); zeros where that is not known."""
+    """Effect of the seven motions of the world on variables at X, (n, dim, 7); zeros where that is not known."""
     n, out = len(X), np.zeros((len(X), manifold.dim, len(AXES)))
     if manifold is CAMERA:  # P = R(w) X + t
         R, w, t = SO3.rotation(SO3.exp(X[:, :3])), X[:, :3], X[:, 3:]

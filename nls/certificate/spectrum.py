@@ -1,4 +1,4 @@
-r"""What a point proves: the smallest eigenvalues of its certificate matrix, and how far the optimum may be below it.
+r"""The proof at a point: the smallest eigenvalues of its certificate matrix, and how far the optimum may be below it.
 
 At a stationary point M of the certifiable cost let Lambda = blkdiag(Lambda_i) be the multipliers of Y_i'Y_i = I and
 S = Q - Lambda. For every other N = [Z q] with Z_i'Z_i = I, of any number of rows, and any mu >= 0,
@@ -10,9 +10,9 @@ Where S + mu D has no negative eigenvalue the first term is none either, so that
     optimum >= tr Lambda - mu n d
 
 whatever the start, and whether or not M is exactly stationary. S has r eigenvalues 0, of the rows of M, so mu has to be
-above 0 for a Cholesky factorization to tell. It is taken so small that mu n d is half a millionth of the cost; or 100
-eps times the largest entry of Q, where that is more. Then the gap may be as wide as this mu makes it, up to a hundredth
-of the cost: of one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
+above 0 for a Cholesky factorization to tell. mu is so small that mu n d is half a millionth of the cost; or 100 eps
+times the largest entry of Q, where that is more. Then the gap may be as wide as this mu makes it, up to a hundredth of
+the cost: of one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
 
 Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization
 over the special Euclidean group", IJRR 38(2-3), 2019, section 4.
@@ -43,7 +43,7 @@ PRECISION = 1e-6  # of the eigenvalues of its inverse
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What is known at a point.
+    """The certificate at a point.
 
     Attributes
     ----------

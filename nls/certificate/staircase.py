@@ -1,10 +1,10 @@
 """Out of a local minimum: rows are added to the poses until the minimum is the global one, then it is rounded.
 
-A negative eigenvalue of the certificate matrix does not say that there is a better pose graph, but that there is one
-with a row more: its eigenvector v, as a new row below each M, is a direction in which the cost falls. From there
-Newton's method goes on. Where the new minimum is certified, it is that of all pose graphs of any number of rows; if it
-needs no more than d of them, which is so for all but very bad measurements, they are the global optimum. torus3D, stuck
-at 45112 from the start in its file, passes 34802 with one row more and reaches 24227 with two, in 40 s.
+A negative eigenvalue of the certificate matrix does not prove a better pose graph, but one with a row more. Its
+eigenvector v, as a new row below each M, is a descent direction. From there Newton's method goes on. Where the new
+minimum is certified, it is that of all pose graphs of any number of rows; if it needs no more than d of them, which is
+so for all but very bad measurements, they are the global optimum. torus3D, stuck at 45112 from the start in its file,
+passes 34802 with one row more and reaches 24227 with two, in 40 s.
 
 Source: N. Boumal, V. Voroninski, A. Bandeira, "The non-convex Burer-Monteiro approach works on smooth semidefinite
 programs", NeurIPS 2016; D. Rosen et al., "SE-Sync", IJRR 38(2-3), 2019, algorithms 1 and 2.

@@ -23,7 +23,7 @@ __all__ = ["Certificate", "certify"]
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known about the global optimum of a pose graph in the SE-Sync cost; ``report()`` says it in words.
+    """Certificate of the global optimum of a pose graph in the SE-Sync cost; ``report()`` says it in words.
 
     Attributes
     ----------
@@ -68,28 +68,27 @@ class Certificate:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """What helps where the solution is not the lowest."""
+        """Cures where the solution is not the lowest."""
         return () if self.lower_chi2 is None else (Advice("start at better"),)
 
     def report(self, shell: bool = False) -> str:
-        """The verdict, the minimum it is about and how far the values given are from it, and the eigenvalues: four
-        lines, and two more where `lower_chi2` is known, with the advice for Python or for the command line."""
+        """The verdict, its minimum and the distance of the given values, and the eigenvalues: four lines. Two more
+        where `lower_chi2` is known, with the advice for Python or for the command line."""
         sentences = {
-            "certified": "in the SE-Sync cost no arrangement of the poses fits these measurements better than the "
-            "minimum beside this solution (whether the measurements are right is another question)",
-            "refuted": "in the SE-Sync cost another arrangement of the poses fits these measurements better",
-            "undecided": "in the SE-Sync cost no arrangement of the poses was found that fits these measurements "
-            "better than the minimum beside this solution, nor shown that there is none",
+            "certified": "globally optimal in the SE-Sync cost, which differs slightly from chi2. This does not "
+            "validate the measurements",
+            "refuted": "not globally optimal: other poses have a lower SE-Sync cost",
+            "undecided": "no poses with a lower SE-Sync cost were found, and global optimality was not proved",
         }
         known = {
-            "certified": f"none is lower by more than {self.cost - self.lowest:.1g}",
-            "refuted": f"there is one of {self.better_cost or 0.0:.6g}",
-            "undecided": f"none is below {self.lowest:.6g}",
+            "certified": f"the lowest possible one is at most {self.cost - self.lowest:.1g} below",
+            "refuted": f"a lower one is {self.better_cost or 0.0:.6g}",
+            "undecided": f"the lowest possible one is at least {self.lowest:.6g}",
         }
         (distance, angle), (distance_rms, angle_rms) = self.moved, self.moved_rms
         lines = [
             f"{self.verdict}: {sentences[self.verdict]}",
-            f"that cost is not chi2: its minimum here is {self.cost:.6g}, {known[self.verdict]}",
+            f"SE-Sync cost: {self.cost:.6g} at the minimum beside this solution, {known[self.verdict]}",
             f"the solution has {self.cost_given:.6g} and is {distance_rms:.3g} m and {np.degrees(angle_rms):.3g} deg "
             f"rms from that minimum, {distance:.3g} m and {np.degrees(angle):.3g} deg at most",
             f"smallest eigenvalues of the certificate matrix: {', '.join(f'{e:.3g}' for e in self.eigenvalues)}",
@@ -129,10 +128,10 @@ def certify(graph: FactorGraph, values: Values) -> Certificate:
 
     Notes
     -----
-    chi2 has another optimum, near this one where residuals are small: a certificate tells about chi2 only as far as
-    the two minima lie in one valley, and `Certificate.moved` says how far they are apart. D. Rosen, L. Carlone,
-    A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization over the special Euclidean
-    group", IJRR 38(2-3), 2019.
+    chi2 has another optimum, near this one where residuals are small. A certificate holds for chi2 only if the two
+    minima lie in one valley, and `Certificate.moved` says how far they are apart. D. Rosen, L. Carlone, A. Bandeira, J.
+    Leonard, "SE-Sync: a certifiably correct algorithm for synchronization over the special Euclidean group", IJRR
+    38(2-3), 2019.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """The command line: one file per command; this one runs them and turns every error into one line and an exit status.
 
 A process of its own has one thread: libraries that are told so before they are loaded start no others, whose start and
-end cost more than a small graph takes (import of NumPy and SciPy, four cores: 90 ms of processor time less). What the
-user has set in the environment stays.
+end cost more than a small graph takes (import of NumPy and SciPy, four cores: 90 ms of processor time less). Settings
+of the user in the environment stay.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class SolvedDives(Solved):
         return {}
 
     def record(self) -> dict[str, Any]:
-        """What the report for programs says of the dives."""
+        """The dives in the report for programs."""
         out = super().record()
         out["distance_m"] = sum(dive.distance for dive in self.dives)
         out["dives"] = [
@@ -92,7 +92,7 @@ def solution_of(job: Job) -> Solved:
 
 
 def outputs_of(solved: Solved, folder: str) -> list[tuple[Callable[[str], None], str]]:
-    """What to write where: of several dives the map in the folder, each track in a folder with the name of its dive."""
+    """Files and folders: of several dives the map in the folder, each track in a folder with the name of its dive."""
     files = MissionFiles(solved).outputs(folder)
     if not isinstance(solved, SolvedDives):
         return files

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Job:
-    """What a run knows so far.
+    """The state of a run.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Job:
         return self.clock.timings(self.result.timings, self.stages)
 
     def additions(self) -> dict[str, Any]:
-        """What a mission, scales, a choice and a certificate add to the report for programs."""
+        """Additions of a mission, scales, a choice and a certificate to the report for programs."""
         from nls.cli import certificate, outliers, sigmas
 
         name = "mission" if self.select is None else "scans"

@@ -161,7 +161,7 @@ class Solved:
 
     @cached_property
     def calibrations(self) -> list[Determination]:
-        """What the measurements say of the calibrations."""
+        """The calibrations by the measurements."""
         from nls.io.mission.determination import determinations
 
         marginals = self._covariances[0] if self.report.calibrations else None
@@ -169,7 +169,7 @@ class Solved:
 
     @property
     def judge(self) -> str | None:
-        """What the tracks are compared with; None where nothing checks dead reckoning."""
+        """The reference of the tracks; None where nothing checks dead reckoning."""
         return next((track.against for track in self.tracks.values()), None)
 
     @cached_property
@@ -179,7 +179,7 @@ class Solved:
         return tracks[0].distance
 
     def record(self) -> dict[str, Any]:
-        """What the report for programs says of the mission."""
+        """The mission in the report for programs."""
         distance = self.distance
         anchors = [repr(factor.keys[0]) for factor in self.graph.factors if isinstance(factor, Position)]
         out: dict[str, Any] = {
@@ -218,7 +218,7 @@ class Solved:
 
 
 def drift_record(tracks: Mapping[str, Track]) -> dict[str, Any]:
-    """What the report for programs says of tracks, by their name."""
+    """Tracks in the report for programs, by their name."""
     return {
         name.replace(" ", "_"): {
             "drift_percent": 100 * track.drift,
@@ -291,7 +291,7 @@ def _unchecked(mission: dict[str, Any]) -> list[str]:
 
 def _drift(mission: dict[str, Any]) -> tuple[str, str]:
     """Errors at the end and on average of dead reckoning, and of the solution where there is a truth, in words."""
-    judge = "the truth" if mission["judge"] == "truth" else "the solution, as there is no truth.csv"
+    judge = "the truth" if mission["judge"] == "truth" else "the solution (there is no truth.csv)"
     named = {key.replace("_", " "): mission[key] for key in ("dead_reckoning", "solution") if key in mission}
     drift = ", ".join(
         f"{name} {_percent(s['drift_percent'])} ({_short(s['end_error_m'])} m)" for name, s in named.items()

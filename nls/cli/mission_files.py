@@ -35,7 +35,7 @@ class MissionFiles:
         self.solved = solved
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
+        """Files to write: functions that take the name of the file, and the names."""
         stacks, plane = self.solved.values.stacks, self.solved.report.plane
         if plane is None:
             self.solved.report.notes.append(

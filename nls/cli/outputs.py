@@ -1,4 +1,4 @@
-"""What the commands write: files that can be written, reports for programs, pictures."""
+"""Outputs of the commands: files, reports for programs, pictures."""
 
 from __future__ import annotations
 

@@ -23,12 +23,12 @@ from nls.cli.choices import (
 __all__ = ["parser"]
 
 FILE = (
-    "graph file, folder of a mission, of a scan mission or of a graph.npz or graph.g2o, or '-': standard input; files "
-    "may be gzipped"
+    "graph file, or folder of a mission, of a scan mission, or with graph.npz or graph.g2o; files may be gzipped; "
+    "'-' is standard input"
 )
-OVERWRITE = "let OUT replace FILE even where lines of it are lost, as with gnc-tls or another format"
-RENUMBER = "new numbers for variables whose numbers clash in OUT; poses keep theirs, a note has the old names"
-ALONE = "thresholds that are not given are off then"
+OVERWRITE = "let OUT replace FILE even if lines are lost, as with gnc-tls or another format"
+RENUMBER = "give variables whose numbers clash in OUT new numbers; poses keep theirs, a note lists the others"
+ALONE = "turns off thresholds that are not given"
 EXAMPLES = """examples:
   nls solve survey.g2o                                 the table and the sentence
   nls solve survey.g2o -o solved.g2o --plot solved.png
@@ -67,13 +67,14 @@ EXAMPLES = """examples:
   nls import dive.bag --map mapping.toml -o mission    a bag of ROS; needs the package rosbags
   nls new mission                                      templates of mapping.toml and of every table
 
-exit status of solve: 0 converged; 1 not converged, under-constrained, refuted by --certify, or a doubtful choice of
---robust gnc-tls; of explain and all others: 0 done, whatever was found; of all: 2 bad input or usage, or an output that
-could not be written (the others are); 130 ended by Ctrl-C (a solve that Ctrl-C stops while it iterates writes its best
-values and exits with 1)
+exit status:
+  0    solve: converged; all other commands: done
+  1    solve: not converged, under-constrained, refuted by --certify, or a doubtful choice of --robust gnc-tls;
+       also a solve that Ctrl-C stops while it iterates, which writes its best values
+  2    bad input or usage, or an output that could not be written (the others are)
+  130  ended by Ctrl-C
 
-threads: one; OPENBLAS_NUM_THREADS and OMP_THREAD_LIMIT are taken to be 1 (MKL_NUM_THREADS and BLIS_NUM_THREADS, too)
-where the environment does not set them
+threads: one, unless the environment sets OPENBLAS_NUM_THREADS, OMP_THREAD_LIMIT, MKL_NUM_THREADS or BLIS_NUM_THREADS
 """
 
 
@@ -145,24 +146,36 @@ def parser() -> Parser:
     solve = command("solve", "find the optimum", _solve)
     _dives(solve)
     solve.add_argument(
-        "-o", "--output", metavar="OUT.g2o", help="write the optimum; the suffix says the format; of a mission a folder"
+        "-o",
+        "--output",
+        metavar="OUT.g2o",
+        help="write the optimum: a file whose suffix says the format, or the folder of a solved mission",
     )
     solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve.add_argument("--renumber", action="store_true", help=RENUMBER)
-    solve.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission folder (default: hinge)")
+    solve.add_argument(
+        "--elevation",
+        choices=TREATMENTS,
+        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
+    )
     solve.add_argument(
         "--crs",
         metavar="CRS",
-        help="of the points and the grid in the folder of a mission: local (default), utm, EPSG:n; others than local "
-        "need origin.csv and pyproj, and add columns to the tables",
+        help="coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
+        "origin.csv and pyproj, and add columns to the tables",
     )
     solve.add_argument("--to", choices=FORMATS, help="format of OUT.g2o (default: by its suffix)")
     solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
     solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
-    solve.add_argument("--linear-solver", default="auto", choices=["auto", *SOLVERS], help="default: best installed")
+    solve.add_argument(
+        "--linear-solver",
+        default="auto",
+        choices=["auto", *SOLVERS],
+        help="linear solver (default: the best one installed)",
+    )
     _problem(
         solve,
-        "; gnc-tls or gnc-gm: find wrong loop closures, of a mission wrong contacts, too, solve without them, list "
+        "; gnc-tls or gnc-gm: find wrong loop closures and, in a mission, wrong contacts, solve without them, list "
         "them; of a mission none: believe all contacts (default: without wrong ones where chi2 and residuals say that "
         "there are some); of a scan mission gnc (default), cauchy or none: how matches are selected",
     )
@@ -178,20 +191,20 @@ def parser() -> Parser:
     solve.add_argument(
         "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
     )
-    solve.add_argument("--gauge", default="first", choices=GAUGES, help="what holds the free directions")
-    solve.add_argument("--allow-unconverged", action="store_true", help="exit 0 at an iteration limit, too")
+    solve.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
+    solve.add_argument("--allow-unconverged", action="store_true", help="exit with 0 at an iteration limit, too")
     solve.add_argument(
-        "--allow-doubtful", action="store_true", help="exit 0 where the choice of --robust gnc-tls is in doubt, too"
+        "--allow-doubtful", action="store_true", help="exit with 0 for a doubtful choice of --robust gnc-tls, too"
     )
     solve.add_argument(
         "--certify",
         action="store_true",
-        help="prove that a pose graph is at its global optimum; 1 is the exit status where a better one is found",
+        help="prove that a pose graph is at its global optimum; exit with 1 if a better one is found",
     )
     _json(solve)
     solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
     solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
-    solve.add_argument("--report", metavar="OUT.html", help="write a page to look at: pictures, findings, covariances")
+    solve.add_argument("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
     how = solve.add_mutually_exclusive_group()
     how.add_argument("--quiet", action="store_true", help="print nothing but errors")
     how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
@@ -199,7 +212,11 @@ def parser() -> Parser:
     explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
     _dives(explain)
     explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    explain.add_argument("--elevation", choices=TREATMENTS, help="of sonar contacts in a mission (default: hinge)")
+    explain.add_argument(
+        "--elevation",
+        choices=TREATMENTS,
+        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
+    )
     _problem(explain)
     _json(explain)
 
@@ -213,33 +230,40 @@ def parser() -> Parser:
 
     stream = command("stream", "the optimum at every step, while lines arrive", _stream)
     stream.add_argument(
-        "--tol", type=float, default=1e-3, metavar="X", help="of chi2 that it may be above (default 1e-3)"
+        "--tol",
+        type=float,
+        default=1e-3,
+        metavar="X",
+        help="accepted relative distance of chi2 from its minimum (default 1e-3)",
     )
     stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
     stream.add_argument(
         "--landmarks",
         choices=("leave", "stay"),
         default="leave",
-        help="with --lag: with the last pose that measured them, or never (default: leave)",
+        help="with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)",
     )
     stream.add_argument("--robust", action=Once, metavar="KERNEL:SIGMAS", help="robust kernel on every factor")
     stream.add_argument(
         "--checkpoint",
         metavar="STATE",
-        help="go on from this file if it is there; written every 100 steps (a pickle: load none but your own)",
+        help="file of the state, written every 100 steps; the next run goes on from it (a pickle: load only your own)",
     )
 
     evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, reads_graph=False)
     evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
-    evaluate.add_argument("truth", metavar="TRUTH", help="the true one: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
     evaluate.add_argument(
         "--align",
         default="none",
         choices=ALIGNMENTS,
-        help="move the estimate onto the truth before (default: none); similarity scales it, too",
+        help="move the estimate onto the truth first (default: none); similarity also scales",
     )
     evaluate.add_argument(
-        "--distances", default="10,50,100", metavar="M,M,...", help="of the relative errors, m (default: 10,50,100)"
+        "--distances",
+        default="10,50,100",
+        metavar="M,M,...",
+        help="distances of the relative errors, m (default: 10,50,100)",
     )
     evaluate.add_argument(
         "--tolerance",
@@ -255,22 +279,26 @@ def parser() -> Parser:
     imports = command("import", "make a mission folder of logs", _import, reads_graph=False)
     imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
     imports.add_argument(
-        "--map", action=Once, metavar="MAPPING.toml", help="which column is which; a draft is printed without it"
+        "--map", action=Once, metavar="MAPPING.toml", help="meaning of the columns; without it a draft is printed"
     )
     imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
 
     new = command("new", "write templates of a mission", _new, reads_graph=False)
-    new.add_argument("folder", metavar="FOLDER", help="where; no file there is overwritten")
-    new.add_argument("--map", action="store_true", help="mapping.toml alone")
+    new.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
+    new.add_argument("--map", action="store_true", help="write mapping.toml alone")
     return top
 
 
 def _input(command: argparse.ArgumentParser) -> None:
     """The file every command reads, and how it is read."""
     command.add_argument("file", metavar="FILE", help=FILE)
-    command.add_argument("--dialect", default="auto", choices=DIALECTS, help="how its lines read (default: auto)")
+    command.add_argument(
+        "--dialect", default="auto", choices=DIALECTS, help="format of FILE (default: auto, by its content)"
+    )
     command.add_argument("--repair-information", action="store_true", help="make negative information semi-definite")
-    command.add_argument("--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements")
+    command.add_argument(
+        "--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements (default: g2o)"
+    )
     command.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 

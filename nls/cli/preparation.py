@@ -1,4 +1,4 @@
-"""What ``solve`` and ``explain`` do to a graph before they begin: robust kernels on it, kinds of variables held."""
+"""Preparation of a graph by ``solve`` and ``explain``: robust kernels on it, kinds of variables held."""
 
 from __future__ import annotations
 

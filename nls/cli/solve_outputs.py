@@ -1,4 +1,4 @@
-"""What ``nls solve`` writes: no outcome is lost where one of the outputs fails."""
+"""Outputs of ``nls solve``: no outcome is lost where one of them fails."""
 
 from __future__ import annotations
 

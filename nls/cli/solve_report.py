@@ -1,4 +1,4 @@
-"""What ``nls solve`` tells: the report for programs, and the table."""
+"""Reports of ``nls solve``: for programs, and the table."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def table(report: dict[str, Any], result: Result, findings: list[str], warned: l
 
 
 def advice(result: Result, allowed: bool) -> str:
-    """What to try next, by status; an estimate that has not converged may be `allowed` already."""
+    """Advice by status; an estimate that has not converged may be `allowed` already."""
     name = result.status.name
     if result.rises and not result.attempts:
         return f"chi2 rose in {result.rises} of {result.iterations} steps; try --method levenberg-marquardt"

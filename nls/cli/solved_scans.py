@@ -88,7 +88,7 @@ class SolvedScans:
             return {}
 
     def record(self) -> dict[str, Any]:
-        """What the report for programs says of the map."""
+        """The map in the report for programs."""
         scans, rounds = self.report.scans, self.closing.rounds
         words = verdict_words(self.matches)
         out: dict[str, Any] = {
@@ -128,7 +128,7 @@ class SolvedScans:
         )
 
     def outputs(self, folder: str) -> list[tuple[Callable[[str], None], str]]:
-        """What to write where: functions that take the name of the file, and the names."""
+        """Files to write: functions that take the name of the file, and the names."""
         files: dict[str, Callable[[str], None]] = {
             "trajectory.csv": self._trajectory,
             "trajectory.tum": self._tum,

@@ -51,7 +51,7 @@ def axes(
         raise OptionError(
             "frame",
             None,
-            f"'body' or 'world' for kind {keys.kind!r}, in {manifold}: along the axes of the body, or of the world",
+            f'frame="body" or frame="world": say along which axes the covariance of {keys.kind} in {manifold} is',
         )
     J = manifold.world_axes(X) if frame == "world" and manifold.body_axes else None
     return J, manifold.components

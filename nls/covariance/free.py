@@ -29,7 +29,7 @@ from nls.values import Values
 
 @dataclass(frozen=True)
 class FreePart:
-    """What takes the covariance from a held gauge to the free one.
+    """The map of the covariance from a held gauge to the free one.
 
     Parameters
     ----------

@@ -42,9 +42,9 @@ class Marginals:
 
     Parameters
     ----------
-    graph : the factors. What they leave free once the gauge is held has no covariance; all else has.
+    graph : the factors. Directions that stay free once the gauge is held have no covariance; all else has.
     values : where it is linearized. Factors with a robust kernel count with their weight there, as in the last step of
-        the optimizer: an outlier that was switched off adds no information.
+        the optimizer. A rejected outlier adds no information.
     linear_solver : its factorization of A'A is used; a solver that keeps none (QR, the dense ones) and none at all mean
         the best factorization installed. The covariance is the same. A `Schur` with a `block_inverse` is refused.
     gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
@@ -54,7 +54,7 @@ class Marginals:
     Attributes
     ----------
     values : a copy of the linearization point.
-    gauge : what holds the graph, in words.
+    gauge : the gauge that holds the graph, in words.
     placeless : kinds of variables that have no place on a map, such as the drift of a speed.
 
     Raises
@@ -70,8 +70,8 @@ class Marginals:
 
     - ``body``: of the tangent step, delta = (rho, phi) in X Exp(delta). What a factor on this pose would take as noise.
     - ``world``: of (R rho, R phi), in the plane (R rho, phi): the errors of position and rotation along the axes of the
-      world. Not the adjoint-transported Ad_X Sigma Ad_X', whose translation part is the error of the point of the
-      *body* that is at the origin of the world: it grows with the distance from the origin.
+      world. Not Ad_X Sigma Ad_X': its translation part is the error of the point of the *body* at the origin of the
+      world, and grows with the distance from the origin.
 
     Vectors, and rotations of the plane, have one frame only and need none. See the theory page on covariances.
 
@@ -314,7 +314,7 @@ class Marginals:
         return Joint((Sigma + Sigma.T) / 2, tuple(names), single, parts)
 
     def status(self, kind: Kind | str) -> list[str]:
-        """What is known of every variable of a kind, in the order of the values.
+        """The status of every variable of a kind, in the order of the values.
 
         ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: no measurement touches it,
         ``free``: the measurements leave it free in some direction. These two have no covariance.

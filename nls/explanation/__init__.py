@@ -1,4 +1,4 @@
-"""What a graph is made of, what it leaves free, which measurements it doubts, and what would help: in plain words."""
+"""Contents of a graph, free directions, doubted measurements and cures, in plain words."""
 
 from nls.explanation.explain import explain
 from nls.explanation.findings import Explanation, Finding, FindingKind, Measurement, Part, Weak

@@ -1,4 +1,4 @@
-"""What there is for a graph besides a new start: a certificate, graduated non-convexity; only where they work."""
+"""Remedies for a graph besides a new start: a certificate, graduated non-convexity; only where they work."""
 
 from __future__ import annotations
 

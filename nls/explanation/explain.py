@@ -43,7 +43,7 @@ FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise wha
 
 @single_thread()
 def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = None) -> Explanation:
-    """What is determined and what is free, whether the measurements agree with each other, and what would help.
+    """Determined and free directions, agreement of the measurements, and cures.
 
     Parameters
     ----------

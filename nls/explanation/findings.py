@@ -1,4 +1,4 @@
-"""What `nls.explain` returns: numbers, findings and advice; `nls.explanation.words` makes sentences of them."""
+"""The result of `nls.explain`: numbers, findings and advice; `nls.explanation.words` makes sentences of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SCHEMA = "explain 1"  # name and version of schema.json, which describes the rep
 
 
 class FindingKind(StrEnum):
-    """What a finding is about, the identifier that programs get."""
+    """The subject of a finding, the identifier that programs get."""
 
     IMPLAUSIBLE = "implausible"
     NOT_CONVERGED = "not_converged"

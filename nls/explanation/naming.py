@@ -32,7 +32,7 @@ CURES = {
 
 @dataclass(frozen=True)
 class Single:
-    """What is free of one variable alone."""
+    """Free directions of one variable alone."""
 
     variable: int
     names: tuple[str, ...]

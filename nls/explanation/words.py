@@ -235,10 +235,10 @@ def unverified(factors: Sequence[str], redundancy: float, meters: float, sigmas:
 
 def rejections(count: int, doubted: int, by_chance: float, probability: float, sigma0: float) -> str:
     """How many measurements were rejected, and how many right ones are at a threshold of this probability."""
-    scaled = "" if f"{sigma0:.3g}" == "1" else f" at {sigma0:.3g} times the stated sigmas"
-    right = "less than one right measurement is" if by_chance < 1 else f"about {by_chance:.0f} right ones are"
-    expected = f"{right} expected to be rejected by chance at {100 * probability:.6g} %"
-    return f"{count} of {doubted} doubted measurements rejected{scaled}; {expected}"
+    scaled = "" if f"{sigma0:.3g}" == "1" else f" (sigmas times {sigma0:.3g})"
+    right = "less than one is" if by_chance < 1 else f"about {by_chance:.0f} are"
+    expected = f"{right} expected by chance at {100 * probability:.6g} %"
+    return f"{count:,} of {doubted:,} doubted measurements rejected{scaled}; {expected}"
 
 
 def rejected_contacts(count: int, doubted: int, by_chance: float, probability: float) -> str:

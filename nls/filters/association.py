@@ -185,7 +185,7 @@ def jcbb(pairs: Index, nu: Array, S: Array, n: int, probability: float) -> Index
 
 @dataclass(frozen=True)
 class Candidates:
-    """What a filter knows of all pairings of the sightings of a step.
+    """All pairings of the sightings of a step.
 
     Attributes
     ----------

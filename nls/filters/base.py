@@ -1,4 +1,4 @@
-r"""What every filter shares: the graph cut into steps, the interface of a filter, the record of a run.
+r"""Common base of filters: the graph cut into steps, the interface of a filter, the record of a run.
 
 A step is a pose, the factors from the pose before it (`motion`), and all others whose latest pose it is
 (`observations`). They are the factors of the graph, with fewer measurements each: nothing is modelled a second time.
@@ -42,7 +42,7 @@ POSE = "x"  # the kind whose numbers are the steps of time; the other kind of a 
 
 @dataclass(frozen=True)
 class Step:
-    """What a filter is given at once.
+    """The input of a filter at one step.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def _groups(at: Index) -> list[tuple[int, Index]]:
 
 @dataclass(frozen=True)
 class Track:
-    """What a filter believed, step by step, and in the end.
+    """The estimates of a filter, step by step, and in the end.
 
     Attributes
     ----------
@@ -206,6 +206,10 @@ class Track:
     def ate(self, truth: Values, align: str = "none", smoothed: bool = False) -> TrajectoryError:
         """Absolute trajectory error of the poses when they were the latest; smoothed: as believed in the end."""
         return ate(self.values[self.x] if smoothed else self.X, truth[self.x], align)
+
+    def landmark_errors(self, truth: Values) -> Array:
+        """Steps (m, d) of the landmarks from the truth to where they are believed in the end: dX and dY of points."""
+        return self.values.stack(self.landmarks.kind).manifold.local(truth[self.landmarks], self.values[self.landmarks])
 
 
 class Filter(Abstract):

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -31,6 +32,7 @@ from models.algebra import Array, Index
 from models.errors import GraphError, OptionError
 from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
+from nls.covariance import Joint
 from nls.filters.association import Association
 from nls.filters.base import POSE, Filter, Step
 from nls.filters.map_state import MapState
@@ -83,10 +85,10 @@ class EKF(Filter):
     landmarks, an update O(n^2), each further iteration O(n). A graph that closes loops between poses needs them all: a
     filter of the latest pose refuses such factors.
 
-    A chart to 4 m, bearings to 0.2 deg: at 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
+    A chart to 4 m, bearings to 0.2 deg. At 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
     linearization. Over 30 seeds of `sim.subsea` with ``independent`` landmarks the mean NEES of the last pose, 3 of a
-    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where
-    they were seen, ``correlated``, need no more than one.
+    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where they
+    were seen, ``correlated``, need no more than one.
 
     Examples
     --------
@@ -156,6 +158,33 @@ class EKF(Filter):
     @property
     def pose(self) -> tuple[Array, Array]:
         return self.state.X, self.state.pose_covariance
+
+    @property
+    def joint(self) -> Joint:
+        """Joint covariance of the latest pose, along the axes of the world, and of all landmarks found so far.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import sim
+        >>> from nls.filters.ekf import EKF
+        >>> world = sim.subsea(np.random.default_rng(1), laps=1)
+        >>> ekf = EKF()
+        >>> _ = ekf.run(world.graph, world.start)
+        >>> ekf.joint.matrix.shape, ekf.joint.names[:4]
+        ((15, 15), ('x90: x', 'x90: y', 'x90: yaw', 'l0: x'))
+        """
+        state = self.state
+        pose, landmark = state.spaces
+        d, keys = pose.dim, (self._pose, *Keys(self._kind, state.numbers))
+        J = pose.world_axes(state.X[None])[0] @ state.turn(state.first, state.X)
+        P = state.P.copy()
+        P[:d] = J @ P[:d]
+        P[:, :d] = P[:, :d] @ J.T
+        begin = [0, *(d + landmark.dim * np.arange(len(keys))).tolist()]
+        parts = [slice(a, b) for a, b in pairwise(begin)]
+        names = [(key, pose if key is self._pose else landmark) for key in keys]
+        return Joint(P, tuple(f"{key!r}: {name}" for key, space in names for name in space.components), keys, parts)
 
     @property
     def landmarks(self) -> tuple[Keys, Array, Array]:

@@ -1,6 +1,6 @@
 r"""FastSLAM 1.0 and 2.0: particles for the pose, and in each of them one small filter for every landmark.
 
-Given the path, landmarks do not depend on each other, so a particle is a pose X and per landmark a mean l and a
+Given the path, landmarks do not depend on each other. So a particle is a pose X and per landmark a mean l and a
 covariance C. With whitened Jacobians A and innovations b of the factors (unit noise), at each step, for every particle:
 
     motion      m, Lambda = A_u' A_u                   where it leads, and the information of that
@@ -57,9 +57,9 @@ class FastSLAM(Filter):
     Notes
     -----
     The covariance of the pose is that of the sample. It is too small, the more so the longer the path and the fewer the
-    particles: each resampling keeps some paths and forgets the rest, so that all particles soon descend from one of
-    long ago, and what that one had wrong they all have. For the same reason the landmarks of a loop are not corrected
-    when it closes, beyond what the particles that are left still differ in.
+    particles. Each resampling keeps some paths and forgets the rest. So all particles soon descend from one of long ago
+    and share its errors. For the same reason the landmarks of a loop are not corrected when it closes, beyond what the
+    particles that are left still differ in.
 
     Examples
     --------

@@ -118,7 +118,7 @@ class Arrivals:
             yield from points(self._known, kind, space, of_kind)
 
     def mark(self) -> tuple[Known, list[tuple[Factor, Factor]]]:
-        """What is known of variables to come, and what waits."""
+        """Variables to come, and waiting measurements."""
         return self._known, self._pending.copy()
 
     def back_to(self, mark: tuple[Known, list[tuple[Factor, Factor]]]) -> None:

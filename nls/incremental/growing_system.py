@@ -1,8 +1,8 @@
 r"""The linear problem A dx = b of a graph that grows, kept at its present values.
 
-Its factor F ~ A'A takes the rows of new measurements and is otherwise old. It is the preconditioner of conjugate
-gradients on the exact A: how old it is costs iterations, not accuracy. It is made anew, in a new order, when the
-iterations that its age costs have cost as much as making it.
+Its factor F ~ A'A takes the rows of new measurements and is otherwise old. This factor is the preconditioner of
+conjugate gradients on the exact A. Its age costs iterations, not accuracy. A new one is made, in a new order, when the
+iterations due to its age have cost as much as making it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 r"""Smoothing as measurements arrive, at the optimum of all of them after every update.
 
 The gradient g = A'b is exact, at the present values. Only the factor of A'A is kept from update to update, and takes
-the rows of new measurements. It is the preconditioner of conjugate gradients on the exact A'A:
+the rows of new measurements. The old factor is the preconditioner of conjugate gradients on the exact A'A:
 
     A'A dx = g by conjugate gradients,   x <- x [+] dx,   until gap <= 0.8 tol chi2
 
-The gap, a bound on how far chi2 is above its minimum, is four times the fall of |A dx - b|^2 in the same iterations:
-on public graphs and logs chi2 itself falls by up to 3 times as much.
+The gap, a bound on how far chi2 is above its minimum, is four times the decrease of |A dx - b|^2 in the same
+iterations. On public graphs and logs chi2 itself decreases by up to 3 times as much.
 
 A new pose whose odometry fits exactly changes nothing, and a new measurement of residual r cannot lower the minimum:
 
@@ -60,8 +60,8 @@ class Incremental:
     Parameters
     ----------
     tol : chi2 stays within this part of its minimum; of 1 where chi2 is less.
-    lag : how many poses are kept, the newest; all where it is None. What the measurements of an older one say of the
-        others stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
+    lag : how many poses are kept, the newest; all where it is None. The information of an older one about the others
+        stays, linearized where it left (`nls.incremental.marginal`). One that is not determined stays longer.
     landmarks : ``leave``: a landmark leaves with the last pose that measured it, so that the cost of a step stays the
         same for ever; measured again it is a new one. ``stay``: landmarks stay, and close loops.
 
@@ -350,7 +350,7 @@ class Incremental:
 
     @property
     def pending(self) -> tuple[Factor, ...]:
-        """What was given and is not used yet: it waits for a variable, or is too little to hold the map."""
+        """Given measurements that are not used yet: they wait for a variable, or are too few to hold the map."""
         return *self._arrivals.pending, *self._undecided
 
     def marginals(self) -> Marginals:

@@ -36,7 +36,7 @@ RANK = 1e-12  # of the length of its column: a pivot below it is rounding of 0
 
 
 class MarginalPrior(Factor):
-    r"""What is left of measurements of variables that are gone: a Gaussian over several others, correlated.
+    r"""The rest of measurements of variables that are gone: a Gaussian over several others, correlated.
 
     .. math:: h(X_1, \dots, X_k) = R \, (\mathrm{local}(X_1^0, X_1), \dots, \mathrm{local}(X_k^0, X_k)), \quad z = c
 
@@ -50,8 +50,8 @@ class MarginalPrior(Factor):
 
     Notes
     -----
-    Straight steps from X0 are no rotation: where all variables turn together by an angle that nothing else holds,
-    far landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
+    Straight steps from X0 are no rotation. Where all variables turn together by an angle that nothing else holds, far
+    landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
     Levenberg-Marquardt, as for every factor that is `damped`.
 
     Examples
@@ -142,7 +142,7 @@ def marginalized(factors: Sequence[Factor], values: Values, leaving: Sequence[Ke
 
 
 def prior_left(touching: Sequence[Factor], values: Values, leaving: Sequence[Keys]) -> MarginalPrior | None:
-    """What measurements that all touch some variables say of their other ones; None where that is nothing.
+    """The information of measurements about their other variables; None where that is nothing.
 
     Raises
     ------

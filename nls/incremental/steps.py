@@ -17,7 +17,7 @@ __all__ = ["Arrived", "steps"]
 
 @dataclass(frozen=True)
 class Arrived:
-    """What arrives at once: the measurements with the same newest pose.
+    """One arrival: the measurements with the same newest pose.
 
     Attributes
     ----------

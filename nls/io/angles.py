@@ -17,7 +17,7 @@ TURN = 6.3  # rad: 2 pi, also where it was rounded to two digits
 
 
 def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
-    """What is to be said of angles of more than a turn: nothing, or one sentence.
+    """A note on angles of more than a turn: nothing, or one sentence.
 
     Parameters
     ----------

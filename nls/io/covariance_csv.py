@@ -27,7 +27,7 @@ def write_covariances(path: str | Path, marginals: Marginals, frame: str = "worl
         ``estimated``; ``gauge`` or ``fixed``: held, its covariance is zero; ``unmeasured``: it has none, ``free``: it
         has none in some direction; the row ends here with empty cells.
     ``world_x_x``, ``world_x_y``, ... or ``body_x_x``, ...
-        The upper triangle row by row. A name says the axes and the two components: ``world_x_yaw`` is the covariance of
+        The upper triangle row by row. A name says the axes and the two components. ``world_x_yaw`` is the covariance of
         the position error along the x axis of the world and the yaw error. m^2, m rad and rad^2. Columns are those of
         all kinds together; cells that a kind does not have are empty. With ``body`` only what has a body is written
         along its axes: points keep ``world``.

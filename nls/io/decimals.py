@@ -10,8 +10,8 @@ The number is an integer w up to 2^53 divided by a power of ten up to 10^22. Bot
 that of the division: the correctly rounded number (W. Clinger, "How to read floating point numbers accurately", 1990).
 
 A longer number, or one with an exponent, has three words: w < 2^64. With p the first 64 bits of 10^k, the product w p
-of 128 bits is below the number by less than 2^64, so that the number's first 64 bits are known up to 4. They round to
-53 but for one number in 512, which is left unread (D. Lemire, "Number parsing at a gigabyte per second", 2021).
+of 128 bits is below the number by less than 2^64. So the number's first 64 bits are known up to 4. They round to 53 but
+for one number in 512, which is left unread (D. Lemire, "Number parsing at a gigabyte per second", 2021).
 """
 
 from __future__ import annotations

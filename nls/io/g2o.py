@@ -4,7 +4,7 @@
     VERTEX_SE3:QUAT id x y z qx qy qz qw        EDGE_SE3:QUAT i j x y z qx qy qz qw and 21 entries
     FIX id [id ...]                             and the rest of the table below
 
-The information is the upper triangle row by row; that of a pose of space is of (x, y, z, qx, qy, qz): its rotation part
+The information is the upper triangle row by row; that of a pose of space is of (x, y, z, qx, qy, qz). Its rotation part
 belongs to the *vector part of the quaternion*, half a rotation vector. For the conventions ``g2o``, ``graphslam`` and
 ``gtsam`` it is taken verbatim, for ``log`` converted (rotation block / 4, mixed blocks / 2: exact in binary).
 

@@ -77,7 +77,7 @@ class Tag:
 
     @property
     def columns(self) -> str:
-        """What stands after the tag, in words."""
+        """The numbers after the tag, in words."""
         columns = ["time"] * self.timed + ["name", "name"][: self.names] + [f"{self.space.size} numbers"]
         return " ".join(columns + [f"{self.noise} of covariance"] * (self.factor is not None))
 

@@ -2,7 +2,7 @@
 
 Formats without tags (BAL, PyFactorGraph) are told apart in `nls.io` itself, `_parsed`, and have readers of their own.
 
-Vertices may stand anywhere, in any order, or not at all: then poses are chained along the edges and points placed where
+Vertices may stand anywhere, in any order, or not at all. Then poses are chained along the edges and points placed where
 they were first seen. Nothing is repaired unless asked for: what cannot be right is an error with its line.
 """
 

@@ -1,4 +1,4 @@
-"""What a graph text format is made of: one `Record` per tag, from which both reader and writer follow.
+"""Records of graph text formats: one `Record` per tag, from which both reader and writer follow.
 
 A line is a tag, the ids of the vertices concerned, the ids of parameters, the numbers of one element of a space, and
 for a measurement the entries of a symmetric matrix (or of an upper square root). A new sensor is one more record.
@@ -102,7 +102,7 @@ class Record:
 
     @cached_property
     def columns(self) -> str:
-        """What stands after the tag, in words."""
+        """The numbers after the tag, in words."""
         names = ["id"] if self.factor is None else ["i", "j"][: len(self.slots)]
         if "point" in self.slots[1:] or "mount" in self.slots:
             names = [f"{slot}{'_j' if k == 1 and slot == 'pose' else ''}" for k, slot in enumerate(self.slots)]
@@ -112,7 +112,7 @@ class Record:
 
     @property
     def chart(self) -> str:
-        """What the entries of the matrix are about: ``plain``, ``quaternion`` (its vector part) or ``angles``."""
+        """The coordinates of the matrix: ``plain``, ``quaternion`` (its vector part) or ``angles``."""
         return "angles" if self.element.angles else "quaternion" if self.element.space.dim == 6 else "plain"
 
     def build(self, keys: list[Keys], z: Array, noise: Noise, offsets: list[Array], convention: str) -> Factor:

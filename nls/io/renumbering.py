@@ -1,7 +1,7 @@
 """New numbers for variables whose numbers clash, for formats in which all vertices share one numbering.
 
-Such a file cannot say the old numbers: readers that are in wide use lose edges over a comment, and stop at a tag that
-they do not know. So the old names are stated in a note, all of them.
+Such a file cannot say the old numbers. Widely used readers lose edges over a comment, and stop at an unknown tag. So
+the old names are stated in a note, all of them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a reader found in a file: the report that comes with every graph."""
+"""The report of a reader on a file, which comes with every graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the vertices of a file are, poses, points or places of sensors: by vertex lines and by the slots of edges."""
+"""Roles of the vertices of a file, poses, points or places of sensors: by vertex lines and by the slots of edges."""
 
 from __future__ import annotations
 

@@ -45,13 +45,13 @@ def appended(report: LoadReport | None, format: str) -> list[str]:
 
 
 def measurements_left_out(noun: str, graph: FactorGraph) -> list[str]:
-    """What a file of values alone does not hold, in at most one sentence."""
+    """Contents that a file of values alone does not hold, in at most one sentence."""
     count = several(len(graph), "measurement")
     return [f"a {noun} file holds no measurements: {count} left out"] if len(graph) else []
 
 
 def left_out(report: LoadReport | None, format: str) -> list[str]:
-    """What a file of this format does not get back, in at most one sentence."""
+    """Lines that a file of this format does not get back, in at most one sentence."""
     if report is None or report.format == format or not report.ignored:
         return []
     tags = Counter(line.encode("utf-8", "surrogateescape").split()[0] for line in report.ignored)

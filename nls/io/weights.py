@@ -13,7 +13,7 @@ with T of `models.manifolds.euler` at the measured angles, phi = T d(roll, pitch
     information I_e = S' I S,    square root R_e = R S
 
 so that all conventions agree to first order (`gtsam` reads a quaternion's information as GTSAM does). No format here
-has a covariance of poses in space. A translation stays as it is: like other readers of these files, this one does not
+has a covariance of poses in space. A translation stays as it is. Like other readers of these files, this one does not
 apply the difference between the axes of the two poses to it.
 """
 

@@ -1,4 +1,4 @@
-"""What a linear solver is: analyze the pattern once, solve every linearization, say when it cannot."""
+"""The interface of linear solvers: analyze the pattern once, solve every linearization, say when it cannot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LinearSolution:
 
 
 class Analysis(Abstract):
-    """What a solver knows of a pattern: it solves every linearization of it.
+    """The analysis of a pattern, which solves every linearization of it.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class LinearSolver(Abstract):
 
     @classmethod
     def missing(cls) -> str | None:
-        """What has to be installed before this solver runs; None when it can."""
+        """Package that this solver needs; None when it can."""
         return None
 
     def require(self) -> None:
@@ -105,7 +105,7 @@ class LinearSolver(Abstract):
 
     @abstractmethod
     def analyze(self, pattern: Pattern) -> Analysis:
-        """What depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
+        """Everything that depends on the pattern alone: ordering, symbolic factorization. Once per graph."""
 
     def factorization(self, system: LinearSystem) -> Factorization | None:
         """A'A of a linearization, factorized; None of a solver that does not factorize it."""

@@ -8,8 +8,8 @@ Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
   more than `COSTLY` flops a pair, a variable taken as one column; the order of fewer flops is taken. 10^9 flops of a
   factorization, AMD -> METIS, simulated: city of 100,000 edges 10.1 -> 4.4, of a million 548 -> 166; sphere of 100,000
   116 -> 36; filled cube of 100,000 3555 -> 392. Per 100,000 edges METIS takes 0.2 - 0.6 s, AMD 0.02 - 0.12, counting
-  flops 0.07 - 0.15, so that smaller graphs (city10000 has 20,687 pairs) are not even counted. A CHOLMOD built without
-  METIS answers a request for it with AMD's order: then that one stays.
+  flops 0.07 - 0.15. So smaller graphs (city10000 has 20,687 pairs) are not even counted. A CHOLMOD built without METIS
+  answers a request for it with AMD's order: then that one stays.
 - CHOLMOD chooses itself between columns one by one and supernodes (dense blocks), at 40 flops per number of R. With its
   threads kept in check that is the faster one on every graph measured: kitti_00 3 ms against 12, city10000 63 against
   92, sphere2500 65 against 398.
@@ -56,20 +56,11 @@ def _order(graph: sp.csc_matrix, method: str) -> Index:
     return np.asarray(module.analyze(graph, mode="simplicial", ordering_method=method).P(), dtype=np.intp)
 
 
-def _ones(hessian: Hessian, dtype: type) -> sp.csc_matrix:
-    """A matrix of the structure."""
-    H = sp.csc_matrix(
-        (np.ones(len(hessian.indices), dtype=dtype), hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n)
-    )
-    H.has_sorted_indices = True
-    return H
-
-
-def _symbolic(hessian: Hessian, dtype: type) -> Any:
+def _symbolic(H: sp.csc_matrix) -> Any:
     """CHOLMOD's symbolic factorization."""
     module = cholmod()
     assert module is not None
-    return module.analyze(_ones(hessian, dtype), mode="auto", ordering_method="natural")
+    return module.analyze(H, mode="auto", ordering_method="natural")
 
 
 class Cholmod(Decomposition):
@@ -97,8 +88,10 @@ class Cholmod(Decomposition):
         module = cholmod()
         assert module is not None
         self._module, self._hessian, self._factorized = module, hessian, False
-        self._H = _ones(hessian, dtype)
-        self._chol = hessian.analyzed(_symbolic, dtype).copy()
+        ones: Array = np.ones(len(hessian.indices), dtype=dtype)
+        self._H = sp.csc_matrix((ones, hessian.indices, hessian.indptr), shape=(hessian.n, hessian.n))
+        self._H.has_sorted_indices = True
+        self._chol = hessian.analyzed(_symbolic, self._H).copy()
 
     def __getstate__(self) -> tuple[Hessian, Array, bool]:
         return self._hessian, self._H.data, self._factorized

@@ -119,7 +119,7 @@ class Factorization:
     def refuse_free(self, system: LinearSystem) -> None:
         """Look for a free direction that rounding has hidden from the pivots of the latest factorization.
 
-        A'A squares the condition of A: a pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
+        A'A squares the condition of A. A pivot that ought to be 0 may come out as large as 1e-9 of its diagonal entry
         where another one is small. Inverse iteration, three solves, finds the direction, and A itself, which keeps
         twice the digits, tells whether it is free. A later linearization is looked at where a pivot has halved since.
 

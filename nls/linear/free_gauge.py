@@ -62,7 +62,7 @@ class FreeGauge(LinearSolver):
 
 
 class FreeAnalysis(Analysis):
-    """What `FreeGauge` knows of a pattern.
+    """The analysis of a pattern by `FreeGauge`.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ largest resident memory of analysis and solve together, above that of the linear
     SuperLU   8 - 18      (L and U with their indices, in arrays that grow by copying)
     SPQR      9.7 - 10.9  (fronts of Householder vectors, R as triplets and again by columns)
 
-It costs nothing where it cannot matter: a full triangle of n columns has n (n + 1) / 2 numbers, and where these fit (up
+It costs nothing where it cannot matter. A full triangle of n columns has n (n + 1) / 2 numbers, and where these fit (up
 to 26,000 columns for CHOLMOD in 6 GB) nothing is counted. Beyond, counting adds about a seventh to the analysis, once
 per graph: 0.05 s to 0.32 s for 100,000 measurements in the plane, 0.05 to 0.51 s in space, 0.5 to 4.4 s for a million
 in the plane.

@@ -1,13 +1,13 @@
 r"""The null space of A in directions that can be read: of single variables, else of as few as may be.
 
 Any basis of a null space is as good as another, and the one that a decomposition happens to return mixes everything
-that is free: of eight landmarks seen once, eight directions that move all of them. So first those of single variables,
+that is free. Of eight landmarks seen once, eight directions that move all of them. So first those of single variables,
 
     A_v u = 0        v: the columns of one variable, u a direction of it alone
 
-which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of
-k directions is zero in k - 1 chosen unknowns (the pivots of a QR decomposition of the transposed basis): what belongs
-to separate parts of the graph comes apart.
+which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
+directions is zero in k - 1 chosen unknowns (the pivots of a QR decomposition of the transposed basis). What belongs to
+separate parts of the graph comes apart.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def carriers_of_singles(directions: sp.csc_array, least: float) -> list[Index]:
 
 
 def separated(N: Array, singles: sp.csc_array, scale: Array) -> Array:
-    """What free directions hold besides those of single variables, each moving as few unknowns as may be.
+    """Free directions besides those of single variables, each moving as few unknowns as possible.
 
     Parameters
     ----------

@@ -18,9 +18,9 @@ no part along a v with A v = 0. So a second right side, h, is solved for beside 
 
 Its part along any direction v, v'M v = 1, is a normal number of deviation 1, and along a free one no step lowers it.
 A step dx is accepted when all of h has fallen below `SURE`, and the Lanczos process that comes with it shows no
-direction in which H is below `SOFT` times M. Otherwise H is factorized and judged by its pivots like everywhere. What
-is guaranteed: a first linearization is judged as by `Cholesky`; later, a direction that has become free is overlooked
-with a probability below `SURE`.
+direction in which H is below `SOFT` times M. Otherwise H is factorized and judged by its pivots like everywhere.
+Guarantee: a first linearization is judged as by `Cholesky`; later, a direction that has become free is overlooked with
+a probability below `SURE`.
 
 Source: M. Hestenes, E. Stiefel, "Methods of conjugate gradients for solving linear systems", 1952; Y. Saad, Iterative
 Methods for Sparse Linear Systems, 2003, sections 6.7.3 (Lanczos coefficients) and 9.2.
@@ -154,7 +154,7 @@ class CholeskyPCG(Cholesky):
     """Conjugate gradients on the current A'A, preconditioned with the last factorization that CHOLMOD made.
 
     Slower than `Cholesky` on every data set measured, by a tenth to a half: the reference page has the
-    table. It saves factorizations where many iterations change little, and its steps cost what it saves. `Marginals`
+    table. Factorizations are saved where many iterations change little, but the steps cost as much. `Marginals`
     factorizes A'A where it is asked, and gauge ``free`` in every iteration: they take nothing from an old one.
 
     Parameters

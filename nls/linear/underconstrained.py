@@ -1,4 +1,4 @@
-"""What is free and why: variables no factor touches, components nothing anchors, and the null directions by name."""
+"""Free directions: variables no factor touches, components nothing anchors, and null directions by name."""
 
 from __future__ import annotations
 
@@ -154,16 +154,17 @@ def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> Undercon
     touched = touched_variables(pattern)[owner]
     idle, unseen = zero & ~touched, zero & touched
     sentences, advice = [], []
-    for unknowns, lack in ((idle, "no measurement at all"), (unseen, "factors that do not react to a change here")):
+    for unknowns, lack in ((idle, "without any measurement"), (unseen, "not measured")):
         if count := int(unknowns.sum()):
             names = _listed(_by_variable(pattern, owner[unknowns], component[unknowns]))
-            sentences.append(f"{'1 unknown has' if count == 1 else f'{count} unknowns have'} {lack}: {names}")
+            some_are = "1 unknown is" if count == 1 else f"{count} unknowns are"
+            sentences.append(f"{some_are} {lack}: {names}")
     if idle.any():
         advice = [Advice("factors"), Advice("drop", ("the variable",)), Advice("fix", ("the variable",))]
     if unseen.any():
         sentences.append(
-            "causes: no factor measures the component, the Jacobian is zero at these values alone, or a robust kernel "
-            "rejects the factors"
+            "causes: (1) no factor observes it, (2) its Jacobian is zero at these values alone, (3) a robust kernel "
+            "rejects its factors"
         )
         advice += [Advice("measure", ("the component",)), Advice("start"), Advice("damp"), Advice("truncate")]
     named = _by_variable(pattern, owner[zero], component[zero])

@@ -1,4 +1,4 @@
-"""What every optimizer is: settings, a loop of its own, and one way to end it that loses no estimate."""
+"""The interface of optimizers: settings, a loop of its own, and one way to end it that loses no estimate."""
 
 from __future__ import annotations
 

@@ -8,9 +8,9 @@ r"""Levenberg-Marquardt: Gauss-Newton steps, damped until they stay within a rad
     if gain < 1/4:   radius = 0.4 |D dx|
     if gain <= 0:    radius = 0.99 |D x| at most
 
-D^2 is the diagonal of A'A, each entry the largest met so far, so that the damping does not depend on units and holds on
-to an unknown that loses its influence. A refused step bounds the next one by the size |D x| of the estimate. Where a
-factor has kinks (`Factor.damped`) the radius follows success alone.
+D^2 is the diagonal of A'A, each entry the largest met so far. So the damping does not depend on units, and an unknown
+that loses its influence is held. A refused step bounds the next one by the size |D x| of the estimate. Where a factor
+has kinks (`Factor.damped`) the radius follows success alone.
 
 The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line: mostly by one or two
 factorizations. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals. Sources:

@@ -1,4 +1,4 @@
-"""What an optimizer works on: a pattern, a linear solver, and the clock that says where the time went."""
+"""The problem of an optimizer: a pattern, a linear solver, and the clock that says where the time went."""
 
 from __future__ import annotations
 

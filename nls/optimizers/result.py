@@ -1,4 +1,4 @@
-"""What an optimization returns: values, why it stopped, and a record of every iteration."""
+"""The result of an optimization: values, why it stopped, and a record of every iteration."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Result:
         for Gaussian noise.
     history : one `Iteration` per step, the start first.
     linear_solver : the one that ran.
-    gauge : what was done about the gauge, in words.
+    gauge : the gauge, in words.
     timings : seconds by part, summed over the iterations.
     method : the optimizer; ``gauss-newton, then dogleg`` where the second continued.
     rule : name of the rule that stopped it, a function of `nls.optimizers.stop`.
@@ -151,7 +151,7 @@ class Result:
 
     @property
     def advice(self) -> tuple[Advice, ...]:
-        """What helps where chi2 is doubtful."""
+        """Cures where chi2 is doubtful."""
         if not self.doubt:
             return ()
         return (Advice("start"),) if self.robust else (Advice.robust("Cauchy", 1), Advice("start"))

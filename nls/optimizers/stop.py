@@ -209,7 +209,7 @@ def pulled(step: Step) -> Verdict | None:
     """|A_k'b| / |A_k| > 5 for an unknown k, where the linear solver is not exact; and its square > 10 chi2_rtol chi2.
 
     That is the pull of b on unknown k, in sigmas; chi2 would fall by its square along k alone. Noise pulls an unknown
-    that is left alone by one or two (0.02 as a gradient on `hauv_hull`), so a small gradient cannot be asked for.
+    that is left alone by one or two (0.02 as a gradient on `hauv_hull`). So a small gradient cannot be asked for.
     """
     size = step.slope
     pull = size * math.sqrt(step.system.chi2)

@@ -1,4 +1,4 @@
-"""What an optimizer tells step by step, and the stop rules that are asked then (`nls.optimizers.stop`)."""
+"""The steps of an optimizer, and the stop rules that are asked then (`nls.optimizers.stop`)."""
 
 from __future__ import annotations
 

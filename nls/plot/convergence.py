@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["convergence"]
 
+DECADE, SLIGHT = 10, 1e-3  # least factor of a logarithmic axis; least part that can be read off the number itself
+
 
 def convergence(result: Result, axes: Axes | None = None) -> Figure:
-    """chi2 (left axis) and max |dx| (right axis), both logarithmic, per iteration.
+    """chi2 (left axis) and max |dx| (right axis) per iteration, logarithmic; chi2 that falls by less than 10 is linear.
 
     Parameters
     ----------
@@ -35,10 +37,11 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     axes = axes_or_new(axes, (5, 4))
     number = [iteration.number for iteration in result.history]
     chi2 = np.array([iteration.chi2 for iteration in result.history])
-    positive = bool((chi2 > 0).all())
-    (first,) = (axes.semilogy if positive else axes.plot)(number, chi2, "o-", color=SERIES[0], label="chi2")
+    falls = bool((chi2 > 0).all()) and chi2.max() > DECADE * chi2.min()  # a smaller range has no ticks to be read
+    last = chi2[-1] if np.ptp(chi2) < SLIGHT * chi2.max() else 0.0
+    (first,) = (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0], label="chi2")
     axes.set_xlabel("iteration")
-    axes.set_ylabel("chi2", color=SERIES[0])
+    axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     lines = [first]
     if len(number) > 1:

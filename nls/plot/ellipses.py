@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["ellipses"]
 
 MOST = 120  # of one kind, where it is not said how many
-VISIBLE = 0.02  # of the width of the map: the largest ellipse is drawn at least so large
+VISIBLE = 0.04  # of the width of the map: the largest ellipse is drawn at least so large
 
 
 def ellipses(
@@ -99,7 +99,7 @@ def ellipses(
         pose = stack.manifold.dim > position.shape[1]
         style = {"color": ELLIPSE if pose else LANDMARK, "linewidth": 0.8}
         label = f"{100 * probability:g} % ellipse of {_every(step)}{stack.kind}"
-        label += "" if scale == 1 else f", {scale:g} times as large"
+        label += larger(scale)
         _outlines(axes, position[chosen], scale * outlines(Sigma, probability), label=label, **style)
         if alone:
             axes.plot(*position[chosen, :2].T, ".", markersize=2, color=style["color"])
@@ -142,9 +142,19 @@ def visible_scale(marginals: Marginals, kinds: Sequence[str] | None = None) -> f
     places = [(kind, stacks[kind].manifold.position(stacks[kind].X)) for kind in names]
     extent = max((float(np.ptp(t[:, :2], axis=0).max()) for _, t in places if t.shape[1]), default=0.0)
     largest = max((_largest(marginals, kind) for kind, t in places if t.shape[1]), default=0.0)
+    return magnification(extent, largest)
+
+
+def magnification(extent: float, largest: float) -> float:
+    """1, 2, 5, 10, ...: how many times as large an ellipse is drawn to be seen, by width of the map and sigma, m."""
     scale = VISIBLE * extent / (2 * largest) if largest > 0 else 1.0
     steps = [m * 10.0**k for k in range(6) for m in (1, 2, 5)]
     return max((step for step in steps if step <= scale), default=1.0)
+
+
+def larger(scale: float) -> str:
+    """Words for a legend: that ellipses are drawn larger than they are."""
+    return "" if scale == 1 else f", {scale:g} times as large"
 
 
 def _largest(marginals: Marginals, kind: str) -> float:

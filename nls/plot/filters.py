@@ -5,14 +5,14 @@ r"""What an estimator believed while a vehicle moved, against the truth: four pi
     errors      the pose minus the truth, within +-3 sigma or not
     landmarks   sigma of each landmark against the step, from where it was found
 
-Errors and sigmas of the pose are those of the tangent step from the estimate to the truth, along the axes of the body:
+Errors and sigmas of the pose are those of the tangent step from the truth to the estimate, along the axes of the body:
 ahead and to the left, m, and the heading, deg. The position of a landmark has one sigma, sqrt(trace(P) / d).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +20,11 @@ from models import LINE
 from nls.covariance.ellipse import outlines
 from nls.covariance.frames import axes as axes_of
 from nls.covariance.frames import turned
-from nls.plot.ellipses import _outlines
-from nls.plot.style import ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
+from nls.plot.axes import legend_below
+from nls.plot.ellipses import _outlines, larger, magnification
+from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SERIES, TRUE
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -36,13 +36,20 @@ if TYPE_CHECKING:
 __all__ = ["estimator_figure", "power_laws", "several"]
 
 BELOW = "0.82"  # of a true track, wide under the estimate
+DASHES = ("-", (0, (5, 2)), "-.", (0, (2, 2)))  # of lines that may lie on one another
 EVERY = 30  # ellipses of the vehicle, evenly spaced
 BODY = (("ahead", "m"), ("to the left", "m"), ("heading", "deg"))
 ROOM = 1.1  # above the highest line
 UNITS = np.array([1.0, 1.0, 180 / np.pi])
 
 
-def estimator_figure(track: Track, truth: Values, history: Sequence[tuple[Keys, Array]], title: str = "") -> Figure:
+def estimator_figure(
+    track: Track,
+    truth: Values,
+    history: Sequence[tuple[Keys, Array]],
+    title: str = "",
+    sightings: Sequence[Keys] | None = None,
+) -> Figure:
     """The four pictures.
 
     Parameters
@@ -51,6 +58,7 @@ def estimator_figure(track: Track, truth: Values, history: Sequence[tuple[Keys, 
     truth : its poses and landmarks, under the same names.
     history : at each step, the landmarks found so far and their covariances (m, d, d).
     title : of the figure; the method of the track is always named.
+    sightings : poses and the walls seen from them, see `estimator_map`.
 
     Returns
     -------
@@ -69,9 +77,9 @@ def estimator_figure(track: Track, truth: Values, history: Sequence[tuple[Keys, 
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 9), layout="constrained")
+    figure = Figure(figsize=(10.5, 9), layout="constrained")
     grid = figure.add_gridspec(6, 2)
-    estimator_map(track, truth, figure.add_subplot(grid[:3, 0]))
+    estimator_map(track, truth, figure.add_subplot(grid[:3, 0]), sightings)
     vehicle_sigmas(track, figure.add_subplot(grid[:3, 1]))
     estimator_errors(track, truth, [figure.add_subplot(grid[row, 0]) for row in (3, 4, 5)])
     landmark_sigmas(track, history, figure.add_subplot(grid[3:, 1]))
@@ -79,45 +87,54 @@ def estimator_figure(track: Track, truth: Values, history: Sequence[tuple[Keys, 
     return figure
 
 
-def estimator_map(track: Track, truth: Values, axes: Axes) -> None:
+def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[Keys] | None = None) -> None:
     """The track when each pose was the latest, the true one, and 95 % ellipses of the vehicle and of the landmarks.
 
-    Landmarks without a position, such as walls, are drawn as the infinite lines they are.
+    Walls are drawn as long as they were seen: over the feet of the perpendiculars from the poses in `sightings`, keys
+    of poses and of walls. Without these they are drawn as infinite lines.
     """
     manifold = track.manifold
     axes.plot(*manifold.position(truth[track.x]).T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
     axes.plot(*manifold.position(track.X).T, color=ESTIMATE, linewidth=1.0, label=track.method)
     shown = np.unique(np.linspace(0, len(track.x) - 1, min(EVERY, len(track.x))).astype(int))
     J, _ = axes_of(track.x, manifold, track.X[shown], None, "position")
-    _outlines(
-        axes,
-        manifold.position(track.X[shown]),
-        outlines(turned(J, track.P[shown])),
-        color=ELLIPSE,
-        linewidth=0.8,
-        label="95 % of the vehicle",
-    )
+    p, P = manifold.position(track.X[shown]), turned(J, track.P[shown])
+    scale = magnification(float(np.ptp(p, axis=0).max()), float(np.sqrt(np.linalg.eigvalsh(P).max())))
+    label = f"95 % of the vehicle{larger(scale)}"
+    _outlines(axes, p, scale * outlines(P), color=ELLIPSE, linewidth=0.8, label=label)
     if len(track.landmarks):
         stack = track.values.stack(track.landmarks.kind)
         L = track.values[track.landmarks]
         if stack.manifold is LINE:
-            for values, style in ((truth.stack(stack.kind).X, {"color": TRUE}), (L, {"color": LANDMARK, "ls": "--"})):
-                for alpha, r in values:
-                    normal = np.array([np.cos(alpha), np.sin(alpha)])
-                    axes.axline(r * normal, r * normal + (-normal[1], normal[0]), linewidth=0.6, **style)  # type: ignore[arg-type]
+            _walls(axes, truth, track.landmarks, sightings, color=BELOW, linewidth=5.0, zorder=0)
+            _walls(axes, track.values, track.landmarks, sightings, color=LANDMARK, linewidth=1.2, label="walls")
         else:
             axes.plot(*truth.stack(stack.kind).X.T, "+", color=TRUE, markersize=9, label="true landmarks")
             axes.plot(*L.T, ".", color=LANDMARK, markersize=4)
-            _outlines(
-                axes, L, outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label="95 % of the landmarks"
-            )
+            label = f"95 % of the landmarks{larger(scale)}"
+            _outlines(axes, L, scale * outlines(track.P_landmarks), color=LANDMARK, linewidth=0.8, label=label)
             for number, place in zip(track.landmarks.numbers.tolist(), L, strict=True):
                 axes.annotate(
                     f"{stack.kind}{number}", place, (6, 4), textcoords="offset points", color=LANDMARK, fontsize=8
                 )
     axes.set(title="map", xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")
-    _legend_below(axes, *axes.get_legend_handles_labels())
+    legend_below(axes, *axes.get_legend_handles_labels())
+
+
+def _walls(axes: Axes, values: Values, walls: Keys, sightings: Sequence[Keys] | None, **style: Any) -> None:
+    """Lines (alpha, r) between the feet of the first and last perpendicular; infinite where no sightings are given."""
+    label = style.pop("label", None)
+    for number, (alpha, r) in zip(walls.numbers.tolist(), values[walls].tolist(), strict=True):
+        normal, along = np.array([[np.cos(alpha), np.sin(alpha)], [-np.sin(alpha), np.cos(alpha)]])
+        if sightings is None:
+            axes.axline(r * normal, r * normal + along, label=label, **style)
+        else:
+            poses = sightings[0][sightings[1].numbers == number]
+            foot = values.stack(poses.kind).manifold.position(values[poses]) @ along
+            ends = r * normal + np.outer([foot.min(), foot.max()], along)
+            axes.plot(*ends.T, label=label, **style)
+        label = None
 
 
 def vehicle_sigmas(track: Track, axes: Axes) -> None:
@@ -130,12 +147,12 @@ def vehicle_sigmas(track: Track, axes: Axes) -> None:
     axes.set(title="sigma of the vehicle", xlabel="step", ylabel="sigma [m]", ylim=(0, ROOM * sigma[:, :2].max()))
     right.set(ylabel="sigma [deg]", ylim=(0, ROOM * sigma[:, 2].max()))
     (handles, labels), (more, names) = axes.get_legend_handles_labels(), right.get_legend_handles_labels()
-    _legend_below(axes, [*handles, *more], [*labels, *names])
+    legend_below(axes, [*handles, *more], [*labels, *names])
 
 
 def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
     """Errors of the pose on three axes, one below the other, each with its band of 3 sigma."""
-    e = UNITS * track.manifold.local(track.X, truth[track.x])
+    e = -UNITS * track.manifold.local(track.X, truth[track.x])
     sigma = _sigmas(track)
     for k, (axes, (name, unit)) in enumerate(zip(rows, BODY, strict=True)):
         axes.fill_between(track.x.numbers, -3 * sigma[:, k], 3 * sigma[:, k], color=ESTIMATE, alpha=0.15, linewidth=0)
@@ -160,7 +177,8 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     line = track.values.stack(track.landmarks.kind).manifold is LINE
     right = axes.twinx() if line else None
     for k, (number, (at, variances)) in enumerate(sorted(by_landmark.items())):
-        variance, style = np.array(variances), {"color": SERIES[k % len(SERIES)], "linewidth": 1.0}
+        again, color = divmod(k, len(SERIES))
+        variance, style = np.array(variances), {"color": SERIES[color], "linewidth": 1.0 + again}
         sigma = np.sqrt(variance[:, 1] if line else variance.mean(axis=1))
         axes.plot(at, sigma, label=f"{track.landmarks.kind}{number}", **style)  # type: ignore[arg-type]
         if right is not None:
@@ -171,11 +189,11 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
     if right is not None:
         axes.set_ylabel("sigma of r [m]")
         right.set_ylabel("sigma of alpha [deg], dotted")
-    _legend_below(axes, *axes.get_legend_handles_labels())
+    legend_below(axes, *axes.get_legend_handles_labels())
 
 
-def several(tracks: Sequence[Track], truth: Values, title: str = "", probability: float = 0.95) -> Figure:
-    """Several estimators on one data set: tracks, errors of the position, 3 sigma of the position, NEES with bounds.
+def several(tracks: Sequence[Track], truth: Values, dead: Values, title: str = "", probability: float = 0.95) -> Figure:
+    """Several estimators on one data set: tracks, errors and 3 sigma of the position, NEES with bounds.
 
     Where a covariance is singular there is no NEES, and its line has a gap.
 
@@ -183,6 +201,7 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     ----------
     tracks : of the same poses, in SE2.
     truth : of these poses.
+    dead : of these poses, by dead reckoning.
     title : of the figure.
     probability : that the NEES of a consistent estimator is within the bounds, at any one step.
 
@@ -195,28 +214,36 @@ def several(tracks: Sequence[Track], truth: Values, title: str = "", probability
     from nls.filters.consistency import nees as nees_of
     from nls.filters.consistency import nees_bounds, regular
 
-    figure = Figure(figsize=(13, 9), layout="constrained")
+    figure = Figure(figsize=(10.5, 9), layout="constrained")
     (places, errors), (sigmas, nees) = figure.subplots(2, 2)
     x, manifold = tracks[0].x, tracks[0].manifold
     q = manifold.position(truth[x])
     places.plot(*q.T, color=BELOW, linewidth=5.0, zorder=0, label="truth")
+
+    def off(p: Array, name: str, **style: Any) -> None:
+        away = np.linalg.norm(p - q, axis=1)
+        places.plot(*p.T, label=f"{name}: {np.sqrt(np.mean(away**2)):.2g} m", **style)
+        errors.semilogy(x.numbers, away, **style)
+
+    off(manifold.position(dead[x]), "dead reckoning", color=BEFORE, linewidth=1.6, linestyle=(0, (1, 1)))
+    colors = [color for color in SERIES if color != BEFORE]
     for k, track in enumerate(tracks):
-        style = {"color": SERIES[k % len(SERIES)], "linewidth": 0.9, "label": track.method}
-        p, steps = manifold.position(track.X), track.x.numbers
-        places.plot(*p.T, **style)
-        errors.plot(steps, np.linalg.norm(p - q, axis=1), **style)
-        sigmas.plot(steps, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
-        e2, valid = np.full(len(steps), np.nan), regular(track.P)
+        style = {"color": colors[k % len(colors)], "linewidth": 1.3, "linestyle": DASHES[k % len(DASHES)]}
+        off(manifold.position(track.X), track.method, **style)
+        sigmas.plot(x.numbers, 3 * np.sqrt(np.trace(track.P[:, :2, :2], axis1=1, axis2=2) / 2), **style)
+        e2, valid = np.full(len(x), np.nan), regular(track.P)
         e2[valid] = nees_of(track.x[valid], manifold, track.X[valid], track.P[valid], truth[track.x[valid]])
-        nees.plot(steps, e2, **style)
+        nees.plot(x.numbers, e2, **style)
     for bound in nees_bounds(manifold.dim, 1, probability):
         nees.axhline(bound, color=TRUE, linewidth=0.8, linestyle="--")
     places.set(title="tracks", xlabel="x [m]", ylabel="y [m]")
     places.set_aspect("equal", adjustable="datalim")
-    errors.set(title="error of the position", xlabel="step", ylabel="[m]", ylim=(0, None))
+    errors.set(title="error of the position", xlabel="step", ylabel="[m], logarithmic")
     sigmas.set(title="3 sigma of the position, per axis", xlabel="step", ylabel="[m]", ylim=(0, None))
     nees.set(title=f"NEES, {100 * probability:g} % between the dashed lines", xlabel="step", yscale="log")
-    places.legend(loc="center", fontsize=8)
+    handles, labels = places.get_legend_handles_labels()
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    legend.set_title("rms error of the positions when each was the latest")
     if title:
         figure.suptitle(title)
     return figure
@@ -257,13 +284,6 @@ def power_laws(
             text = name if np.isnan(p) else f"{name}, slope {p:.2f}"
             axes.text(right, np.exp(place), text, va="center", color=color)
     return figure
-
-
-def _legend_below(axes: Axes, handles: Sequence[Artist], labels: Sequence[str]) -> None:
-    """A legend under the axes, in one or two rows, where it covers nothing."""
-    columns = len(labels) if len(labels) <= 6 else -(-len(labels) // 2)
-    below = (0.5, -0.12)
-    axes.legend(handles, labels, loc="upper center", bbox_to_anchor=below, fontsize=8, ncols=columns, frameon=False)
 
 
 def _sigmas(track: Track) -> Array:

@@ -52,7 +52,8 @@ def track(
     truth : true poses.
     marginals : covariances of the solution.
     errors : tracks by what they are called, see `nls.io.mission.track_of`; their errors are drawn beside the map, and
-        with marginals the error to be expected, the root of the trace of the covariance of the position.
+        with marginals the error to be expected, the root of the trace of the covariance of the position. Without
+        errors this is drawn alone.
 
     Returns
     -------
@@ -60,8 +61,9 @@ def track(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 5.8) if errors else (7, 5.8), layout="constrained")
-    axes = figure.subplots(1, 2 if errors else 1, squeeze=False)[0]
+    sure = marginals is not None and marginals.underconstrained is None
+    figure = Figure(figsize=(11, 5.8) if errors or sure else (7, 5.8), layout="constrained")
+    axes = figure.subplots(1, 2 if errors or sure else 1, squeeze=False)[0]
     _path(axes[0], dead, color=BEFORE, linewidth=1.0, linestyle="--", label=_dead_reckoning(dead, values))
     if truth is not None and "x" in truth.stacks:
         _path(axes[0], truth, color=TRUE, linewidth=2.4, alpha=0.35, label="truth")
@@ -71,23 +73,34 @@ def track(
     axes[0].set(xlabel="y, east [m]", ylabel="x, north [m]", title="Track from above")
     axes[0].set_aspect("equal", adjustable="datalim")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=8)
-    for (name, error), color in zip((errors or {}).items(), (BEFORE, ESTIMATE), strict=False):
-        axes[1].plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
-        axes[1].set(xlabel="distance travelled [m]", ylabel=f"away from the {error.against} [m]", title="Along the way")
-        axes[1].legend(loc="best", fontsize=8)
-    if errors and marginals is not None and marginals.underconstrained is None:
-        on = next(iter(errors.values()))
-        variance = np.trace(marginals.covariance(x[on.numbers], view="position"), axis1=1, axis2=2)
-        axes[1].plot(on.along, np.sqrt(variance), color=ELLIPSE, linestyle=":", label="solution, by its covariance")
-        axes[1].legend(loc="best", fontsize=8)
-    if errors:
-        most = max([LEAST, *(float(error.error.max()) for error in errors.values())])
-        axes[1].set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
-        ends = ", ".join(f"{name} {round(error.end, 4):.2g} m" for name, error in errors.items())
-        first = next(iter(errors.values()))
-        travelled = f"{first.distance:,.0f}" if first.distance >= THOUSAND else f"{first.distance:.3g}"
-        figure.suptitle(f"After {travelled} m: {ends} from the {first.against}")
+    if errors or sure:
+        figure.suptitle(_along(axes[1], values, errors or {}, marginals if sure else None))
     return figure
+
+
+def _along(axes: Axes, values: Values, errors: Mapping[str, Track], marginals: Marginals | None) -> str:
+    """How far tracks are off along the way, and the error to be expected of the solution; the end of it in words."""
+    on = next(iter(errors.values()), None)
+    axes.set(title="Along the way", xlabel="distance travelled [m]", ylabel="[m]")
+    for (name, error), color in zip(errors.items(), (BEFORE, ESTIMATE), strict=False):
+        axes.plot(error.along, error.error, color=color, label=f"{name}, against the {error.against}")
+        axes.set_ylabel(f"away from the {error.against} [m]")
+    ends = ", ".join(f"{name} {round(error.end, 4):.2g} m" for name, error in errors.items())
+    words = "" if on is None else f"{ends} from the {on.against}"
+    most = max([LEAST, *(float(error.error.max()) for error in errors.values())])
+    steps = np.linalg.norm(np.diff(_positions(values), axis=0), axis=1)
+    distance = float(steps.sum()) if on is None else on.distance
+    if marginals is not None:
+        numbers = np.sort(values.stack(x).numbers) if on is None else on.numbers
+        sigma = np.sqrt(np.trace(marginals.covariance(x[numbers], view="position"), axis1=1, axis2=2))
+        along = np.append(0.0, np.cumsum(steps)) if on is None else on.along
+        axes.plot(along, sigma, color=ELLIPSE, linestyle=":", label="solution, by its covariance")
+        if on is None:
+            most, words = max(LEAST, float(sigma.max())), f"the solution is expected to be {sigma[-1]:.2g} m off"
+    axes.set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
+    axes.legend(loc="best", fontsize=8)
+    travelled = f"{distance:,.0f}" if distance >= THOUSAND else f"{distance:.3g}"
+    return f"After {travelled} m: {words}"
 
 
 def _dead_reckoning(dead: Values, values: Values) -> str:

@@ -7,9 +7,10 @@ lower to the upper edge of the aperture, and the landmark must lie where its oth
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.range_azimuth import RangeAzimuth
 from models import SE3
@@ -20,6 +21,7 @@ from nls.plot.style import ARC, CONTACT, LANDMARK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
     from factors.keys import Keys
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 __all__ = ["arcs", "fan_image", "polar_image"]
 
 ALONG = 33  # points an arc is drawn through
+WIDEST = 5.5  # inches of a fan
+DARKEST = -40.0  # dB below the strongest echo: a hundredth of its amplitude is black
+SHADES: dict[str, Any] = {"cmap": "gray", "vmin": DARKEST, "vmax": 0.0}
 
 
 def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
@@ -52,13 +57,12 @@ def polar_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> 
     'range [m]'
     """
     _check(image, sonar)
-    axes = axes_or_new(axes, (4, 6))
+    axes = axes_or_new(axes, (5, 5.5))
     half = np.degrees(sonar.fan) / 2
-    axes.imshow(
-        np.asarray(image).T, cmap="gray", origin="lower", aspect="auto", extent=(-half, half, *sonar.window), vmin=0.0
-    )
+    extent = (-half, half, *sonar.window)
+    shades = axes.imshow(_decibels(image).T, **SHADES, origin="lower", aspect="auto", extent=extent)
     axes.set(xlabel="azimuth [deg]", ylabel="range [m]")
-    return figure_of(axes)
+    return _with_bar(axes, shades)
 
 
 def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
@@ -82,12 +86,15 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
     'ahead [m]'
     """
     _check(image, sonar)
-    axes = axes_or_new(axes, (5, 6))
+    wide = 2 * np.sin(min(sonar.fan, np.pi) / 2)  # of the farthest range, which is the height
+    side = WIDEST / max(wide, 1.0)
+    axes = axes_or_new(axes, (side * wide + 2.5, side + 0.8))
     azimuth = np.linspace(-sonar.fan / 2, sonar.fan / 2, sonar.beams + 1)  # edges of the beams
     r = np.linspace(*sonar.window, sonar.bins + 1)
     ahead, starboard = r * np.cos(azimuth)[:, None], r * np.sin(azimuth)[:, None]
-    axes.pcolormesh(starboard, ahead, np.asarray(image), cmap="gray", vmin=0.0, rasterized=True)
-    return _as_map(axes)
+    shades = axes.pcolormesh(starboard, ahead, _decibels(image), **SHADES, rasterized=True)
+    _as_map(axes)
+    return _with_bar(axes, shades)
 
 
 def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
@@ -190,6 +197,19 @@ def _point_at(axes: Axes, at: tuple[float, float], above: bool, text: str, color
         fontsize=9,
         arrowprops=arrow,
     )
+
+
+def _decibels(image: npt.ArrayLike) -> Array:
+    """Decibels of amplitudes below the largest; without any echo all are the darkest."""
+    amplitude = np.asarray(image, dtype=float)
+    largest = float(amplitude.max(initial=0.0)) or 1.0
+    return np.asarray(20 * np.log10(np.maximum(amplitude / largest, 10 ** (DARKEST / 20))))
+
+
+def _with_bar(axes: Axes, shades: ScalarMappable) -> Figure:
+    figure = figure_of(axes)
+    figure.colorbar(shades, ax=axes, label="dB below the strongest echo", extend="min", shrink=0.8)
+    return figure
 
 
 def _check(image: Array, sonar: ImagingSonar) -> None:

@@ -50,17 +50,17 @@ def spy(system: LinearSystem) -> Figure:
     R.eliminate_zeros()  # CHOLMOD pads its supernodes
     ordered = sp.csc_array((H if D is None else H + sp.diags_array(D))[permutation][:, permutation])
 
-    figure = Figure(figsize=(13, 4.8), layout="constrained")
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     axes = figure.subplots(1, 3)
     _dots(axes[0], sp.coo_array(system.A), SERIES[0])
-    axes[0].set_title(f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers")
+    axes[0].set_title(f"A: {system.A.shape[0]} x {system.A.shape[1]}, {system.A.nnz} numbers", fontsize=9)
     _dots(axes[1], sp.coo_array(H), SERIES[0])
-    axes[1].set_title(f"H = A'A: {H.nnz} numbers")
+    axes[1].set_title(f"H = A'A: {H.nnz} numbers", fontsize=9)
     _dots(axes[2], sp.coo_array(R), SERIES[1])
     _dots(axes[2], sp.coo_array(sp.triu(ordered)), SERIES[0])
     fill = R.nnz - sp.triu(ordered).nnz
     of_damped = "of H + D, as something is free" if D is not None else "reordered"
-    axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in")
+    axes[2].set_title(f"R, {of_damped}: {R.nnz} numbers, {max(fill, 0)} of them fill-in", fontsize=9)
 
     names, first = _variables(system)
     _name(axes[0].set_xticks, axes[0].set_xticklabels, names, first)
@@ -73,7 +73,9 @@ def spy(system: LinearSystem) -> Figure:
     variable, _ = system.pattern.column_owner()
     owner = variable[permutation]
     begin = [k for k in range(len(owner)) if k == 0 or owner[k] != owner[k - 1]]
-    _name(axes[2].set_xticks, axes[2].set_xticklabels, [repr(system.pattern.key(int(owner[k]))) for k in begin], begin)
+    ordered_names = [repr(system.pattern.key(int(owner[k]))) for k in begin]
+    _name(axes[2].set_xticks, axes[2].set_xticklabels, ordered_names, begin)
+    _name(axes[2].set_yticks, axes[2].set_yticklabels, ordered_names, begin)
     return figure
 
 

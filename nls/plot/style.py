@@ -1,4 +1,4 @@
-"""The colors of all pictures: one thing has one color, and those that meet differ in lightness, too."""
+"""The colors of all pictures: one thing has one color, and those that meet differ for the color-blind, too."""
 
 __all__ = [
     "ARC",
@@ -8,6 +8,7 @@ __all__ = [
     "ECHO",
     "ELLIPSE",
     "ESTIMATE",
+    "HELD",
     "LANDMARK",
     "REJECTED",
     "SERIES",
@@ -18,10 +19,11 @@ __all__ = [
 ESTIMATE = "#0b4f6c"  # the solution, its track
 BEFORE = "#e07a2f"  # what was there before it: dead reckoning, a start
 TRUE = "#202020"
-LANDMARK = "#3f8f4f"
-ELLIPSE = "#8e3a80"  # of poses; not the color of the track they lie on
-CLOSURE, REJECTED = "#4caf50", "#c03a4a"  # pairs of poses that are not neighbors
+LANDMARK = "#399470"
+ELLIPSE = "#b752c2"  # of poses; not the color of the track they lie on
+CLOSURE, REJECTED = "#35b57c", "#ac0921"  # pairs of poses that are not neighbors
 CONTACT, ARC = "#3aa0d8", "#e07a2f"  # of a sonar, and where its target may be
 ECHO = "#8b9196"  # points of scans
+HELD = "#cfd3d6"  # variables that are held fixed
 SIGHT = "#9a9a9a"  # lines from sensor to landmark
-SERIES = (ESTIMATE, BEFORE, ELLIPSE, LANDMARK, REJECTED, "#7a6a2b", "#4a8fc0")  # of several alike
+SERIES = (ESTIMATE, BEFORE, ELLIPSE, LANDMARK, REJECTED, "#6fc5eb", "#cdb315", ECHO)  # of several alike

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from factors import XYH, ZPR, DvlLeg
 from nls.gauge import placeless_kinds
 from nls.plot.axes import axes_or_new, figure_of
 from nls.plot.style import CLOSURE, ESTIMATE, LANDMARK, SIGHT
@@ -23,8 +24,11 @@ if TYPE_CHECKING:
 
 __all__ = ["before_after", "closures", "trajectory"]
 
+DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
+MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
+PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
-FLAT, TICKS = 0.15, 7  # of the widest side of a box in space: the least of the others; ticks of the widest
+FLAT, TICKS = 0.15, 5  # of the widest side of a box in space: the least of the others; ticks of the widest
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
@@ -46,8 +50,8 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
 
     from nls.plot.convergence import convergence
 
-    figure = Figure(figsize=(14, 4.6), layout="constrained")
-    figure.set_layout_engine("constrained", wspace=0.06)
+    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
+    figure.set_layout_engine("constrained", wspace=0.12)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
     middle = figure.add_subplot(1, 3, 2, **space)
@@ -57,6 +61,14 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     left.set_title(f"before: chi2 = {chi2:.4g}")
     trajectory(graph, result.values, middle)
     middle.set_title(f"after: chi2 = {result.chi2_final:.4g}")
+    legends = [axes.get_legend() for axes in (left, middle)]
+    if drawn := next((legend for legend in legends if legend is not None), None):  # once for both
+        names = [text.get_text() for text in drawn.get_texts()]
+        handles = [handle for handle in drawn.legend_handles if handle is not None]
+        figure.legend(handles, names, loc="outside lower left", ncols=4, fontsize=9, frameon=False)
+    for legend in legends:
+        if legend is not None:
+            legend.remove()
     convergence(result, right)
     if not np.isclose(chi2, result.chi2_initial):
         right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
@@ -84,18 +96,26 @@ def trajectory(
     Returns
     -------
     matplotlib.figure.Figure
+
+    Notes
+    -----
+    A graph with a factor that knows where down is (`ZPR`, `XYH`, `DvlLeg`) is drawn with z down.
     """
+
+    from matplotlib.lines import Line2D
 
     from nls.plot.ellipses import ellipses
 
     stacks = _places(graph, values)
     dim = _dimension(stacks)
+    alone = axes is None
     axes = axes_or_new(axes, (6, 6), **({"projection": "3d"} if dim == 3 else {}))
     segments, total = closures(graph, values, {stack.kind for stack in stacks})
     if len(segments):
         points = any(stack.manifold.dim == dim for stack in stacks)
         name, color = ("measurements", SIGHT) if points else ("loop closures", CLOSURE)
-        _lines(axes, segments, color=color, linewidth=0.6, alpha=0.3 if points else 0.5, label=name)
+        alpha = min(0.3 if points else 0.5, max(FAINT, MANY / len(segments)))
+        _lines(axes, segments, color=color, linewidth=0.6, alpha=alpha)
     for stack in stacks:
         X = _positions(stack)[np.argsort(stack.numbers)]
         if X.shape[1] != dim:
@@ -107,21 +127,29 @@ def trajectory(
             axes.plot(*X.T, "*", color=LANDMARK, markersize=5, label=stack.kind)
     if marginals is not None:
         ellipses(marginals, axes, every=every)
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
     if dim == 3:
-        axes.set_zlabel("z [m]")  # type: ignore[attr-defined]
-        _box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]))
+        down = any(isinstance(factor, DOWN) for factor in graph.factors)
+        space_box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]), down)
     else:
+        axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")
-    if len(segments) or (marginals is not None and axes.get_legend_handles_labels()[0]):
-        shown = f", {len(segments)} of {total} drawn" if len(segments) < total else ""
-        axes.legend(loc="upper left", fontsize=8, title=shown.strip(", ") or None)
+    handles, labels = axes.get_legend_handles_labels()
+    if len(segments):  # a line that can be seen, however faint they are
+        shown = f", {len(segments)} of {total}" if len(segments) < total else ""
+        handles, labels = [Line2D([], [], color=color), *handles], [name + shown, *labels]
+    if len(segments) or (marginals is not None and handles):
+        if alone:
+            figure_of(axes).legend(handles, labels, loc="outside lower center", ncols=2, fontsize=9, frameon=False)
+        else:
+            axes.legend(handles, labels, loc="best", fontsize=8)
     return figure_of(axes)
 
 
-def _box(axes: Axes, points: Array) -> None:
-    """One scale for all axes, a box around the points (n, 3) that is not too flat, and ticks that fit its sides."""
+def space_box(axes: Axes, points: Array, down: bool) -> None:
+    """One scale for all axes, a box around the points (n, 3) that is not too flat, ticks that fit its sides, and names.
+
+    With z down, y grows to the front: x, y, z are right-handed then, too.
+    """
     from matplotlib.ticker import MaxNLocator
 
     low, high = points.min(axis=0), points.max(axis=0)
@@ -129,9 +157,13 @@ def _box(axes: Axes, points: Array) -> None:
     half = np.maximum(0.52 * (high - low), FLAT / 2 * widest)
     axes.set_box_aspect(half.copy(), zoom=0.85)  # type: ignore[call-arg]  # which scales the array in place
     for name, middle, size in zip("xyz", (low + high) / 2, half, strict=True):
-        axes.set(**{f"{name}lim": (middle - size, middle + size)})
+        sign = -1 if down and name in "yz" else 1
+        axes.set(**{f"{name}lim": (middle - sign * size, middle + sign * size)})
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(MaxNLocator(max(2, round(TICKS * size / half.max()))))
+    axes.set_xlabel("x [m]", labelpad=PAD)
+    axes.set_ylabel("y [m]", labelpad=PAD)
+    axes.set_zlabel("z, down [m]" if down else "z [m]")  # type: ignore[attr-defined]
     axes.tick_params(labelsize=7)
 
 

@@ -10,9 +10,9 @@ place that looks like another gives a whole group of wrong closures, all of whic
 with it whatever it says, and counts for nothing.
 
 The same d tell by how much the stated sigmas are too large: sigma0^2 is the 10 % quantile of d over that of chi2.
-Geodesy calls it the variance of unit weight. A median would not do, as wrong neighbors may outnumber the right ones. It
-changes no estimate, but every test. Numbers without any noise say nothing of it. Where sigma0 is above 1 either the
-sigmas are too small or most neighbors are wrong; nobody can tell, and the stated sigmas are used.
+Geodesy calls it the variance of unit weight. A median would not do, as wrong neighbors may outnumber the right ones.
+This changes no estimate, but every test. Numbers without any noise say nothing of it. Where sigma0 is above 1 either
+the sigmas are too small or most neighbors are wrong; nobody can tell, and the stated sigmas are used.
 
 Neighbors say nothing of a long way along odometry, which has errors of its own. That is tested by
 
@@ -21,7 +21,7 @@ Neighbors say nothing of a long way along odometry, which has errors of its own.
 over all closures, T_ij and P_ij along odometry, and never more than 1 or less than sigma0^2.
 
 The covariance of the pose of j in i along odometry needs no walk from i to j: in the axes of the world the covariances
-of the steps, Ad(T_k) C_k Ad(T_k)', just add up, so that a running sum serves all pairs.
+of the steps, Ad(T_k) C_k Ad(T_k)', just add up. So a running sum serves all pairs.
 
 Source: J. G. Mangelson, D. Dominic, R. M. Eustice, R. Vasudevan, "Pairwise consistent measurement set maximization for
 robust multi-robot map merging", ICRA 2018, which takes the largest set of which every pair agrees; here agreement is
@@ -79,7 +79,7 @@ class Neighbors:
     def parts(self, accepted: Mask) -> Index:
         """(m,) the part of its cluster that each of some closures (m,) is in, named by its first closure.
 
-        Parts hang together by near pairs. The more odometry lies between two closures the less says that they agree, so
+        Parts hang together by near pairs. The more odometry lies between two closures the less says that they agree. So
         a few wrong ones may agree with a whole cluster of right ones from afar.
         """
         a, b = self.near[accepted[self.near].all(axis=1)].T

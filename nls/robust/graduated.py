@@ -5,20 +5,20 @@ A measurement that may be wrong costs no more than c^2, whatever its residual s 
     chi2 = sum of min(s, c^2),        c^2 = sigma0^2 q,   q the quantile of chi2 of that many numbers
 
 has a minimum for every choice of measurements. So the kernel is bent slowly from a parabola (`nls.robust.kernels`),
-with one weighted step for every bend, which follows one minimum from the first, where all measurements pull, to the
+with one weighted step for every bend. This follows one minimum from the first, where all measurements pull, to the
 last.
 
 From odometry that is not the right first one if half of the closures are wrong, or if they come in groups that agree
 with one another. So `nls.robust.preselection` chooses the start. All closures are taken where noise explains their
 optimum: nothing has to be chosen then. Otherwise the start is that of `nls.robust.growth`, odometry and the closures it
-could verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower: the
-first leaves alone what was set aside, the second takes back right closures that the start did not fit yet. The second
-is left out where so many wrong ones are within it that factorizing becomes ten times dearer. At last the groups that
-all others contradict are left out, where that moves the map.
+could verify. From there mu begins where closures pull that are within 10 thresholds, or 1000, whichever ends lower. The
+first keeps rejected ones out, the second takes back right closures that the start did not fit yet. The second is left
+out where so many wrong ones are within it that factorizing becomes ten times dearer. At last the groups that all others
+contradict are left out, where that moves the map.
 
     sigma0^2 = min(9 noise, max(1, noise)),      noise = chi2 over its 5 % quantile with what `Growth` accepted
 
-is 1, the stated sigmas, unless they are too small, or more than three times too large: where all residuals are a
+is 1, the stated sigmas, unless they are too small, or more than three times too large. Where all residuals are a
 hundredth of a sigma, a quantile of chi2 lets wrong closures of a meter pass. Where no closure was accepted, or all fit
 exactly, noise is 1.
 

@@ -12,10 +12,9 @@ order of
     log det(C + P_ij) - log det C - k,
 
 the volume that was open, in units of the closure's own, less the number k of closures that agree with it and pass as
-well: that all of a large group pass by accident is less likely. A quarter of those that pass is accepted, the poses are
-solved for, and with each closure the predictions between the places around it become sharp, so that the next tests are.
-What does not fit any more is given back, and at the end every group of closures that all others contradict
-(`nls.robust.groups`).
+well: that all of a large group pass by accident is less likely. A quarter of those that pass is accepted, and the poses
+are solved for. With each closure the predictions between the places around it become sharp, and so do the next tests.
+Misfits are given back, and at the end every group of closures that all others contradict (`nls.robust.groups`).
 
 Before it starts, closures that agree with no neighbor are set aside (`nls.robust.consistency`).
 """
@@ -50,7 +49,7 @@ BRIEF = GaussNewton(Stop(1e-6, 1e-3, 1e-10, max_iterations=4), reuse=True)
 
 @dataclass(frozen=True)
 class Growth:
-    """What was accepted.
+    """The accepted closures.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is chosen among loop closures: all of them where these explain each other, else from what `growth` accepts.
+"""Choice among loop closures: all of them where these explain each other, else from those that `growth` accepts.
 
 Why the choice may be wrong is the matter of `nls.robust.verdict`.
 """
@@ -37,7 +37,7 @@ class Preselection:
     Attributes
     ----------
     choice : of measurements, and its optimum.
-    variance : what the squares of the stated sigmas were multiplied by for the threshold.
+    variance : factor on the squares of the stated sigmas for the threshold.
     """
 
     def __init__(self, problem: Truncated, loops: LoopGraph, loss: str, probability: float) -> None:

@@ -106,7 +106,7 @@ class Evidence:
     Attributes
     ----------
     rivals : other choices, in the order of their cost.
-    variance : what the squares of the stated sigmas were multiplied by for the threshold.
+    variance : factor on the squares of the stated sigmas for the threshold.
     judged : the groups of the choice, judged by its other closures.
     moved : part of its extent by which the map moves without the contradicted groups.
     """

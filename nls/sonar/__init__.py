@@ -2,8 +2,8 @@
 
 `detect` finds the cells of an image that stand out of the noise, at a stated rate of false alarms.
 
-`two_views` makes a factor between two poses that says nothing along what is not seen, and `elevation_information` tells
-how to fly so that the elevation is. Weak directions of landmarks: `nls.analysis.landmark_information`, and
+`two_views` makes a factor between two poses without information along unobserved directions. `elevation_information`
+tells which motion determines the elevation. Weak directions of landmarks: `nls.analysis.landmark_information`, and
 `nls.linear.truncated_inverse`, which leaves them out of a step.
 """
 

@@ -1,14 +1,14 @@
 r"""Detections in the image of an imaging sonar: cells that stand out from the cells around them.
 
-The threshold of a cell follows the level of the noise beside it, along range in its own beam, `train` cells on either
-side after `guard` cells that the echo itself may fill:
+The threshold of a cell follows the level of the noise beside it, along range in its own beam. That level is of `train`
+cells on either side, after `guard` cells that the echo itself may fill:
 
     x = amplitude^2,      x > T Z       Z from the training cells, T from the false-alarm rate (`nls.sonar.cfar`)
 
 An amplitude in Rayleigh noise has an exponentially distributed power, and then the share of noise cells above their
 threshold is the stated one whatever the level. Two things raise it (benchmarks, "Detections in sonar images"): spiky
-noise, for soca at 1e-3 6 to 36 times in K-distributed noise of shape 4 to 0.5, and a level that falls within the
-window, as before a shadow. There the greatest-of detector keeps the rate best and the smallest-of one worst.
+noise, and a level that falls within the window, as before a shadow. For soca at 1e-3 K-distributed noise of shape 4 to
+0.5 raises it 6 to 36 times. There the greatest-of detector keeps the rate best and the smallest-of one worst.
 
 The image stays in beams and range bins. Of the cells within 5 m a Cartesian raster of squares of 0.1 m drops 95 to
 99 %, one of squares as large as a bin up to 70 %; far away it repeats cells. Repeated cells are no independent training

@@ -50,7 +50,7 @@ ROUNDS = 3  # of weights; a fourth changes the pose by less than 1e-2 standard d
 
 @dataclass(frozen=True)
 class TwoView:
-    """What two sonar images say about the relative pose of the vehicle.
+    """The relative pose of the vehicle from two sonar images.
 
     Attributes
     ----------

@@ -38,7 +38,6 @@ class Blocks:
     Attributes
     ----------
     dims, diagonal : (F,) of the free variables: dimension, and where in S the diagonal block begins.
-    on_diagonal : (n,) where in S the diagonal numbers are, in the order of the columns of A.
     u, v, off : (P,) pairs of free variables that share a factor, and where in S their block (dims[u], dims[v]) begins.
     size : of S.
     """
@@ -50,8 +49,6 @@ class Blocks:
         sizes = dims * dims
         begin = np.cumsum(sizes) - sizes
         self.dims, self.diagonal, self.size = dims[free], begin[free], int(sizes.sum())
-        columns = np.arange(int(self.dims.sum())) - np.repeat(np.cumsum(self.dims) - self.dims, self.dims)
-        self.on_diagonal = np.repeat(self.diagonal, self.dims) + columns * (np.repeat(self.dims, self.dims) + 1)
         self.squares = Scatter(slots, begin, self.size, _lower)
         u, v, off = [], [], []
         self.pairs: list[tuple[int, int, int, slice]] = []  # batch, two slots, place in S

@@ -1,9 +1,9 @@
 """A block-sparse symmetric matrix H as the lower triangle of a sparse matrix, filled from an array of blocks.
 
-The structure (which block lands where) is computed once per graph: every number of the lower triangle has a source in
-one flat array S that holds the blocks, `nls.sparse.blocks` for A'A. An iteration fills S and takes from it:
-H.data = S[source]. Pairs of variables that several factors share are added afterwards. (20,687 SE(2) edges: 2 ms;
-scipy's A.T @ A: 10 ms.)
+The structure (which block lands where) is computed once per graph. Every number of the lower triangle has a source in
+one flat array S that holds the blocks, `nls.sparse.blocks` for A'A. An iteration fills S and takes from it: H.data =
+S[source]. Pairs of variables that several factors share are added afterwards. (20,687 SE(2) edges: 2 ms; scipy's A.T @
+A: 10 ms.)
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Hessian:
 
     def __init__(self, elimination: Elimination, dims: Index, diagonal: Index, off: Index) -> None:
         self.elimination, self.dims = elimination, dims
-        self._analyses: dict[tuple[Callable[[Hessian, type], Any], type], Any] = {}
+        self._analyses: dict[tuple[Callable[[sp.csc_matrix], Any], np.dtype[Any]], Any] = {}
         e, V = elimination, len(dims)
         widths = dims[e.variables]
         starts = np.cumsum(widths) - widths
@@ -84,7 +84,7 @@ class Hessian:
             shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
             for height, width in (divmod(int(shape), base) for shape in np.flatnonzero(np.bincount(shapes))):
                 same = np.flatnonzero(shapes == height * base + width)
-                r, c = (grid.reshape(-1) for grid in np.indices((height, width)))
+                r, c = np.divmod(np.arange(height * width), width)
                 target = self.indptr[starts[column[same], None] + c] + (width - c + r) + above[same, None]
                 inside = np.stack([r * width + c, c * height + r])  # of a contribution as it is, and turned
                 p = pairs[same]
@@ -99,11 +99,11 @@ class Hessian:
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_analyses": {}}  # of programs whose objects do not leave the process
 
-    def analyzed(self, analyze: Callable[[Hessian, type], T], dtype: type) -> T:
-        """The analysis of this structure by a program, for numbers of a type: made at the first call, then kept."""
-        key = analyze, dtype
+    def analyzed(self, analyze: Callable[[sp.csc_matrix], T], H: sp.csc_matrix) -> T:
+        """The analysis of a matrix of this structure by a program: made at the first of its type, then kept."""
+        key = analyze, H.dtype
         if key not in self._analyses:
-            self._analyses[key] = analyze(self, dtype)
+            self._analyses[key] = analyze(H)
         analysis: T = self._analyses[key]
         return analysis
 

@@ -5,7 +5,7 @@ each other (80 ms a factorization of sphere2500 instead of 24); OMP_NUM_THREADS 
 opening here, and the BLAS libraries are kept on one thread, which also makes results independent of the machine's load.
 
 The libraries are looked for once, by name, among the files that Linux maps into the process: 1.5 ms. threadpoolctl
-knows more libraries and other systems, and takes 10 ms: it is asked where there is a BLAS other than an OpenBLAS with
+knows more libraries and other systems, and takes 10 ms. It is asked where there is a BLAS other than an OpenBLAS with
 threads of its own. After that `single_thread` costs 5 us, and 2 inside another one.
 """
 

@@ -1,4 +1,4 @@
-r"""What a camera and a sonar of one vehicle say together: pixel and contact of a point, paired view by view.
+r"""Camera and sonar of one vehicle together: pixel and contact of a point, paired view by view.
 
 The ray of the pixel meets the sphere of the range in a point p of the vehicle (`models.ray_range`); where it meets it
 twice, the azimuth decides. A pair whose ray passes the sphere, touches it, or meets it only behind the camera places

@@ -1,8 +1,8 @@
 """Starts to choose from, each with its chi2; poor ones are compared by what they lead to.
 
-Far above the noise chi2 of a start does not tell in which valley it lies: the lowest of several poor starts may lead to
-a poor optimum. A few steps from each of them tell. They are steps of the dogleg, the damped method of one factorization
-a step.
+Far above the noise, chi2 of a start does not tell its valley. The lowest of several poor starts may lead to a poor
+optimum. A few steps from each of them tell. They are steps of the dogleg, the damped method of one factorization a
+step.
 """
 
 from __future__ import annotations

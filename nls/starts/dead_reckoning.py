@@ -1,6 +1,6 @@
 """Dead reckoning: poses in space from steps in the horizontal, with depth, pitch and roll as they were measured.
 
-The levelled step of `XYH` is the difference of two poses of the plane, (x, y, yaw) of SE(2), so its chain is the chain
+The levelled step of `XYH` is the difference of two poses of the plane, (x, y, yaw) of SE(2). So its chain is the chain
 of SE(2); z, pitch and roll are not integrated, `ZPR` has them.
 """
 

@@ -1,7 +1,7 @@
 r"""Where a sonar sits beside a camera, from what both saw from several poses, without a guess.
 
 First the place. Started with the sonar at the camera, pixels and ranges determine poses, points and the sonar's origin
-s in one optimization: a wrong s bends the points of every view another way, which motion tells apart. Ranges do not
+s in one optimization. A wrong s bends the points of every view another way, which motion tells apart. Ranges do not
 know the axes of the sonar, so its rotation is held meanwhile.
 
 Then the axes, from the azimuths. With q = (p - s) / |p - s| the direction of a point in the axes of the vehicle, and
@@ -12,7 +12,7 @@ r_1 and r_2 the axes x and y of the sonar,
 one equation per contact, linear and homogeneous in the six numbers (r_1, r_2): they are the right singular vector of
 the smallest singular value. Of its two signs the one for which most lengths cos(az) q'r_1 + sin(az) q'r_2 are positive
 is right, and the rotation nearest to (r_1, r_2, r_1 x r_2) is taken. Azimuths have noise, so the coefficients have,
-too: with +-5 deg of noise, 12,000 contacts, the axes are 0.5 deg (rms) off the optimum, near enough for a start.
+too. With +-5 deg of noise, 12,000 contacts, the axes are 0.5 deg (rms) off the optimum, near enough for a start.
 
 The axes stay free, or the noise decides them, if all q are nearly in one plane: r_1 and r_2 then come out far from a
 right angle and equal lengths, and are refused.

@@ -71,7 +71,7 @@ class Parts:
 
 
 def put_back(values: Values, subgraph: FactorGraph, solution: Values) -> Values:
-    """Values with those found for the variables of a subgraph; what it holds stays as it is, bit for bit."""
+    """Values with those found for the variables of a subgraph; held variables stay as they are, bit for bit."""
     X = {}
     for kind, estimates in solution.stacks.items():
         stack = values.stack(kind)

@@ -34,8 +34,9 @@ def hauv_floor(
     """A hovering vehicle flies a lawn mower over the sea floor, its sonar pitched down 35 deg, and the same way back.
 
     Legs along x, 0.25 m a step and 0.8 m apart, flown in turn north and south; between two legs the vehicle turns half
-    around in eight poses while it sidles. It sways by 2 deg and 0.15 m. The floor is 2.5 +- 0.3 m deep. The pitch of
-    the sonar turns the way ahead into a motion across its own plane, which is what makes elevations observable.
+    around in eight poses while it sidles. The vehicle sways by 2 deg and 0.15 m. The floor is 2.5 +- 0.3 m deep. The
+    pitch of the sonar turns the way ahead into a motion across its own plane, which is what makes elevations
+    observable.
 
     Parameters
     ----------

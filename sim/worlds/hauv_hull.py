@@ -34,8 +34,8 @@ def hauv_hull(
     """A hovering vehicle strafes along a wall 3 m ahead, level below level, its sonar level, and the same way back.
 
     Levels along y, 0.25 m a step and 0.4 m apart, flown in turn to starboard and port, three poses down between two of
-    them; heading north throughout. It sways by 2 deg and 0.15 m. A level sonar on a vehicle that strafes sees no
-    elevation: what there is comes from the sway and the way down, and undamped Gauss-Newton may cycle.
+    them; heading north throughout. The vehicle sways by 2 deg and 0.15 m. A level sonar on a vehicle that strafes sees
+    no elevation. What there is comes from the sway and the way down, and undamped Gauss-Newton may cycle.
 
     Parameters
     ----------

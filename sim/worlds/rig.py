@@ -7,15 +7,18 @@ rolls      0.25 sin 6 a about the axis of the camera
 
 from __future__ import annotations
 
-from math import radians, sqrt
+from collections.abc import Mapping
+from math import degrees, radians, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from factors import Diagonal, Projection, RangeAzimuth
 from models import SE3, SO3, R
 from models.algebra import Array, Index, wrap
 from models.errors import GraphError, OptionError
 from models.manifolds.so3 import quaternion_from_matrix
+from models.options import check_positive
 from models.sensors import Camera, range_azimuth
 from nls import FactorGraph, Values, kinds
 from nls.starts.rig import rig as start_of
@@ -31,31 +34,42 @@ NOMINAL = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # camer
 TURN, ARM = np.array([0.05, -0.03, 0.04]), np.array([0.10, -0.15, 0.30])  # R_sk = NOMINAL Exp(TURN), p_sk = ARM
 HALF = {"u": 5.0, "v": 5.0, "range": 0.05, "azimuth": radians(5.0)}  # half-widths of the noise: pixels, m, rad
 DRAWS = 100  # of points that are not in the image; 600 take 2 or 3
+MOUNTED = SE3.inverse(np.concatenate([ARM, quaternion_from_matrix(NOMINAL @ SO3.rotation(SO3.exp(TURN)))])[None])
 OFF_M, OFF_RAD = 0.05, radians(3.0)  # of the guess of the sonar's pose
 
 
 def rig(
     rng: np.random.Generator,
-    poses: int = 20,
-    points: int = 600,
+    poses: int | Array = 20,
+    points: int | Array = 600,
     views: int | None = None,
     noise_scale: float = 1.0,
+    *,
+    camera: Camera = CAMERA,
+    sonar: npt.ArrayLike | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Rig:
     """A camera and a sonar on one frame see the same points from all sides; the pose of the sonar is to be estimated.
 
     Points lie evenly in a box of 8 m x 6 m x 6 m, 5 m ahead of the first camera, as far as every image has them. The
     camera swings around them by 4 m, looking at their middle and rolling by 15 deg. Noise is uniform: +-5 pixels of 600
-    of focal length, +-5 cm, +-5 deg; the factors have its standard deviations, half-widths / sqrt 3. A range below 0 is
-    reflected at 0. The guess of the sonar's pose is wrong by 3 deg about a random axis and 5 cm in a random direction,
-    the rest of the start is from the measurements.
+    of focal length, +-5 cm, +-5 deg. The factors have its standard deviations, half-widths / sqrt 3. A range below 0 is
+    reflected at 0. The guess of the sonar's pose is wrong by 3 deg about a random axis and 5 cm in a random direction.
+    The rest of the start is from the measurements.
+
+    Arrays of poses and points are a rig of your own. Each camera then measures the points that are in its image.
 
     Parameters
     ----------
     rng : source of the points, of who sees them, of the noise and of the guess.
-    poses : of the camera, at least 2.
-    points : at least 4.
-    views : from so many poses, drawn at random, each point is seen; from all when omitted.
+    poses : how many poses of the camera, at least 2. In Python also the poses themselves, (n, 7), camera to world.
+    points : how many points, at least 4. In Python also their places, (m, 3), m, where `poses` are an array.
+    views : from so many poses, drawn at random, each point is seen; from all when omitted. Not with arrays.
     noise_scale : factor on the drawn noise; 0 gives exact measurements with the same weights.
+    camera : its calibration.
+    sonar : its true pose (7,) in the frame of the camera, sonar to camera axes.
+    noise : half-widths of the noise that differ from those above, by name: u and v in pixels, range in m, azimuth in
+        rad; above 0.
 
     Returns
     -------
@@ -64,15 +78,16 @@ def rig(
     Raises
     ------
     OptionError
-        A size or scale that is not possible.
+        A size, scale or noise that is not possible; an array beside a number.
     GraphError
-        Points that are in every image were not found.
+        Points that are in every image were not found; a given point is in no image; arrays of another shape.
     SingularGeometryError
         Poses that see too few points in common with those before them: more `views`.
 
     Notes
     -----
-    The first pose is the identity and fixed. The sonar is the offset ``s[0]`` of its factor, sonar to camera axes.
+    The first pose is fixed, and the identity where poses are drawn. The sonar is the offset ``s[0]`` of its factor,
+    sonar to camera axes.
 
     Examples
     --------
@@ -83,48 +98,98 @@ def rig(
     (6, 80, 1920, True)
     >>> print(world.errors(world.truth))
     cameras 0.00 cm, points 0.00 cm rmse (alignment: rigid, of both together); sonar on the camera 0.00 cm, 0.00 deg
+
+    A rig of your own, three poses that move to the right past a wall:
+
+    >>> poses = np.array([[x, 0, 0, 0, 0, 0, 1] for x in (0.0, 0.5, 1.0)])
+    >>> points = np.array([[x, y, 4 + x * y] for x in (-1.0, 0.0, 1.0, 2.0) for y in (-1.0, 0.0, 1.0)])
+    >>> mine = sim.rig(np.random.default_rng(1), poses, points, noise={"range": 0.01})
+    >>> mine.poses, mine.points, len(mine.images), bool(np.allclose(mine.truth.stack("x").X, poses))
+    (3, 12, 36, True)
     """
     check_rng(rng)
-    check_size("poses", poses, 2)
-    check_size("points", points, 4)
-    views = poses if views is None else views
-    check_size("views", views, 1)
-    if views > poses:
-        raise OptionError("views", views, f"at most the number of poses, {poses}")
-    check_size("points", points * views, 4)
     check_not_negative(noise_scale=noise_scale)
-
+    half = HALF | dict(noise or {})
+    if set(half) != set(HALF):
+        raise OptionError("noise", sorted(set(half) - set(HALF)), f"names among {', '.join(HALF)}")
+    check_positive(**half)
     x, l, s = kinds("x", "l", "s")
-    i, k = seen_from(rng, poses, points, views)
-    X, L = scene(rng, poses, points, i, k)
-    sonar = SE3.inverse(np.concatenate([ARM, quaternion_from_matrix(NOMINAL @ SO3.rotation(SO3.exp(TURN)))])[None])
-    guess = np.concatenate([sonar[:, :3] + _drawn(rng, OFF_M), SO3.retract(sonar[:, 3:], _drawn(rng, OFF_RAD))], axis=1)
+    O = MOUNTED if sonar is None else Values({s: (SE3, np.atleast_2d(sonar))}).stack(s).X
+    if isinstance(poses, np.ndarray) and isinstance(points, np.ndarray):
+        if views is not None:
+            raise OptionError("views", views, "none beside arrays of poses and points: who sees what follows from them")
+        given = Values({x: (SE3, poses), l: (R(3), points)})
+        X, L = given.stack(x).X, given.stack(l).X
+        i, k = in_image(camera, X, L)
+        who = "each seen by both where it is in the image"
+    elif isinstance(poses, np.ndarray) or isinstance(points, np.ndarray):
+        raise OptionError("poses, points", (type(poses), type(points)), "two whole numbers, or two arrays")
+    else:
+        views = poses if views is None else views
+        check_views(poses, points, views)
+        i, k = seen_from(rng, poses, points, views)
+        X, L = scene(rng, camera, poses, points, i, k)
+        who = f"each seen from {views} poses by both"
+
+    guess = np.concatenate([O[:, :3] + _drawn(rng, OFF_M), SO3.retract(O[:, 3:], _drawn(rng, OFF_RAD))], axis=1)
     p = SE3.act(SE3.inverse(X)[i], L[k])  # in the frame of the camera
-    images, contacts = CAMERA.project(p)[0], range_azimuth(SE3.act(SE3.inverse(sonar), p))[0]
-    half = np.array(list(HALF.values()))
-    noise = noise_scale * rng.uniform(-half, half, size=(len(i), 4))
-    images, contacts = images + noise[:, :2], contacts + noise[:, 2:]
+    images, contacts = camera.project(p)[0], range_azimuth(SE3.act(SE3.inverse(O), p))[0]
+    widths = np.array([half[name] for name in HALF])
+    drawn = noise_scale * rng.uniform(-widths, widths, size=(len(i), 4))
+    images, contacts = images + drawn[:, :2], contacts + drawn[:, 2:]
     contacts = np.column_stack([reflected(contacts[:, 0]), wrap(contacts[:, 1])])
-    u, v, r, a = half / sqrt(3)
+    u, v, r, a = widths / sqrt(3)
     graph = FactorGraph(
         [
-            Projection(x[i], l[k], images, Diagonal(u=u, v=v), CAMERA),
+            Projection(x[i], l[k], images, Diagonal(u=u, v=v), camera),
             RangeAzimuth(x[i], l[k], contacts, Diagonal(range=r, azimuth=a), offset=s[0]),
         ]
     )
     graph.fix(x[0])
-    truth = Values({x: (SE3, X), l: (R(3), L), s: (SE3, sonar)})
-    unknown = truth.replaced({x: np.repeat(X[:1], poses, axis=0), l: np.zeros(L.shape), s: guess})
+    truth = Values({x: (SE3, X), l: (R(3), L), s: (SE3, O)})
+    unknown = truth.replaced({x: np.repeat(X[:1], len(X), axis=0), l: np.zeros(L.shape), s: guess})
     description = (
-        f"Rig: {poses} poses of a camera and a sonar, {points} points, each seen from {views} poses by both. Noise is "
-        "uniform, +-5 pixels (focal length 600), +-5 cm and +-5 deg"
+        f"Rig: {len(X)} poses of a camera and a sonar, {len(L)} points, {who}. Noise is uniform, +-{half['u']:g} "
+        f"pixels (focal length {camera.focal[0]:g}), +-{100 * half['range']:g} cm and "
+        f"+-{degrees(half['azimuth']):g} deg"
         f"{'' if noise_scale == 1 else f', drawn {noise_scale:g} times as large'}. The first pose is known; the "
         "pose of the sonar on the camera is guessed 3 deg and 5 cm wrong."
     )
-    return Rig("rig", truth, graph, start_of(graph, unknown), CAMERA, seed_of(rng), description)
+    return Rig("rig", truth, graph, start_of(graph, unknown), camera, seed_of(rng), description)
 
 
-def scene(rng: np.random.Generator, poses: int, points: int, i: Index, k: Index) -> tuple[Array, Array]:
+def check_views(poses: int, points: int, views: int) -> None:
+    """Sizes of a drawn scene.
+
+    Raises
+    ------
+    OptionError
+    """
+    check_size("poses", poses, 2)
+    check_size("points", points, 4)
+    check_size("views", views, 1)
+    if views > poses:
+        raise OptionError("views", views, f"at most the number of poses, {poses}")
+    check_size("points", points * views, 4)
+
+
+def in_image(camera: Camera, X: Array, L: Array) -> tuple[Index, Index]:
+    """Pairs (pose, point) of the points L (m, 3) that are in the image of a camera at X (n, 7), by pose.
+
+    Raises
+    ------
+    GraphError
+        A point is in no image.
+    """
+    i, k = np.divmod(np.arange(len(X) * len(L)), len(L))
+    visible = camera.sees(SE3.act(SE3.inverse(X)[i], L[k]))
+    lost = np.setdiff1d(k, k[visible])
+    if len(lost):
+        raise GraphError(f"rig: {len(lost)} of {len(L)} points are in no image, the first in row {lost[0]} of points")
+    return i[visible], k[visible]
+
+
+def scene(rng: np.random.Generator, camera: Camera, poses: int, points: int, i: Index, k: Index) -> tuple[Array, Array]:
     """Camera poses (n, 7) and points (m, 3), in the frame of the first camera, so that pose i sees point k.
 
     Points in a corner of the box that one of their cameras does not have in its image, 1 %, are drawn anew.
@@ -137,7 +202,7 @@ def scene(rng: np.random.Generator, poses: int, points: int, i: Index, k: Index)
     L = rng.uniform(LOW, HIGH, size=(points, 3))
     for _ in range(DRAWS):
         X = flown(L.mean(axis=0), poses)
-        unseen = ~CAMERA.sees(SE3.act(SE3.inverse(X)[i], L[k]))
+        unseen = ~camera.sees(SE3.act(SE3.inverse(X)[i], L[k]))
         if not unseen.any():
             first = SE3.inverse(X[:1])
             return SE3.compose(first, X), SE3.act(first, L)

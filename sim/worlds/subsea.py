@@ -86,7 +86,7 @@ def subsea(
     -----
     A reference scene of this library. In a graph a prior is a measurement, so ``independent`` is one `Prior` of 4 m for
     each landmark, drawn about the truth. ``first-sight`` counts as information what is none (a filter then believes
-    more than it knows) and no measurement says the same: the graph is that of ``correlated``. For one seed all variants
+    more than it knows) and no measurement says the same. The graph is that of ``correlated``. For one seed all variants
     have the same noise; the odometry and its heading stay when the azimuth is absolute, and headings are added.
 
     Examples

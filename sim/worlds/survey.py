@@ -43,11 +43,11 @@ def survey(
 ) -> SurveyLog:
     """An underwater vehicle mows an area of some hundred meters for 28 minutes; its sensors write a raw log.
 
-    It has GPS at the surface, dives, mows legs there and back, 2.5 m deeper on every other one, and surfaces for GPS.
-    The DVL pings five times a second and loses the bottom in bursts; the AHRS gives the attitude ten times a second,
-    the depth sensor four times. Every 4 s one of four beacons answers, every 5 s a ship at anchor measures range and
-    direction of the vehicle by USBL. Scale and mounting of the DVL, the clock of the AHRS and the speed of sound are
-    not as believed: calibration.csv names them with a standard deviation, the truth apart has their values.
+    The vehicle has GPS at the surface, dives, mows legs there and back, 2.5 m deeper on every other one, and surfaces
+    for GPS. The DVL pings five times a second and loses the bottom in bursts; the AHRS gives the attitude ten times a
+    second, the depth sensor four times. Every 4 s one of four beacons answers, every 5 s a ship at anchor measures
+    range and direction of the vehicle by USBL. Scale and mounting of the DVL, the clock of the AHRS and the speed of
+    sound are off. calibration.csv has them with a standard deviation, the truth apart their values.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -62,6 +63,26 @@ def test_a_worse_optimum_of_ours_is_said(part: Callable[[str], Any]) -> None:
         found: dict[str, Any] = {"optimum": {"g2o": 110.0}, "runs": runs}
         part("posegraphs").judge(found, modules, 30)
         assert (found["theirs_is_lower"], runs["gtsam"]["a"]["outcome"]) == (lower, outcome)
+
+
+def test_who_computes_another_cost_has_no_time(part: Callable[[str], Any], tmp_path: Path) -> None:
+    problem, out = part("posegraphs").prepare("ring", tmp_path, None), tmp_path / "solution.npz"
+    stack = problem.values.stack("x")
+    np.savez(out, ids=stack.numbers, X=stack.X)
+    chi2 = problem.graphs["g2o"].chi2(problem.values)
+    for cost, convention, failure in ((chi2 * (1 + 1e-7), "g2o", ""), (chi2 / 2, "g2o", f"its cost is {chi2 / 2:.9g}")):
+        run = part("posegraphs").evaluated(problem, {"cost": cost}, out, convention)
+        assert run.get("failed", "").startswith(failure)
+        assert ("failed" in run) == bool(failure)
+    np.savez(out, ids=stack.numbers, X=np.full_like(stack.X, np.nan))
+    assert "not finite" in part("posegraphs").evaluated(problem, {"cost": chi2}, out, "g2o")["failed"]
+
+
+def test_the_gate_times_this_library_and_its_yardstick(part: Callable[[str], Any], tmp_path: Path) -> None:
+    ours, yardstick = part("posegraphs").clocks(part("posegraphs").prepare("ring", tmp_path, None))
+    assert 0.2 < ours() / yardstick() < 50  # 3 measured
+    baselines = json.loads((FOLDER / "baselines_posegraphs.json").read_text())
+    assert set(baselines["ratios"]) == set(part("posegraphs").SETS)
 
 
 @pytest.mark.parametrize("group", [SE2, SE3], ids=str)

@@ -36,32 +36,13 @@ def table(folder: Path, script: str, world: str, *arguments: object) -> dict[str
     return {line.split("|")[5].strip(" `"): [cell.strip() for cell in line.split("|")] for line in lines}
 
 
-def guard(folder: Path, **baselines: float) -> subprocess.CompletedProcess[str]:
-    file = folder / "baselines.json"
-    file.write_text(json.dumps({"machine": ["any"], "ratios": {k.replace("_", " "): r for k, r in baselines.items()}}))
-    return run("guard.py", "--baselines", file, "--seconds", 0.05, "--only", *QUICK)
-
-
-def test_the_guard_names_what_exceeds_its_baseline_and_nothing_else(tmp_path: Path) -> None:
-    generous = guard(tmp_path, build=1e3, linearize_SE2=1e3)
-    assert (generous.returncode, generous.stderr) == (0, "")
-    ratios = {line[:20].strip(): float(line[20:].split()[0]) for line in generous.stdout.splitlines()[1:]}
-    assert tuple(ratios) == QUICK
-    exceeded = guard(tmp_path, build=ratios["build"] / 4, linearize_SE2=1e3)
-    assert exceeded.returncode == 1
-    assert exceeded.stderr.startswith("guard: build: ")
-    assert exceeded.stderr.count("\n") == 1
-
-
-def test_the_guard_wants_a_baseline_for_every_ratio(tmp_path: Path) -> None:
-    one = guard(tmp_path, build=1e3)
-    assert one.returncode == 1
-    assert one.stderr == "guard: no baseline for linearize SE2: make them with --update\n"
-    committed = json.loads((SCRIPTS / "baselines.json").read_text())
-    assert len(committed["machine"]) == 3
-    refused = run("guard.py", "--only", "nothing")
-    assert refused.returncode == 2
-    assert refused.stderr.endswith(f"no ratio nothing; there are {', '.join(committed['ratios'])}\n")
+def test_the_guard_measures_what_is_asked_for_and_wants_a_baseline(tmp_path: Path) -> None:
+    file = tmp_path / "baselines.json"
+    file.write_text(json.dumps({"machine": ["any"], "ratios": {"build": 1e3}}))
+    done = run("guard.py", "--baselines", file, "--seconds", 0.05, "--only", *QUICK)
+    assert tuple(line[:20].strip() for line in done.stdout.splitlines()[1:]) == QUICK
+    assert done.returncode == 1
+    assert done.stderr == "guard: no baseline for linearize SE2: make them with --update\n"
 
 
 def test_a_table_of_sizes(tmp_path: Path) -> None:

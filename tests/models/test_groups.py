@@ -170,6 +170,7 @@ def test_half_a_turn(group: LieGroup) -> None:
     if k := turning(group):
         assert np.linalg.norm(found[:, k], axis=-1) == pytest.approx(np.pi, abs=1e-14)
     np.testing.assert_array_equal(group.log(group.identity(2)), np.zeros((2, group.dim)))
+    np.testing.assert_allclose(group.coordinates(X), group.local(group.identity(20), X), rtol=0, atol=1e-14)
     assert_same(group, group.exp(np.zeros((2, group.dim))), group.identity(2))
 
 

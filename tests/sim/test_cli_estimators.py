@@ -50,11 +50,12 @@ def test_a_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert said["ATE"].startswith(f"{found['ate']:.4g} m, {found['aligned']:.4g} m after")
     assert said["final"] == f"{found['final']:.4g} m off; 3 sigma {3 * found['sigma']:.4g} m per axis"
     assert said["NEES"].startswith(f"{found['nees']:.4g} of the last pose; 0.22 to 9.35")
-    assert (folder / "estimate.png").read_bytes()[:4] == b"\x89PNG"
+    assert said["map"] == f"{found['landmarks']:.4g} m (rmse of 6 landmarks in the end)"
+    assert all((folder / f"{name}.png").read_bytes()[:4] == b"\x89PNG" for name in ("estimate", "offsets"))
     report = json.loads((folder / "estimate.json").read_text())
     assert {key: report[key] for key in found} == found
     assert report["options"]["azimuth"] == "absolute"
-    made_again(folder, ["estimate.json", "estimate.png", "graph.npz", "truth.npz"], tmp_path / "again")
+    made_again(folder, ["estimate.json", "estimate.png", "graph.npz", "offsets.png", "truth.npz"], tmp_path / "again")
 
 
 @pytest.mark.usefixtures("threads")
@@ -93,7 +94,7 @@ def test_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_particles_that_have_become_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A singular covariance is said in the place of NEES; nothing stops, and settings reach the estimator."""
     few = ["fastslam1", "--particles", "2", "--out", str(tmp_path)]
-    assert table(["compare", *SMALL, "--estimators", *few], capsys)["fastslam1"].split()[5] == "singular"
+    assert table(["compare", *SMALL, "--estimators", *few], capsys)["fastslam1"].split()[6] == "singular"
     assert (tmp_path / "compare.png").exists()
     assert "nees" not in json.loads((tmp_path / "compare.json").read_text())["estimators"]["fastslam1"]
     said = table(["subsea", *SMALL, "--estimator", *few[:3], "--seed", "2"], capsys)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import sim
+from models.algebra import wrap
 from models.errors import GraphWarning, OptionError, UnderconstrainedError
 from nls import FactorGraph, GaussNewton, Marginals, Optimizer, Result, Stop, Values, kinds
 from nls.filters.consistency import nees_bounds
 from nls.filters.ekf import EKF
+from nls.plot import offsets
 from nls.plot.filters import estimator_figure, several
 from nls.plot.style import SERIES
 from sim.compare import compare, compared_rows, monte_carlo_rows
@@ -118,14 +120,14 @@ def test_comparison(world: sim.LandmarkWorld) -> None:
         assert each.megabytes is None
     rows = compared_rows(world, found)
     table = {label: text.split() for label, text in rows[:5]}
-    assert table["estimator"] == ["ATE", "aligned", "smoothed", "final", "3", "sigma", "NEES", "ms/step"]
+    assert table["estimator"] == ["ATE", "aligned", "smoothed", "final", "landmarks", "3", "sigma", "NEES", "ms/step"]
     assert table["dead reckoning"] == [f"{world.ate(world.start):.3f}"]
     e = found[1].errors
-    assert [float(n) for n in table["ekf"][:5]] == pytest.approx(
-        [e["ate"], e["aligned"], e["smoothed"], e["final"], 3 * e["sigma"]], abs=5.1e-4
+    assert [float(n) for n in table["ekf"][:6]] == pytest.approx(
+        [e["ate"], e["aligned"], e["smoothed"], e["final"], e["landmarks"], 3 * e["sigma"]], abs=5.1e-4
     )
-    assert float(table["ekf"][5]) == pytest.approx(e["nees"], rel=1e-3)
-    assert float(table["ekf"][6]) == pytest.approx(1e3 * found[1].seconds / 31, abs=0.0051)
+    assert float(table["ekf"][6]) == pytest.approx(e["nees"], rel=1e-3)
+    assert float(table["ekf"][7]) == pytest.approx(1e3 * found[1].seconds / 31, abs=0.0051)
     assert dict(rows)["NEES"] == "of the last pose; 0.22 to 9.35 with 95 %"
     assert found[0].errors["ate"] < found[1].errors["ate"] < world.ate(world.start)
     counted = compare(world, ["batch"], {}, memory=True)
@@ -144,9 +146,9 @@ def test_the_table_of_many_runs() -> None:
     table = dict(monte_carlo_rows(seeds, records, dim=3))
     ate = [r["batch"]["ate"] for r in records]
     shown = [float(number) for number in table["batch"].split()]
-    assert [shown[0], shown[6], shown[7]] == pytest.approx([np.mean(ate), min(ate), max(ate)], abs=5.1e-4)
-    assert shown[4] == pytest.approx(3 * np.mean([r["batch"]["sigma"] for r in records]), abs=5.1e-4)
-    assert shown[5] == pytest.approx(np.mean([r["batch"]["nees"] for r in records]), rel=1e-3)
+    assert [shown[0], shown[7], shown[8]] == pytest.approx([np.mean(ate), min(ate), max(ate)], abs=5.1e-4)
+    assert shown[5] == pytest.approx(3 * np.mean([r["batch"]["sigma"] for r in records]), abs=5.1e-4)
+    assert shown[6] == pytest.approx(np.mean([r["batch"]["nees"] for r in records]), rel=1e-3)
     low, high = nees_bounds(3, 3)
     assert table["NEES"] == f"of the last pose, mean; {low:.2f} to {high:.2f} with 95 %"
     assert table["runs"].startswith("3, seeds 4 to 6")
@@ -157,21 +159,28 @@ def test_four_pictures(scene: str) -> None:
     given = SCENES[scene](np.random.default_rng(1), laps=1)
     track, history = followed(given, "batch")
     history[:40] = [(keys[:1], P[:1]) for keys, P in history[:40]]  # only the first one is known before step 40
-    figure = estimator_figure(track, given.truth, history, "seed 1")
+    figure = estimator_figure(track, given.truth, history, "seed 1", given.sightings.keys)
     assert figure.get_suptitle() == "seed 1: batch"
     titled = {axes.get_title(): axes for axes in figure.axes if axes.get_title()}
     assert list(titled) == ["map", "sigma of the vehicle", "errors and 3 sigma", "sigma of the landmarks"]
     places, vehicle, _, landmarks = titled.values()
     rows = [axes for axes in figure.axes if axes.get_ylabel() in ("ahead [m]", "to the left [m]", "heading [deg]")]
     np.testing.assert_array_equal(places.lines[0].get_xydata(), given.truth[x][:, :2])
+    if scene == "lines":  # walls from foot to foot of the first and last perpendicular; wall 4 is at x = -6
+        i, k = given.sightings.keys
+        foot = given.truth[i[k.numbers == 4]][:, 1]
+        wall = places.lines[2 + 4].get_xydata()
+        np.testing.assert_allclose(wall, [[-6, foot.max()], [-6, foot.min()]], atol=1e-9)
     np.testing.assert_array_equal(places.lines[1].get_xydata(), track.X[:, :2])
     outlines = np.array([path.vertices[:48] for path in places.collections[0].get_paths()])
-    a, X, P = outlines[-1] - track.X[-1, :2], track.X[-1], track.P[-1, :2, :2]
+    times = 2 if scene == "lines" else 1  # walls and wheels leave centimeters
+    assert places.collections[0].get_label() == f"95 % of the vehicle{', 2 times as large' if times == 2 else ''}"
+    a, X, P = (outlines[-1] - track.X[-1, :2]) / times, track.X[-1], track.P[-1, :2, :2]
     R = np.array([[np.cos(X[2]), -np.sin(X[2])], [np.sin(X[2]), np.cos(X[2])]])
     np.testing.assert_allclose(np.vecdot(a @ np.linalg.inv(R @ P @ R.T), a), 5.991, rtol=1e-3)
     e = track.manifold.local(track.X, given.truth[track.x])
     for k, (axes, unit) in enumerate(zip(rows, (1, 1, 180 / np.pi), strict=True)):
-        np.testing.assert_allclose(axes.lines[0].get_ydata(), unit * e[:, k])
+        np.testing.assert_allclose(axes.lines[0].get_ydata(), -unit * e[:, k])
         band = axes.collections[0].get_paths()[0].vertices
         assert band[:, 1].max() == pytest.approx(3 * unit * np.sqrt(track.P[:, k, k].max()))
     np.testing.assert_allclose(vehicle.lines[1].get_ydata(), np.sqrt(track.P[:, 1, 1]))
@@ -189,17 +198,59 @@ def test_four_pictures(scene: str) -> None:
 
 def test_picture_of_several(world: sim.LandmarkWorld) -> None:
     tracks = [batch(world), tracked(world, "ekf")]
-    figure = several(tracks, world.truth, "both")
+    figure = several(tracks, world.truth, world.start, "both")
     places, away, sigmas, nees = figure.axes
-    assert [t.get_text() for t in places.get_legend().get_texts()] == ["truth", "batch", "EKF"]
+    methods = [t.get_text() for t in figure.legends[0].get_texts()]
+    errors_of = [world.ate(world.start), *(track.ate(world.truth).rmse for track in tracks)]
+    named = zip(("dead reckoning", "batch", "EKF"), errors_of, strict=True)
+    assert methods == ["truth", *(f"{name}: {error:.2g} m" for name, error in named)]
+    np.testing.assert_array_equal(places.lines[1].get_xydata(), world.start[x][:, :2])
+    np.testing.assert_allclose(
+        away.lines[0].get_ydata(), np.linalg.norm((world.start[x] - world.truth[x])[:, :2], axis=1)
+    )
     for k, track in enumerate(tracks):
-        np.testing.assert_allclose(away.lines[k].get_ydata(), track.ate(world.truth).distances)
+        np.testing.assert_allclose(away.lines[k + 1].get_ydata(), track.ate(world.truth).distances)
         np.testing.assert_allclose(nees.lines[k].get_ydata(), track.nees(world.truth))
         np.testing.assert_allclose(
             np.square(sigmas.lines[k].get_ydata()), 4.5 * np.trace(track.P[:, :2, :2], axis1=1, axis2=2)
         )
-        assert away.lines[k].get_color() == SERIES[k]
+        assert away.lines[k + 1].get_color() == [SERIES[0], SERIES[2]][k]  # SERIES[1] is dead reckoning
     assert [line.get_ydata()[0] for line in nees.lines[2:]] == list(nees_bounds(3, 1))
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES))
+def test_offsets_are_along_the_axes_of_the_world(scene: str) -> None:
+    given = SCENES[scene](np.random.default_rng(1), laps=1)
+    track = batch(given)
+    figure = offsets(track, given.truth, "seed 1", given.sightings.keys)
+    field, heading, position, landmarks = figure.axes
+    e = track.X - given.truth[x]
+    np.testing.assert_allclose(np.radians(heading.lines[0].get_ydata()), wrap(e[:, 2]), atol=1e-12)  # type: ignore[arg-type]
+    for k in range(2):
+        np.testing.assert_allclose(position.lines[3 * k].get_ydata(), e[:, k], atol=1e-12)
+    R = np.array([[[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]] for a in track.X[:, 2]])
+    P = R @ track.P[:, :2, :2] @ R.mT
+    np.testing.assert_allclose(np.square(position.lines[4].get_ydata()), P[:, 1, 1])
+    dots = np.column_stack(next(line for line in landmarks.lines if line.get_marker() == "o").get_data())
+    found = errors(given, track)
+    if scene == "lines":
+        believed, true = track.values[track.landmarks].copy(), given.truth[track.landmarks]
+        turned = np.abs(wrap(believed[:, 0] - true[:, 0])) > 1  # (alpha, r) and (alpha + pi, -r) are the same wall
+        believed[turned] = believed[turned] * [1, -1] + [np.pi, 0]
+        L = believed - true
+        np.testing.assert_allclose(dots, np.column_stack([np.degrees(wrap(L[:, 0])), L[:, 1]]), atol=1e-9)
+        assert found["landmarks"] == pytest.approx(np.sqrt(np.mean(L[:, 1] ** 2)))
+        assert found["walls"] == pytest.approx(np.sqrt(np.mean(dots[:, 0] ** 2)))
+    else:
+        np.testing.assert_allclose(dots, track.values[track.landmarks] - given.truth[track.landmarks])
+        assert found["landmarks"] == pytest.approx(np.sqrt(np.mean(np.sum(dots**2, axis=1))))
+        ellipse = landmarks.collections[0].get_paths()[2].vertices - dots[2]
+        np.testing.assert_allclose(np.vecdot(ellipse @ np.linalg.inv(track.P_landmarks[2]), ellipse), 1.0)  # one sigma
+        common = f"common offset {np.linalg.norm(dots.mean(axis=0)):.2g} m, "
+        assert landmarks.get_legend().get_texts()[1].get_text().startswith(common)
+    for axes in figure.axes:
+        assert axes.get_legend() is not None
+    assert len(field.lines) > 2
 
 
 def test_few_particles_do_not_know_how_wrong_they_are(world: sim.LandmarkWorld) -> None:
@@ -211,25 +262,25 @@ def test_few_particles_do_not_know_how_wrong_they_are(world: sim.LandmarkWorld) 
     with pytest.raises(UnderconstrainedError, match=r"NEES of x0: its covariance is singular"):
         found[1].track.nees(world.truth)
     table = dict(compared_rows(world, found))
-    assert table["fastslam1"].split()[5] == "singular"
-    assert table["ekf"].split()[5] == f"{ekf['nees']:.4g}"
+    assert table["fastslam1"].split()[6] == "singular"
+    assert table["ekf"].split()[6] == f"{ekf['nees']:.4g}"
     assert "gives errors no size" in table["singular"]
     assert "singular" not in dict(compared_rows(world, found[:1]))
-    nees = several([each.track for each in found], world.truth).axes[3]
+    nees = several([each.track for each in found], world.truth, world.start).axes[3]
     np.testing.assert_allclose(nees.lines[0].get_ydata(), found[0].track.nees(world.truth))
     assert np.isnan(nees.lines[1].get_ydata()).all()  # type: ignore[arg-type]
     some = {"ekf": ekf, "fastslam1": few}, {"ekf": ekf, "fastslam1": {**few, "nees": 3.0}}
     means = dict(monte_carlo_rows(range(2), some, dim=3))
-    assert means["fastslam1"].split()[5] == "singular"  # a mean over some of the runs would look better than it is
+    assert means["fastslam1"].split()[6] == "singular"  # a mean over some of the runs would look better than it is
     assert means["fastslam1"].split()[0] == f"{few['ate']:.3f}"
-    assert means["ekf"].split()[5] == f"{ekf['nees']:.4g}"
+    assert means["ekf"].split()[6] == f"{ekf['nees']:.4g}"
 
 
 def test_a_line_has_gaps_where_a_covariance_is_singular(world: sim.LandmarkWorld) -> None:
     track = tracked(world, "ekf")
     P = track.P.copy()
     P[10:20, 2] = P[10:20, :, 2] = 0.0
-    nees = several([replace(track, P=P)], world.truth).axes[3].lines[0].get_ydata()
+    nees = several([replace(track, P=P)], world.truth, world.start).axes[3].lines[0].get_ydata()
     there = np.isfinite(nees)  # type: ignore[arg-type]
     assert np.flatnonzero(~there).tolist() == list(range(10, 20))
     np.testing.assert_allclose(nees[there], track.nees(world.truth)[there])  # type: ignore[index]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import sim
 from models import SE3
 from models.errors import GraphError, OptionError, SingularGeometryError
+from models.sensors import Camera
 from nls import GaussNewton, kinds
 from tests.combinations import for_all
 
@@ -203,3 +204,32 @@ def test_impossible_options_are_refused() -> None:
         sim.rig(0)  # type: ignore[arg-type]
     with pytest.raises(SingularGeometryError, match=r"x\d+"):  # poses that share too few points
         small(views=1)
+
+
+def test_a_rig_of_your_own() -> None:
+    """Given poses, points, camera, mounting and noise are the truth; a camera measures what is in its image."""
+    poses = SE3.exp([[0.4 * k, 0, 0, 0, 0.1 * k, 0] for k in range(5)])
+    points = np.random.default_rng(0).uniform([-1, -1, 3], [1.5, 1, 5], (40, 3))
+    camera = Camera(focal=(400.0, 400.0), center=(320.0, 240.0), size=(640, 480))
+    mounted = SE3.exp([0.2, 0, 0.1, 1.2, -1.2, 1.2])
+    noise = {"range": 0.02, "u": 1.0}
+    mine = sim.rig(np.random.default_rng(1), poses, points, camera=camera, sonar=mounted, noise=noise)
+    same(mine.truth[x], poses, atol=1e-12)
+    same(mine.truth[l], points)
+    same(mine.truth[s[0]], mounted, atol=1e-12)
+    seen = {(i, k) for i in range(5) for k in range(40) if camera.sees(SE3.act(SE3.inverse(poses[i]), points[k])[None])}
+    i, k = (key.numbers.tolist() for key in mine.images.keys[:2])
+    assert set(zip(i, k, strict=True)) == seen
+    assert len(seen) < 5 * 40  # some are out of the image
+    exact = sim.rig(np.random.default_rng(1), poses, points, noise_scale=0, camera=camera, sonar=mounted, noise=noise)
+    off = np.abs(np.hstack([mine.images.z - exact.images.z, mine.contacts.z - exact.contacts.z])).max(axis=0)
+    half = np.array([1.0, 5.0, 0.02, radians(5)])
+    assert ((0.9 * half < off) & (off <= half)).all()
+    same(exact.errors(exact.graph.optimize(exact.start).values).extrinsic_m, 0, atol=1e-8)
+    with pytest.raises(GraphError, match=r"1 of 41 points are in no image, the first in row 40"):
+        sim.rig(np.random.default_rng(1), poses, np.vstack([points, [0, 0, -9]]), camera=camera)
+    for arguments, named in (((poses, 40), "poses, points: "), ((poses, points, 3), "views: ")):
+        with pytest.raises(OptionError, match=named):
+            sim.rig(np.random.default_rng(1), *arguments)
+    with pytest.raises(OptionError, match="noise: "):
+        small(noise={"ragne": 0.1})

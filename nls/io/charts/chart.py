@@ -1,4 +1,4 @@
-"""What a chart shows of a solution: the track, landmarks and beacons, each with its covariance, and 95 % ellipses."""
+"""Charts of a solution: the track, landmarks and beacons, each with its covariance, and 95 % ellipses."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A log as a table of text: any separator, header and decimal sign; cells are numbers only where they are asked for.
 
-Lines that are blank or begin with ``#`` or ``%`` are skipped. A header may itself begin with one of these signs: it is
+Lines that are blank or begin with ``#`` or ``%`` are skipped. A header may itself begin with one of these signs. It is
 the last such line before the rows where these begin with a number and have as many cells.
 """
 

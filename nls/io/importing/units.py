@@ -83,7 +83,7 @@ def known_units(kind: str) -> str:
 
 
 def factor(unit: str, column: str) -> float:
-    """What one of this unit is in the unit of a mission column of the same dimension.
+    """Size of this unit in the unit of a mission column of the same dimension.
 
     Examples
     --------

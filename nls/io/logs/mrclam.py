@@ -1,9 +1,9 @@
 """Robots of the plane among 15 landmarks: velocity commands, ranges and bearings with identities, motion capture.
 
 Files ``RobotN_Odometry.dat``, ``RobotN_Measurement.dat``, ``RobotN_Groundtruth.dat`` (each may end in ``.gz``),
-``Landmark_Groundtruth.dat`` and ``Barcodes.dat``. What is seen is known by its barcode: subjects 1 to 5 are the
-robots, 6 to 20 landmarks. A few barcodes are misread and nobody's. Bearings are positive to the left; the camera
-is taken for the middle of the robot, as in the publication.
+``Landmark_Groundtruth.dat`` and ``Barcodes.dat``. Targets are known by their barcodes: subjects 1 to 5 are the robots,
+6 to 20 landmarks. A few barcodes are misread and nobody's. Bearings are positive to the left; the camera is taken for
+the middle of the robot, as in the publication.
 
 Source: K. Leung, Y. Halpern, T. Barfoot, H. Liu, "The UTIAS multi-robot cooperative localization and mapping dataset",
 IJRR 30(8), 2011.

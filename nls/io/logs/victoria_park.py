@@ -1,11 +1,10 @@
 r"""A truck among the trees of a park for 26 minutes and 4 km: wheel speed, steering, trees seen by a laser, GPS.
 
 Files ``DRS.txt``, ``LASER_TREE.txt`` and ``GPS.txt`` (each may end in ``.gz``). A scan is a time and then a range and a
-bearing for every tree detected in it, as many as there are, without names: which tree it is, nobody says. Bearings are
-positive to the left.
+bearing for every tree detected in it. The trees have no names. Bearings are positive to the left.
 
 GPS has two columns of meters. Taken for x and y they are the mirror image of what wheels and laser say (over the first
-five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise), so they are taken for north and east.
+five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise). So they are taken for north and east.
 
 The encoder is on the left rear wheel, the laser at the left end of the front bumper; their places are those used with
 the data in the source: J. Guivant, E. Nebot, "Optimization of the simultaneous localization and map-building algorithm

@@ -35,7 +35,7 @@ SCALE = "sound_speed_scale"
 
 
 class Acoustics:
-    """What was measured by sound: its factors, added to a graph, and the variables they need.
+    """Acoustic measurements: their factors, added to a graph, and the variables they need.
 
     Parameters
     ----------

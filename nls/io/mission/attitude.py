@@ -112,7 +112,7 @@ def attitude_of(tables: dict[str, Table], calibrations: Calibrations) -> Attitud
 
 
 def headings(attitude: Attitude, poses: Keys, b: Array, sigma: Array, calibrations: Calibrations) -> Factor:
-    """What the compass says of the headings of poses at times b (n,), with sigmas (n,), clock and declination."""
+    """Headings of poses at times b (n,) by the compass, with sigmas (n,), clock and declination."""
     yaw = np.interp(b, attitude.t, attitude.rpy[:, 2])
     declination = calibrations.variable("declination_rad")
     if declination is None:

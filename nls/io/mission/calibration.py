@@ -117,7 +117,7 @@ class Calibrations:
         return {kind: (R(1), X, np.arange(len(X), dtype=np.int64)) for kind, X in begin.items()}
 
     def priors(self, report: MissionReport) -> list[Factor]:
-        """What the file says of each variable; the report gets their lines.
+        """The prior of each variable in the file; the report gets their lines.
 
         Raises
         ------

@@ -1,12 +1,12 @@
 """Several missions of one place as one graph: each dive with its own track, landmarks and beacons in common.
 
-Every dive is read as it is alone. Its poses, and all that is its own, get numbers from 0, 1, 2, ... times the least
-power of ten above all numbers: pose 17 of the second of dives with 900 poses is x1017. Landmarks ``l`` and beacons
+Every dive is read as it is alone. Its poses, and its other own variables, get numbers from 0, 1, 2, ... times the least
+power of ten above all numbers. Pose 17 of the second of dives with 900 poses is x1017. Landmarks ``l`` and beacons
 ``b`` keep their numbers: the same number is the same thing.
 
-A dive that no file of its own places in the world, without anchor.csv and fixes.csv, is placed by what it shares with
-those that are: moved in the horizontal, and turned about the vertical where no compass measures its heading, until its
-landmarks and beacons are where the others have them. That is a start, not a measurement. Nothing anchors it.
+A dive without anchor.csv and fixes.csv is placed by the landmarks and beacons that it shares with placed ones. It is
+moved in the horizontal, and turned about the vertical where no compass measures its heading. That is a start, not a
+measurement. Nothing anchors it.
 """
 
 from __future__ import annotations

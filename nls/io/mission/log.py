@@ -7,18 +7,18 @@ first pose, X_i = (0, Ry(pitch_i) Rx(roll_i)):
 
 `ZPR` and `Heading` are the depth and the attitude interpolated at the poses. The yaw of a leg is the difference of the
 headings at its ends, so dead reckoning follows the headings as measured. But `Heading` says all that was measured of
-the yaw: as a measurement of its own that difference would count the same readings a second time (yaw then has a mean
+the yaw. As a measurement of its own that difference would count the same readings a second time (yaw then has a mean
 NEES of 1.65, where 1 is right). So `XYH` gives no information about yaw, and x and y count as they are *given the
 heading* of their leg, Sigma without the noise of the yaw:
 
     Omega = [[Sigma_xy^-1, 0], [0, 0]]
 
-What is assumed: the error of the heading lasts through a leg, so it turns the leg as a whole, by the error that
+What is assumed: the error of the heading lasts through a leg. So it turns the leg as a whole, by the error that
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
-across the track are known better than that: as far as the heading goes, the covariances are on the safe side.
+across the track are known better than that. As far as the heading goes, the covariances are on the safe side.
 
 Where poses are denser than the rows of a sensor, the sigmas of their `Heading` and `ZPR` grow by the root of how many
-poses there are for a row, so that together they say what the rows say.
+poses there are for a row. So together they say what the rows say.
 
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
 from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x
@@ -28,7 +28,7 @@ and y given that turn:
 
 with all its rows where a pose is in the hole, without the row of the yaw where `Heading` measures it at both ends. Its
 tilt is that of the line, with the sigmas of the hole. In a hole of depth.csv the line is that of the depth less the way
-down by the DVL, so the depth follows the DVL and meets the rows at both ends.
+down by the DVL. So the depth follows the DVL and meets the rows at both ends.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a mission folder holds besides its graph: the report that comes with it."""
+"""The report of a mission folder: its contents besides the graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""What a solved mission is worth: the drift of its track, and how well the elevation of its landmarks is known.
+r"""Quality of a solved mission: the drift of its track, and how well the elevation of its landmarks is known.
 
     drift = |t_n - t_n,true| / distance,    distance = sum |t_k+1 - t_k|
 
@@ -13,7 +13,7 @@ from where the landmark was placed, which may be an end; and no elevation is kno
     v = limit^2 / 3 + elevation^2                                             mean square distance, even spread
     sigma^2  ->  1 / (max(1 / sigma^2 - sum 1 / s^2, 0) + 1 / v)   pushed,    min(sigma^2, v)   not pushed
 
-An arc is no straight line: a sigma that has grown by w adds 3/4 w^2 r^2 along the range, the mean square of r e^2 / 2.
+An arc is no straight line. A sigma that has grown by w adds 3/4 w^2 r^2 along the range, the mean square of r e^2 / 2.
 Mean of (error / sigma)^2 of the elevations that are pushed, hull, seeds 0 to 2: 40, 14, 32 by the covariances alone, so
 0.7, 0.4, 0.7; e' Sigma^-1 e of their places, 3 expected: 56, 17, 47, so 3.7, 1.4, 2.3.
 """

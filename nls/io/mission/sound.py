@@ -5,7 +5,7 @@ A sound that goes straight from depth a to depth b needs, over each meter of dep
     c = (b - a) / (S(b) - S(a)),   S(z) = int dz / c(z)
 
 the harmonic mean. Between two rows c is on the line between them, with the gradient g: S grows by ln(c_1 / c_0) / g.
-Above the first row and below the last one c is that of the row. The bending of the ray is left out: it makes the way
+Above the first row and below the last one c is that of the row. The bending of the ray is left out. It makes the way
 longer by a fraction of (g L / c)^2 / 24, 2e-6 over 1 km with 0.01 1/s.
 
 Source: H. Medwin, C. Clay, Fundamentals of Acoustical Oceanography, 1998, section 3.3.

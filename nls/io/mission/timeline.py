@@ -103,7 +103,7 @@ def poses_of_rows(t: Array, b: Array) -> Array:
     """Root of how many poses (n,) at times b there are for a row of a log at rising times t, 1 or more.
 
     Poses between rows are interpolated, and each counts as a measurement of its own. Where they are denser than the
-    rows, counted over `AROUND` of these, their sigmas grow by this: together they say no more than the rows do.
+    rows, counted over `AROUND` of these, their sigmas grow by this. Together they say no more than the rows do.
     """
     reach = AROUND / 2 * float(np.median(np.diff(t))) if len(t) > 1 else np.inf
     rows, poses = (

@@ -11,7 +11,7 @@ the mean over the rows that have both, in world axes:
 
     c = mean d,    d = R (v_bottom - v_water),    sigma_row^2 = sigma_v^2 + N std(d)^2
 
-The error of c is the same for all N rows of a loss of the bottom. Rows of a log count as independent, so each has N
+The error of c is the same for all N rows of a loss of the bottom. Rows of a log count as independent. So each has N
 times its variance, and the way over the whole of the loss is as well known as it is.
 """
 

@@ -1,4 +1,4 @@
-"""What a native file may hold, by name: nothing else is ever made from one."""
+"""Possible contents of a native file, by name: nothing else is ever made from one."""
 
 from __future__ import annotations
 

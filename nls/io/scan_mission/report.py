@@ -1,4 +1,4 @@
-"""What the folder of a scan mission holds besides its graph: the report that comes with it."""
+"""The report of the folder of a scan mission: its contents besides the graph."""
 
 from __future__ import annotations
 

@@ -81,6 +81,6 @@ def closures_text(matches: Matches, numbers: Numbers) -> bytes:
 
 
 def verdict_words(matches: Matches) -> list[str]:
-    """What became of every candidate (n,): kept, contradicted by the others, or why it was no closure."""
+    """The fate of every candidate (n,): kept, contradicted by the others, or why it was no closure."""
     accepted = [KEPT if kept else CONTRADICTED for kept in matches.kept.tolist()]
     return [WORDS.get(Verdict(v), word) for v, word in zip(matches.verdict.tolist(), accepted, strict=True)]

@@ -1,7 +1,7 @@
 """All pairs of neighbors of eliminated variables, sorted by the block of S they belong to.
 
-The lists of pairs are filled up to one of the lengths 1, 2, 3, 4, 6, 8, 12, ... with a block of zeros, so that
-there are few stacked products however many lengths there are.
+The lists of pairs are filled up to one of the lengths 1, 2, 3, 4, 6, 8, 12, ... with a block of zeros. So there are few
+stacked products however many lengths there are.
 """
 
 from __future__ import annotations

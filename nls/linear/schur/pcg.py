@@ -5,12 +5,12 @@ r"""Landmarks first, and the graph of poses by conjugate gradients: for bundle p
     M = the diagonal blocks of S
 
 S is never formed: a step of conjugate gradients multiplies by H_pp, Y and Y', whose numbers are as many as those of H.
-Only the diagonal blocks of S are, and factorized: they know how much of every pose its landmarks take for themselves,
+Only the diagonal blocks of S are, and factorized. They know how much of every pose its landmarks take for themselves,
 which those of H_pp do not.
 
     |S dx_p - g_S|_M <= tol |g_S|_M,    |r|_M^2 = r'M^-1 r     what a step is accepted at
 
-**Free directions.** A pivot of H_ll or M that vanishes is refused as everywhere, but what is free in common, a gauge or
+**Free directions.** A pivot of H_ll or M that vanishes is refused as everywhere. But what is free in common, a gauge or
 a scale, leaves them alone, and A'b has no part along it. So an undamped system is solved for a second right side first,
 
     h = L xi,   M = L L',   xi normal, fixed seed;    E[h h'] = M
@@ -194,7 +194,7 @@ class PCG(LinearSolver):
     Parameters
     ----------
     tol : of a step, |S dx - g| <= tol |g| in the norm of the preconditioner; above 0 and below 1. Above 1e-6 the solver
-        counts as inexact: its steps are good for Levenberg-Marquardt far from the optimum, convergence is doubted where
+        counts as inexact. Its steps are good for Levenberg-Marquardt far from the optimum, convergence is doubted where
         the measurements still pull, and there are no covariances.
     max_steps : of conjugate gradients in a solve. One that does not reach `tol` is no step: Levenberg-Marquardt damps
         more, an undamped method ends with the error.

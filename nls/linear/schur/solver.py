@@ -9,7 +9,7 @@ l are variables that share no factor with each other (`nls.linear.schur.independ
 are all others. S is formed block by block (`nls.linear.schur.complement`) and factorized by the best decomposition
 installed, in the order it gives to the graph of p in which everything that sees one l is joined.
 
-It is the Cholesky factorization of H in one particular order, and judged like every other: pivots of H_ll and of S are
+It is the Cholesky factorization of H in one particular order, and judged like every other. Pivots of H_ll and of S are
 compared with the diagonal of H, and a free direction that rounding hides is looked for in A.
 
 Source: D. C. Brown, "The bundle adjustment: progress and prospects", 1976; B. Triggs, P. McLauchlan, R. Hartley,

@@ -1,4 +1,4 @@
-r"""What is left of the columns of one variable when all others have explained as much of them as they can.
+r"""The rest of the columns of one variable when all others have explained as much of them as they can.
 
 With the columns of A split into those of the variable and the rest, A = [A_k A_r], the part of A_k that no change of
 the rest can imitate is

@@ -103,10 +103,10 @@ def close(
 ) -> Closing:
     """Close the loops of a graph of keyframes by their scans.
 
-    Every round pairs submaps whose footprints overlap at the present estimate, matches them in windows as wide as three
-    sigmas of their relative pose, accepts matches that are neither ambiguous nor at the rim nor wide (`verdicts`),
-    chooses among them, and solves. The next begins at the better estimate, with submaps built anew and with new
-    matches: no closure of a round stays because it was there.
+    Every round pairs submaps whose footprints overlap at the present estimate, and matches them in windows of three
+    sigmas of their relative pose. Matches that are neither ambiguous nor at the rim nor wide are accepted (`verdicts`).
+    The round chooses among them, and solves. The next begins at the better estimate, with submaps built anew and with
+    new matches: no closure of a round stays because it was there.
 
     Parameters
     ----------

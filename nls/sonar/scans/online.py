@@ -3,8 +3,8 @@
 A submap is complete when the keyframes behind its middle have come. It is matched then with older ones whose footprints
 overlap, in windows of three sigmas of their relative pose, as in `close`. A match that is accepted waits until as many
 have come as are a part of those in the map; then all that ever were accepted are judged anew (`nls.gnc`), and those
-that are kept enter as one factor, in place of the one before. So nothing enters the map unjudged, what was rejected
-comes back when the others agree with it, and each counts as its submaps are used by then. Each is matched once, by the
+that are kept enter as one factor, in place of the one before. So nothing enters the map unjudged. Rejected matches come
+back when the others agree with them, and each counts as its submaps are used by then. Each is matched once, by the
 submaps as they were then.
 """
 

@@ -19,7 +19,7 @@ SPREAD = 1.0  # m, most standard deviation of the position
 
 
 class Verdict(IntEnum):
-    """What became of a match."""
+    """The verdict on a match."""
 
     ACCEPTED = 0
     NO_FIT = 1

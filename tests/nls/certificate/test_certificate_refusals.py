@@ -76,8 +76,8 @@ def test_the_command_line_says_it(tmp_path: Path, capsys: Captured, text: str) -
     shown = capsys.readouterr().out
     (row,) = [line for line in shown.splitlines() if line.startswith("certificate ")]
     assert "certified" in row
-    assert row.endswith("(whether the measurements are right is another question)")
-    assert "that cost is not chi2: its minimum here is" in shown
+    assert row.endswith("This does not validate the measurements")
+    assert "SE-Sync cost: " in shown
     assert "\ncertify  " in shown
     report = json.loads(where.read_text())
     found, seconds = report["certificate"], report["timings"]

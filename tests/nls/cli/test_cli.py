@@ -149,10 +149,10 @@ def test_faults_of_ours_are_one_line_and_debug_shows_the_traceback(
 
 def test_help_and_version(shell: Shell, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
-    assert "exit status of solve: 0 converged; 1 not converged" in capsys.readouterr().out
+    assert "  0    solve: converged; all other commands: done" in capsys.readouterr().out
     assert "nls solve survey.g2o" in shell("--help")
     out = shell("explain --help")
-    assert "of explain and all others: 0 done, whatever was found; of all: 2 bad input" in out
+    assert "  2    bad input or usage" in out
     assert ("nls explain survey.g2o" in out, "nls convert survey" in out) == (True, False)
     out = shell("--version")
     assert out.startswith(f"leadline {nls.__version__}\n")

@@ -38,4 +38,4 @@ def test_why_there_are_none() -> None:
     free = FactorGraph([Range(x[0], x[1], [2.0], Isotropic(0.1))])
     marginals, note = covariances(free, GRAPH.optimize(START))
     assert marginals is None
-    assert note.startswith(f"{NONE}1 unknown has factors that do not react to a change here: x1: yaw")
+    assert note.startswith(f"{NONE}1 unknown is not measured: x1: yaw")

@@ -65,7 +65,7 @@ def test_the_table_and_the_report(shell: Shell) -> None:
 def test_without_truth_dead_reckoning_is_judged_by_the_solution(shell: Shell) -> None:
     folder(shell / "m", truth=None, landmarks=None)
     out = shell("solve m --json r.json")
-    assert row(out, "drift").endswith("against the solution, as there is no truth.csv")
+    assert row(out, "drift").endswith("against the solution (there is no truth.csv)")
     assert "solution 0" not in out
     assert rows(out, "landmarks") == []
     mission = json.loads((shell / "r.json").read_text())["mission"]
@@ -211,7 +211,7 @@ def test_no_sigmas_where_there_are_none_and_all_others(shell: Shell, undrawn: No
     printed, _ = shell.both("solve m -o out --covariance m.csv")
     status = {"".join(cells[:2]): cells[2] for cells in csv.reader((shell / "m.csv").read_text().splitlines()[1:])}
     assert {name for name, word in status.items() if word != "estimated"} == {"x2"}
-    assert "note        no sigmas of x2, all others are given: 3 unknowns have factors that do not react" in printed
+    assert "note        no sigmas of x2, all others are given: 3 unknowns are not measured" in printed
     assert "x2: z, roll, pitch" in printed
     assert {path.name for path in (shell / "out").iterdir()} == set(FILES)
     _, *poses = csv.reader((shell / "out/trajectory.csv").read_text().splitlines())

@@ -102,7 +102,7 @@ def test_joint_of_poses_and_points_in_the_world() -> None:
 def test_a_frame_is_asked_for_where_it_matters() -> None:
     sample = mixed(0)
     marginals = Marginals(sample.graph, sample.values)
-    missing = r"frame: None is not possible; expected 'body' or 'world' for kind 'x', in SE2"
+    missing = 'frame="body" or frame="world": say along which axes the covariance of x in SE2 is'
     for ask in (lambda: marginals.covariance(x[40]), lambda: marginals.all(x), lambda: marginals.joint([l[5], x[40]])):
         with pytest.raises(OptionError, match=missing):
             ask()

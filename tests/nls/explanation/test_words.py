@@ -149,10 +149,8 @@ def test_every_reading_has_its_words_and_its_action() -> None:
 def test_rejections_are_compared_with_those_by_chance() -> None:
     counted = words.rejections(17, 2450, 24.6, 0.99, 1.01)
     assert counted == (
-        "17 of 2450 doubted measurements rejected at 1.01 times the stated sigmas; "
-        "about 25 right ones are expected to be rejected by chance at 99 %"
+        "17 of 2,450 doubted measurements rejected (sigmas times 1.01); about 25 are expected by chance at 99 %"
     )
     assert words.rejections(2, 30, 0.028, 0.999, 1.0) == (
-        "2 of 30 doubted measurements rejected; "
-        "less than one right measurement is expected to be rejected by chance at 99.9 %"
+        "2 of 30 doubted measurements rejected; less than one is expected by chance at 99.9 %"
     )

@@ -104,7 +104,7 @@ def test_with_the_trajectory() -> None:
     without, figure = (trajectory(sample.graph, sample.values, marginals=m) for m in (None, marginals_of(sample)))
     assert not outlines(without.axes[0])
     assert len(outlines(figure.axes[0])) == 8
-    texts = [text.get_text() for text in figure.axes[0].get_legend().texts]
+    texts = [text.get_text() for text in figure.legends[0].texts]
     assert texts == ["loop closures", "trajectory", "95 % ellipse of every x"]
 
 

@@ -54,6 +54,12 @@ def test_the_track_from_above(solved: Solved) -> None:
     sigma = [np.sqrt(np.trace(marginals.covariance(x[int(k)], frame="world")[:3, :3])) for k in numbers]
     np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
     assert expected.get_label() == "solution, by its covariance"
+    without = track(values, dead, None, nls.Marginals(graph, values))  # no truth: the error to be expected
+    (expected,) = without.axes[1].lines
+    np.testing.assert_allclose(np.asarray(expected.get_ydata()), sigma, rtol=1e-6)
+    way = np.linalg.norm(np.diff(SE3.position(values[x]), axis=0), axis=1).sum()
+    assert expected.get_xdata()[-1] == pytest.approx(way)  # type: ignore[index]
+    assert without.get_suptitle() == f"After {way:.3g} m: the solution is expected to be {sigma[-1]:.2g} m off"
     alone = track(values, dead)
     assert [line.get_label() for line in alone.axes[0].lines] == ["dead reckoning", "solution"]
     assert len(alone.axes) == 1

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from factors import Between, Isotropic
+from factors import ZPR, Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
 from nls import FactorGraph, Marginals, Values
 from nls.plot import before_after, convergence, spy, trajectory
@@ -72,7 +72,8 @@ def test_drifts_have_no_place() -> None:
     assert axes.lines[0].get_label() == "trajectory"
     assert min(float(np.min(line.get_xdata())) for line in axes.lines) == 100.0
     (closures,) = (c for c in axes.collections if isinstance(c, LineCollection))
-    assert (closures.get_label(), len(closures.get_segments())) == ("loop closures", 2)
+    assert len(closures.get_segments()) == 2
+    assert axes.figure.legends[0].get_texts()[0].get_text() == "loop closures"  # type: ignore[union-attr]
     labels = [str(c.get_label()) for c in axes.collections]
     assert [label for label in labels if "ellipse" in label] == ["95 % ellipse of every x"]
 
@@ -95,6 +96,9 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     assert titles[1] == f"after: chi2 = {result.chi2_final:.4g}"
     assert titles[2] == f"converged after {result.iterations} iterations"
     assert figure.get_suptitle() == "a survey"
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["loop closures", "trajectory"]  # once for both maps
+    assert [axes.get_legend() for axes in figure.axes[:2]] == [None, None]
     titles = [axes.get_title() for axes in before_after(sample.graph, pose_graph(group, start=0.4).values, result).axes]
     assert titles[2].endswith(f",\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
     alone = convergence(result)
@@ -119,6 +123,29 @@ def test_a_flat_graph_in_space_has_one_scale_and_no_slit_for_a_box() -> None:
         for axis, (low, high) in zip((axes.xaxis, axes.yaxis, axes.zaxis), limits, strict=True)
     ]  # type: ignore[attr-defined]
     assert ticks[0] > 4 >= max(ticks[1:])
+
+
+def test_a_graph_that_knows_where_down_is_has_z_down() -> None:
+    """Right-handed: seen along the axis of z, from above, y is to the right of x."""
+    sample = pose_graph(SE3)
+    up = trajectory(sample.graph, sample.values).axes[0]
+    sample.graph.add(ZPR(x[1], [0.0, 0.0, 0.0], Isotropic(1.0)))
+    down = trajectory(sample.graph, sample.values).axes[0]
+    inverted = [[axis.get_inverted() for axis in (a.xaxis, a.yaxis, a.zaxis)] for a in (up, down)]  # type: ignore[attr-defined]
+    assert inverted == [[False, False, False], [False, True, True]]
+    assert down.get_zlabel() == "z, down [m]"  # type: ignore[attr-defined]
+
+
+def test_a_small_fall_of_chi2_is_drawn_linearly() -> None:
+    """Numbers of a logarithmic axis would all be the same in the digits that fit."""
+    sample = pose_graph(SE2, start=0.3)
+    far = sample.graph.optimize(sample.values)
+    assert convergence(far).axes[0].get_yscale() == "log"
+    near = sample.graph.optimize(far.values)
+    axes = convergence(near).axes[0]
+    assert (axes.get_yscale(), axes.get_ylabel()) == ("linear", f"chi2 - {near.chi2_final:.6g}")
+    expected = [iteration.chi2 - near.chi2_final for iteration in near.history]
+    np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), expected)
 
 
 def test_convergence_to_zero_and_without_a_step() -> None:

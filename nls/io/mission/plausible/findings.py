@@ -1,4 +1,4 @@
-"""What a check returns: numbers, and where they stand; `words` makes sentences of them."""
+"""The result of a check: numbers, and where they stand; `words` makes sentences of them."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ DRIFT = 0.1  # of the way between three fixes
 
 
 def of_fixes(log: Log) -> list[Implausible]:
-    """What is implausible in the fixes of a log; lines are rows of the table."""
+    """Implausible fixes of a log; lines are rows of the table."""
     return [] if log.fixes is None else [*_far(log.fixes), *_jumps(log)]
 
 

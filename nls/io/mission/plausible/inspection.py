@@ -23,7 +23,7 @@ ALIKE = 3  # readings that are named
 
 
 def implausible(tables: dict[str, Table], plane: LocalPlane | None) -> list[Implausible]:
-    """What is implausible in the tables of a mission.
+    """Implausible numbers in the tables of a mission.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def _placed(entry: Implausible, tables: dict[str, Table]) -> Implausible:
 
 
 def of_log(log: Log) -> list[Implausible]:
-    """What is implausible in a raw log; lines are rows, counted from 0."""
+    """Implausible numbers in a raw log; lines are rows, counted from 0."""
     alone = [entry for check in ALONE for entry in check(log)]
     thin = log.thinned()
     if any(map(_breaks, alone)) or len(thin.t_v) < 2:

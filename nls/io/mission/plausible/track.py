@@ -16,7 +16,7 @@ LARGEST = 1e9  # m, as the reader has it
 
 
 def of_track(tables: dict[str, Table]) -> list[Implausible]:
-    """What is implausible in an integrated track; lines are rows of the table."""
+    """Implausible numbers in an integrated track; lines are rows of the table."""
     if "zpr" not in tables or "odometry" not in tables:
         return []
     return [*_depths(tables["zpr"]), *_tilts(tables["zpr"]), *_steps(tables["odometry"], tables.get("poses"))]

@@ -26,7 +26,7 @@ def check_setup(
     closing: Closing | None = None,
     times: npt.ArrayLike | None = None,
 ) -> list[SetupFinding]:
-    """What is set up wrongly, from scans against dead reckoning; `nls.sonar.scans.setup.words` makes sentences of it.
+    """Faults of the setup, from scans against dead reckoning; `nls.sonar.scans.setup.words` makes sentences of it.
 
     Parameters
     ----------

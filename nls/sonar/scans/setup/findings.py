@@ -1,4 +1,4 @@
-"""What a check of the setup of a scan mission returns: numbers; `words` makes sentences of them."""
+"""The result of a check of the setup of a scan mission: numbers; `words` makes sentences of them."""
 
 from __future__ import annotations
 

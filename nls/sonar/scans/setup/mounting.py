@@ -5,7 +5,7 @@ seen from scan i is
 
     z = (X_i Exp(-w_i c) G)^-1 (X_j Exp(-w_j c) G)
 
-with the twist w of the vehicle by dead reckoning and the time c by which the stamps of the scans are late. It is the
+with the twist w of the vehicle by dead reckoning and the time c by which the stamps of the scans are late. This is the
 calibration of a sensor against odometry: A. Censi, A. Franchi, L. Marchionni, G. Oriolo, "Simultaneous calibration of
 odometry and sensor parameters for mobile robots", IEEE Trans. Robotics 29(2), 2013.
 
@@ -14,7 +14,7 @@ odometry and sensor parameters for mobile robots", IEEE Trans. Robotics 29(2), 2
 - c changes z by (w_j - w_i) c: a late clock shows where speed or rate of turn change.
 
 Closures say little of it. The graph follows them to the way of the sensor, and submaps that are built from there agree
-with it: with a sensor 1 m off, closures of the third round ask for 0.1 m of it.
+with it. With a sensor 1 m off, closures of the third round ask for 0.1 m of it.
 """
 
 from __future__ import annotations

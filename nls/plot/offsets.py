@@ -1,0 +1,126 @@
+r"""How far an estimator is off along the axes of the world: field, heading, position and landmarks, side by side.
+
+    field       the map: tracks and landmarks
+    heading     estimate minus truth, deg
+    position    dX and dY, estimate minus truth, m, in one picture
+    landmarks   dX against dY of every landmark in the end
+
+The step of every landmark from the truth is nearly the same where the whole map is shifted: then the points lie in one
+heap beside the origin. A shift of everything is not measured by ranges and bearings, so its sigma is that of the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models import LINE
+from nls.covariance.ellipse import outlines
+from nls.covariance.frames import axes as axes_of
+from nls.covariance.frames import turned
+from nls.plot.axes import legend_below
+from nls.plot.filters import estimator_map
+from nls.plot.style import ESTIMATE, LANDMARK, SERIES, TRUE
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from factors.keys import Keys
+    from models.algebra import Array, Numbers
+    from nls.filters.base import Track
+    from nls.values import Values
+
+__all__ = ["offsets"]
+
+ONE_SIGMA = 1 - np.exp(-0.5)  # probability of the ellipse that cuts the axes at one sigma
+NEAR = 6  # points: a name beside its point
+
+
+def offsets(track: Track, truth: Values, title: str = "", sightings: Sequence[Keys] | None = None) -> Figure:
+    """The four pictures. Bands and ellipses are one sigma.
+
+    Parameters
+    ----------
+    track : poses in SE2, and landmarks.
+    truth : its poses and landmarks, under the same names.
+    title : of the figure; the method of the track is always named.
+    sightings : poses and the walls seen from them: walls are drawn as long as they were seen.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from nls.filters.ekf import EKF
+    >>> from nls.plot import offsets
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1)
+    >>> figure = offsets(EKF().run(world.graph, world.start), world.truth)
+    >>> [axes.get_title() for axes in figure.axes][:3]
+    ['field', 'heading, estimate minus truth', 'position, estimate minus truth']
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.5, 8.8), layout="constrained")
+    (field, heading), (position, landmarks) = figure.subplots(2, 2)
+    estimator_map(track, truth, field, sightings)
+    field.set_title("field")
+    steps, e = track.x.numbers, -track.manifold.local(track.X, truth[track.x])
+    _band(heading, steps, np.degrees(e[:, 2]), np.degrees(np.sqrt(track.P[:, 2, 2])), ESTIMATE, "heading")
+    heading.set(title="heading, estimate minus truth", ylabel="[deg]")
+    away = track.manifold.position(track.X) - track.manifold.position(truth[track.x])
+    J, _ = axes_of(track.x, track.manifold, track.X, None, "position")
+    sigma = np.sqrt(np.diagonal(turned(J, track.P), axis1=1, axis2=2))
+    for k, name in enumerate(("dX", "dY")):
+        _band(position, steps, away[:, k], sigma[:, k], SERIES[k], name)
+    position.set(title="position, estimate minus truth", ylabel="[m]")
+    for axes in (heading, position):
+        axes.set_xlabel("step")
+        axes.axhline(0.0, color=TRUE, linewidth=0.8)
+        axes.margins(x=0)
+        legend_below(axes, *axes.get_legend_handles_labels())
+    _landmarks(track, truth, landmarks)
+    figure.suptitle(f"{title}: {track.method}" if title else track.method)
+    return figure
+
+
+def _band(axes: Axes, steps: Numbers, e: Array, sigma: Array, color: str, name: str) -> None:
+    """Errors as a line, and one sigma to both sides of zero as dashed lines."""
+    axes.plot(steps, e, color=color, linewidth=1.2, label=name)
+    axes.plot(steps, sigma, color=color, linewidth=0.8, linestyle="--", label=f"one sigma of {name}")
+    axes.plot(steps, -sigma, color=color, linewidth=0.8, linestyle="--")
+
+
+def _landmarks(track: Track, truth: Values, axes: Axes) -> None:
+    """Offsets of the landmarks in the end, each with its name and its ellipse of one sigma."""
+    from matplotlib.collections import LineCollection
+
+    axes.axhline(0.0, color=TRUE, linewidth=0.8)
+    axes.axvline(0.0, color=TRUE, linewidth=0.8)
+    line = track.values.stack(track.landmarks.kind).manifold is LINE
+    unit = np.array([180 / np.pi, 1.0]) if line else np.ones(2)
+    e = unit * track.landmark_errors(truth)
+    P = unit[:, None] * track.P_landmarks * unit
+    shapes = LineCollection(list(e[:, None] + outlines(P, ONE_SIGMA)), colors=LANDMARK, linewidths=0.8, alpha=0.5)
+    axes.add_collection(shapes)
+    axes.plot(*e.T, "o", color=LANDMARK, markersize=5)
+    handles: list[Artist] = [shapes]
+    labels = [f"one sigma of a {'wall' if line else 'landmark'}"]
+    for name, place in zip(track.landmarks, e, strict=True):
+        axes.annotate(f"{name!r}", place, (NEAR, NEAR), textcoords="offset points", color=LANDMARK, fontsize=9)
+    if line:
+        axes.set(title="walls, estimate minus truth", xlabel="alpha [deg]", ylabel="r [m]")
+    else:
+        axes.set(title="landmarks, estimate minus truth", xlabel="dX [m]", ylabel="dY [m]")
+        axes.set_aspect("equal", adjustable="datalim")
+        common = e.mean(axis=0)
+        handles += axes.plot(*common, "x", color=TRUE, markersize=9, markeredgewidth=2)
+        rest = np.sqrt(np.mean(np.sum((e - common) ** 2, axis=1)))
+        labels.append(f"common offset {np.linalg.norm(common):.2g} m, beside it {rest:.2g} m rms")
+    legend_below(axes, handles, labels)
