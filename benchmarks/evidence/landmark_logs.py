@@ -273,7 +273,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
     table.append(park_row("graph, trees found again", park.gps_error(last[x]), trees_of(graph), seconds))
     began = process_time()
     odometry, poses = FactorGraph(park.graph.factors[:2]), Values.of([park.start.stack("x")])
-    associated = contacts.associate(odometry, poses, park.sightings, narrow=2)
+    associated = contacts.associate(odometry, poses, park.sightings)
     named, start = park.named(associated.numbers, associated.values[x])
     at_once, _ = solve(named, start)
     table.append(
@@ -300,8 +300,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
         "to it where the first solution has both, up to 2 m, and solved once more: "
         f"{int((again != names).sum())} sightings change their tree, {int((again < 0).sum())} are left out. "
         f"chi2 of that solution is {chi2:.2f} of its number of residuals: sigmas are wide on purpose, the gates of "
-        "the filter are made of them. *All trees at once*: `nls.sonar.contacts.associate(narrow=2)`, from dead "
-        "reckoning; "
+        "the filter are made of them. *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning; "
         f"{associated}.",
     ]
 

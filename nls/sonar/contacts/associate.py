@@ -12,11 +12,15 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
 2 and 3 again, from the better estimate, until next to nothing changes: first with narrow gates, where poses are known
 well beside each other, then with all. The narrow ones correct the poses, and wide gates become narrow. In the end the
 sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
+
+How narrow is right depends on how far apart targets are. So all of it is done for each of `NARROW`, and the answer of
+least cost is taken: chi2, a price for every number of a landmark, and one for every undecided sighting.
+
+Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 1978, for the price of a number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +33,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.compatibility import resolved, supported
-from nls.sonar.contacts.estimate import FIRST, Estimate, estimated, measured_numbers
+from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
@@ -39,6 +43,7 @@ from nls.values import Values
 
 __all__ = ["Associated", "associate"]
 
+NARROW = (4.0, 2.0)  # the widest innovations of the first rounds, in sigmas of the sensor
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
 FEW = 0.005  # part of the sightings; a round that moves no more is the last with its gates
 ROUNDS = 40
@@ -59,7 +64,10 @@ class Associated:
     values : poses and landmarks, by all decided sightings.
     rounds : after each round how many sightings were decided.
     settled : whether the last round changed next to nothing.
+    cost : chi2 with its robust kernel, log N for each number of a landmark where N numbers are measured, and what the
+        kernel charges at the gate for each undecided sighting.
     d2 : (n,) squared residual of each decided sighting, in sigmas; nan of the others.
+    history : the tracks (n,) after each round, see `nls.sonar.contacts.tracks`.
     """
 
     numbers: Index
@@ -67,7 +75,9 @@ class Associated:
     values: Values
     rounds: tuple[int, ...]
     settled: bool
+    cost: float
     d2: Array = field(repr=False)
+    history: tuple[Index, ...] = field(repr=False)
 
     @property
     def landmarks(self) -> int:
@@ -106,9 +116,7 @@ def associate(
     kind: Kind = l,
     least: int = 3,
     probability: float = 0.999,
-    narrow: float = 4.0,
     rounds: int = ROUNDS,
-    report: Callable[[Index], None] | None = None,
 ) -> Associated:
     """Landmarks of sightings without names.
 
@@ -120,10 +128,7 @@ def associate(
     kind : of the landmarks.
     least : sightings that make a landmark; fewer stay undecided.
     probability : with which a right pairing is within its gate.
-    narrow : innovations of the first rounds have at most so many sigmas of the sensor. A gate then should hold one
-        target as a rule: where targets are a few sigmas apart, 2 is better.
     rounds : at most.
-    report : called with the tracks (n,) after every round.
 
     Returns
     -------
@@ -134,7 +139,7 @@ def associate(
     GraphError
         Sightings that leave more free than an elevation, whose sensor has no known place, or of a kind that has values.
     OptionError
-        An aperture, a probability or a count that is none; `narrow` below 1, where no innovation is.
+        An aperture, a probability or a count that is none.
     UnderconstrainedError
         The graph leaves poses free.
 
@@ -157,17 +162,31 @@ def associate(
     check_whole("least", least, 2)
     check_whole("rounds", rounds, 1)
     check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
-    check_between("narrow", narrow, 1, np.inf, "sigmas of the sensor, above 1, such as 4")
     pings = Pings.of(sightings, values, kind, aperture)
+    pieces = _linked(pings, graph, values, chi2_gate(measured_numbers(pings), probability))
+    poses = _without(estimated(pings, graph, values, pieces, FIRST).values, kind)
+    answers = [_rounds(pings, graph, poses, pieces, narrow, least, probability, rounds) for narrow in NARROW]
+    return min(answers, key=lambda answer: answer.cost)
+
+
+def _rounds(
+    pings: Pings,
+    graph: FactorGraph,
+    poses: Values,
+    pieces: Index,
+    narrow: float,
+    least: int,
+    probability: float,
+    rounds: int,
+) -> Associated:
+    """The answer of rounds that begin with pieces (n,) as tracks, and with gates as narrow as that."""
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
-    pieces = tracks = _linked(pings, graph, values, gate)
-    expelled = np.zeros(len(pings), dtype=np.intp)
-    poses = _without(estimated(pings, graph, values, tracks, FIRST).values, kind)
+    tracks, expelled = pieces, np.zeros(len(pings), dtype=np.intp)
     widest, last, settled = narrow, False, False
-    history: list[int] = []
+    history: list[Index] = []
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, poses, tracks)
-        poses = _without(estimate.values, kind)
+        poses = _without(estimate.values, pings.kind)
         open_ = expelled < TWICE
         if last:
             joined = resolved(pings, estimate, open_, least, probability)
@@ -185,10 +204,8 @@ def associate(
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
             last = True
             expelled[:] = 0
-        history.append(int(np.count_nonzero(of.sizes(tracks) >= least)))
-        if report is not None:
-            report(tracks)
-    return _associated(pings, graph, poses, tracks, least, tuple(history), settled)
+        history.append(tracks)
+    return _associated(pings, graph, poses, history, least, gate, settled)
 
 
 def _without(values: Values, kind: Kind) -> Values:
@@ -223,12 +240,13 @@ def _associated(
     pings: Pings,
     graph: FactorGraph,
     poses: Values,
-    tracks: Index,
+    history: list[Index],
     least: int,
-    history: tuple[int, ...],
+    gate: float,
     settled: bool,
 ) -> Associated:
-    """The tracks that are landmarks, numbered, and their estimate."""
+    """The last tracks that are landmarks, numbered, and their estimate."""
+    tracks = history[-1]
     decided = of.sizes(tracks) >= least
     estimate = estimated(pings, graph, poses, np.where(decided, tracks, np.arange(len(tracks))))
     numbers, values = np.full(len(tracks), -1), estimate.values
@@ -238,4 +256,9 @@ def _associated(
         stack = values.stack(pings.kind)
         values = _without(values, pings.kind)
         values.add(pings.kind, stack.manifold, stack.X, np.arange(len(names)))
-    return Associated(numbers, sightings, values, history, settled, np.where(decided, estimate.d2, np.nan))
+    price = np.log(measured_numbers(pings) * len(tracks)) * pings.group.point_dim
+    undecided = float(KERNEL.rho(np.array(gate))) * np.count_nonzero(~decided)
+    cost = float(estimate.graph.chi2(estimate.values) + price * len(names) + undecided)
+    d2 = np.where(decided, estimate.d2, np.nan)
+    rounds = tuple(int(np.count_nonzero(of.sizes(tracks) >= least)) for tracks in history)
+    return Associated(numbers, sightings, values, rounds, settled, cost, d2, tuple(history))

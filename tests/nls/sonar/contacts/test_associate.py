@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -126,22 +127,32 @@ def test_bearings_and_ranges_in_the_plane() -> None:
     assert error(in_plane(), associated(in_plane()).values) < error(in_plane(), in_plane().values) / 3
 
 
-def test_least_kind_rounds_and_report() -> None:
+def test_least_kind_rounds_and_history() -> None:
     """A landmark that is seen less often than `least` is none."""
     scene = in_plane()
     counts = np.bincount(scene.true)
-    reports: list[Index] = []
-    result = associate(
-        scene.graph, scene.values, scene.sightings, kind=m, least=int(counts.min()) + 1, report=reports.append
-    )
+    result = associate(scene.graph, scene.values, scene.sightings, kind=m, least=int(counts.min()) + 1)
     assert result.landmarks == np.count_nonzero(counts > counts.min())
     assert set(result.values.stacks) == {"x", "m"}
-    assert len(reports) == len(result.rounds)
-    for tracks, decided in zip(reports, result.rounds, strict=True):
+    for tracks, decided in zip(result.history, result.rounds, strict=True):
         size = np.bincount(tracks)[tracks]
         assert np.count_nonzero(size > counts.min()) == decided
     short = associate(scene.graph, scene.values, scene.sightings, rounds=1)
     assert (len(short.rounds), short.settled) == (1, False)
+
+
+def test_the_answer_of_least_cost_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, alone = floor(2, 0.1), []
+    module = import_module("nls.sonar.contacts.associate")
+    for narrow in module.NARROW:
+        monkeypatch.setattr(module, "NARROW", (narrow,))
+        alone.append(associated(scene))
+    best = min(alone, key=lambda result: result.cost)
+    assert alone[0].cost != alone[1].cost
+    assert np.array_equal(answer(2, 0.1).numbers, best.numbers)
+    worse = max(alone, key=lambda result: result.cost)
+    scores = [pair_precision_recall(result.numbers, scene.true) for result in (best, worse)]
+    assert scores[0].recall >= scores[1].recall
 
 
 def test_where_nothing_belongs_together_nothing_is_decided() -> None:
@@ -162,7 +173,6 @@ def test_refusals() -> None:
         {"rounds": 0},
         {"probability": 1.0},
         {"probability": 0.0},
-        {"narrow": 1.0},
         {"aperture": -1.0},
         {"aperture": None},
     ):
