@@ -165,29 +165,29 @@ def associate(
     pings = Pings.of(sightings, values, kind, aperture)
     pieces = _linked(pings, graph, values, chi2_gate(measured_numbers(pings), probability))
     poses = _without(estimated(pings, graph, values, pieces, FIRST).values, kind)
-    answers = [_rounds(pings, graph, poses, pieces, narrow, least, probability, rounds) for narrow in NARROW]
+    first = estimated(pings, graph, poses, pieces)
+    answers = [_rounds(pings, graph, first, narrow, least, probability, rounds) for narrow in NARROW]
     return min(answers, key=lambda answer: answer.cost)
 
 
 def _rounds(
     pings: Pings,
     graph: FactorGraph,
-    poses: Values,
-    pieces: Index,
+    first: Estimate,
     narrow: float,
     least: int,
     probability: float,
     rounds: int,
 ) -> Associated:
-    """The answer of rounds that begin with pieces (n,) as tracks, and with gates as narrow as that."""
+    """The answer of rounds that begin with the tracks of an estimate, the pieces, and with gates as narrow as that."""
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
-    tracks, expelled = pieces, np.zeros(len(pings), dtype=np.intp)
+    pieces, estimate, expelled = first.tracks, first, np.zeros(len(pings), dtype=np.intp)
     widest, last, settled = narrow, False, False
     history: list[Index] = []
     while len(history) < rounds and not settled:
-        estimate = estimated(pings, graph, poses, tracks)
-        poses = _without(estimate.values, pings.kind)
-        open_ = expelled < TWICE
+        if history:
+            estimate = estimated(pings, graph, _without(estimate.values, pings.kind), history[-1])
+        tracks, open_ = estimate.tracks, expelled < TWICE
         if last:
             joined = resolved(pings, estimate, open_, least, probability)
         else:
@@ -205,7 +205,7 @@ def _rounds(
             last = True
             expelled[:] = 0
         history.append(tracks)
-    return _associated(pings, graph, poses, history, least, gate, settled)
+    return _associated(pings, graph, _without(estimate.values, pings.kind), history, least, gate, settled)
 
 
 def _without(values: Values, kind: Kind) -> Values:

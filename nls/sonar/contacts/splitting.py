@@ -27,6 +27,7 @@ import numpy as np
 from factors import Between, Isotropic
 from models import R
 from models.algebra import Array, Index, Mask
+from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
@@ -71,7 +72,7 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     place, rank = np.where(begins, landmark, n + np.arange(len(names))), np.argsort(order)[piece]
     Lambda = _information(pings, graph, estimate, d, place[rank], place[cut], place[cut + 1])
     fall = np.zeros(len(names))
-    fall[cut] = (g[cut] * np.linalg.solve(Lambda, g[cut][..., None])[..., 0]).sum(axis=1)
+    fall[cut] = mahalanobis(g[cut], Lambda)
     most = np.maximum.reduceat(fall, first)
     whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(most))  # landmarks of one piece
     usual = max(1.0, float(np.median([*most, *whole])) / dim)
@@ -110,7 +111,5 @@ def _information(
         *([pings.aperture_factor(pings.of_landmarks(tracks[chosen], chosen))] if pings.limit else []),
     ]
     marginals = Marginals(FactorGraph(factors, graph.fixed), tied)
-    C = marginals.cross(i, j)
-    D = marginals.covariance(i) + marginals.covariance(j) - C - C.mT
-    Lambda = np.linalg.inv(D) - np.eye(dim) / TIE**2
+    Lambda = np.linalg.inv(marginals.relative(i, j)) - np.eye(dim) / TIE**2
     return np.asarray(Lambda + np.eye(dim) / pings.extent.max() ** 2 if pings.limit else Lambda)
