@@ -1,15 +1,8 @@
-"""How well two poses are known together, and the motion between them, whether or not they share a factor.
-
-A `Between` without information makes two poses share one: the selected inverse then has their block.
-"""
+"""How well two poses are known together, and the motion between them, whether or not they share a factor."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from factors import Between, SqrtInformation
 from factors.keys import Keys
-from models import LieGroup
 from models.algebra import Array
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
@@ -37,7 +30,7 @@ def motion_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> 
     >>> motion_covariances(graph, values, x[[0]], x[[2]])[0].diagonal().round(3)
     array([0.02, 0.03, 0.02])
     """
-    return _joined(graph, values, i, j).relative(i, j)
+    return Marginals(graph, values, pairs=[(i, j)]).relative(i, j)
 
 
 def cross_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> Array:
@@ -59,16 +52,4 @@ def cross_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> A
     array([[0.02, 0.03, 0.02],
            [0.01, 0.01, 0.01]])
     """
-    apart = i.numbers != j.numbers
-    return _joined(graph, values, i[apart], j[apart]).cross(i, j, frame="body")
-
-
-def _joined(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> Marginals:
-    """The covariances of a graph in which these pairs share a factor."""
-    if not len(i):
-        return Marginals(graph, values)
-    group = values.stack(i.kind).manifold
-    assert isinstance(group, LieGroup)
-    nothing = SqrtInformation(np.zeros((group.dim, group.dim)))
-    joined = Between(i, j, group.between(values[i], values[j]), nothing)
-    return Marginals(FactorGraph([*graph.factors, joined], graph.fixed), values)
+    return Marginals(graph, values, pairs=[(i, j)]).cross(i, j, frame="body")

@@ -23,9 +23,11 @@ from nls.covariance.determined import Undetermined, anchored_factorization, used
 from nls.covariance.frames import axes, of_motions, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
+from nls.covariance.pairs import paired
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
+from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values, refuse_other
 
@@ -50,6 +52,7 @@ class Marginals:
     gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
         `gauge` below is the sentence that says which. ``free``: the pseudo-inverse, where nobody is held.
     memory_limit : bytes; what would take more is refused beforehand.
+    pairs : (i, j) batches of variables that share no factor and are asked for by `cross` or `relative` all the same.
 
     Attributes
     ----------
@@ -116,6 +119,7 @@ class Marginals:
         linear_solver: LinearSolver | None = None,
         gauge: str = "first",
         memory_limit: float = 4e9,
+        pairs: Sequence[tuple[Keys, Keys]] = (),
     ) -> None:
         refuse_other("Marginals", graph, values)
         if not len(graph):
@@ -126,8 +130,10 @@ class Marginals:
             allowed = "a solver that factorizes A'A itself, such as nls.Schur() without block_inverse"
             raise OptionError("linear_solver", linear_solver, f"{allowed}; no other has its inverse")
         self.values, self.memory_limit = values.copy(), memory_limit
-        fixed = fixed_variables(graph.fixed, values)
-        decided = choose_gauge(gauge, graph.pattern(values), values, fixed)
+        fixed, pattern = fixed_variables(graph.fixed, values), graph.pattern(values)
+        if pairs:
+            pattern = Pattern([*graph.factors, *paired(pairs)], values)
+        decided = choose_gauge(gauge, pattern, values, fixed)
         pattern = decided.pattern.holding(decided.held)
         system = LinearSystem.at(pattern, values)
         undetermined: Undetermined | None = None
@@ -211,9 +217,7 @@ class Marginals:
         return turned(J, self._diagonal[kind.name].copy())
 
     def cross(self, i: Keys, j: Keys, frame: str | None = None, view: str | None = None) -> Array:
-        """Cross-covariance (n, d_i, d_j) of pairs of variables that share a factor, however many: one pass for all.
-
-        A factor without information, ``SqrtInformation(np.zeros((3, 3)))``, makes any two share one.
+        """Cross-covariance (n, d_i, d_j) of pairs of variables that share a factor or are `pairs`; one pass for all.
 
         Parameters
         ----------
@@ -238,11 +242,8 @@ class Marginals:
         apart = (a != b) & ~np.isin(a * V + b, np.append(pairs.u * V + pairs.v, pairs.v * V + pairs.u))
         if apart.any():
             k = int(np.flatnonzero(free)[np.argmax(apart)])
-            raise GraphError(
-                f"Marginals.cross: {i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or let a Between "
-                "without information join them",
-                [i[[k]], j[[k]]],
-            )
+            text = f"{i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or Marginals(..., pairs=[(i, j)])"
+            raise GraphError(f"Marginals.cross: {text}", [i[[k]], j[[k]]])
         columns_i, columns_j = self._columns(i), self._columns(j)
         Sigma = np.zeros((len(i), columns_i.shape[1], columns_j.shape[1]))
         blocks = self._factorization.inverse_blocks(a, b, self.memory_limit)

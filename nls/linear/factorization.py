@@ -12,7 +12,8 @@ from models.algebra import Array, Index
 from models.errors import EvaluationError
 from nls.linear.singular import NULL, WEAK, SingularSystemError, refuse_vanishing
 from nls.sparse.hessian import Hessian
-from nls.sparse.takahashi import inverse_blocks
+from nls.sparse.supernodes import Supernodes
+from nls.sparse.takahashi import inverse_blocks, supernodes
 from nls.system import LinearSystem
 
 __all__ = ["Decomposition", "Factorization"]
@@ -59,6 +60,7 @@ class Factorization:
 
     def __init__(self, hessian: Hessian, decomposition: Decomposition) -> None:
         self.hessian, self.decomposition = hessian, decomposition
+        self._supernodes: Supernodes | None = None  # the structure of L, for `inverse_blocks`
         self._judged: Array | float = np.inf  # pivots, as parts of the diagonal, when they were looked at last
 
     def factorize(self, S: Array) -> Factorization:
@@ -114,7 +116,12 @@ class Factorization:
         ResourceLimitError
             They would take more.
         """
-        return inverse_blocks(self.hessian, *self.lower(), i, j, memory_limit)
+        if not len(i):
+            return np.zeros(0)
+        L, p = self.lower()
+        if self._supernodes is None:
+            self._supernodes = supernodes(self.hessian, p)
+        return inverse_blocks(self._supernodes, self.hessian.dims, L, p, i, j, memory_limit)
 
     def refuse_free(self, system: LinearSystem) -> None:
         """Look for a free direction that rounding has hidden from the pivots of the latest factorization.

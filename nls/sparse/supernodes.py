@@ -113,15 +113,14 @@ def _merged(widths: Index, row: Index, column: Index) -> tuple[list[list[int]], 
     The loop over block columns is the elimination itself: 13 ms for sphere2500, 60 ms for city10000.
     """
     V, width = len(widths), widths.tolist()
-    below: list[set[int]] = [set() for _ in range(V)]
-    for i, j in zip(row.tolist(), column.tolist(), strict=True):
-        below[j].add(i)
+    ends = np.cumsum(np.bincount(column, minlength=V))[:-1]
+    below = [set(rows.tolist()) for rows in np.split(row[np.argsort(column, kind="stable")], ends)]
     children: list[list[int]] = [[] for _ in range(V)]
     members: list[list[int]] = [[j] for j in range(V)]
     seconds = [0.0] * V
     for j in range(V):
         rows = below[j]
-        h = sum(width[i] for i in rows)
+        h = sum(map(width.__getitem__, rows))
         now = _seconds(width[j], h)
         for child in children[j]:
             merged = _seconds(width[j] + width[child], h)

@@ -33,15 +33,29 @@ from nls.sparse.hessian import Hessian
 from nls.sparse.supernodes import Supernodes
 from nls.sparse.threads import single_thread
 
-__all__ = ["inverse_blocks"]
+__all__ = ["inverse_blocks", "supernodes"]
 
 
-def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float) -> Array:
+def supernodes(hessian: Hessian, p: Index) -> Supernodes:
+    """Those of L with H[p][:, p] = L L', the columns of H in the order in which they were given."""
+    dims, V = hessian.dims, len(hessian.dims)
+    owner = np.repeat(np.arange(V), dims)[p]
+    eliminated = owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]  # every variable once
+    position = np.empty(V, dtype=np.intp)
+    position[eliminated] = np.arange(V)
+    u, v = position[hessian.elimination.u], position[hessian.elimination.v]
+    return Supernodes(dims[eliminated], np.maximum(u, v), np.minimum(u, v))
+
+
+def inverse_blocks(
+    nodes: Supernodes, dims: Index, L: sp.csc_array, p: Index, i: Index, j: Index, memory_limit: float
+) -> Array:
     """Blocks (i, j) of H^-1, (d_i, d_j) row by row, one after the other.
 
     Parameters
     ----------
-    hessian : the structure of H.
+    nodes : the supernodes of L.
+    dims : (V,) columns of every variable.
     L, p : with H[p][:, p] = L L', the columns of H in the order in which they were given.
     i, j : (k,) variables; any two that share a block, or one twice.
     memory_limit : bytes the dense fronts may take.
@@ -51,19 +65,10 @@ def inverse_blocks(hessian: Hessian, L: sp.csc_array, p: Index, i: Index, j: Ind
     ResourceLimitError
         They would take more.
     """
-    dims, V = hessian.dims, len(hessian.dims)
-    if not len(i):
-        return np.zeros(0)
-    owner = np.repeat(np.arange(V), dims)[p]
-    eliminated = owner[np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))]  # every variable once
-    position = np.empty(V, dtype=np.intp)
-    position[eliminated] = np.arange(V)
-    u, v = position[hessian.elimination.u], position[hessian.elimination.v]
-    nodes = Supernodes(dims[eliminated], np.maximum(u, v), np.minimum(u, v))
     needed = 8.0 * (nodes.numbers + 2 * int(((nodes.width + nodes.height) ** 2).max()) + 4 * L.nnz)
     if needed > memory_limit:
         raise ResourceLimitError(
-            f"the marginal covariances of {V} variables need {needed / 1e9:.1f} GB, the limit is "
+            f"the marginal covariances of {len(dims)} variables need {needed / 1e9:.1f} GB, the limit is "
             f"{memory_limit / 1e9:.1f} GB; ask for single variables, or raise memory_limit",
             needed,
             memory_limit,

@@ -16,8 +16,6 @@ O. Grasa, A. Davison, J. Montiel, "1-point RANSAC for EKF filtering", Journal of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from models.algebra import Array, Index, Mask
@@ -51,7 +49,7 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
     possible = (undecided & open_)[d] & ~undecided[landmarks]
     d, landmarks = d[possible], landmarks[possible]
     groups = np.where(undecided, len(tracks) + every, tracks)
-    for rows, nu, S in _by_ping(pings, estimate, d, landmarks):
+    for rows, nu, S in ping_innovations(pings, estimate, d, landmarks):
         sightings, i = np.unique(d[rows], return_inverse=True)
         numbers, j = np.unique(landmarks[rows], return_inverse=True)
         at = jcbb(np.column_stack([i, j]), nu, S, len(sightings), probability)
@@ -62,7 +60,7 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
 def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float) -> Mask:
     """Which pairings (k,) of sightings and landmarks agree with the one of their ping that most others agree with."""
     mask = np.zeros(len(d), dtype=bool)
-    for rows, nu, S in _by_ping(pings, estimate, d, landmarks):
+    for rows, nu, S in ping_innovations(pings, estimate, d, landmarks):
         agree = _agreement(nu, S, gate)
         one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
         agree &= one_answer | np.eye(len(rows), dtype=bool)
@@ -84,13 +82,3 @@ def _agreement(nu: Array, S: Array, gate: float) -> Mask:
     C = B[own, own][:, None] - gain @ B.mT
     left[own, own], C[own, own] = 0.0, np.eye(m)
     return mahalanobis(left, C) < gate
-
-
-def _by_ping(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> Iterator[tuple[Index, Array, Array]]:
-    """Rows (r,) of the pairings (k,) of every ping, their innovations (r, m), and their covariance (r m, r m)."""
-    if not len(d):
-        return
-    order = np.argsort(pings.ping[d], kind="stable")
-    b, S = ping_innovations(pings, estimate, d[order], landmarks[order])
-    ends = np.cumsum(np.unique(pings.ping[d], return_counts=True)[1])[:-1]
-    yield from zip(np.split(order, ends), np.split(b, ends), S, strict=True)

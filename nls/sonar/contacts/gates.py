@@ -15,9 +15,10 @@ Transactions on Robotics and Automation 17, 2001, for the gate; the arc is that 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from factors import Between, SqrtInformation
 from factors.keys import Keys, Kind
 from models.algebra import Array, Index, product
 from nls.analysis import motions
@@ -85,22 +86,48 @@ def landmark_distances(
     d2, S = _quadratic(b, _inverse(I + 2 * spread)), I + spread
     near = np.flatnonzero(d2 < gate)
     if len(near):
-        own = np.arange(len(near))
-        _, S[near] = _innovations(pings, estimate, d[near], landmarks[near], own, own)
+        pairs = pose[near], landmark[near]
+        C = Marginals(estimate.graph, estimate.values, pairs=[pairs]).cross(*pairs, frame="body")
+        half = product(product(A_X[near], C), A_l[near].mT)
+        S[near] += half + half.mT
         d2[near] = _quadratic(b[near], _inverse(S[near]))
     return d2, np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
 
-def ping_innovations(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, list[Array]]:
-    """Innovations (k, m) of sightings d, by ping, from landmarks (k,), and for every ping the covariance of its own."""
-    _, first, count = np.unique(pings.ping[d], return_index=True, return_counts=True)
-    size = count.repeat(count)  # of the ping of each pairing
-    p, begin = np.arange(len(d)).repeat(size), first.repeat(count).repeat(size)
-    q = begin + np.arange(len(p)) - (np.cumsum(size) - size).repeat(size)
-    b, S = _innovations(pings, estimate, d, landmarks, p, q)
-    m = b.shape[1]
-    blocks = np.split(S, np.cumsum(count**2)[:-1])
-    return b, [S.reshape(k, k, m, m).swapaxes(1, 2).reshape(k * m, k * m) for k, S in zip(count, blocks, strict=True)]
+def ping_innovations(
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index
+) -> Iterator[tuple[Index, Array, Array]]:
+    """Innovations of sightings d (k,) from landmarks (k,), ping by ping.
+
+    Yields
+    ------
+    rows (r,) of these pairings in a ping, their innovations (r, m) and the covariance of these (r m, r m).
+    """
+    if not len(d):
+        return
+    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
+    order = np.argsort(pings.ping[d], kind="stable")
+    parts = np.split(order, np.cumsum(np.unique(pings.ping[d], return_counts=True)[1])[:-1])
+    members = [np.unique(landmarks[rows], return_inverse=True) for rows in parts]
+    corners = [np.triu_indices(len(numbers), 1) for numbers, _ in members]
+    twos = [numbers[np.stack(corner)] for (numbers, _), corner in zip(members, corners, strict=True)]
+    (u, v), place = np.unique(np.concatenate(twos, axis=1), axis=1, return_inverse=True)
+    u, v = pings.kind[u], pings.kind[v]
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark), (u, v)])
+    (P_X, P_l), P_uv = _blocks(estimate, pose, landmark), marginals.cross(u, v)
+    D = product(marginals.cross(pose, landmark, frame="body"), A_l.mT)
+    F, G = np.concatenate([product(A_X, P_X) + D.mT, A_X], axis=2), np.concatenate([A_X, D.mT], axis=2)
+    begin = 0
+    for rows, (numbers, column), (row, other) in zip(parts, members, corners, strict=True):
+        P = np.empty((len(numbers), len(numbers), *P_l.shape[1:]))
+        P[column, column] = P_l[rows]
+        block = P_uv[place.reshape(-1)[begin : begin + len(row)]]
+        P[row, other], P[other, row] = block, block.mT
+        begin += len(row)
+        k, m = len(rows), b.shape[1]
+        S = A_l[rows][:, None] @ P[column[:, None], column] @ A_l[rows].mT
+        S = S.swapaxes(1, 2).reshape(k * m, k * m) + F[rows].reshape(k * m, -1) @ G[rows].reshape(k * m, -1).T
+        yield rows, b[rows], S + np.eye(k * m)
 
 
 def linearized(
@@ -119,33 +146,6 @@ def _blocks(estimate: Estimate, pose: Keys, landmark: Keys) -> tuple[Array, Arra
     of_poses, of_landmarks = (estimate.marginals.all(Kind(kind), frame="body") for kind in (pose.kind, landmark.kind))
     values = estimate.values
     return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
-
-
-def _innovations(
-    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, p: Index, q: Index
-) -> tuple[Array, Array]:
-    """Innovations (k, m) of sightings d from landmarks (k,), and S (r, m, m) of pairings p (r,) with q of a ping."""
-    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
-    measured, dim = pings.of_landmarks(landmarks, d), pings.group.point_dim
-    u, v = pings.kind[landmarks[p]], pings.kind[landmarks[q]]
-    apart, other = landmarks[p] < landmarks[q], landmarks[p] != landmarks[q]
-    nothing = [type(measured)(pose, landmark, measured.z, _no_information(b.shape[1]), measured.offset)]
-    together = [Between(u[apart], v[apart], np.zeros(dim), _no_information(dim))] if apart.any() else []
-    joint = FactorGraph([*estimate.graph.factors, *nothing, *together], estimate.graph.fixed)
-    marginals = Marginals(joint, estimate.values)
-    P_X, P_l = _blocks(estimate, pose[p], u)
-    C = marginals.cross(pose, landmark, frame="body")
-    if apart.any():
-        P_l[other] = marginals.cross(u[other], v[other])
-    S = product(product(A_X[p], P_X), A_X[q].mT) + product(product(A_l[p], P_l), A_l[q].mT)
-    S += product(product(A_X[p], C[q]), A_l[q].mT) + product(product(A_l[p], C[p].mT), A_X[q].mT)
-    S[p == q] += np.eye(b.shape[1])
-    return b, S
-
-
-def _no_information(dim: int) -> SqrtInformation:
-    """It makes two variables share a factor, and so have a cross-covariance, and measures nothing."""
-    return SqrtInformation(np.zeros((dim, dim)))
 
 
 def _quadratic(b: Array, M: Array) -> Array:

@@ -10,7 +10,7 @@ import pytest
 
 import nls
 import sim
-from factors import Between, Factor, Huber, Isotropic, Prior, Robust, SqrtInformation
+from factors import Between, Factor, Huber, Isotropic, Prior, Robust
 from models import SE2, SE3, R
 from models.algebra import Array
 from models.errors import GraphError, OptionError, ResourceLimitError, UnderconstrainedError
@@ -82,12 +82,10 @@ def test_blocks_of_a_joint() -> None:
 
 @pytest.mark.parametrize("gauge", ["first", "free"])
 def test_pairs_that_share_a_factor_come_out_of_one_pass(gauge: str) -> None:
-    """A factor without information joins poses far apart; a held one has no covariance with any."""
+    """Poses far apart are given as pairs; a held one has no covariance with any."""
     world = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
     i, j = np.array([0, 3, 31, 7, 12]), np.array([25, 17, 2, 8, 12])
-    apart = [0, 1, 2]
-    nothing = Between(x[i[apart]], x[j[apart]], np.zeros((3, 3)), SqrtInformation(np.zeros((3, 3))))
-    marginals = Marginals(FactorGraph([*world.graph.factors, nothing]), world.truth, gauge=gauge)
+    marginals = Marginals(world.graph, world.truth, gauge=gauge, pairs=[(x[i], x[j])])
     for frame in ("body", "world"):
         blocks = marginals.cross(x[i], x[j], frame=frame)
         for k in range(4):
@@ -105,8 +103,7 @@ def test_motions_of_pairs_against_the_dense_joint() -> None:
     for space, far in ((SE2, [(0, 1), (3, 2), (7, 0)]), (SE3, [(1, 0), (2, 5), (6, 7)])):
         sample = pose_graph(space, seed=3)
         i, j = np.array(far).T
-        nothing = Between(x[i], x[j], space.identity(3), SqrtInformation(np.zeros((space.dim, space.dim))))
-        marginals = Marginals(FactorGraph([*sample.graph.factors, nothing]), sample.values)
+        marginals = Marginals(sample.graph, sample.values, pairs=[(x[i], x[j])])
         motions = marginals.relative(x[i], x[j])
         for k, (a, b) in enumerate(far):
             X = sample.values[x[[a, b]]]
