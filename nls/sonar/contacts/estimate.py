@@ -40,6 +40,7 @@ class Estimate:
     values : its optimum, roughly.
     d2 : (n,) squared residuals of the sightings in these tracks, in sigmas; 0 of the others.
     doubtful : (n,) sightings of tracks whose chi2 noise does not explain.
+    reduced_chi2 : sum of all squared residuals, over the degrees of freedom.
     """
 
     tracks: Index
@@ -47,6 +48,7 @@ class Estimate:
     values: Values
     d2: Array
     doubtful: Mask
+    reduced_chi2: float
 
     @cached_property
     def marginals(self) -> Marginals:
@@ -59,7 +61,7 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
     chosen, n = np.flatnonzero(of.sizes(tracks) > 1), len(tracks)
     d2 = np.zeros(n)
     if not len(chosen):
-        return Estimate(tracks, graph, graph.optimize(poses).values, d2, np.zeros(n, dtype=bool))
+        return Estimate(tracks, graph, graph.optimize(poses).values, d2, np.zeros(n, dtype=bool), 1.0)
     measured, d = pings.of_landmarks(tracks[chosen], chosen), pings.group.point_dim
     factors, numbers = [*graph.factors, measured.robust(kernel)], np.unique(tracks[chosen])
     weak, spread = ([pings.aperture_factor(measured, times)] if pings.limit else [] for times in (WEAK, 1.0))
@@ -67,12 +69,15 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
     start = Values.of([*poses.stacks.values()])
     start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
     start = search_elevation(solved, start, pings.limit) if pings.limit else locate_points(solved, start)
-    values = solved.optimize(start, LevenbergMarquardt(ROUGHLY)).values
+    result = solved.optimize(start, LevenbergMarquardt(ROUGHLY))
+    values = result.values
     d2[chosen] = measured.chi2(values)
+    chi2 = result.chi2_final + float((d2 - kernel.rho(d2)).sum())
     size = of.sizes(tracks)
     dof = measured_numbers(pings) * size - d
     doubtful = chi2_tail(np.asarray(np.bincount(tracks, d2, n), dtype=np.float64)[tracks], dof) < DOUBTFUL
-    return Estimate(tracks, FactorGraph([*factors, *spread], graph.fixed), values, d2, doubtful & (size > 1))
+    whole = FactorGraph([*factors, *spread], graph.fixed)
+    return Estimate(tracks, whole, values, d2, doubtful & (size > 1), chi2 / max(1, result.dof))
 
 
 def measured_numbers(pings: Pings) -> int:

@@ -51,7 +51,8 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     estimate : of tracks.
     pieces : (n,) a finer partition than these.
     gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull: the bound grows with the
-        median of their falls, where that is above the one of noise.
+        median of their falls, where that is above the one of noise. It grows as well with the error that the sightings
+        of a piece share.
     """
     tracks, n, dim = estimate.tracks, len(pieces), pings.group.point_dim
     leaving = np.zeros(n, dtype=bool)
@@ -75,9 +76,9 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     fall[cut] = mahalanobis(g[cut], Lambda)
     most = np.maximum.reduceat(fall, first)
     whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(most))  # landmarks of one piece
-    usual = max(1.0, float(np.median([*most, *whole])) / dim)
+    usual = max(1.0, float(np.median([*most, *whole])) / dim) * _spread_of_pulls(estimate, np.bincount(piece), first)
     last = np.full(len(first), -1)  # of the pieces that leave
-    large = np.flatnonzero((fall == most[which]) & (fall > gate * usual))
+    large = np.flatnonzero((fall == most[which]) & (fall > gate * usual[which]))
     last[which[large]] = large
     leaving[d] = rank <= last[which[rank]]
     return leaving
@@ -90,6 +91,18 @@ def _by_pull(landmark: Index, pull: Array) -> Index:
     np.add.at(scatter, which, pull[:, :, None] * pull[:, None])
     axis = np.linalg.eigh(scatter)[1][..., -1]
     return np.lexsort(((pull * axis[which]).sum(axis=1), landmark))
+
+
+def _spread_of_pulls(estimate: Estimate, size: Index, first: Index) -> Array:
+    """The variance of pulls (q,), landmark by landmark, over that of independent errors.
+
+    Where chi2 is below its degrees of freedom, sigmas are wider than the scatter of sightings. The rest of the error is
+    one that all sightings of a piece share, as when a tree is seen from one side.
+
+    size : (k,) sightings of each piece, landmark by landmark; the first piece of each is `first` (q,).
+    """
+    s = min(1.0, estimate.reduced_chi2)
+    return np.asarray(s + (1 - s) * np.add.reduceat(size**2, first) / np.add.reduceat(size, first))
 
 
 def _information(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from factors import Diagonal
 from models.algebra import Index
 from nls.analysis.chi_squared import chi2_gate
 from nls.sonar.contacts.estimate import Estimate, estimated
@@ -58,6 +59,26 @@ def test_a_landmark_stays_whole_in_any_pieces(parts: int) -> None:
         split_up += len(np.unique(scene.true[leaving]))
     assert count > 80
     assert split_up <= 0.02 * count
+
+
+def test_sightings_of_a_piece_may_share_an_error() -> None:
+    """Sigmas are wider than the scatter, and pieces of one target in four are off: it is seen from several sides."""
+    gate, count, whole, independent = chi2_gate(3, 0.99), 0, 0, 0
+    for seed in range(1, 4):
+        scene = floor(seed)
+        rng, pieces, sightings = np.random.default_rng(seed), in_time(scene, 4), scene.sightings
+        sigma = 5 / scene.pings.model(np.arange(1)).W.reshape(-1)
+        off = rng.normal(0, 1.5 * sigma, sightings.z.shape)[pieces]
+        z = sightings.z + np.where(scene.true % 4 == 0, 1, 0)[:, None] * off
+        wide = replace(scene, sightings=type(sightings)(*sightings.keys[:2], z, Diagonal(sigma), sightings.offset))
+        estimate = solved(wide, scene.true)
+        assert 0.1 < estimate.reduced_chi2 < 0.9
+        count += len(np.unique(scene.true[several(estimate.tracks, pieces)]))
+        whole += len(np.unique(scene.true[split(wide.pings, scene.graph, estimate, pieces, gate)]))
+        estimate = replace(estimate, reduced_chi2=1.0)
+        independent += len(np.unique(scene.true[split(wide.pings, scene.graph, estimate, pieces, gate)]))
+    assert whole <= 0.02 * count
+    assert independent >= 0.1 * count
 
 
 def test_a_landmark_of_one_piece_stays() -> None:
