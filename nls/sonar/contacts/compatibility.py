@@ -64,10 +64,8 @@ def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate
         agree = _agreement(nu, S, gate)
         one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
         agree &= one_answer | np.eye(len(rows), dtype=bool)
-        sightings, i = np.unique(d[rows], return_inverse=True)
-        votes = np.zeros((len(sightings), len(rows)), dtype=bool)
-        np.logical_or.at(votes, i, agree)
-        count = votes.sum(axis=0)
+        begins = np.flatnonzero(np.append(True, d[rows][1:] != d[rows][:-1]))
+        count = np.logical_or.reduceat(agree, begins).sum(axis=0)  # sightings of the ping that vote for each pairing
         mask[rows] = agree[:, count == count.max()].any(axis=1)
     return mask
 

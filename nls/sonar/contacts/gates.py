@@ -101,33 +101,40 @@ def ping_innovations(
 
     Yields
     ------
-    rows (r,) of these pairings in a ping, their innovations (r, m) and the covariance of these (r m, r m).
+    rows (r,) of these pairings in a ping, by sighting, their innovations (r, m) and the covariance of these (r m, r m).
     """
     if not len(d):
         return
+    order, n = np.lexsort((d, pings.ping[d])), len(pings)
+    d, landmarks = d[order], landmarks[order]
+    ping = pings.ping[d]
     pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
-    order = np.argsort(pings.ping[d], kind="stable")
-    parts = np.split(order, np.cumsum(np.unique(pings.ping[d], return_counts=True)[1])[:-1])
-    members = [np.unique(landmarks[rows], return_inverse=True) for rows in parts]
-    corners = [np.triu_indices(len(numbers), 1) for numbers, _ in members]
-    twos = [numbers[np.stack(corner)] for (numbers, _), corner in zip(members, corners, strict=True)]
-    (u, v), place = np.unique(np.concatenate(twos, axis=1), axis=1, return_inverse=True)
-    u, v = pings.kind[u], pings.kind[v]
+    members, column = np.unique(ping * n + landmarks, return_inverse=True)  # the landmarks of every ping
+    begin, first = _bounds(ping), _bounds(members // n)
+    after = first[1:].repeat(np.diff(first)) - np.arange(len(members)) - 1  # members of the same ping behind each
+    pair = np.concatenate([[0], np.cumsum(after)])
+    i = np.arange(len(members)).repeat(after)
+    j = i + 1 + np.arange(len(i)) - pair[i]
+    twos, place = np.unique(members[i] % n * n + members[j] % n, return_inverse=True)
+    u, v = pings.kind[twos // n], pings.kind[twos % n]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark), (u, v)])
     (P_X, P_l), P_uv = _blocks(estimate, pose, landmark), marginals.cross(u, v)
     D = product(marginals.cross(pose, landmark, frame="body"), A_l.mT)
     F, G = np.concatenate([product(A_X, P_X) + D.mT, A_X], axis=2), np.concatenate([A_X, D.mT], axis=2)
-    begin = 0
-    for rows, (numbers, column), (row, other) in zip(parts, members, corners, strict=True):
-        P = np.empty((len(numbers), len(numbers), *P_l.shape[1:]))
-        P[column, column] = P_l[rows]
-        block = P_uv[place.reshape(-1)[begin : begin + len(row)]]
-        P[row, other], P[other, row] = block, block.mT
-        begin += len(row)
-        k, m = len(rows), b.shape[1]
-        S = A_l[rows][:, None] @ P[column[:, None], column] @ A_l[rows].mT
+    for rows, own in zip(map(slice, begin[:-1], begin[1:]), map(slice, first[:-1], first[1:]), strict=True):
+        k, m, at = rows.stop - rows.start, b.shape[1], column[rows] - own.start
+        P, two = np.empty((own.stop - own.start,) * 2 + P_l.shape[1:]), slice(pair[own.start], pair[own.stop])
+        P[at, at], above, left = P_l[rows], i[two] - own.start, j[two] - own.start
+        P[above, left] = block = P_uv[place[two]]
+        P[left, above] = block.mT
+        S = A_l[rows][:, None] @ P[at[:, None], at] @ A_l[rows].mT
         S = S.swapaxes(1, 2).reshape(k * m, k * m) + F[rows].reshape(k * m, -1) @ G[rows].reshape(k * m, -1).T
-        yield rows, b[rows], S + np.eye(k * m)
+        yield order[rows], b[rows], S + np.eye(k * m)
+
+
+def _bounds(groups: Index) -> Index:
+    """Where groups (k,), one behind the other, begin, and in the end k."""
+    return np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1], [True]]))
 
 
 def linearized(

@@ -109,7 +109,7 @@ def poor_ranges() -> Scene:
 
 def estimate_of(tracks: Index, graph: FactorGraph, values: Values) -> Estimate:
     """An estimate whose residuals nobody asks for."""
-    return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool))
+    return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool), 1.0)
 
 
 def true_pairs(scene: Scene) -> tuple[Index, Index]:
