@@ -26,7 +26,7 @@ from models.algebra import Index, Mask
 from nls.sparse.elimination import Order
 from nls.sparse.pattern import Pattern
 
-__all__ = ["counted", "fill_in", "rows_below"]
+__all__ = ["counted", "fill_in", "rows_below", "tree"]
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def rows_below(widths: Index, row: Index, column: Index) -> Index:
     r, c = np.divmod(place, max(V, 1))  # every neighbor once, by rows and then columns; the last of a row is itself
     first, up = _subtrees(c[np.flatnonzero(np.append(True, r[1:] != r[:-1])[: len(r)])])
     if not _touch(place, first, up):
-        post = _postorder(_tree(r, c, V))
+        post = _postorder(tree(r, c, V))
         widths_by_post = np.empty_like(widths)
         widths_by_post[post] = widths
         return rows_below(widths_by_post, post[row], post[column])[post]
@@ -121,8 +121,11 @@ def _touch(place: Index, first: Index, parent: Index) -> bool:
     return bool((rows <= parent[child] * V + child).all())
 
 
-def _tree(row: Index, column: Index, V: int) -> list[int]:
-    """Parent of every node in the elimination tree, -1 of a root, in any order; ways already gone are shortened."""
+def tree(row: Index, column: Index, V: int) -> list[int]:
+    """Parent of every node in the elimination tree, -1 of a root, in any order; ways already gone are shortened.
+
+    row, column : (P,) blocks below the diagonal, rows rising.
+    """
     parent, highest = [-1] * V, [-1] * V
     for i, j in zip(row.tolist(), column.tolist(), strict=True):
         while j != i and (above := highest[j]) != i:
