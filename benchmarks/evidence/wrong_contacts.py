@@ -24,6 +24,7 @@ import numpy as np
 
 import nls
 import sim
+from nls.analysis.exchanged_contacts import exchanged_contacts
 from nls.robust.misfit import misfit
 
 BENCHMARKS = Path(__file__).parents[1]
@@ -50,6 +51,7 @@ class Run:
     judged : whether the plain solution said that contacts are wrong, and a choice was taken.
     rejected, right, wrong, left : contacts without a say, those that are wrong among them, all wrong ones, and
         landmarks that left.
+    named, rightly : contacts that are named as exchanged, as ``nls explain`` does, and those that are wrong among them.
     seconds : processor time of the plain solution and of the choice.
     """
 
@@ -60,6 +62,8 @@ class Run:
     right: int
     wrong: int
     left: int
+    named: int
+    rightly: int
     seconds: tuple[float, float]
 
 
@@ -73,15 +77,18 @@ def solved(mission: sim.Mission) -> Run:
     began = process_time()
     plain = mission.graph.optimize(mission.start, nls.LevenbergMarquardt(nls.Stop(max_iterations=STEPS)))
     judged = process_time()
-    values, out, left = plain.values, np.zeros(len(mission.contacts), dtype=bool), 0
+    values, left = plain.values, 0
+    out = [np.zeros(len(factor), dtype=bool) for factor in mission.graph.factors]
     if misfit(plain, [mission.contacts]):
         choice = nls.gnc(mission.graph, mission.start, doubted=[mission.contacts])
         if not choice.doubts:
-            values, out, left = choice.result.values, choice.weights[4] == 0, len(choice.left)
+            values, out, left = choice.result.values, [w == 0 for w in choice.weights], len(choice.left)
     seconds = judged - began, process_time() - judged
-    wrong = mission.wrong
-    counts = int(out.sum()), int((out & wrong).sum()), int(wrong.sum()), left
-    return Run(mission.ate(mission.start), mission.ate(values), bool(out.any()), *counts, seconds)
+    wrong, rejected = mission.wrong, out[4]
+    named = [i for pair in exchanged_contacts(mission.graph, values, out) for _, i in pair.places]
+    counts = int(rejected.sum()), int((rejected & wrong).sum()), int(wrong.sum()), left, len(named)
+    rightly, judged_wrong = int(wrong[named].sum()), bool(rejected.any())
+    return Run(mission.ate(mission.start), mission.ate(values), judged_wrong, *counts, rightly, seconds)
 
 
 def table(scene: str, found: list[list[Run]]) -> list[str]:
@@ -90,8 +97,8 @@ def table(scene: str, found: list[list[Run]]) -> list[str]:
         f"## {scene.capitalize()}",
         "",
         "| wrong contacts | dead reckoning, m | solved, m | times the clean run | worse than dead reckoning | judged "
-        "| left out | landmarks that left | precision | recall | plain, s | choice, s |",
-        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
+        "| left out | landmarks that left | precision | recall | named as exchanged (right) | plain, s | choice, s |",
+        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     clean = np.array([runs[0].ate for runs in found])
     for way, runs in zip(SPOILED, zip(*found, strict=True), strict=True):
@@ -102,7 +109,8 @@ def table(scene: str, found: list[list[Run]]) -> list[str]:
             f"| {way} | {spread(dead)} | {spread(ate)} | {ate.mean() / clean.mean():.2f} ({(ate / clean).min():.2f}-"
             f"{(ate / clean).max():.2f}) | {int((ate > dead).sum())}/{len(runs)} | {sum(r.judged for r in runs)}/"
             f"{len(runs)} | {rejected / len(runs):.0f} of {wrong / len(runs):.0f} | "
-            f"{np.mean([r.left for r in runs]):.1f} | {share(right, rejected)} | {share(right, wrong)} | {plain:.1f} | "
+            f"{np.mean([r.left for r in runs]):.1f} | {share(right, rejected)} | {share(right, wrong)} | "
+            f"{np.mean([r.named for r in runs]):.0f} ({np.mean([r.rightly for r in runs]):.0f}) | {plain:.1f} | "
             f"{choice:.1f} |"
         )
     return [*lines, ""]
@@ -131,7 +139,8 @@ def report(seeds: int, jobs: int) -> list[str]:
         "clean run: mean over that of the same missions without wrong contacts; in brackets the least and most of a "
         "seed. Judged: missions whose plain solution said that contacts are wrong. Left out: contacts without a say, "
         "of how many that are wrong; about one right contact in a hundred is rejected by chance. Contacts of landmarks "
-        "that left count as left out. Plain, choice: processor time of the solution with all contacts, here "
+        "that left count as left out. Named as exchanged: contacts that `nls explain` names in pairs. Plain, choice: "
+        "processor time of the solution with all contacts, here "
         f"of at most {STEPS} steps from dead reckoning, and of what follows it.",
     ]
 
