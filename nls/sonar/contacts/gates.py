@@ -30,21 +30,32 @@ from nls.values import Values
 
 __all__ = ["landmark_distances", "linearized", "motion_covariances", "ping_innovations", "sighting_distances"]
 
+AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their number
+
 
 def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that."""
-    X, group = values[pings.poses], pings.group
     pairs, motion = np.unique(np.column_stack([pings.ping[c], pings.ping[d]]), axis=0, return_inverse=True)
-    Sigma = motion_covariances(pings, graph, values, *pairs.T)[motion.reshape(-1)]
-    K = pings.points.shape[1]
+    Sigma, motion = motion_covariances(pings, graph, values, *pairs.T), motion.reshape(-1)
+    X, sensors = values[pings.poses][pings.ping], pings.sensors(values)
+    d2, width = np.empty(len(c)), np.empty(len(c))
+    for begin in range(0, len(c), AT_ONCE):
+        span = slice(begin, begin + AT_ONCE)
+        d2[span], width[span] = _arc_distances(pings, X, sensors, c[span], d[span], Sigma[motion[span]])
+    return d2, width
+
+
+def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, Sigma: Array) -> tuple[Array, Array]:
+    """As `sighting_distances`, with the poses of vehicle and sensor at all sightings, and the Sigma_G (k, d, d)."""
+    group, K = pings.group, pings.points.shape[1]
     every, of_c = np.repeat(d, K), np.repeat(c, K)
-    S = pings.sensors(values)[of_c]
-    L = group.act(S, pings.points[c].reshape(len(of_c), pings.group.point_dim))
-    R = group.rotation(S)
-    C = product(product(R, pings.covariances[c].reshape(len(of_c), *R.shape[1:])), R.mT)
-    (A_X, A_l), b = pings.model(every).linearize(X[pings.ping[every]], L)
-    spread = product(product(A_X, np.repeat(Sigma, K, axis=0)), A_X.mT) + product(product(A_l, C), A_l.mT)
-    S = np.eye(b.shape[1]) + spread
+    L = group.act(sensors[of_c], pings.points[c].reshape(len(of_c), group.point_dim))
+    (A_X, A_l), b = pings.model(every).linearize(X[every], L)
+    A_c = product(A_l, group.rotation(sensors[of_c]))
+    C = pings.covariances[c].reshape(len(of_c), *A_c.shape[2:] * 2)
+    of_pairs = A_X.reshape(len(c), K, *A_X.shape[1:])
+    spread = (of_pairs @ Sigma[:, None] @ of_pairs.mT).reshape(len(of_c), *b.shape[1:] * 2)
+    S = np.eye(b.shape[1]) + spread + product(product(A_c, C), A_c.mT)
     M, widths = _inverse(S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
     d2 = _least(b.reshape(len(c), K, b.shape[1]), M.reshape(len(c), K, *M.shape[1:]))
     return d2, widths.reshape(len(c), K).max(axis=1)
