@@ -38,9 +38,9 @@ class Bearing(Sighting):
 
     Notes
     -----
-    The distance is not measured: a target needs two directions from positions not in line with it, and a map of
-    bearings alone has no scale. Across the line of sight a sigma of azimuth is worth that times the cosine of the
-    elevation. R. Hartley, A. Zisserman, Multiple View Geometry in Computer Vision, 2004, chapter 12.
+    The distance is not measured. A target needs two directions from positions not in line with it. A map of bearings
+    alone has no scale. Across the line of sight a sigma of azimuth is worth that times the cosine of the elevation.
+    R. Hartley, A. Zisserman, Multiple View Geometry in Computer Vision, 2004, chapter 12.
 
     Examples
     --------

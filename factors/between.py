@@ -23,8 +23,8 @@ class Between(Factor):
     ----------
     i, j : the variables, R(n), SO2, SE2, SO3 or SE3.
     z : (n, size) measured differences in the stored form of the group; SE2 (x, y, theta), SE3 (x y z qx qy qz qw).
-    noise : of (x, y, yaw) or (x, y, z, roll, pitch, yaw), in the frame of variable j as predicted (for the convention
-        ``g2o``: of the measurement).
+    noise : of (x, y, yaw) or (x, y, z, roll, pitch, yaw), in the frame of variable j as predicted. For the convention
+        ``g2o``: in that of the measurement.
     convention : ``log`` (default), ``g2o``, ``graphslam`` or ``gtsam``, see `factors.conventions`.
 
     Raises

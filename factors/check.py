@@ -48,8 +48,8 @@ def check_jacobians(factor: Factor | Graph, values: Gatherer, rtol: float = 1e-6
     Returns
     -------
     float
-        The largest relative disagreement of all factors, beyond the uncertainty of the differences: exactly 0.0 where
-        they agree in every digit a difference has, as analytic Jacobians usually do.
+        The largest relative disagreement of all factors, beyond the uncertainty of the differences. It is exactly 0.0
+        where they agree in every digit a difference has, as analytic Jacobians usually do.
 
     Raises
     ------

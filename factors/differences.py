@@ -14,8 +14,8 @@ rounding is twice that of f, and of x times |D|. delta4 = f(g) + f(-g) - 2 f(0) 
 for a smooth f and h -> 0, and otherwise the noise of f or its curvature. |T| is the truncation that was removed; the
 rest is assumed to be the same part of |T|. |f(t) - P(t)| counts beyond its own rounding.
 
-The first step comes from the size of the variable. Where the error is too large, another step is tried: a smaller one
-where f is not smooth within g or not finite, a larger one where rounding dominates, and one between the two. A
+The first step comes from the size of the variable. Where the error is too large, another step is tried. It is smaller
+where f is not smooth within g or not finite, and larger where rounding dominates. Then one between the two is tried. A
 difference at a larger step is believed only if the one at a smaller step agrees, within the errors of both; else the
 smaller step is right. Most columns take one trial, 5 evaluations; factors of poses take 6.3 on average, of parameters
 of unknown scale about 13, and a noisy or very fine function up to 45.

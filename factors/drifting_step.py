@@ -39,8 +39,8 @@ class DriftingStep(Factor):
 
     Notes
     -----
-    A drift that is shared by the steps of a stretch makes their errors correlated, as those of a current or of a
-    commanded speed are. The uncertainty grows with the way instead of its root. S. Thrun, W. Burgard, D. Fox,
+    A drift that is shared by the steps of a stretch makes their errors correlated. Those of a current or of a commanded
+    speed are such errors. The uncertainty grows with the way instead of its root. S. Thrun, W. Burgard, D. Fox,
     Probabilistic Robotics, 2005, section 5.4 (odometry), with a bias as a state.
 
     Examples

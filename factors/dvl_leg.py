@@ -33,8 +33,9 @@ class DvlLeg(Factor):
     i, j : the poses, SE3.
     z : (n, 3) measured x ahead and y to starboard, m, and yaw, rad, integrated with `at`.
     noise : of x, y (m) and yaw (rad), along the measured axes.
-    ways : (n, 3, 2) p, q and u: x and y, m, of the step by the velocities ahead and to starboard alone, by the same
-        turned by 90 deg to starboard, and by the velocity downwards alone; without what the lever arm of the DVL adds.
+    ways : (n, 3, 2) p, q and u, each x and y of a step, m. p is by the velocities ahead and to starboard alone. q is by
+        the same turned by 90 deg to starboard, u by the velocity downwards alone. All are without the way that the
+        lever arm of the DVL adds.
     scale : the scale error s in R(1), a fraction; None where it is as in `at`.
     yaw : the angle a in R(1), rad; None where it is as in `at`.
     at : s_0 and a_0.

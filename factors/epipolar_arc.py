@@ -77,11 +77,11 @@ class EpipolarArc(Factor):
     second lies on the curve of the first one's arc in its image. Six such determine a pose at best.
 
     Motions in the plane of the sonar fit el and -el equally well. The factor takes the better side, the one below where
-    they are equal: the cost is the same, what it says about heave, roll and pitch is opposite. Yaw fits every elevation
-    equally well, and 0 is taken. There, and where the elevation comes to an end of the aperture, A changes at once; the
-    cost never does, its gradient only at the mirror and at the yaw. A graph with one is solved by Levenberg-Marquardt
-    unless told otherwise. At a residual `check_jacobians` finds the
-    part of the derivative of b that the projection leaves out.
+    they are equal. The cost is the same on both sides. The statements about heave, roll and pitch are opposite. Yaw
+    fits every elevation equally well, and 0 is taken. There, and where the elevation comes to an end of the aperture, A
+    changes at once; the cost never does, its gradient only at the mirror and at the yaw. A graph with one is solved by
+    Levenberg-Marquardt unless told otherwise. At a residual `check_jacobians` finds the part of the derivative of b
+    that the projection leaves out.
 
     Range and azimuth are fitted by Gauss-Newton steps from the first view. At contacts that belong together, and at
     false ones of 100 sigmas after a motion of half a meter, they arrive; where two images do not overlap, a false one
@@ -89,8 +89,9 @@ class EpipolarArc(Factor):
 
     Examples
     --------
-    Five contacts, seen before and after a dive of half a meter. Depth and tilt come from a sensor; how far the vehicle
-    went ahead (0.3 m), to port (0.2 m) and turned (0.1 rad) from the contacts alone, with no landmark in the graph:
+    Five contacts, seen before and after a dive of half a meter. Depth and tilt come from a sensor. The vehicle went
+    ahead by 0.3 m, to port by 0.2 m, and turned by 0.1 rad. These come from the contacts alone, with no landmark in the
+    graph:
 
     >>> from factors import ZPR, Diagonal, EpipolarArc
     >>> from models import SE3, euler

@@ -32,7 +32,7 @@ class Range(Sighting):
 
     Notes
     -----
-    A range from one position leaves the target on a sphere, ranges from positions in one line leave it on a circle (in
+    A range from one position leaves the target on a sphere. Ranges from positions in one line leave it on a circle (in
     the plane: in two places, one on either side). Without an offset the attitude of the pose is not measured at all.
     E. Olson, J. Leonard, S. Teller, "Robust range-only beacon localization", 2006.
 

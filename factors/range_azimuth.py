@@ -61,7 +61,7 @@ class RangeAzimuth(InSpace):
     Notes
     -----
     One view leaves the target on an arc of the aperture. A second one determines it if the sonar rolled or moved along
-    its own z in between; yaw never does, and surge and sway do not where the elevation is 0: see the page on sonar, and
+    its own z in between. Yaw never does. Surge and sway do not where the elevation is 0. See the page on sonar, and
     `sonar_factors` for what to do about it. T. Huang, M. Kaess, "Towards acoustic structure from motion for imaging
     sonar", IROS 2015.
 

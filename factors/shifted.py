@@ -35,15 +35,15 @@ class Shifted(Factor):
     ------
     GraphError
         Rates of another shape; a calibration not in R(k); a factor that is made of a function, is a limit or has
-        eliminated its target: add the shift to the function, or leave the factor as it is.
+        eliminated its target. Of the last three, add the shift to the function, or leave the factor as it is.
 
     Notes
     -----
     A clock: a value that was measured c before the time of its row is :math:`y(t - c) \approx y(t) - \dot y c`. So G is
     *minus* the rate of the measurement by time. This is exact while the rate is constant over the time c. The
-    calibration is determined only where its rates differ from measurement to measurement, or where other measurements
-    say the same without it, such as a `Prior`. J. Kelly, G. Sukhatme, "A general framework for temporal calibration of
-    multiple proprioceptive and exteroceptive sensors", ISER 2010.
+    calibration is determined only where its rates differ from measurement to measurement. Otherwise other measurements
+    must say the same without it, such as a `Prior`. J. Kelly, G. Sukhatme, "A general framework for temporal
+    calibration of multiple proprioceptive and exteroceptive sensors", ISER 2010.
 
     Examples
     --------

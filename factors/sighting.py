@@ -36,8 +36,8 @@ class Sighting(Factor):
 
     .. math:: h(X, l) = g(p), \quad p = (X \circ O)^{-1} l
 
-    A subclass states `measured` and `sense`, and `point` where a single measurement says where the target is, or one of
-    `ranges`, `directions` and `rays` where it says as much.
+    A subclass states `measured` and `sense`. It states `point` where a single measurement says where the target is, or
+    one of `ranges`, `directions` and `rays` where it says as much.
 
     Parameters
     ----------

@@ -43,10 +43,10 @@ def sonar_factors(
     sonar : its aperture, and the noise when none is given.
     offset : pose of the sonar on the vehicle, (7,) or (n, 7), or a variable in SE3; None: no offset.
     elevation : ``free``: nothing is added, and what the motion did not determine is free. ``hinge`` (default): at every
-        contact the target is kept within the aperture. ``prior``: at the first contact of each target (by the number of
-        the pose) its elevation is 0 with the sigma aperture / sqrt(12) of an even spread; biased where targets come
-        into sight at an edge. ``search``: no target in the graph, an `EpipolarArc` from the first contact of each to
-        each of its later ones, of which one alone gives nothing; see the notes.
+        contact the target is kept within the aperture. ``prior``: at the first contact of each target its elevation is
+        0 with the sigma aperture / sqrt(12) of an even spread. First is the lowest number of the pose. Biased where
+        targets come into sight at an edge. ``search``: no target in the graph, but an `EpipolarArc` from the first
+        contact of each to each of its later ones. One later contact alone gives nothing; see the notes.
     softness : of the hinge, rad.
 
     Returns
@@ -66,10 +66,10 @@ def sonar_factors(
     -----
     The pairs of ``search`` share the first contact of their target, and two later contacts are never compared. So the
     information of the first contact is divided among its pairs, which keeps covariances honest and makes chi2 smaller
-    than its degrees of freedom. In `sim.hauv_floor` and `sim.hauv_hull`, means over 30 seeds, the trajectory is 0.049
-    and 0.052 m off, where with landmarks (``free``) it is 0.023 and 0.036 m; the squared error of the last pose under
-    its covariance, 6 expected, is 6.2 and 4.6; chi2 is 0.25 of the degrees of freedom. Take it where landmarks are not
-    wanted as variables.
+    than its degrees of freedom. These are means over 30 seeds of `sim.hauv_floor` and
+    `sim.hauv_hull`. The trajectory is 0.049 and 0.052 m off. With landmarks (``free``) it is 0.023 and 0.036 m off. The
+    squared error of the last pose under its covariance, 6 expected, is 6.2 and 4.6. chi2 is 0.25 of the degrees of
+    freedom. Take it where landmarks are not wanted as variables.
 
     Examples
     --------

@@ -19,8 +19,8 @@ class Traits:
 
     Attributes
     ----------
-    frame : whose axes the components x, y, z and yaw of z are along: ``world`` of one variable, ``first`` of the second
-        variable as seen from the first, ``sensor`` of a target; empty where no other reading of z makes sense.
+    frame : whose axes the components x, y, z and yaw of z are along. ``world`` of one variable, ``first`` of the second
+        variable as seen from the first, ``sensor`` of a target. Empty where no other reading of z makes sense.
     sequential : True when its relative poses are of one stretch of the way, whatever their numbers: no loop closures.
     opaque : True when a function of the user's alone knows its data: it cannot be sliced.
     """

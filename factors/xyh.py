@@ -50,9 +50,9 @@ class XYH(Factor):
     Notes
     -----
     Says nothing of z, pitch and roll, which `ZPR` measures; with that one, x, y and yaw of one pose are the gauge. Hold
-    it by a `Position` and a `Heading`, which are in world axes as these are (x and y of a `Prior` are along the axes of
-    the body). The two forms differ by about sin(tilt) dz + (1 - cos(tilt)) times the step: level steps of 1 m by 4 mm
-    at 5 deg and 60 mm at 20 deg. J. Diebel, "Representing attitude", 2006, for the angles.
+    it by a `Position` and a `Heading`, which are in world axes as these are. x and y of a `Prior` are along the axes of
+    the body. The two forms differ by about sin(tilt) dz + (1 - cos(tilt)) times the step. Level steps of 1 m differ by
+    4 mm at 5 deg and by 60 mm at 20 deg. J. Diebel, "Representing attitude", 2006, for the angles.
 
     Examples
     --------

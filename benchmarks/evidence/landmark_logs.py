@@ -35,6 +35,7 @@ from nls.filters.smoother import Smoother
 from nls.io.logs import read_mrclam, read_victoria_park
 from nls.metrics import TrajectoryError
 from nls.plot.picture import write_picture
+from nls.plot.style import BEFORE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.sonar import contacts
 from sim import LandmarkWorld
 from sim.estimators import batch
@@ -46,7 +47,6 @@ BENCHMARKS = Path(__file__).parents[1]
 KERNEL = Cauchy(2.0)
 WRONG = 0.1  # weight below which a sighting is taken for one of something else: 6 sigma of this kernel
 PARTICLES, LAG, SEEDS = 100, 20, (1, 2, 3)
-ORANGE, BLUE, GREEN, GREY = "#e07a2f", "#0b4f6c", "#3f8f4f", "#909090"
 
 
 @dataclass(frozen=True)
@@ -203,12 +203,12 @@ def robot_picture(world: LandmarkWorld, rows: dict[str, Row], path: Path) -> Non
     for axes, name in zip(panels, chosen, strict=True):
         row, truth = rows[name], world.truth
         X = row.track.values[row.track.x]
-        axes.plot(*truth[x][:, :2].T, color=GREY, linewidth=0.8, label="true track")
-        axes.plot(*X[:, :2].T, color=BLUE if "graph" in name else ORANGE, linewidth=0.8, label="estimate")
+        axes.plot(*truth[x][:, :2].T, color=SIGHT, linewidth=0.8, label="true track")
+        axes.plot(*X[:, :2].T, color=ESTIMATE, linewidth=0.8, label="estimate")
         L, true = row.track.values[row.track.landmarks], truth[row.track.landmarks]
-        axes.plot(*np.stack([L, true]).transpose(2, 0, 1), color=GREEN, linewidth=0.8)
-        axes.plot(*true.T, "k+", markersize=8, label="surveyed landmarks")
-        axes.plot(*L.T, "o", color=GREEN, markersize=5, label="found")
+        axes.plot(*np.stack([L, true]).transpose(2, 0, 1), color=LANDMARK, linewidth=0.8)
+        axes.plot(*true.T, "+", color=TRUE, markersize=8, label="surveyed landmarks")
+        axes.plot(*L.T, "o", color=LANDMARK, markersize=5, label="found")
         axes.set(title=f"{name}: ATE {row.smoothed:.2f} m", xlabel="x [m]", aspect="equal")
     panels[0].set_ylabel("y [m]")
     panels[-1].legend(loc="lower left", fontsize=9)
@@ -318,15 +318,15 @@ def park_picture(park: Park, filtered: Any, values: Values, path: Path) -> None:
         axes.plot(*SE2.act(np.broadcast_to(error.T, (len(X), 3)), X[:, :2]).T, color=color, linewidth=1, label=label)
         return error
 
-    draw(left, park.start[x], GREY, "dead reckoning")
-    error = draw(left, filtered, ORANGE, "EKF")
+    draw(left, park.start[x], BEFORE, "dead reckoning")
+    error = draw(left, filtered, ESTIMATE, "EKF")
     left.set(title=f"EKF: {error.rmse:.1f} m rmse from GPS", xlabel="east [m]", ylabel="north [m]", aspect="equal")
-    error = draw(right, values[x], BLUE, "graph")
+    error = draw(right, values[x], ESTIMATE, "graph")
     trees = values.stack(landmark.name).X
-    right.plot(*SE2.act(np.broadcast_to(error.T, (len(trees), 3)), trees).T, "^", color=GREEN, ms=4, label="trees")
+    right.plot(*SE2.act(np.broadcast_to(error.T, (len(trees), 3)), trees).T, "^", color=LANDMARK, ms=4, label="trees")
     right.set(title=f"graph: {error.rmse:.1f} m rmse from GPS", xlabel="east [m]", aspect="equal")
     for axes in (left, right):
-        axes.plot(*seen.T, "k.", markersize=3, label="GPS")
+        axes.plot(*seen.T, ".", color=TRUE, markersize=3, label="GPS")
         axes.legend(loc="upper left", fontsize=9)
     figure.suptitle("Victoria Park, 26 minutes, 4 km: which tree is which was found on the way")
     write_picture(path, figure)

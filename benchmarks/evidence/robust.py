@@ -36,12 +36,12 @@ from wrong_closures import KINDS, SETS, Array, X
 
 import nls
 from nls.plot.picture import write_picture
+from nls.plot.style import ESTIMATE, HELD, REJECTED, TRUE
 
 BENCHMARKS = Path(__file__).parents[1]
 WORKERS = 2
 DRAWN = Task("kinds", "manhattan", "alias in groups", 0.5, 0)
-ORANGE, BLUE, GREY = "#e07a2f", "#0b4f6c", "#b0b0b0"
-OUTCOMES = {"solved": BLUE, "doubtful": GREY, "silent": ORANGE}
+OUTCOMES = {"solved": ESTIMATE, "doubtful": HELD, "silent": REJECTED}
 SPACE = ("sphere2500", "parking-garage")
 
 
@@ -135,7 +135,7 @@ def draw(tracks: dict[str, tuple[Array, float]], trials: list[Trial], path: Path
 
     figure = Figure(figsize=(12, 7.6), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.15, 1))
-    panels = zip(upper.subplots(1, len(tracks)), tracks.items(), (ORANGE, BLUE, "k"), strict=True)
+    panels = zip(upper.subplots(1, len(tracks)), tracks.items(), (REJECTED, ESTIMATE, TRUE), strict=True)
     for axes, (name, (track, off)), color in panels:
         axes.plot(*track.T, color=color, linewidth=0.5)
         error = f": {100 * off:.2g} % off" if off > 0 and name != "without wrong closures" else ""

@@ -1,8 +1,8 @@
 r"""Drop-outs: what counts as one, how it is bridged, and what is not known there.
 
-**Velocity.** Between the valid velocities at t_a and t_b around a drop-out of length T the velocity is taken to follow
-the straight line between them, in the axes of the DVL. The true one wanders about that line as a random walk tied down
-at both ends (a Brownian bridge) of density sigma_bridge, m/s/sqrt(s):
+**Velocity.** A drop-out of length T has valid velocities at t_a before and t_b after it. In between, the velocity is
+taken to follow the straight line between the two, in the axes of the DVL. The true one wanders about that line as a
+random walk tied down at both ends (a Brownian bridge) of density sigma_bridge, m/s/sqrt(s):
 
     cov(n(s), n(t)) = sigma_bridge^2 (s - t_a) (t_b - t) / T,    s <= t
 
@@ -14,14 +14,14 @@ therefore counts with its covariance with the whole of the drop-out, which has a
 
     Sigma_i = sum_j C_ij = sigma_bridge^2 (F(end) - F(begin)),    F(t) = T t^2 / 4 - t^3 / 6,    t from t_a on
 
-Their sum is the variance T^3 / 12 over the whole, however many legs there are, and diag(Sigma_i) - C is positive
-semi-definite (its rows add up to 0, and nothing off its diagonal is above 0): no combination of legs is better known
+Their sum is the variance T^3 / 12 over the whole, however many legs there are. The matrix diag(Sigma_i) - C is positive
+semi-definite: its rows add up to 0, and nothing off its diagonal is above 0. So no combination of legs is better known
 than the bridge allows. Where the vehicle turns meanwhile, which makes the distances less alike, that is on the safe
 side. Source: I. Karatzas, S. Shreve, Brownian Motion and Stochastic Calculus, 1991, 5.6.B.
 
-**Attitude.** Between two attitudes (or rates) that far apart the vehicle is taken to turn evenly, and its attitude to
-wander from that as a random walk of density sigma_turn, rad/sqrt(s), which every step adds to. It is not tied down at
-the far end: who measures the attitude there, as `Heading` does, ties it.
+**Attitude.** Between two attitudes (or rates) that far apart the vehicle is taken to turn evenly. Its attitude wanders
+from that as a random walk of density sigma_turn, rad/sqrt(s). Every step adds to the walk. It is not tied down at the
+far end: who measures the attitude there, as `Heading` does, ties it.
 """
 
 from __future__ import annotations

@@ -122,12 +122,12 @@ def integrate(
     sigma_bridge : how far the true velocity wanders from the straight line between the velocities before and after a
         drop-out, m/s/sqrt(s); needed where there is a drop-out.
     sigma_turn : how far the true attitude wanders from an even turn where attitudes or rates are further apart than
-        longest, rad/sqrt(s), a number, (3,) about the axes of the body, or (m, 3) after each sample; needed there.
+        longest, rad/sqrt(s). A number, (3,) about the axes of the body, or (m, 3) after each sample; needed there.
     longest : valid velocities, attitudes or rates further apart than this are a drop-out too, s; twice the median step
         of their times when omitted.
     scale : standard deviation of the scale factor of the velocity, a fraction: one error for the whole of a leg.
-    sigma_bias : that of an error which stays the same over a leg, a number or (3,) along the axes of the body: of the
-        rates, rad/s, or of the attitudes, rad, such as the alignment of the attitude sensor and the DVL.
+    sigma_bias : that of an error which stays the same over a leg, a number or (3,) along the axes of the body. Of the
+        rates, rad/s, or of the attitudes, rad: such as the alignment of the attitude sensor and the DVL.
     mount : (7,) pose of the DVL on the vehicle, SE3.
 
     Returns
@@ -143,8 +143,8 @@ def integrate(
 
     Notes
     -----
-    Sample errors are independent of each other. What legs share, the bridge of a drop-out and the samples at its ends
-    or at a boundary, counts in each so that their sum is right (exact in a straight line, on the safe side else); a leg
+    Sample errors are independent of each other. Legs share the bridge of a drop-out, and the samples at its ends or at
+    a boundary. These count in each leg so that the sum is right: exact in a straight line, on the safe side else. A leg
     alone is known better than its covariance says. Errors that last count once a leg. Scale and bias go on from leg to
     leg, but each `Between` of a graph takes them for its own. So the covariance of a long track comes out too small. A
     heading that is wrong by the same angle throughout turns all legs in the world and shows in none: measure it by

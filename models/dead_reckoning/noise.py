@@ -9,7 +9,7 @@ and steps depend on the values at the nodes of the time grid on either side of t
 
     dxi_k = A_k n_k + B_k n_k+1,    n = (1 - s) e_a + s e_b
 
-So delta is a sum over independent sample errors e, each with a 6 x 3 coefficient G, and its covariance the sum of
+So delta is a sum over independent sample errors e, each with a 6 x 3 coefficient G. Its covariance is the sum of
 G sigma^2 G'. A velocity or rate may be part of two legs (between them, or of all legs in the drop-out it bounds), with
 the time weights w_i. Factors cannot say so, and e counts in leg i with 1/p_i of its variance, p_i = w_i / sum_j w_j:
 

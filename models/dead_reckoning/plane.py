@@ -8,8 +8,8 @@ Each sample holds until the next. Over the time dt of one step the vehicle turns
 
 The error of the twist is white noise S e, and every column of S is a source of unit density. Twice as many steps have
 twice the variance of the twist. Cutting a leg in two where a step begins changes nothing. Within a step its error is
-held. The variance across that comes from the turn is smaller by 1 / (4 K^2) of it in a leg of K equal steps, 25 % of
-one, 0.25 % of ten. Errors that last, such as a wheel of another diameter, are no white noise.
+held. The turn adds to the variance across. In a leg of K equal steps this part is smaller by 1 / (4 K^2) of itself:
+25 % with one step, 0.25 % with ten. Errors that last, such as a wheel of another diameter, are no white noise.
 
 Source: T. Barfoot, State Estimation for Robotics, 2017, section 7.3.3.
 """

@@ -1,7 +1,7 @@
 r"""A car: rear wheels that roll, front wheels that steer by the angle alpha, and a point on it whose motion is wanted.
 
-An encoder sits on a wheel of the rear axle, a distance H to the left of its middle; v_e is the speed of that wheel, L
-the distance of the axles, (a, b) where the point is, ahead of the middle of the rear axle and to the left of it:
+An encoder sits on a wheel of the rear axle, a distance H to the left of its middle. v_e is the speed of that wheel, and
+L the distance of the axles. The point is at (a, b), ahead of the middle of the rear axle and to the left of it:
 
     v = v_e / (1 - H tan(alpha) / L),   w = v tan(alpha) / L         of the middle of the rear axle
     twist = (v - b w, a w, w)                                        of the point, along the axes of the vehicle

@@ -17,9 +17,9 @@ and the other way, from two poses to the travel of the wheels and the slip acros
 Axes: x ahead, y to the *left*, so that a faster right wheel turns the vehicle by a positive angle. Where y points to
 the right (z down), exchange right and left.
 
-ds is an arc and E takes it for the chord. The chord is ds sin(h) / h, shorter by dth^2 / 24 of it: 0.03 % in a step
-that turns by 5 deg, 1.1 % at 30 deg, 10 % at 90 deg. Keep the turns of a step small. Two poses do not say how often
-the vehicle went round between them: a step turns by less than 180 deg.
+ds is an arc and E takes it for the chord. The chord is ds sin(h) / h, shorter by dth^2 / 24 of it. That is 0.03 % in a
+step that turns by 5 deg, 1.1 % at 30 deg, 10 % at 90 deg. Keep the turns of a step small. Two poses do not say how
+often the vehicle went round between them: a step turns by less than 180 deg.
 
 Source: R. Siegwart, I. Nourbakhsh, D. Scaramuzza, Introduction to Autonomous Mobile Robots, 2011, section 5.2.4, for
 the motion; the derivatives are for increments X Exp(delta), and the slip is added here.

@@ -12,14 +12,14 @@ D^2 is the diagonal of A'A, each entry the largest met so far. So the damping do
 that loses its influence is held. A refused step bounds the next one by the size |D x| of the estimate. Where a factor
 has kinks (`Factor.damped`) the radius follows success alone.
 
-The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line: mostly by one or two
-factorizations. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals. Sources:
-D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", 1963; J. More, "The
+The radius is met within `BAND`, by the secant of 1 / |D dx| over lambda, which is nearly a line. This takes one or two
+factorizations, mostly. A fixed factor on lambda in place of it costs three times as many evaluations of the residuals.
+Sources: D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", 1963; J. More, "The
 Levenberg-Marquardt algorithm: implementation and theory", 1978.
 
 A small damped step proves nothing: damping makes every step small. Before the method says converged the undamped step
-must agree that chi2 cannot fall, and chi2 must not curve downward along that step, as at a saddle. Where that system is
-singular, something is free: the result then says so in `Result.underconstrained`.
+must agree that chi2 cannot fall. Also chi2 must not curve downward along that step, as at a saddle. Where that system
+is singular, something is free: the result then says so in `Result.underconstrained`.
 """
 
 from __future__ import annotations

@@ -45,9 +45,9 @@ class Stop:
     Parameters
     ----------
     update_tol : converged when max |dx| < update_tol (meters, radians); 1e-6.
-    chi2_rtol : converged when a step lowers chi2 by no more than chi2_rtol * chi2, the promised decrease was at most
-        ten times that, and the step was shorter than the one before; and when the falls, continued as the geometric
-        series of the last two, add up to no more than chi2_rtol * chi2 either; 1e-6.
+    chi2_rtol : converged when four things hold. A step lowers chi2 by no more than chi2_rtol * chi2. The promised
+        decrease was at most ten times that. The step was shorter than the one before. The falls, continued as the
+        geometric series of the last two, add up to no more than chi2_rtol * chi2 either. 1e-6.
     gradient_tol : converged when the largest cosine between b and a column of A is not above it; 1e-10.
     max_iterations : at most so many steps.
     max_seconds : no further step after so many seconds.
