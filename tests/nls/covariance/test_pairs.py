@@ -14,7 +14,9 @@ def test_a_pair_of_two_kinds_has_a_covariance_and_changes_none() -> None:
     sample = mixed(0)
     joint = Marginals(sample.graph, sample.values).joint([x[40], l[-1]], frame="body")
     marginals = Marginals(sample.graph, sample.values, pairs=[(x[[40]], l[[-1]])])
-    np.testing.assert_allclose(marginals.cross(x[[40]], l[[-1]], frame="body")[0], joint.block(x[40], l[-1]), atol=1e-12)
+    np.testing.assert_allclose(
+        marginals.cross(x[[40]], l[[-1]], frame="body")[0], joint.block(x[40], l[-1]), atol=1e-12
+    )
     every = Marginals(sample.graph, sample.values).all(x, frame="body")
     np.testing.assert_allclose(marginals.all(x, frame="body"), every, rtol=1e-9)
 
