@@ -4,6 +4,8 @@ DEMO = .venv/bin/python -m sim sphere --out demo && \
        .venv/bin/nls solve demo --plot demo/solved.png -o demo/solved.g2o
 BENCHMARK = for script in pinv marginals schur scaling bundle; do .venv/bin/python benchmarks/$$script.py --quick --out build/benchmarks; done
 EVIDENCE = $(sort $(wildcard benchmarks/evidence/*.py))
+# Containers often set it; then each process of a test or a notebook compiles the library again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test lint docs benchmark evidence
 

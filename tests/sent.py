@@ -21,6 +21,7 @@ from nls.covariance import Marginals
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.metrics import ate
 from nls.robust import kernels
+from tests.sim.scenes import thinned
 
 
 def contents(thing: Any, met: dict[int, tuple[int, Any]] | None = None) -> Any:
@@ -62,6 +63,7 @@ def things(folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng(1)
     ring = sim.ring(np.random.default_rng(0), laps=2, per_lap=20)
     sea = sim.subsea(rng, laps=1, known_start=True)
+    short = thinned(sea)
     lines, rig = sim.lines(rng), sim.rig(rng, poses=4, points=20)
     mission = sim.hauv_floor(rng, legs=2, per_leg=6)
     result = ring.graph.optimize(ring.start)
@@ -137,7 +139,7 @@ def things(folder: Path) -> dict[str, Any]:
         filters.Smoother(),
         filters.FastSLAM(20, rng=np.random.default_rng(2)),
     ):
-        made[f"track {len(made)}"] = filter.run(sea.graph, sea.start)
+        made[f"track {len(made)}"] = filter.run(short.graph, short.start)
         made[f"filter {len(made)}"] = filter
     return made
 

@@ -7,6 +7,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -55,7 +56,12 @@ SPACES = {"SE2", "SE3", "SO2", "SO3", "PosesOfThePlane", "PosesOfSpace", "rotati
 SENSORS = {"Between", "Range", "Bearing", "BearingRange", "Sonar", "Camera", "Depth", "DVL", "USBL", "Projection"}
 
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Syntax tree of a file, read when a test wants it: a process that runs other tests needs none."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def name_of(path: Path) -> str:
@@ -72,7 +78,10 @@ def imported(node: ast.AST) -> set[str]:
     return set()
 
 
-IMPORTS = {path: set().union(*map(imported, ast.walk(tree))) for path, tree in TREES.items()}  # late ones, too
+@cache
+def imports_of(path: Path) -> set[str]:
+    """Dotted names that a file imports, late ones, too."""
+    return set().union(*map(imported, ast.walk(tree_of(path))))
 
 
 def top(names: set[str]) -> set[str]:
@@ -91,13 +100,13 @@ def engine_files() -> list[Path]:
 
 def upward() -> Iterator[str]:
     """Imports that the packages, the engine and the rooms of its floor do not allow."""
-    for path, names in IMPORTS.items():
+    for path in FILES:
         package = name_of(path).split("/")[0]
-        names = {name for name in names if (name_of(path), name) != SHADOWS}
+        names = {name for name in imports_of(path) if (name_of(path), name) != SHADOWS}
         if others := (top(names) & {*PACKAGES, "tests", "benchmarks", "docs"}) - {package, *ALLOWED[package]}:
             yield f"{name_of(path)} imports {others}"
     for path in engine_files():
-        for name in IMPORTS[path]:
+        for name in imports_of(path):
             package, _, rest = name.partition(".")
             module = rest.split(".")[0]
             if (package == "nls" and module in RIM) or (
@@ -107,11 +116,11 @@ def upward() -> Iterator[str]:
     rooms = list(ROOMS)
     for room, below in ROOMS.items():
         files = [path for path in FILES if name_of(path).startswith("nls/") and room_of(path) == room]
-        used = {name.split(".")[1] for path in files for name in IMPORTS[path] if name.startswith("nls.")} - {room}
+        used = {name.split(".")[1] for path in files for name in imports_of(path) if name.startswith("nls.")} - {room}
         if used != below or any(rooms.index(other) > rooms.index(room) for other in below):
             yield f"nls.{room} imports {used}, not {below}"
         for path in files:
-            functions = [node for node in ast.walk(TREES[path]) if isinstance(node, ast.FunctionDef)]
+            functions = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.FunctionDef)]
             late = set().union(*(imported(node) for function in functions for node in ast.walk(function)))
             if hidden := top(late) & set(PACKAGES):
                 yield f"{name_of(path)} imports {hidden} inside a function"
@@ -132,7 +141,7 @@ def test_no_further_files_import_each_other() -> None:
     modules_of = {name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", "."): path for path in FILES}
     below: dict[str, set[str]] = {}
     for module, path in modules_of.items():
-        named = {next((n for n in (name, name.rpartition(".")[0]) if n in modules_of), "") for name in IMPORTS[path]}
+        named = {next((n for n in (name, name.rpartition(".")[0]) if n in modules_of), "") for name in imports_of(path)}
         packages = {name for name in named if any(other.startswith(name + ".") for other in named)}  # of these
         below[module] = named - {module, ""} - packages
 
@@ -156,14 +165,14 @@ def test_the_engine_names_no_space_and_no_sensor() -> None:
             return {alias.name for alias in node.names}
         return {getattr(node, "id", ""), getattr(node, "attr", "")}
 
-    named = {path: set().union(*map(names, ast.walk(TREES[path]))) & (SPACES | SENSORS) for path in engine_files()}
+    named = {path: set().union(*map(names, ast.walk(tree_of(path)))) & (SPACES | SENSORS) for path in engine_files()}
     assert {name_of(path): words for path, words in named.items() if words} == {}
 
 
 def test_optional_and_slow_packages_have_one_door() -> None:
     def strays(path: Path) -> set[str]:
-        at_start = set().union(*map(imported, TREES[path].body))
-        used = top(IMPORTS[path])
+        at_start = set().union(*map(imported, tree_of(path).body))
+        used = top(imports_of(path))
         out = {package for package, files in ONLY_IN.items() if package in used and name_of(path) not in files}
         out |= used & {"matplotlib", "mpl_toolkits"} if "plot" not in (*path.parent.parts, path.stem) else set()
         scipy = {name for name in at_start if name.startswith("scipy") and name != "scipy.sparse"}
@@ -177,7 +186,7 @@ def test_files_are_short_and_say_what_they_are() -> None:
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in files}
     assert len(FILES) > 200
     assert {name_of(path): n for path, n in lines.items() if n > 400} == {}
-    assert [name_of(path) for path in FILES if not ast.get_docstring(TREES[path])] == []
+    assert [name_of(path) for path in FILES if not ast.get_docstring(tree_of(path))] == []
 
 
 def given_names(tree: ast.Module) -> Iterator[str]:
@@ -195,7 +204,7 @@ def given_names(tree: ast.Module) -> Iterator[str]:
 
 def test_names_are_nouns_and_verbs() -> None:
     pronouns = {
-        name_of(path): NO_NAMES & {name.strip("_").lower() for name in given_names(TREES[path])} for path in FILES
+        name_of(path): NO_NAMES & {name.strip("_").lower() for name in given_names(tree_of(path))} for path in FILES
     }
     assert {name: names for name, names in pronouns.items() if names} == {}
 

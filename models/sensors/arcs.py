@@ -24,7 +24,7 @@ import numpy.typing as npt
 from models.algebra import Array, Index, apply, dot, product, wrap
 from models.manifolds.se3 import SE3
 from models.sensors.frame import point_in_frame
-from models.sensors.singular import refuse
+from models.sensors.singular import SingularAt, refuse
 from models.sensors.spherical import cartesian, range_azimuth
 
 __all__ = ["Contacts", "least_information", "second_view"]
@@ -148,9 +148,16 @@ class Contacts:
         for el in grid:
             near, chi2, _ = self.fit(G, at(el, near))
             fits.append((near, chi2))
-        h, chi2 = np.stack([h for h, _ in fits]), np.stack([chi2 for _, chi2 in fits])
-        bottoms = [self._bottom(G, h[side], chi2[side]) for side in (slice(NODES + 1), slice(NODES, None))]
-        return np.stack([h for h, _ in bottoms]), np.stack([chi2 for _, chi2 in bottoms])
+        h, chi2 = (
+            np.concatenate([nodes[: NODES + 1], nodes[NODES:]], axis=1)  # (nodes, 2 m), one side after the other
+            for nodes in (np.stack([h for h, _ in fits]), np.stack([chi2 for _, chi2 in fits]))
+        )
+        twice, m = np.tile(np.arange(len(self)), 2), len(self)
+        try:
+            best, lowest = self.rows(twice)._bottom(G if len(G) == 1 else G[twice], h, chi2)
+        except SingularAt as error:
+            raise SingularAt(str(error), error.index % m) from None
+        return best.reshape(2, m, 3), lowest.reshape(2, m)
 
     def best(self, G: Array) -> Array:
         """The points (m, 3) of lowest chi2; of those that fit alike the one on the plane el = 0, then that below it.

@@ -26,7 +26,7 @@ import nls, sim
 from models import SE2, SE3
 from nls.linear import SOLVERS
 from tests.nls.graphs import mixed, pose_graph, x
-world = sim.grid3d(np.random.default_rng(1), n_poses=300)
+world = sim.grid3d(np.random.default_rng(1), n_poses=150)
 problems = [(s.graph, s.values) for s in (pose_graph(SE2, n=40), pose_graph(SE3, n=40), mixed(0))]
 problems += [(world.graph, world.start)]
 

@@ -16,7 +16,7 @@ from nls.analysis.residual_groups import residual_groups
 from nls.sparse.pattern import Pattern
 
 x, l = nls.kinds("x", "l")
-POSES, LANDMARKS, SEEDS = 20, 5, 50
+POSES, LANDMARKS, SEEDS = 20, 5, 32
 STATED = {"x": 0.1, "y": 0.1, "yaw": 0.02}
 
 
@@ -68,8 +68,8 @@ def test_scales_are_within_their_uncertainty(components: bool) -> None:
         assert redundancy == pytest.approx(estimate.result.dof)
         assert estimate.result.chi2_final == pytest.approx(estimate.result.dof, rel=5e-3)
     mean, std = np.mean(scores, axis=0), np.std(scores, axis=0, ddof=1)
-    assert (np.abs(mean) < 3 / np.sqrt(SEEDS) + 0.15).all(), mean  # a scale is biased by a part of its sigma
-    assert (np.abs(std - 1) < 3 / np.sqrt(2 * SEEDS)).all(), std
+    assert (np.abs(mean) < 0.57).all(), mean  # a scale is biased by a part of its sigma
+    assert (np.abs(std - 1) < 0.3).all(), std
 
 
 def test_a_kernel_finds_the_scale_of_the_inliers() -> None:
@@ -80,7 +80,8 @@ def test_a_kernel_finds_the_scale_of_the_inliers() -> None:
         clean.append(z_scores(variance_components(graph.robust(Cauchy(2.385)), values), [3.0, 0.5, 1.0]))
         graph, values = survey(seed, np.full(3, 3.0), np.full(2, 0.5), outliers=4)
         spoiled.append(variance_components(graph.robust(Cauchy(2.385)), values).components[1].scale)
-        plain.append(variance_components(graph, values).components[1].scale)
+        if seed < 5:
+            plain.append(variance_components(graph, values).components[1].scale)
     assert (np.abs(np.mean(clean, axis=0)) < 3 / np.sqrt(15) + 0.15).all(), np.mean(clean, axis=0)
     assert (np.std(clean, axis=0, ddof=1) < 1.6).all(), np.std(clean, axis=0, ddof=1)
     assert 0.5 < np.mean(spoiled) < 0.65
