@@ -61,9 +61,9 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
 
     debug = False
     try:
-        words = sys.argv[1:] if argv is None else list(argv)
-        options = parser(words).parse_args(words)
-        options.began, options.startup, options.phase, options.argv = began, startup, phase, words
+        options = parser().parse_args(argv)
+        options.began, options.startup, options.phase = began, startup, phase
+        options.argv = sys.argv[1:] if argv is None else list(argv)
         debug = getattr(options, "debug", False)
         if options.command is None and not options.version:
             parser().print_help()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
-from importlib import import_module
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from nls.cli.choices import (
@@ -124,25 +122,171 @@ class Once(argparse.Action):
         setattr(namespace, self.dest, value)
 
 
-def parser(words: Sequence[str] | None = None) -> Parser:
-    """All commands; the options of those that are among the words of a command line, of all when omitted."""
+def parser() -> Parser:
+    """All commands and options."""
     top = Parser("nls", description="Least squares on factor graphs: solve, explain, convert, draw.", epilog=EXAMPLES)
     top.formatter_class = argparse.RawDescriptionHelpFormatter
     top.add_argument("--version", action="store_true", help="print version and linear solvers, and stop")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
-    for name, (summary, options, module, function) in COMMANDS.items():
+
+    def command(
+        name: str, summary: str, run: Callable[[argparse.Namespace], int], reads_graph: bool = True
+    ) -> argparse.ArgumentParser:
         own = [line for line in EXAMPLES.splitlines() if not line.startswith("  nls ") or f"nls {name} " in line]
         about = f"{summary[0].upper()}{summary[1:]}."
         form, epilog = top.formatter_class, "\n".join(own)
-        command = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
-        command.set_defaults(run=partial(_run, module, function))
-        if words is None or name in words:
-            options(command)
+        added = commands.add_parser(name, help=summary, description=about, epilog=epilog, formatter_class=form)
+        added.set_defaults(run=run)
+        if reads_graph:
+            _input(added)
+        else:
+            added.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        return added
+
+    solve = command("solve", "find the optimum", _solve)
+    _dives(solve)
+    solve.add_argument(
+        "-o",
+        "--output",
+        metavar="OUT.g2o",
+        help="write the optimum: a file whose suffix says the format, or the folder of a solved mission",
+    )
+    solve.add_argument("--overwrite", action="store_true", help=OVERWRITE)
+    solve.add_argument("--renumber", action="store_true", help=RENUMBER)
+    solve.add_argument(
+        "--elevation",
+        choices=TREATMENTS,
+        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
+    )
+    solve.add_argument(
+        "--crs",
+        metavar="CRS",
+        help="coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
+        "origin.csv and pyproj, and add columns to the tables",
+    )
+    solve.add_argument("--to", choices=FORMATS, help="format of OUT.g2o (default: by its suffix)")
+    solve.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
+    solve.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
+    solve.add_argument(
+        "--linear-solver",
+        default="auto",
+        choices=["auto", *SOLVERS],
+        help="linear solver (default: the best one installed)",
+    )
+    _problem(
+        solve,
+        "; gnc-tls or gnc-gm: find wrong loop closures and, in a mission, wrong contacts, solve without them, list "
+        "them; of a mission none: believe all contacts (default: without wrong ones where chi2 and residuals say that "
+        "there are some); of a scan mission gnc (default), cauchy or none: how matches are selected",
+    )
+    solve.add_argument(
+        "--sigmas",
+        default="stated",
+        choices=SIGMAS,
+        help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
+        ":units: one for lengths and one for angles of a kind; :components: one for every component",
+    )
+    solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
+    solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
+    solve.add_argument(
+        "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
+    )
+    solve.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
+    solve.add_argument("--allow-unconverged", action="store_true", help="exit with 0 at an iteration limit, too")
+    solve.add_argument(
+        "--allow-doubtful", action="store_true", help="exit with 0 for a doubtful choice of --robust gnc-tls, too"
+    )
+    solve.add_argument(
+        "--certify",
+        action="store_true",
+        help="prove that a pose graph is at its global optimum; exit with 1 if a better one is found",
+    )
+    _json(solve)
+    solve.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
+    solve.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
+    solve.add_argument("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
+    how = solve.add_mutually_exclusive_group()
+    how.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
+
+    explain = command("explain", "say in plain words what is free, what does not fit, and what helps", _explain)
+    _dives(explain)
+    explain.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
+    explain.add_argument(
+        "--elevation",
+        choices=TREATMENTS,
+        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
+    )
+    _problem(explain)
+    _json(explain)
+
+    _json(command("info", "what is in a file", _info))
+
+    convert = command("convert", "write a graph in another format", _convert)
+    convert.add_argument("output", metavar="OUT", help="the file to write")
+    convert.add_argument("--to", choices=FORMATS, help="format of OUT (default: by its suffix)")
+    convert.add_argument("--overwrite", action="store_true", help=OVERWRITE)
+    convert.add_argument("--renumber", action="store_true", help=RENUMBER)
+
+    stream = command("stream", "the optimum at every step, while lines arrive", _stream)
+    stream.add_argument(
+        "--tol",
+        type=float,
+        default=1e-3,
+        metavar="X",
+        help="accepted relative distance of chi2 from its minimum (default 1e-3)",
+    )
+    stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
+    stream.add_argument(
+        "--landmarks",
+        choices=("leave", "stay"),
+        default="leave",
+        help="with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)",
+    )
+    stream.add_argument("--robust", action=Once, metavar="KERNEL:SIGMAS", help="robust kernel on every factor")
+    stream.add_argument(
+        "--checkpoint",
+        metavar="STATE",
+        help="file of the state, written every 100 steps; the next run goes on from it (a pickle: load only your own)",
+    )
+
+    evaluate = command("evaluate", "how far a trajectory is from the true one", _evaluate, reads_graph=False)
+    evaluate.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
+    evaluate.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
+    evaluate.add_argument(
+        "--align",
+        default="none",
+        choices=ALIGNMENTS,
+        help="move the estimate onto the truth first (default: none); similarity also scales",
+    )
+    evaluate.add_argument(
+        "--distances",
+        default="10,50,100",
+        metavar="M,M,...",
+        help="distances of the relative errors, m (default: 10,50,100)",
+    )
+    evaluate.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="S",
+        help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
+    )
+    _json(evaluate)
+
+    plot = command("plot", "draw the graph as it was read", _plot)
+    plot.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+
+    imports = command("import", "make a mission folder of logs", _import, reads_graph=False)
+    imports.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
+    imports.add_argument(
+        "--map", action=Once, metavar="MAPPING.toml", help="meaning of the columns; without it a draft is printed"
+    )
+    imports.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
+
+    new = command("new", "write templates of a mission", _new, reads_graph=False)
+    new.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
+    new.add_argument("--map", action="store_true", help="write mapping.toml alone")
     return top
-
-
-def _run(module: str, function: str, options: argparse.Namespace) -> int:
-    return int(getattr(import_module(f"nls.cli.{module}"), function)(options))
 
 
 def _input(command: argparse.ArgumentParser) -> None:
@@ -155,10 +299,6 @@ def _input(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--convention", default="g2o", choices=CONVENTIONS, help="residual of pose measurements (default: g2o)"
     )
-    _debug(command)
-
-
-def _debug(command: argparse.ArgumentParser) -> None:
     command.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
@@ -183,178 +323,58 @@ def _json(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="REPORT.json", help="write the report for programs ('-': standard output)")
 
 
-def _solve(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    _dives(command)
-    command.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT.g2o",
-        help="write the optimum: a file whose suffix says the format, or the folder of a solved mission",
-    )
-    command.add_argument("--overwrite", action="store_true", help=OVERWRITE)
-    command.add_argument("--renumber", action="store_true", help=RENUMBER)
-    command.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
-    command.add_argument(
-        "--crs",
-        metavar="CRS",
-        help="coordinates of points and grid of a solved mission: local (default), utm or EPSG:n; utm and EPSG:n need "
-        "origin.csv and pyproj, and add columns to the tables",
-    )
-    command.add_argument("--to", choices=FORMATS, help="format of OUT.g2o (default: by its suffix)")
-    command.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    command.add_argument("--method", default="auto", choices=["auto", *OPTIMIZERS], help="optimizer (default: auto)")
-    command.add_argument(
-        "--linear-solver",
-        default="auto",
-        choices=["auto", *SOLVERS],
-        help="linear solver (default: the best one installed)",
-    )
-    _problem(
-        command,
-        "; gnc-tls or gnc-gm: find wrong loop closures and, in a mission, wrong contacts, solve without them, list "
-        "them; of a mission none: believe all contacts (default: without wrong ones where chi2 and residuals say that "
-        "there are some); of a scan mission gnc (default), cauchy or none: how matches are selected",
-    )
-    command.add_argument(
-        "--sigmas",
-        default="stated",
-        choices=SIGMAS,
-        help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
-        ":units: one for lengths and one for angles of a kind; :components: one for every component",
-    )
-    command.add_argument("--max-iterations", type=int, default=100, metavar="N")
-    command.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
-    command.add_argument(
-        "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"
-    )
-    command.add_argument("--gauge", default="first", choices=GAUGES, help="how the free directions are held")
-    command.add_argument("--allow-unconverged", action="store_true", help="exit with 0 at an iteration limit, too")
-    command.add_argument(
-        "--allow-doubtful", action="store_true", help="exit with 0 for a doubtful choice of --robust gnc-tls, too"
-    )
-    command.add_argument(
-        "--certify",
-        action="store_true",
-        help="prove that a pose graph is at its global optimum; exit with 1 if a better one is found",
-    )
-    _json(command)
-    command.add_argument("--covariance", metavar="OUT.csv", help="write the covariance of every variable")
-    command.add_argument("--plot", metavar="OUT.png", help="draw before and after (png, pdf, svg)")
-    command.add_argument("--report", metavar="OUT.html", help="write one HTML page: pictures, findings, covariances")
-    how = command.add_mutually_exclusive_group()
-    how.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    how.add_argument("--verbose", action="store_true", help="print every iteration and where the time went")
+# Each command is imported when it runs, so that none pays for the others at start-up.
 
 
-def _explain(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    _dives(command)
-    command.add_argument("--init", default="auto", choices=["auto", *STARTS], help="start values (default: auto)")
-    command.add_argument(
-        "--elevation",
-        choices=TREATMENTS,
-        help="treatment of the unmeasured elevation of sonar contacts (default: hinge)",
-    )
-    _problem(command)
-    _json(command)
+def _solve(options: argparse.Namespace) -> int:
+    from nls.cli.solve import solve
+
+    return solve(options)
 
 
-def _info(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    _json(command)
+def _explain(options: argparse.Namespace) -> int:
+    from nls.cli.explain import explain
+
+    return explain(options)
 
 
-def _convert(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    command.add_argument("output", metavar="OUT", help="the file to write")
-    command.add_argument("--to", choices=FORMATS, help="format of OUT (default: by its suffix)")
-    command.add_argument("--overwrite", action="store_true", help=OVERWRITE)
-    command.add_argument("--renumber", action="store_true", help=RENUMBER)
+def _info(options: argparse.Namespace) -> int:
+    from nls.cli.info import info
+
+    return info(options)
 
 
-def _stream(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    command.add_argument(
-        "--tol",
-        type=float,
-        default=1e-3,
-        metavar="X",
-        help="accepted relative distance of chi2 from its minimum (default 1e-3)",
-    )
-    command.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
-    command.add_argument(
-        "--landmarks",
-        choices=("leave", "stay"),
-        default="leave",
-        help="with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)",
-    )
-    command.add_argument("--robust", action=Once, metavar="KERNEL:SIGMAS", help="robust kernel on every factor")
-    command.add_argument(
-        "--checkpoint",
-        metavar="STATE",
-        help="file of the state, written every 100 steps; the next run goes on from it (a pickle: load only your own)",
-    )
+def _convert(options: argparse.Namespace) -> int:
+    from nls.cli.convert import convert
+
+    return convert(options)
 
 
-def _evaluate(command: argparse.ArgumentParser) -> None:
-    _debug(command)
-    command.add_argument("file", metavar="ESTIMATE", help="a trajectory: tum, kitti, or csv as trajectory.csv")
-    command.add_argument("truth", metavar="TRUTH", help="the true trajectory: tum, kitti, or csv as truth.csv")
-    command.add_argument(
-        "--align",
-        default="none",
-        choices=ALIGNMENTS,
-        help="move the estimate onto the truth first (default: none); similarity also scales",
-    )
-    command.add_argument(
-        "--distances",
-        default="10,50,100",
-        metavar="M,M,...",
-        help="distances of the relative errors, m (default: 10,50,100)",
-    )
-    command.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="S",
-        help="longest gap of the truth to interpolate over, s (default: twice the median time between its rows)",
-    )
-    _json(command)
+def _stream(options: argparse.Namespace) -> int:
+    from nls.cli.stream import stream
+
+    return stream(options)
 
 
-def _plot(command: argparse.ArgumentParser) -> None:
-    _input(command)
-    command.add_argument("output", metavar="OUT.png", help="the picture to write (png, pdf, svg)")
+def _evaluate(options: argparse.Namespace) -> int:
+    from nls.cli.evaluate import evaluate
+
+    return evaluate(options)
 
 
-def _import(command: argparse.ArgumentParser) -> None:
-    _debug(command)
-    command.add_argument("logs", metavar="LOG", nargs="+", help="text files with columns (also gzipped), bags of ROS")
-    command.add_argument(
-        "--map", action=Once, metavar="MAPPING.toml", help="meaning of the columns; without it a draft is printed"
-    )
-    command.add_argument("-o", "--output", action=Once, metavar="MISSION", help="the folder to write")
+def _plot(options: argparse.Namespace) -> int:
+    from nls.cli.plot import plot
+
+    return plot(options)
 
 
-def _new(command: argparse.ArgumentParser) -> None:
-    _debug(command)
-    command.add_argument("folder", metavar="FOLDER", help="the folder to write; no file in it is overwritten")
-    command.add_argument("--map", action="store_true", help="write mapping.toml alone")
+def _import(options: argparse.Namespace) -> int:
+    from nls.cli.import_ import import_logs
+
+    return import_logs(options)
 
 
-# Summary, options, module and function of every command. The module is imported when the command runs.
-COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], str, str]] = {
-    "solve": ("find the optimum", _solve, "solve", "solve"),
-    "explain": ("say in plain words what is free, what does not fit, and what helps", _explain, "explain", "explain"),
-    "info": ("what is in a file", _info, "info", "info"),
-    "convert": ("write a graph in another format", _convert, "convert", "convert"),
-    "stream": ("the optimum at every step, while lines arrive", _stream, "stream", "stream"),
-    "evaluate": ("how far a trajectory is from the true one", _evaluate, "evaluate", "evaluate"),
-    "plot": ("draw the graph as it was read", _plot, "plot", "plot"),
-    "import": ("make a mission folder of logs", _import, "import_", "import_logs"),
-    "new": ("write templates of a mission", _new, "new", "new"),
-}
+def _new(options: argparse.Namespace) -> int:
+    from nls.cli.new import new
+
+    return new(options)
