@@ -12,9 +12,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -311,8 +310,7 @@ class Factor(Traits, Abstract):
         return FunctionFactor(residual, [keys] if isinstance(keys, Keys) else keys, dim, noise, jacobians, relative)
 
 
-@dataclass(frozen=True)
-class Model:
+class Model(NamedTuple):
     """A factor bound to the spaces of its variables; what assembly and filters call. Arrays in, arrays out."""
 
     factor: Factor
@@ -331,7 +329,7 @@ class Model:
     def part(self, factor: Factor, index: Index) -> Model:
         """The model of a factor that has some of the measurements, by place (k,)."""
         W = arranged(rows(self.W, index, len(self.z)))
-        return replace(self, factor=factor, z=np.asfortranarray(self.z[index]), W=W)
+        return self._replace(factor=factor, z=np.asfortranarray(self.z[index]), W=W)
 
     def refuse_extreme(self) -> None:
         """Refuse a measurement or weight whose square is no number, see `factors.return_values.refuse_extreme`."""

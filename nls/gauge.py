@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ OURS = ("models", "factors", "nls", "sim")  # a warning is about the line that c
 GAUGES = ("first", "prior", "free", "none")
 
 
-@dataclass(frozen=True)
-class Gauge:
+class Gauge(NamedTuple):
     """The decision: variables held, and the sentence for the report.
 
     `pattern` is the graph with the priors that were added, nothing held. `fixed` are the held variables that are not

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 
-@dataclass
 class Job:
     """The state of a run.
 
@@ -44,29 +42,28 @@ class Job:
     failed : outputs that could not be written.
     """
 
-    options: argparse.Namespace
-    clock: Clock
-    solver: LinearSolver
-    stop: Stop
-    form: str = ""
+    form = ""
     select: str | None = None
     projection: Projection | None = None
-    as_read: FactorGraph = field(init=False)
-    values: Values = field(init=False)
-    report: LoadReport = field(init=False)
-    graph: FactorGraph = field(init=False)
+    as_read: FactorGraph
+    values: Values
+    report: LoadReport
+    graph: FactorGraph
     choice: Robustified | None = None
-    judge_contacts: bool = True
+    judge_contacts = True
     sigmas: VarianceComponents | None = None
-    start: Values = field(init=False)
-    init: str = ""
-    starts: dict[str, float] = field(default_factory=dict)
+    start: Values
+    init = ""
     chi2_read: float | None = None
-    stages: dict[str, float] = field(default_factory=dict)
-    result: Result = field(init=False)
+    result: Result
     solved: Solved | SolvedScans | None = None
     certificate: Certificate | None = None
-    failed: list[LeadlineError] = field(default_factory=list)
+
+    def __init__(self, options: argparse.Namespace, clock: Clock, solver: LinearSolver, stop: Stop) -> None:
+        self.options, self.clock, self.solver, self.stop = options, clock, solver, stop
+        self.starts: dict[str, float] = {}
+        self.stages: dict[str, float] = {}
+        self.failed: list[LeadlineError] = []
 
     @property
     def before(self) -> Values:

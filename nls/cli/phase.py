@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import signal
@@ -73,6 +74,7 @@ class Phase:
             return INTERRUPTED
         finally:
             self.over()
+            gc.freeze()  # Python ends without a search for garbage: 50 ms of processor time less
 
     def flushed(self, status: int) -> int:
         """The exit status, after standard output has taken what was printed; 2 where it does not."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -140,7 +139,7 @@ class GrowingBatch:
         kinds = zip(self._first.factor.keys, self._numbers, strict=True)
         keys = tuple(Keys(keys.kind, numbers.rows[rows]) for keys, numbers in kinds)
         factor = _holding(self._first.factor, keys, {place: own.rows[rows] for place, own in self._own.items()})
-        model = replace(self._first, factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
+        model = self._first._replace(factor=factor, z=self._z.rows[rows], W=self._W.rows[rows])
         factor._model = model
         return model
 

@@ -9,8 +9,6 @@ names a method gets that method alone. The limits of a `Stop` are those of both 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from models.errors import UnderconstrainedError
 from nls.optimizers import stop
 from nls.optimizers.base import Optimizer
@@ -46,7 +44,6 @@ def no_new_best(step: Step) -> stop.Verdict | None:
     return stop.Verdict(Status.CYCLING, reason)
 
 
-@dataclass(frozen=True)
 class Automatic(Optimizer):
     """Gauss-Newton, and dogleg where that fails.
 

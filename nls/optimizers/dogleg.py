@@ -17,7 +17,6 @@ the system is singular: there it holds the free directions still, and the result
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from nls.system import LinearSystem
 __all__ = ["Dogleg"]
 
 
-@dataclass(frozen=True)
 class Dogleg(TrustRegion):
     """A trust region whose trials cost no further factorization: for starts far away.
 

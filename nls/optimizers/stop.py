@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ __all__ = ["AFTER_A_STEP", "AT_THE_END", "BEFORE_A_STEP", "Rule", "Verdict", "as
 CHECK = "check the Jacobians with factors.check_jacobians"
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The end of an optimization: its status, the sentence with the numbers, and the name of the rule."""
 
     status: Status
@@ -39,7 +38,7 @@ def ask(rules: Sequence[Rule], step: Step) -> Verdict | None:
     """The verdict of the first rule that has one; CONVERGED also has to pass the `GUARDS`."""
     for rule in rules:
         if verdict := rule(step):
-            verdict = replace(verdict, rule=verdict.rule or rule.__name__)
+            verdict = verdict._replace(rule=verdict.rule or rule.__name__)
             guards = GUARDS if verdict.status is Status.CONVERGED else ()
             objections = (guard(step, verdict) for guard in guards)
             return next((objection for objection in objections if objection), verdict)

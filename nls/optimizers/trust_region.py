@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +30,6 @@ NEARBY = 1e-3  # of |D x|: so far along the undamped step chi2 is compared with 
 SLOWER = 0.5  # undamped step, as a part of the step before it, below which steps still shorten: no way off a saddle
 
 
-@dataclass(frozen=True)
 class TrustRegion(Optimizer):
     """A method whose steps stay within a radius; subclasses give `within`, their algorithm box."""
 

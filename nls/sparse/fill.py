@@ -18,7 +18,7 @@ factorization", SIAM J. Matrix Anal. Appl. 15 (1994).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ from nls.sparse.pattern import Pattern
 __all__ = ["counted", "fill_in", "rows_below", "tree"]
 
 
-@dataclass(frozen=True)
-class Fill:
+class Fill(NamedTuple):
     """Numbers in R, and multiplications and additions to compute it."""
 
     nnz: int

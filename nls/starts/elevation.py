@@ -16,8 +16,8 @@ Source: the search over the aperture is that of aldoteran/fs-slam, src/BundleAdj
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from math import pi, radians
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,7 @@ APERTURE = radians(14.0)  # of a DIDSON, where no hinge of the graph states anot
 FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to leave elevation 0
 
 
-@dataclass(frozen=True)
-class Arcs:
+class Arcs(NamedTuple):
     """The landmarks of one kind that a sonar saw: rows (k,) of the stack, poses (k, 7) of the sonar and measurements
     (k, 2) of the first contacts."""
 

@@ -20,8 +20,8 @@ distances", Colorado School of Mines, 1995 (the squared ranges).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +37,7 @@ POORLY = 1e-3  # a sighting that says so much less than the best one of its poin
 DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m along, rays that meet at 0.1 degrees
 
 
-@dataclass(frozen=True)
-class Sightings:
+class Sightings(NamedTuple):
     """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value, and the
     least singular value of its whitener: what it says where it says least."""
 

@@ -13,6 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import factors
 import nls
 import sim
 from nls.cli import THREADS, choices, main
@@ -38,7 +39,7 @@ def fresh(program: str, **environment: str | None) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("package", [nls, sim], ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", [factors, nls, sim], ids=lambda package: package.__name__)
 def test_names_come_from_where_the_type_checker_thinks(package: ModuleType) -> None:
     tree = ast.parse((ROOT / package.__name__ / "__init__.py").read_text(encoding="utf-8"))
     (checked,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
@@ -86,6 +87,7 @@ def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -
     """And without the modules of NumPy that only ``from numpy import *`` asks for, until they are used."""
     graph = str(written(tmp_path, PLANE))
     rest = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.io.mission", "nls.io.scan_mission", "nls.robust")
+    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles")
     program = (
         f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"
         f"print([m for m in {rest} if m in sys.modules])\nimport numpy\n"
@@ -106,8 +108,9 @@ def test_modules_of_the_package_are_there_without_an_import_of_theirs() -> None:
 @pytest.mark.parametrize("given", [None, "3"])
 def test_the_command_line_has_one_thread_unless_told_otherwise(given: str | None) -> None:
     program = (
-        "import os, sys\nfrom nls.cli import command\nassert 'numpy' not in sys.modules\n"
-        f"sys.argv = ['nls', '--version']\ncommand()\nprint([os.environ[name] for name in {THREADS}])"
+        "import gc, os, sys\nfrom nls.cli import command\nassert 'numpy' not in sys.modules\n"
+        "sys.argv = ['nls', '--version']\ncommand()\nassert gc.get_freeze_count() > 1000\n"
+        f"print([os.environ[name] for name in {THREADS}])"
     )
     expected = str([given or "1"] * len(THREADS))
     assert fresh(program, **dict.fromkeys(THREADS, given)).splitlines()[-1] == expected

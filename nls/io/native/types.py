@@ -26,8 +26,9 @@ def _own() -> dict[str, type]:
     import factors
     from nls.incremental.marginal import MarginalPrior
 
-    public = [thing for thing in vars(factors).values() if inspect.isclass(thing) and not inspect.isabstract(thing)]
-    classes = [c for c in public if issubclass(c, Factor | Noise | Kernel)]
+    public = [getattr(factors, name) for name in factors.__all__]
+    concrete = [thing for thing in public if inspect.isclass(thing) and not inspect.isabstract(thing)]
+    classes = [c for c in concrete if issubclass(c, Factor | Noise | Kernel)]
     return {c.__name__: c for c in (*classes, Camera, MarginalPrior)}
 
 
