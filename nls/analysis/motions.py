@@ -21,7 +21,7 @@ def motion_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> 
 
     Examples
     --------
-    >>> from factors import Isotropic
+    >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import kinds
     >>> (x,) = kinds("x")
@@ -42,7 +42,7 @@ def cross_covariances(graph: FactorGraph, values: Values, i: Keys, j: Keys) -> A
 
     Examples
     --------
-    >>> from factors import Isotropic
+    >>> from factors import Between, Isotropic
     >>> from models import SE2
     >>> from nls import kinds
     >>> (x,) = kinds("x")
