@@ -23,7 +23,7 @@ from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
-from nls.sonar.contacts.gates import landmark_distances, ping_innovations
+from nls.sonar.contacts.gates import bounds, landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
 from nls.sonar.contacts.pairs import near_landmarks
 from nls.sonar.contacts.places import Pings
@@ -64,8 +64,9 @@ def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate
         agree = _agreement(nu, S, gate)
         one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
         agree &= one_answer | np.eye(len(rows), dtype=bool)
-        begins = np.flatnonzero(np.append(True, d[rows][1:] != d[rows][:-1]))
-        count = np.logical_or.reduceat(agree, begins).sum(axis=0)  # sightings of the ping that vote for each pairing
+        count = np.logical_or.reduceat(agree, bounds(d[rows])[:-1]).sum(
+            axis=0
+        )  # sightings of the ping that vote for each pairing
         mask[rows] = agree[:, count == count.max()].any(axis=1)
     return mask
 
