@@ -42,7 +42,7 @@ class SelectedInverse:
         """Blocks (k, d, e) of pairs (k,) of variables of these sizes: all i are of one kind, and all j."""
         turned = i > j
         shape = (e, d) if turned.all() else (d, e)
-        B = self._numbers[self._first[self._places(i, j)[1], None] + np.arange(d * e)].reshape(-1, *shape)
+        B: Array = self._numbers[self._first[self._places(i, j)[1], None] + np.arange(d * e)].reshape(-1, *shape)
         if turned.all():
             return B.mT
         if turned.any():
