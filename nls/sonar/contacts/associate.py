@@ -10,8 +10,9 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    sighting is alone.
 
 2 and 3 again, from the better estimate, until next to nothing changes: first with narrow gates, where poses are known
-well beside each other, then with all. The narrow ones correct the poses, and wide gates become narrow. In the end the
-sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
+well beside each other, then with gates twice as wide, until no pair that fits is wider. The narrow ones correct the
+poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
+(`nls.sonar.contacts.compatibility`).
 
 How narrow is right depends on how far apart targets are. So all of it is done for each of `NARROW`, and the answer of
 least cost is taken: chi2, a price for every number of a landmark, and one for every undecided sighting.
