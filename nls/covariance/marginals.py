@@ -24,6 +24,7 @@ from nls.covariance.frames import axes, of_motions, turned
 from nls.covariance.free import FreePart, free_part
 from nls.covariance.joint import Joint
 from nls.covariance.pairs import paired
+from nls.covariance.selected import SelectedInverse
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, factorize
 from nls.linear.singular import SingularSystemError
@@ -238,16 +239,14 @@ class Marginals:
         u, v = (pattern.offsets[keys.kind] + self.values.stack(keys.kind).index(keys) for keys in (i, j))
         free, number = ~(pattern.held[u] | pattern.held[v]), np.cumsum(~pattern.held) - 1
         a, b = number[u[free]], number[v[free]]
-        pairs, V = self._factorization.hessian.elimination, len(pattern.held)
-        apart = (a != b) & ~np.isin(a * V + b, np.append(pairs.u * V + pairs.v, pairs.v * V + pairs.u))
+        apart = self._selected.lacks(a, b)
         if apart.any():
             k = int(np.flatnonzero(free)[np.argmax(apart)])
             text = f"{i[[k]]!r} and {j[[k]]!r} share no factor; ask for joint(...), or Marginals(..., pairs=[(i, j)])"
             raise GraphError(f"Marginals.cross: {text}", [i[[k]], j[[k]]])
         columns_i, columns_j = self._columns(i), self._columns(j)
         Sigma = np.zeros((len(i), columns_i.shape[1], columns_j.shape[1]))
-        blocks = self._factorization.inverse_blocks(a, b, self.memory_limit)
-        Sigma[free] = blocks.reshape(-1, *Sigma.shape[1:])
+        Sigma[free] = self._selected.blocks(a, b, *Sigma.shape[1:])
         if self._free is not None:
             Sigma = self._free.moved(Sigma, columns_i, columns_j)
         Sigma = Sigma if J_i is None else J_i @ Sigma
@@ -325,18 +324,19 @@ class Marginals:
         return [str(word) for word in self._status[start : start + size]]
 
     @cached_property
+    def _selected(self) -> SelectedInverse:
+        return SelectedInverse(self._factorization, self.memory_limit)
+
+    @cached_property
     def _diagonal(self) -> dict[str, Array]:
         """Diagonal blocks (n, d, d) of every kind, axes of the tangent space."""
-        every = np.arange(len(self._pattern.blocks.dims))
-        flat = self._factorization.inverse_blocks(every, every, self.memory_limit)
-        out, begin = {}, 0
+        out, number = {}, np.cumsum(~self._pattern.held) - 1
         for kind, stack in self.values.stacks.items():
             n, d = len(stack), stack.manifold.dim
             variables = self._pattern.offsets[kind] + np.arange(n)
             free = ~self._pattern.held[variables]
-            Sigma, end = np.zeros((n, d, d)), begin + int(free.sum()) * d * d
-            Sigma[free] = flat[begin:end].reshape(-1, d, d)
-            begin = end
+            own, Sigma = number[variables[free]], np.zeros((n, d, d))
+            Sigma[free] = self._selected.blocks(own, own, d, d)
             if self._free is not None:
                 columns = self._first[variables][:, None] + np.arange(d)
                 Sigma = self._free.moved(Sigma, columns, columns)

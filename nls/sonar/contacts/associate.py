@@ -10,8 +10,9 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    sighting is alone.
 
 2 and 3 again, from the better estimate, until next to nothing changes: first with narrow gates, where poses are known
-well beside each other, then with all. The narrow ones correct the poses, and wide gates become narrow. In the end the
-sightings of a ping that are still open are decided together (`nls.sonar.contacts.compatibility`).
+well beside each other, then with gates twice as wide, until no pair that fits is wider. The narrow ones correct the
+poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
+(`nls.sonar.contacts.compatibility`).
 
 How narrow is right depends on how far apart targets are. So all of it is done for each of `NARROW`, and the answer of
 least cost is taken: chi2, a price for every number of a landmark, and one for every undecided sighting.
@@ -44,6 +45,7 @@ from nls.values import Values
 __all__ = ["Associated", "associate"]
 
 NARROW = (4.0, 2.0)  # the widest innovations of the first rounds, in sigmas of the sensor
+WIDER = 2.0  # times as wide are those of the next rounds
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
 FEW = 0.005  # part of the sightings; a round that moves no more is the last with its gates
 ROUNDS = 40
@@ -182,7 +184,7 @@ def _rounds(
     """The answer of rounds that begin with the tracks of an estimate, the pieces, and with gates as narrow as that."""
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     pieces, estimate, expelled = first.tracks, first, np.zeros(len(pings), dtype=np.intp)
-    widest, last, settled = narrow, False, False
+    widest, complete, last, settled = narrow, False, False, False
     history: list[Index] = []
     while len(history) < rounds and not settled:
         if history:
@@ -191,7 +193,7 @@ def _rounds(
         if last:
             joined = resolved(pings, estimate, open_, least, probability)
         else:
-            joined = _joined(pings, estimate, open_, gate, widest)
+            joined, complete = _joined(pings, estimate, open_, gate, widest)
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         alone = misfit | (estimate.d2 > OUTSIDE * gate)
         leaving = split(pings, graph, estimate, pieces, apart)
@@ -199,8 +201,8 @@ def _rounds(
         tracks = of.single(of.parted(joined, tracks, leaving), alone)
         expelled += alone | leaving
         settled = bool(last and few)
-        if few and widest < np.inf:
-            widest = np.inf
+        if few and not complete:
+            widest *= WIDER
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
             last = True
             expelled[:] = 0
@@ -221,19 +223,22 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
     return of.once_per_ping(tracks, pings.ping)
 
 
-def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float) -> Index:
-    """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that."""
+def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float) -> tuple[Index, bool]:
+    """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that.
+
+    And whether no pair that fits was too wide.
+    """
     tracks = estimate.tracks
-    d, landmarks = near_landmarks(pings, estimate, np.flatnonzero(open_), gate)
-    c, e = near_sightings(pings, estimate, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate)
-    d2, width = landmark_distances(pings, estimate, d, landmarks, gate)
+    d, landmarks = near_landmarks(pings, estimate, np.flatnonzero(open_), gate, widest)
+    c, e = near_sightings(pings, estimate, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
+    d2, width = landmark_distances(pings, estimate, d, landmarks, gate, widest)
     near = np.flatnonzero((d2 < gate) & (width < widest))
     d2[near[~supported(pings, estimate, d[near], landmarks[near], gate)]] = np.inf
     of_one = sighting_distances(pings, estimate.graph, estimate.values, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate)
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all())
 
 
 def _associated(

@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.algebra import Array, Index, Mask
+from models.errors import ResourceLimitError
 from nls.analysis.chi_squared import chi2_gate, mahalanobis
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
@@ -35,7 +36,7 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
     """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
 
     Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
-    sighting in a ping: what is decided stays.
+    sighting in a ping: what is decided stays. A ping of more sets of pairings than `jcbb` looks at stays undecided.
     """
     tracks, m = estimate.tracks, measured_numbers(pings)
     gate = chi2_gate(m, probability)
@@ -52,7 +53,10 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
     for rows, nu, S in ping_innovations(pings, estimate, d, landmarks):
         sightings, i = np.unique(d[rows], return_inverse=True)
         numbers, j = np.unique(landmarks[rows], return_inverse=True)
-        at = jcbb(np.column_stack([i, j]), nu, S, len(sightings), probability)
+        try:
+            at = jcbb(np.column_stack([i, j]), nu, S, len(sightings), probability)
+        except ResourceLimitError:
+            continue
         groups[sightings[at >= 0]] = numbers[at[at >= 0]]
     return of.renamed(groups)
 
@@ -64,9 +68,8 @@ def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate
         agree = _agreement(nu, S, gate)
         one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
         agree &= one_answer | np.eye(len(rows), dtype=bool)
-        count = np.logical_or.reduceat(agree, bounds(d[rows])[:-1]).sum(
-            axis=0
-        )  # sightings of the ping that vote for each pairing
+        votes = np.logical_or.reduceat(agree, bounds(d[rows])[:-1])  # of each sighting of the ping, for each pairing
+        count = votes.sum(axis=0)
         mask[rows] = agree[:, count == count.max()].any(axis=1)
     return mask
 

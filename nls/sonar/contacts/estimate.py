@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from factors import Cauchy, Huber
+from factors.keys import Keys, Kind
 from factors.robust import Kernel
 from models import R
 from models.algebra import Array, Index, Mask
@@ -54,6 +55,20 @@ class Estimate:
     def marginals(self) -> Marginals:
         """Covariances of its poses and landmarks."""
         return Marginals(self.graph, self.values)
+
+    def linearized(self, pings: Pings, d: Index, landmarks: Index) -> tuple[Keys, Keys, tuple[Array, ...], Array]:
+        """Poses and landmarks of sightings d (k,), the Jacobians of both, and innovations (k, m)."""
+        measured, values = pings.of_landmarks(landmarks, d), self.values
+        pose, landmark = measured.keys[:2]
+        model = measured.bind(pings.group, values.stack(pings.kind).manifold)
+        A, b = model.linearize(values[pose], values[landmark])
+        return pose, landmark, A, b
+
+    def blocks(self, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
+        """Covariances (k, d, d) of poses and of landmarks."""
+        of_poses, of_landmarks = (self.marginals.all(Kind(kind), frame="body") for kind in (pose.kind, landmark.kind))
+        values = self.values
+        return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
 
 
 def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, kernel: Kernel = KERNEL) -> Estimate:

@@ -19,16 +19,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from factors.keys import Keys, Kind
-from models.algebra import Array, Index, product
+from models.algebra import Array, Index, congruence, product
 from nls.analysis import motions
+from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
+from nls.sonar.contacts.anchors import bounded
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["bounds", "landmark_distances", "linearized", "motion_covariances", "ping_innovations", "sighting_distances"]
+__all__ = ["bounds", "landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
 
 AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their number
 
@@ -81,28 +82,26 @@ def _least(b: Array, M: Array) -> Array:
 
 
 def landmark_distances(
-    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float, widest: float = np.inf
 ) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
 
-    Errors of pose and landmark together are at most twice the sum of both, whatever their correlation. A pair outside
-    of the gate for that S keeps its d2, and the width of independent errors. The others have the joint covariance.
+    A pair outside of the gate by a bound on its covariance keeps the d2 of that, and a pair that is wider than `widest`
+    by a bound keeps that width, see `nls.sonar.contacts.anchors`. The others have the joint covariance.
     """
     if not len(d):
         return np.zeros(0), np.zeros(0)
-    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
-    P_X, P_l = _blocks(estimate, pose, landmark)
-    spread = product(product(A_X, P_X), A_X.mT) + product(product(A_l, P_l), A_l.mT)
-    I = np.eye(b.shape[1])
-    d2, S = _quadratic(b, _inverse(I + 2 * spread)), I + spread
-    near = np.flatnonzero(d2 < gate)
+    d2, width, least = bounded(pings, estimate, d, landmarks)
+    near = np.flatnonzero((d2 < gate) & (least < widest))
+    width = np.where(least < widest, width, least)
     if len(near):
-        pairs = pose[near], landmark[near]
-        C = Marginals(estimate.graph, estimate.values, pairs=[pairs]).cross(*pairs, frame="body")
-        half = product(product(A_X[near], C), A_l[near].mT)
-        S[near] += half + half.mT
-        d2[near] = _quadratic(b[near], _inverse(S[near]))
-    return d2, np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+        pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d[near], landmarks[near])
+        P_X, P_l = estimate.blocks(pose, landmark)
+        C = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark)]).cross(pose, landmark, frame="body")
+        half = product(product(A_X, C), A_l.mT)
+        S = congruence(A_X, P_X) + congruence(A_l, P_l) + half + half.mT + np.eye(b.shape[1])
+        d2[near], width[near] = mahalanobis(b, S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    return d2, width
 
 
 def ping_innovations(
@@ -119,7 +118,7 @@ def ping_innovations(
     order, n = np.lexsort((d, pings.ping[d])), len(pings)
     d, landmarks = d[order], landmarks[order]
     ping = pings.ping[d]
-    pose, landmark, (A_X, A_l), b = linearized(pings, estimate, d, landmarks)
+    pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d, landmarks)
     members, column = np.unique(ping * n + landmarks, return_inverse=True)  # the landmarks of every ping
     begin, first = bounds(ping), bounds(members // n)
     after = first[1:].repeat(np.diff(first)) - np.arange(len(members)) - 1  # members of the same ping behind each
@@ -129,7 +128,7 @@ def ping_innovations(
     twos, place = np.unique(members[i] % n * n + members[j] % n, return_inverse=True)
     u, v = pings.kind[twos // n], pings.kind[twos % n]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark), (u, v)])
-    (P_X, P_l), P_uv = _blocks(estimate, pose, landmark), marginals.cross(u, v)
+    (P_X, P_l), P_uv = estimate.blocks(pose, landmark), marginals.cross(u, v)
     D = product(marginals.cross(pose, landmark, frame="body"), A_l.mT)
     F, G = np.concatenate([product(A_X, P_X) + D.mT, A_X], axis=2), np.concatenate([A_X, D.mT], axis=2)
     for rows, own in zip(map(slice, begin[:-1], begin[1:]), map(slice, first[:-1], first[1:]), strict=True):
@@ -152,24 +151,6 @@ def bounds(groups: Index) -> Index:
     array([0, 2, 3])
     """
     return np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1], [True]]))
-
-
-def linearized(
-    pings: Pings, estimate: Estimate, d: Index, landmarks: Index
-) -> tuple[Keys, Keys, tuple[Array, ...], Array]:
-    """Poses and landmarks of sightings d (k,), the Jacobians of both, and innovations (k, m)."""
-    measured, values = pings.of_landmarks(landmarks, d), estimate.values
-    pose, landmark = measured.keys[:2]
-    model = measured.bind(pings.group, values.stack(pings.kind).manifold)
-    A, b = model.linearize(values[pose], values[landmark])
-    return pose, landmark, A, b
-
-
-def _blocks(estimate: Estimate, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
-    """Covariances (k, d, d) of poses and of landmarks."""
-    of_poses, of_landmarks = (estimate.marginals.all(Kind(kind), frame="body") for kind in (pose.kind, landmark.kind))
-    values = estimate.values
-    return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
 
 
 def _quadratic(b: Array, M: Array) -> Array:

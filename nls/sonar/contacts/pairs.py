@@ -38,24 +38,31 @@ def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate
     return c, d
 
 
-def near_sightings(pings: Pings, estimate: Estimate, which: Index, gate: float) -> tuple[Index, Index]:
+def near_sightings(
+    pings: Pings, estimate: Estimate, which: Index, gate: float, widest: float = np.inf
+) -> tuple[Index, Index]:
     """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
     P = pings.group.act(pings.sensors(estimate.values), pings.middle)[which]
-    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, estimate, gate)[which]).T
+    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, estimate, gate, widest)[which]).T
     c, d = which[c], which[d]
     late = pings.ping[c] > pings.ping[d]  # the later pose may be the one with the larger error
     pairs = np.unique(np.where(late, [d, c], [c, d])[:, pings.ping[c] != pings.ping[d]], axis=1)
     return pairs[0], pairs[1]
 
 
-def near_landmarks(pings: Pings, estimate: Estimate, which: Index, gate: float) -> tuple[Index, Index]:
-    """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping."""
+def near_landmarks(
+    pings: Pings, estimate: Estimate, which: Index, gate: float, widest: float = np.inf
+) -> tuple[Index, Index]:
+    """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping.
+
+    Pairs of innovations that are wider than `widest` sigmas of the sensor may be left out.
+    """
     values = estimate.values
     if pings.kind.name not in values.stacks:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     S, stack = pings.sensors(values), values.stack(pings.kind)
     P = pings.group.act(S, pings.middle)
-    radius = pings.extent + _pose_errors(pings, estimate, gate)
+    radius = pings.extent + _pose_errors(pings, estimate, gate, widest)
     d, row = _within(P[which], stack.X, radius[which]).T
     d = which[d]
     n = len(pings.poses)
@@ -77,17 +84,17 @@ def _within(points: Array, others: Array, radius: Array) -> Index:
     return np.column_stack([rows, near[rows, columns]])
 
 
-def _pose_errors(pings: Pings, estimate: Estimate, gate: float) -> Array:
+def _pose_errors(pings: Pings, estimate: Estimate, gate: float, widest: float) -> Array:
     """How far (n,) errors of the poses move the targets of sightings, m, within the gate."""
     Sigma = estimate.marginals.all(Kind(pings.poses.kind), frame="body")[pings.row]
-    return _radius(pings, Sigma[pings.ping], gate, slice(None)) - pings.extent
+    return _radius(pings, Sigma[pings.ping], gate, slice(None), widest) - pings.extent
 
 
-def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice) -> Array:
+def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice, widest: float = np.inf) -> Array:
     """How far from the middle of their arcs targets (k,) may seem, m, for covariances (k, d, d) of the pose."""
     k = pings.group.point_dim
     far = np.linalg.norm(pings.middle[which], axis=1)
     position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
-    noise = np.linalg.eigvalsh(pings.covariances[which][:, pings.points.shape[1] // 2])[:, -1]  # of both sightings
-    sigma = np.sqrt(np.maximum(position, 0.0) + 2 * noise) + far * np.sqrt(np.maximum(turn, 0.0))
-    return np.asarray(pings.extent[which] + np.sqrt(gate) * sigma)
+    noise = np.linalg.eigvalsh(pings.covariances[which][:, pings.points.shape[1] // 2])[:, -1]
+    sigma = np.sqrt(np.maximum(position, 0.0) + 2 * noise) + far * np.sqrt(np.maximum(turn, 0.0))  # of both sightings
+    return np.asarray(pings.extent[which] + np.sqrt(gate) * np.minimum(sigma, widest * np.sqrt(noise)))

@@ -32,7 +32,6 @@ from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import KERNEL, Estimate
-from nls.sonar.contacts.gates import linearized
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
@@ -61,7 +60,7 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
         return leaving
     names, piece = np.unique(np.column_stack([tracks[d], pieces[d]]), axis=0, return_inverse=True)
     piece, landmark = piece.reshape(-1), names[:, 0]
-    _, _, (_, A_l), b = linearized(pings, estimate, d, tracks[d])
+    _, _, (_, A_l), b = estimate.linearized(pings, d, tracks[d])
     pull = np.zeros((len(names), dim))
     np.add.at(pull, piece, KERNEL.weight((b * b).sum(axis=1))[:, None] * (A_l.mT @ b[..., None])[..., 0])
     order = _by_pull(landmark, pull)  # landmark by landmark, as they are

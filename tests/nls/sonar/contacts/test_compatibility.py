@@ -9,6 +9,7 @@ from factors import BearingRange, Between, Diagonal, Isotropic, Prior
 from models import SE2, R
 from models.algebra import Index
 from nls import FactorGraph, Marginals, Values, kinds
+from nls.filters import association
 from nls.sonar.contacts.compatibility import resolved, supported
 from nls.sonar.contacts.estimate import estimated
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
@@ -102,6 +103,15 @@ def test_a_sighting_that_is_not_open_stays_alone() -> None:
     open_ = np.arange(len(pings)) != 21
     tracks = resolved(pings, estimated(pings, graph, values, known_trees([1, 3])), open_, 3, 0.999)
     assert tracks[20:].tolist() == [1, 21]
+
+
+def test_a_ping_of_too_many_sets_stays_undecided(monkeypatch: pytest.MonkeyPatch) -> None:
+    pings, graph, values = row(0.0, [1, 3])
+    tracks, every = known_trees([1, 3]), np.ones(len(pings), dtype=bool)
+    estimate = estimated(pings, graph, values, tracks)
+    assert resolved(pings, estimate, every, 3, 0.999)[20:].tolist() == [1, 3]
+    monkeypatch.setattr(association, "NODES", 1)
+    assert resolved(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
 
 
 def test_tracks_smaller_than_a_landmark_are_open() -> None:

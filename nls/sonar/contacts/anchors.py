@@ -1,0 +1,70 @@
+r"""Bounds on how well a pose and a landmark are known beside each other, before their joint covariance.
+
+An anchor a is a pose in the middle of a stretch of pings. Beside the anchor of a ping that has seen the landmark, an
+innovation has two errors,
+
+    b = A_X u + A_l R_a v,      u that of the motion X_a^-1 X,    v that of the point X_a^-1 l
+
+which grow with what lies between, not with the way from the start. Their covariances U and V, those of A_X u and of
+A_l R_a v, bound that of the sum along any axis, whatever their correlation:
+
+    (sqrt(U_ii) - sqrt(V_ii))^2 <= cov_ii,        cov <= 2 (U + V)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.algebra import Array, Index, congruence, product
+from models.sensors import point_in_frame
+from nls.analysis.chi_squared import mahalanobis
+from nls.covariance import Marginals
+from nls.sonar.contacts.estimate import Estimate
+from nls.sonar.contacts.places import Pings
+
+__all__ = ["bounded"]
+
+ANCHORS = 48
+AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
+
+
+def bounded(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, Array, Array]:
+    """Of the innovations of sightings d (k,) from landmarks (k,), bounds on their joint covariances.
+
+    Returns
+    -------
+    d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
+    """
+    m, n = len(pings.poses), len(pings)
+    numbers, point = np.unique(landmarks, return_inverse=True)
+    stretch = -(-m // ANCHORS)
+    anchor = np.minimum(pings.ping[numbers] // stretch * stretch + stretch // 2, m - 1)
+    motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
+    i, j, a, l = pings.poses[motions % n], pings.poses[motions // n], pings.poses[anchor], pings.kind[numbers]
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[(i, j), (a, l)])
+    C_u, C_v = marginals.relative(i, j), _of_points(pings, estimate, marginals, anchor, numbers)
+    d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
+    for begin in range(0, len(d), AT_ONCE):
+        span = slice(begin, begin + AT_ONCE)
+        (A_X, A_l), b = estimate.linearized(pings, d[span], landmarks[span])[2:]
+        U, V = congruence(A_X, C_u[motion[span]]), congruence(A_l, C_v[point[span]])
+        I = np.eye(b.shape[1])
+        d2[span] = mahalanobis(b, I + 2 * (U + V))
+        width[span] = np.sqrt(np.linalg.eigvalsh(I + U + V)[:, -1])
+        least[span] = np.sqrt(1 + ((_deviations(U) - _deviations(V)) ** 2).max(axis=1))
+    return d2, width, least
+
+
+def _of_points(pings: Pings, estimate: Estimate, marginals: Marginals, anchor: Index, numbers: Index) -> Array:
+    """Covariances (q, d, d) of landmarks (q,) as their anchors see them, in the axes of the world."""
+    a, l, group = pings.poses[anchor], pings.kind[numbers], pings.group
+    X = estimate.values[a]
+    _, (H_a, H_l) = point_in_frame(group, X, estimate.values[l])
+    C_aa, C_ll = marginals.covariance(a, frame="body"), marginals.covariance(l)
+    half = product(product(H_a, marginals.cross(a, l, frame="body")), H_l.mT)
+    return congruence(group.rotation(X), congruence(H_a, C_aa) + congruence(H_l, C_ll) + half + half.mT)
+
+
+def _deviations(C: Array) -> Array:
+    """Standard deviations (k, m) along the axes; a motion of nothing may have rounding errors below zero."""
+    return np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0))
