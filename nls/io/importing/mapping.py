@@ -23,7 +23,6 @@ from typing import Any
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
 from nls.io.importing.frames import FRAMES, axes
-from nls.io.importing.guess import guess
 from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
@@ -317,9 +316,6 @@ def _advice(name: str, value: object, known: tuple[str, ...]) -> str:
     near = did_you_mean(name, [*known, *OPTIONS])
     if column := re.search(r"did you mean '(\w+)'", near):
         return f"{near}; write {column[1]} = {_toml(shown)}"
-    if "i" in known and "time_s" not in known and guess("time_s", [name]):
-        write = f"i = {{ column = {_toml(shown)}, scale = 0.5 }}"
-        return f": a row is of a pose number, not of a time; with a pose every 2 s write {write}"
     return near
 
 
