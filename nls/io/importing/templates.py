@@ -88,7 +88,11 @@ def templates(mapping: bool = False) -> dict[str, bytes]:
     >>> list(templates(mapping=True))
     ['mapping.toml']
     """
-    files = {"mapping.toml": (HEAD + "\n".join(map(_section, (*LOG[:3], "fixes"))) + "\n" + NOISE).encode()}
+    files = {
+        "mapping.toml": (
+            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "fixes", "contacts", "sonar"))) + "\n" + NOISE
+        ).encode()
+    }
     if not mapping:
         files |= {f"templates/{table}.csv": _template(table).encode() for table in COLUMNS}
     return files
