@@ -77,8 +77,20 @@ def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
 
 
 def _placed(explanation: Explanation, report: LoadReport) -> Explanation:
-    """With the lines of the measurements, where these are of a file."""
-    return explanation.placed(report.place) if report.has_lines else explanation
+    """With the lines of the measurements, where these are of a file; nobody checks what holds a mission by itself."""
+    from nls.explanation.findings import FindingKind
+
+    if not report.has_lines:
+        return explanation
+    placed = explanation.placed(report.place)
+    findings = tuple(
+        finding
+        for finding in placed.findings
+        if finding.kind is not FindingKind.UNCHECKED
+        or finding.numbers["count"] > len(finding.places)
+        or {*finding.places} != {report.path}  # of a file, and not of the folder as an anchor that no file has
+    )
+    return replace(placed, findings=findings)
 
 
 def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[Explanation, str]:

@@ -14,13 +14,12 @@ def import_logs(options: argparse.Namespace) -> int:
     options.phase.now(f"while reading {options.logs[0]}")
     if options.map is None:
         if options.output is not None:
-            wanted = "a mapping beside -o; a draft of one: nls import LOG > mapping.toml"
-            raise OptionError("map", None, wanted)
+            raise OptionError("--map is missing beside -o; a draft of a mapping: nls import LOG > mapping.toml")
         print(draft(options.logs), end="")
         print("nls: this is a draft: save it as mapping.toml, correct it, and give it by --map", file=sys.stderr)
         return 0
     if options.output is None:
-        raise OptionError("output", None, "a folder for the mission: -o mission")
+        raise OptionError("-o is missing; expected a folder for the mission: -o mission")
     imported = import_logs(options.logs, read_mapping(options.map))
     options.phase.now(f"while writing {options.output}")
     options.phase.written += write_imported(options.output, imported, [*options.logs, options.map])

@@ -237,7 +237,7 @@ def lines(mission: dict[str, Any]) -> list[str]:
     """The lines of the table that say what a mission's solution is worth."""
     out = [
         f"mission     {mission['poses']} poses over {mission['distance_m']:.4g} m, {mission['landmarks']} landmarks, "
-        f"{mission['contacts']} contacts" + (f" of a {mission['sonar']}" if mission["sonar"] else ""),
+        f"{mission['contacts']} contacts" + (f" by the sonar {mission['sonar']}" if mission["sonar"] else ""),
     ]
     if not mission["checks"]:
         out += _unchecked(mission)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from nls.cli.outputs import PICTURES, refuse_name, refuse_unwritable
 
@@ -13,6 +12,7 @@ __all__ = ["plot"]
 def plot(options: argparse.Namespace) -> int:
     """Read, draw, write; returns the exit status."""
     from nls.cli.formats import read
+    from nls.io.files import title_of
     from nls.io.mission import MissionReport
     from nls.plot import trajectory
     from nls.plot.mission import plan
@@ -23,7 +23,7 @@ def plot(options: argparse.Namespace) -> int:
     graph, values, report = read(options)
     options.phase.now(f"while writing {options.output}")
     figure = (plan if isinstance(report, MissionReport) else trajectory)(graph, values)
-    figure.suptitle(Path(report.path).name)
+    figure.suptitle(title_of(report.path))
     write_picture(options.output, figure)
     options.phase.written.append(options.output)
     print(f"written     {options.output}")

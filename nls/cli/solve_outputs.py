@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nls.cli.outputs import complain, write_json
@@ -66,13 +65,14 @@ def _covariance(job: Job, path: str) -> None:
 
 def _plot(job: Job, path: str) -> None:
     from nls.cli.solved_scans import SolvedScans
+    from nls.io.files import title_of
     from nls.plot import before_after
     from nls.plot.picture import write_picture
 
     if isinstance(job.solved, SolvedScans):
         job.solved.draw(path)
         return
-    write_picture(path, before_after(job.graph, job.before, job.result, title=Path(job.report.path).name))
+    write_picture(path, before_after(job.graph, job.before, job.result, title=title_of(job.report.path)))
 
 
 def attempt(job: Job, outputs: Sequence[Output]) -> None:

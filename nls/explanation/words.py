@@ -364,13 +364,13 @@ def report(e: Explanation, shell: bool = False) -> str:
         lines += ["", f"{'kind':28s} {'measured':>8s} {'chi2':>10s} {'expected':>10s}   95 %"]
         lines += [_row(part) for part in e.parts]
     if e.worst:
-        lines += ["", "farthest from what the others say    sigmas    from the fit      chance"]
+        lines += ["", "largest residuals                 normalized  residual/sigma     p-value"]
         lines += [
             f"{worst.factor:36s} {worst.normalized:6.3g} {worst.sigmas:15.3g} {worst.chance:11.2g}"
             for worst in sorted(e.worst[:5], key=lambda measurement: -measurement.normalized)
         ]
     if e.weakest:
-        lines += ["", "least certain       sigma        the middle one"]
+        lines += ["", "least certain       sigma        median"]
         lines += [
             f"{f'{weak.key!r} {weak.component}':18s}  {shown(weak.sigma, weak.component):12s} "
             f"{shown(weak.typical, weak.component)}"

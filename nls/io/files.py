@@ -26,10 +26,12 @@ __all__ = [
     "new_folder",
     "read_bytes",
     "read_text",
+    "title_of",
     "write_bytes",
     "write_folder",
 ]
 
+GRAPH_FILES = ("graph.npz", "graph.g2o")  # of a folder, the first one counts
 CHUNK = 1 << 20
 GZIP = b"\x1f\x8b"
 ZIP = b"PK\x03\x04"
@@ -197,10 +199,22 @@ def descriptor(name: str) -> int | None:
 def graph_file(path: str | Path) -> str | Path:
     """The file ``graph.npz`` or ``graph.g2o`` of a folder without tables; otherwise the path itself."""
     if isinstance(path, str | os.PathLike) and os.path.isdir(path) and not any(Path(path).glob("*.csv*")):
-        for name in ("graph.npz", "graph.g2o"):
+        for name in GRAPH_FILES:
             if (file := Path(path, name)).is_file():
                 return str(file)
     return path
+
+
+def title_of(path: str | Path) -> str:
+    """The name of a graph in a picture: that of its file, or of the folder whose `graph_file` it is.
+
+    Examples
+    --------
+    >>> title_of("demo/graph.npz"), title_of("logs/survey.g2o"), title_of("graph.npz")
+    ('demo', 'survey.g2o', 'graph.npz')
+    """
+    file = Path(path)
+    return file.parent.name or file.name if file.name in GRAPH_FILES else file.name
 
 
 def names_folder(name: str) -> bool:

@@ -178,7 +178,7 @@ def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar
             )
             _point_at(axes, (at[0][k], at[1][k]), True, f"{target[[target_index]]!r}:\nmeasured\nhere", CONTACT)
             _point_at(axes, (end[0], end[1]), False, message, ARC)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=5, fontsize=8)  # 40 points below the axes
     return _as_map(axes)
 
 

@@ -17,12 +17,35 @@ from nls.io.mission.columns import ANGLES, PLACE
 __all__ = ["NOISE", "draft"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
+SONAR = [
+    "[sonar]                          # from its data sheet, and where it is on the vehicle",
+    'name = "sonar"',
+    "beams = 256",
+    "bins = 500",
+    "fan_rad = 2.1                    # its whole width in azimuth, and its height in elevation",
+    "aperture_rad = 0.35",
+    "range_min_m = 1.0",
+    "range_max_m = 20.0",
+    "x_m = 0.0",
+    "y_m = 0.0",
+    "z_m = 0.0",
+    "roll_rad = 0.0",
+    "pitch_rad = 0.0                  # negative where it looks down",
+    "yaw_rad = 0.0",
+]
 TABLES = {  # what must be there, what may be
     "dvl": (("time_s", *VELOCITY), ("valid",)),
+    "path": (("time_s", "x_m", "y_m", "yaw_rad"), ("z_m", "roll_rad", "pitch_rad")),
     "ahrs": (("time_s", *ANGLES), ()),
     "depth": (("time_s", "z_m"), ()),
     "fixes": (("time_s", "lat_deg", "lon_deg"), ()),
     "truth": (("time_s", *ANGLES, *PLACE), ()),
+    "contacts": (("time_s", "range_m", "azimuth_rad"), ("landmark",)),
+}
+NUMBERS = {  # lines of a section that no log has
+    "fixes": ["sigma_x_m = 2.0   # a guess", "sigma_y_m = 2.0"],
+    "path": ["sigma_x_m = 0.05   # of one step; a guess, as are the next", "sigma_y_m = 0.05", "sigma_yaw_rad = 0.01"],
+    "contacts": ["sigma_range_m = 0.02   # a guess", "sigma_azimuth_rad = 0.005", "", *SONAR],
 }
 NOISE = """\
 [noise]                          # one sigma each, from the data sheets
@@ -91,9 +114,11 @@ def draft(paths: Sequence[str | Path]) -> str:
     tables: list[str] = []
     for path in paths:
         lines += _of_bag(Bag(path), tables) if is_bag(path) else _of_text(TextLog(path), len(paths) > 1, tables)
+    if "path" in tables:  # which needs no log of sensors
+        return "\n".join(lines)
     for table in ("dvl", "ahrs", "depth"):
         if table not in tables:
-            lines += [f"# [{table}]   # no columns look like it, and nls solve needs it", ""]
+            lines += [f"# [{table}]   # no columns look like it; nls solve needs it, or [path]", ""]
     return "\n".join([*lines, NOISE])
 
 
@@ -101,6 +126,7 @@ def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
     """The sections of a text file."""
     lines = [f"# {log.title} has: {', '.join(map(repr, log.names))}"]
     used: set[str] = set()
+    drafted = len(tables)
     for table, (needed, possible) in TABLES.items():
         chosen: dict[str, str] = {}
         for column in (*needed, *possible):
@@ -113,17 +139,24 @@ def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
             continue
         if table == "fixes" and {*ANGLES} <= {c for c in ANGLES if guess(c, log.names)}:
             continue  # a whole pose: it is a truth
+        if table == "path" and ("dvl" in tables or ({*ANGLES, *PLACE} <= set(chosen) and not _is_odometry(chosen))):
+            continue  # sensors measure the way; a whole pose is a truth
+        if "path" in (tables[drafted:] if table == "truth" else tables) and table in ("ahrs", "depth", "truth"):
+            continue  # the path has these columns
         tables.append(table)
         used |= set(chosen.values())
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
         lines += [_line(column, name, log) for column, name in chosen.items()]
-        if table == "fixes":
-            lines += ["sigma_x_m = 2.0   # a guess", "sigma_y_m = 2.0"]
-        lines.append("")
+        lines += [*NUMBERS.get(table, ()), ""]
     unused = [name for name in log.names if name not in used]
     if unused:
         lines = [*lines[: -1 if lines[-1] == "" else None], f"# not used: {', '.join(map(repr, unused))}", ""]
     return lines
+
+
+def _is_odometry(chosen: dict[str, str]) -> bool:
+    """Whether the name of a place says that the vehicle has reckoned it."""
+    return "odo" in plain(chosen["x_m"])
 
 
 def _places(log: Log) -> dict[str, str]:

@@ -28,11 +28,13 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
     "pitch_rad": (r"pitch", r".*\bpitch"),
     "yaw_rad": (r"yaw", r"heading", r".*\b(?:yaw|heading)"),
     "z_m": (r"depth", r".*\bdepth", r"altitude", r"height", r"z", r".*\bposition z"),
-    "x_m": (r"x", r"north(?:ing)?", r".*\bposition x", r".*\bx"),
-    "y_m": (r"y", r"east(?:ing)?", r".*\bposition y", r".*\by"),
+    "x_m": (r"x", r"north(?:ing)?", r".*\bposition x", r".*\bx", r"x odo\w*"),
+    "y_m": (r"y", r"east(?:ing)?", r".*\bposition y", r".*\by", r"y odo\w*"),
     "lat_deg": (r"lat(?:itude)?", r".*\blat(?:itude)?"),
     "lon_deg": (r"lon(?:gitude)?|lng", r".*\b(?:lon(?:gitude)?|lng)"),
     "range_m": (r"range", r"distance", r".*\b(?:range|distance).*"),
+    "azimuth_rad": (r"azimuth", r"bearing", r".*\b(?:azimuth|bearing)"),
+    "landmark": (r"(?:landmark|target|feature)(?: id)?",),
     "sound_speed_m_s": (r".*sound.*(?:speed|velocity).*", r".*\bsvp?\b.*"),
 }
 HEADINGS = re.compile(r"\b(north|east|down|earth|imu|acc\w*|gyro|angular|water|air)\b")  # no velocity along own axes

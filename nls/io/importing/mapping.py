@@ -178,13 +178,8 @@ class Mapping(TomlFile):
             elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
                 cells[name] = self._cell(table, name, value)
             else:
-                shown = value if isinstance(value, str | int | float) else "..."
-                near = did_you_mean(name, [*known, *OPTIONS])
-                line = re.search(r"did you mean '(\w+)'", near)
-                write = f"; write {line[1] if line else known[0]} = {_toml(shown)}"
-                raise self.error(
-                    table, name, f"{table}.csv has no column {name!r}{near}{write}; it has {', '.join(known)}"
-                )
+                advice = _advice(name, value, known)
+                raise self.error(table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}")
         return Section(table, cells, options, rotation, self)
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
@@ -313,6 +308,15 @@ def _fitting(defaults: Mappings[str, Any], table: str, content: Mappings[str, An
     """What stands above all sections and is for this one, too; a row that is of a pose is of no time."""
     columns = COLUMNS[table] if "i" not in content or table == "poses" else ()
     return {name: value for name, value in defaults.items() if name in OPTIONS or name in columns}
+
+
+def _advice(name: str, value: object, known: tuple[str, ...]) -> str:
+    """The line to write in the place of a key that is no column; nothing where no column is like it."""
+    shown = value if isinstance(value, str | int | float) else "..."
+    near = did_you_mean(name, [*known, *OPTIONS])
+    if column := re.search(r"did you mean '(\w+)'", near):
+        return f"{near}; write {column[1]} = {_toml(shown)}"
+    return near
 
 
 def _toml(value: object) -> str:

@@ -132,6 +132,11 @@ def _numbers(section: Section, column: str, cell: Cell, log: Log | None, count: 
     if not cell.columns:
         if isinstance(cell.constant, str):
             raise section.error(column, f"{column} is {cell.constant!r}; expected a number or a column")
+        if mission_unit(column)[1] == "rad" and abs(cell.constant) > FULL_TURN:
+            write = f"{column} = {float(np.radians(cell.constant)):.4g}"
+            raise section.error(
+                column, f"{column} is {cell.constant!r}; expected radians, -2 pi to 2 pi; in degrees? write {write}"
+            )
         return np.full(count, float(cell.constant))
     assert log is not None
     (name,) = _known(section, column, cell, log).columns

@@ -10,7 +10,7 @@ __all__ = ["templates"]
 
 ABOUT = {
     "sonar": "the imaging sonar: one row; its name in quotation marks where it has a comma",
-    "contacts": "pose i saw a landmark with the sonar; azimuth to starboard",
+    "contacts": "a landmark that the sonar saw, at a time or from pose i; azimuth to starboard",
     "odometry": "the step from pose i to pose j, in the horizontal axes of i",
     "zpr": "depth and tilt of each pose",
     "anchor": "a pose whose place and heading in the world are known",
@@ -49,6 +49,7 @@ EXAMPLES = {
 }
 ALTERNATIVES = {  # of two ways to say the same the template has one
     "truth": ("time_s",),
+    "contacts": ("i",),
     "fixes": ("i", "lat_deg", "lon_deg"),
     "beacons": ("lat_deg", "lon_deg"),
     "ranges": ("i", "travel_time_s", "sigma_travel_time_s"),
@@ -87,7 +88,11 @@ def templates(mapping: bool = False) -> dict[str, bytes]:
     >>> list(templates(mapping=True))
     ['mapping.toml']
     """
-    files = {"mapping.toml": (HEAD + "\n".join(map(_section, (*LOG[:3], "fixes"))) + "\n" + NOISE).encode()}
+    files = {
+        "mapping.toml": (
+            HEAD + "\n".join(map(_section, (*LOG[:3], "path", "fixes", "contacts", "sonar"))) + "\n" + NOISE
+        ).encode()
+    }
     if not mapping:
         files |= {f"templates/{table}.csv": _template(table).encode() for table in COLUMNS}
     return files

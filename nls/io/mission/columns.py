@@ -33,7 +33,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
         *PLACE,
         *ANGLES,
     ),
-    "contacts": ("i", "landmark", *CONTACT, *suffixed(CONTACT)),
+    "contacts": (*WHEN[::-1], "landmark", *CONTACT, *suffixed(CONTACT)),
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
     "zpr": ("i", *TILT, *suffixed(TILT)),
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
@@ -67,7 +67,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
     "truth": WHEN,
-    "contacts": ("landmark",),
+    "contacts": (*WHEN, "landmark"),
     "dvl": ("valid", *LOCK, *WATER_TRACK),
     "ahrs": ("yaw_rad",),
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),

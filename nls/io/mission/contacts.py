@@ -16,6 +16,7 @@ from nls.graph import FactorGraph
 from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.mission.timeline import Timeline
 from nls.stages import stage
 from nls.values import Values
 
@@ -31,20 +32,20 @@ def are_named(tables: dict[str, Table]) -> bool:
 
 
 def add_contacts(
-    tables: dict[str, Table], numbers: Numbers, graph: FactorGraph, report: MissionReport, elevation: str
+    tables: dict[str, Table], timeline: Timeline, graph: FactorGraph, report: MissionReport, elevation: str
 ) -> Numbers:
     """Add what the sonar saw of named landmarks to the graph; returns their numbers, rising."""
     if (table := tables.get("contacts")) is None:
         return np.zeros(0, dtype=np.int64)
     refuse_search(elevation)
-    k = table.integers("landmark")
-    _add(graph, report, table, _measured(tables, table, numbers, k, report), np.arange(len(table)), elevation)
-    return np.unique(k)
+    contacts, rows = _measured(tables, table, timeline, table.integers("landmark"), report)
+    _add(graph, report, table, contacts, rows, elevation)
+    return np.unique(contacts.keys[1].numbers)
 
 
 def add_unnamed_contacts(
     tables: dict[str, Table],
-    numbers: Numbers,
+    timeline: Timeline,
     graph: FactorGraph,
     start: Values,
     report: MissionReport,
@@ -55,11 +56,11 @@ def add_unnamed_contacts(
 
     refuse_search(elevation)
     table = tables["contacts"]
-    contacts = _measured(tables, table, numbers, np.arange(len(table)), report)
+    contacts, rows = _measured(tables, table, timeline, np.arange(len(table)), report)
     assert report.sonar is not None
     with stage("associate"):
         associated = associate(graph, start, contacts, report.sonar.aperture)
-    rows = np.flatnonzero(associated.numbers >= 0)
+    rows = rows[associated.numbers >= 0]
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)
     if not len(rows):
@@ -71,11 +72,11 @@ def add_unnamed_contacts(
 
 
 def _measured(
-    tables: dict[str, Table], table: Table, numbers: Numbers, k: Numbers, report: MissionReport
-) -> RangeAzimuth:
-    """The contacts as measurements of landmarks k (n,), and the sonar in the report."""
+    tables: dict[str, Table], table: Table, timeline: Timeline, k: Numbers, report: MissionReport
+) -> tuple[RangeAzimuth, Index]:
+    """The contacts within the track as measurements of landmarks k (n,), and their rows; the sonar in the report."""
     report.sonar, report.offset = _sonar(tables["sonar"])
-    i = table.known("i", numbers, "a contact of a pose that nothing else measures; is it missing in the track?")
+    i, within = timeline.poses("contacts", table)
     table.positive("range_m")
     z = table.measured(*CONTACT)
     r, azimuth = z.T
@@ -92,7 +93,8 @@ def _measured(
             f"{table.place(int(np.argmax(outside)))}: {contact} outside the fan or range window of sonar.csv; used all "
             "the same: correct fan_rad, range_min_m or range_max_m there, or delete what the sonar cannot have seen"
         )
-    return RangeAzimuth(x[i], l[k], z, Diagonal(sigmas), report.offset)
+    rows = np.flatnonzero(within)
+    return RangeAzimuth(x[i[rows, 0]], l[k[rows]], z[rows], Diagonal(sigmas[rows]), report.offset), rows
 
 
 def _add(

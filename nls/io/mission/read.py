@@ -92,7 +92,7 @@ def read_mission(
             "has no column 'landmark': landmarks of several dives are told apart by their numbers; add it, or solve "
             "the dives one by one"
         )
-    points = add_contacts(tables, numbers, graph, report, elevation) if named else np.zeros(0, dtype=np.int64)
+    points = add_contacts(tables, timeline, graph, report, elevation) if named else np.zeros(0, dtype=np.int64)
     if named:
         compare_landmarks(report, points)
     with stage("read start"):
@@ -102,7 +102,7 @@ def read_mission(
         graph.add(prior)
     report.calibrations = calibrations.given()
     if not named:
-        start = add_unnamed_contacts(tables, numbers, graph, start, report, elevation)
+        start = add_unnamed_contacts(tables, timeline, graph, start, report, elevation)
     return graph, start, report
 
 

@@ -80,8 +80,9 @@ class Table(Text):
         super().__init__(self._data.replace(b",", b" "), str(path))
         self.lines, self.comments = self._split()
         expected = ",".join(columns)
+        required = ",".join(column for column in columns if column not in optional) or expected
         if not len(self.lines):
-            raise self.error(f"is empty; expected a first line {expected} and a row of values on every other", 0)
+            raise self.error(f"is empty; expected a first line {required} and a row of values on every other", 0)
         head, self.lines = int(self.lines[0]), self.lines[1:]
         self._head = head
         names = self.names = [printable(self.token(k)) for k in range(self.first[head], self.first[head + 1])]
@@ -92,7 +93,7 @@ class Table(Text):
             ("no", [name for name in columns if name not in (*names, *optional)]),
         ):
             if wrong:
-                message = f"{problem} column {_quoted(wrong[0])}; expected {expected}"
+                message = f"{problem} column {_quoted(wrong[0])}; expected {required if problem == 'no' else expected}"
                 if problem != "unknown":
                     raise self.error(message, head)
                 name = wrong[0][:LONGEST]

@@ -14,6 +14,7 @@ import numpy as np
 
 from models.algebra import Array, Mask, Numbers
 from models.errors import GraphFileError
+from nls.io.mission.calibration import NAMES as CALIBRATIONS
 from nls.io.mission.calibration import Calibrations
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
@@ -22,8 +23,8 @@ __all__ = ["Timeline", "Times", "measured_times", "poses_of_rows", "united"]
 
 AROUND = 5  # rows of a log, over which poses are counted
 SAME = 1e-3  # s: 2 mm at 2 m/s
-TIMED = ("fixes", "ranges", "usbl", "closures")
-NUMBERED = ("contacts", "anchor", "truth", *TIMED)  # files that may name poses
+TIMED = ("fixes", "ranges", "usbl", "closures", "contacts")
+NUMBERED = ("anchor", "truth", *TIMED)  # files that may name poses
 Times = dict[str, Array]  # of the rows (n, k) of files, s; closures.csv has two a row
 
 
@@ -47,8 +48,7 @@ def measured_times(tables: dict[str, Table], calibrations: Calibrations) -> Time
         t = table.measured(*timed)
         if table.has("delay_s"):
             t = t - table.measured("delay_s")
-        clock = f"{name}_clock_s"
-        if name != "closures":
+        if (clock := f"{name}_clock_s") in CALIBRATIONS:
             calibrations.variable(clock)  # which counts it as used
             t = t - calibrations.value(clock)
         times[name] = t

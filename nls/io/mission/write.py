@@ -17,7 +17,7 @@ from models.algebra import Array, Numbers
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
-from nls.io.mission.columns import COLUMNS, POSE, TRACK
+from nls.io.mission.columns import COLUMNS, TRACK
 from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
 from nls.io.mission.table import csv_text
 from nls.io.mission.write_positions import positioned, positioned_files, positioned_poses
@@ -150,7 +150,8 @@ def mission_files(
         rows["poses"] = [_times(poses, times)]
     return {
         f"{name}.csv": csv_text(
-            POSE if name == "truth" else names, *(np.concatenate(column) for column in zip(*rows[name], strict=True))
+            [column for column in names if column != "time_s" or name == "poses"],
+            *(np.concatenate(column) for column in zip(*rows[name], strict=True)),
         )
         for name, names in COLUMNS.items()
         if name in rows

@@ -93,3 +93,11 @@ def test_a_mission(shell: Shell) -> None:
     assert "RangeAzimuth" in out
     assert "gauge: fixed by the graph itself" in out
     assert shell("explain m --elevation free")
+
+
+def test_an_anchor_that_no_file_has_needs_no_check(shell: Shell) -> None:
+    """What holds the mission where it begins was not measured; of `anchor.csv` it was."""
+    folder(shell / "m")
+    assert "no other measurement checks Position(x0), Heading(x0)" in shell("explain m")
+    (shell / "m" / "anchor.csv").unlink()
+    assert "no other measurement checks" not in shell("explain m")

@@ -32,8 +32,12 @@ def test_refusals(shell: Shell) -> None:
     shell.file(LOG, "log.csv")
     shell.file(MAPPING, "mapping.toml")
     shell.file("[depth\n", "damaged.toml")
-    assert "-o mission" in shell.refused("import log.csv --map mapping.toml")
-    assert "nls import LOG > mapping.toml" in shell.refused("import log.csv -o mission")
+    assert "-o is missing; expected a folder for the mission: -o mission" in shell.refused(
+        "import log.csv --map mapping.toml"
+    )
+    assert "--map is missing beside -o; a draft of a mapping: nls import LOG > mapping.toml" in shell.refused(
+        "import log.csv -o mission"
+    )
     assert "nothing.csv: cannot be read" in shell.refused("import nothing.csv --map mapping.toml -o mission")
     assert "nothing.toml: cannot be read" in shell.refused("import log.csv --map nothing.toml -o mission")
     assert "damaged.toml:1: is no TOML" in shell.refused("import log.csv --map damaged.toml -o mission")

@@ -40,7 +40,7 @@ def test_the_table_and_the_report(shell: Shell) -> None:
     out = shell("solve m --json r.json")
     report = json.loads((shell / "r.json").read_text())
     mission, solution = report["mission"], report["mission"]["solution"]
-    assert row(out, "mission") == "4 poses over 1.533 m, 3 landmarks, 11 contacts of a DIDSON, high frequency"
+    assert row(out, "mission") == "4 poses over 1.533 m, 3 landmarks, 11 contacts by the sonar DIDSON, high frequency"
     assert row(out, "drift").startswith("dead reckoning 4.52 % (0.0693 m), solution ")
     assert row(out, "drift").endswith(" of the distance at the end, against the truth")
     assert row(out, "ATE").endswith("m rmse (no alignment: x0 is anchored)")

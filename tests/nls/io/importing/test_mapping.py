@@ -25,6 +25,7 @@ from tests.combinations import for_all
         ),
         ('dvl.vx = "u"\n', "m.toml:1: dvl.csv has no column 'vx'"),
         ('dvl = { time_s = "t", vx = "u" }\n', "m.toml:1: dvl.csv has no column 'vx'"),
+        ('[contacts]\ncolour = "red"\n', "m.toml:2: contacts.csv has no column 'colour'; it has i, time_s, landmark"),
         (
             '[dvl]\nvelocity = ["a", "b"]\n',
             "m.toml:2: velocity is ['a', 'b']; expected a list for vx_m_s, vy_m_s, vz_m_s",

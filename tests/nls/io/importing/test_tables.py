@@ -12,6 +12,10 @@ from nls import GraphFileError
 from tests.combinations import for_all
 from tests.nls.io.importing.logs import imported, table
 
+SONAR = (
+    "name = 1\nbeams = 9\nbins = 9\naperture_rad = 0.3\nrange_min_m = 1\nrange_max_m = 9\n"
+    "position = [0, 0, 0]\nattitude = [0, 0, 0]\n"
+)
 DVL = '[dvl]\ntime_s = "t [s]"\nvx_m_s = {vx}\nvy_m_s = 0\nvz_m_s = 0\n'
 
 
@@ -121,6 +125,14 @@ def test_refusals_say_what_to_write(case: tuple[str, str], tmp_path: Path) -> No
     with pytest.raises(GraphFileError) as error:
         imported(tmp_path, f"[depth]\n{case[0]}\n", log=log)
     assert case[1] in str(error.value)
+
+
+def test_a_constant_in_degrees_is_refused_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(
+        GraphFileError, match=r"mapping\.toml:2: fan_rad is 120; .* in degrees\? write fan_rad = 2\.094"
+    ):
+        imported(tmp_path, "[sonar]\nfan_rad = 120\n" + SONAR)
+    assert table(imported(tmp_path, "[sonar]\nfan_rad = 2.1\n" + SONAR), "sonar")["fan_rad"].tolist() == [2.1]
 
 
 def test_degrees_that_nobody_names_are_refused(tmp_path: Path) -> None:

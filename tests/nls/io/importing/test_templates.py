@@ -33,6 +33,9 @@ def test_the_mapping_is_one_when_uncommented() -> None:
         "dvl",
         "ahrs",
         "depth",
+        "path",
         "fixes",
+        "contacts",
+        "sonar",
         "noise",
     ]

@@ -13,6 +13,7 @@ __all__ = ["RAW", "TINY", "folder", "raw"]
 RAW = {
     **COLUMNS,
     "truth": POSE,
+    "contacts": tuple(name for name in COLUMNS["contacts"] if name != "time_s"),
     "dvl": COLUMNS["dvl"][:5],
     "noise": COLUMNS["noise"][:7],
 }  # without what may be left out

@@ -1,0 +1,32 @@
+"""Drafts of a mapping: what a log is by the names of its columns, and that the draft is a mapping of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nls.io.importing import Mapping, draft, import_logs
+
+ODOMETRY = "time,x_odo [m],y_odo [m],depth [m],heading [deg]\n0,0,0,4,0\n2,1,0,4,9\n"
+ECHOES = "time,target,range [m],bearing [deg]\n0,1,6.9,15.8\n1,4,10.8,48.9\n"
+
+
+def test_odometry_is_a_path_and_ranges_with_bearings_are_contacts(tmp_path: Path) -> None:
+    logs = [tmp_path / "odometry.csv", tmp_path / "echoes.csv"]
+    for log, text in zip(logs, (ODOMETRY, ECHOES), strict=True):
+        log.write_text(text)
+    text = draft(logs)
+    assert not any(line.startswith(("# [", "# not used", "[noise]", "[depth]")) for line in text.splitlines())
+    imported = import_logs(logs, Mapping(text, "mapping.toml"))
+    assert imported.rows == {"path": 2, "contacts": 2, "sonar": 1}
+    assert not any("nls solve needs" in note for note in imported.notes)
+    assert imported.files["path.csv"].decode().splitlines()[2].startswith("2.0,1.0,0.0,4.0,0.157")
+    assert imported.files["contacts.csv"].decode().splitlines()[1].startswith("0.0,1,6.9,0.2757")
+
+
+def test_whole_poses_are_a_truth_unless_their_name_says_odometry(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    for name, table in (("x", "truth"), ("x_odo", "path")):
+        log.write_text(f"time,{name},y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,1,0,0,0,0,0\n")
+        text = draft([log])
+        assert f"\n[{table}]\n" in text
+        assert ("[ahrs]\ntime_s" in text) == (table == "truth")
