@@ -35,7 +35,7 @@ MISSIONS = (
         + '    _ = file.write("2,7,2.1,-0.2,0.01,0.01\\n")\n'
         + LOAD,
         "GraphFileError",
-        ("contacts.csv:4:", "i 2", "is it missing in the track?"),
+        ("contacts.csv:4:", "i 2", "no such pose in the track"),
         WRITE + SOLVE,
     ),
     Case(
