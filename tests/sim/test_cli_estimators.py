@@ -161,7 +161,9 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
 def test_stopped_halfway(how: str, tmp_path: Path) -> None:
     file = tmp_path / "runs.jsonl"
     call = ["subsea", *SMALL, "--estimator", "batch", "--runs", "500", "--resume", str(file)]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits none
     run = subprocess.Popen([sys.executable, "-m", "sim", *call], start_new_session=True, stderr=subprocess.PIPE)
+    signal.signal(signal.SIGINT, before)
     try:
         _until(lambda: file.exists() and file.read_bytes().count(b"\n") > 2)
         if how == "Ctrl-C":
