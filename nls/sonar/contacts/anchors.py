@@ -1,12 +1,12 @@
 r"""Bounds on how well a pose and a landmark are known beside each other, before their joint covariance.
 
-An anchor a is a pose in the middle of a stretch of pings. Beside the anchor of a ping that has seen the landmark, an
-innovation has two errors,
+An anchor a is a pose in the middle of a stretch of pings. A ping of that stretch has seen the landmark. Beside a, an
+innovation has two errors:
 
     b = A_X u + A_l R_a v,      u that of the motion X_a^-1 X,    v that of the point X_a^-1 l
 
-which grow with what lies between, not with the way from the start. Their covariances U and V, those of A_X u and of
-A_l R_a v, bound that of the sum along any axis, whatever their correlation:
+They grow with the way between the two poses, not with the way from the start. A_X u has the covariance U, A_l R_a v has
+V. Whatever their correlation, the two bound the covariance of the sum along every axis:
 
     (sqrt(U_ii) - sqrt(V_ii))^2 <= cov_ii,        cov <= 2 (U + V)
 """
@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from factors.keys import Keys
+from models import LieGroup
 from models.algebra import Array, Index, congruence, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
@@ -22,7 +24,7 @@ from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["bounded"]
+__all__ = ["bounded", "of_sums"]
 
 ANCHORS = 48
 AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
@@ -42,7 +44,7 @@ def bounded(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tup
     motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
     i, j, a, l = pings.poses[motions % n], pings.poses[motions // n], pings.poses[anchor], pings.kind[numbers]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[(i, j), (a, l)])
-    C_u, C_v = marginals.relative(i, j), _of_points(pings, estimate, marginals, anchor, numbers)
+    C_u, C_v = marginals.relative(i, j), _of_points(pings.group, marginals, a, l)
     d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
     for begin in range(0, len(d), AT_ONCE):
         span = slice(begin, begin + AT_ONCE)
@@ -55,14 +57,18 @@ def bounded(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tup
     return d2, width, least
 
 
-def _of_points(pings: Pings, estimate: Estimate, marginals: Marginals, anchor: Index, numbers: Index) -> Array:
-    """Covariances (q, d, d) of landmarks (q,) as their anchors see them, in the axes of the world."""
-    a, l, group = pings.poses[anchor], pings.kind[numbers], pings.group
-    X = estimate.values[a]
-    _, (H_a, H_l) = point_in_frame(group, X, estimate.values[l])
-    C_aa, C_ll = marginals.covariance(a, frame="body"), marginals.covariance(l)
-    half = product(product(H_a, marginals.cross(a, l, frame="body")), H_l.mT)
-    return congruence(group.rotation(X), congruence(H_a, C_aa) + congruence(H_l, C_ll) + half + half.mT)
+def of_sums(J: Array, C_ii: Array, C_ij: Array, K: Array, C_jj: Array) -> Array:
+    """Covariances (k, m, m) of J delta_i + K delta_j from the joint ones of two variables."""
+    half = product(product(J, C_ij), K.mT)
+    return np.asarray(congruence(J, C_ii) + congruence(K, C_jj) + half + half.mT)
+
+
+def _of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
+    """Covariances (q, d, d) of landmarks l (q,) as their anchors a see them, in the axes of the world."""
+    X = marginals.values[a]
+    _, (H_a, H_l) = point_in_frame(group, X, marginals.values[l])
+    C_aa, C_al, C_ll = marginals.covariance(a, "body"), marginals.cross(a, l, "body"), marginals.covariance(l)
+    return congruence(group.rotation(X), of_sums(H_a, C_aa, C_al, H_l, C_ll))
 
 
 def _deviations(C: Array) -> Array:

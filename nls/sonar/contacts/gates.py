@@ -19,12 +19,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from models.algebra import Array, Index, congruence, product
+from models.algebra import Array, Index, product
 from nls.analysis import motions
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
-from nls.sonar.contacts.anchors import bounded
+from nls.sonar.contacts.anchors import bounded, of_sums
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
@@ -86,8 +86,8 @@ def landmark_distances(
 ) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
 
-    A pair outside of the gate by a bound on its covariance keeps the d2 of that, and a pair that is wider than `widest`
-    by a bound keeps that width, see `nls.sonar.contacts.anchors`. The others have the joint covariance.
+    Bounds on the covariance come first, see `nls.sonar.contacts.anchors`. A pair outside of the gate keeps the d2 of
+    its bound. A pair wider than `widest` keeps the width of its bound. The others have the joint covariance.
     """
     if not len(d):
         return np.zeros(0), np.zeros(0)
@@ -98,8 +98,7 @@ def landmark_distances(
         pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d[near], landmarks[near])
         P_X, P_l = estimate.blocks(pose, landmark)
         C = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark)]).cross(pose, landmark, frame="body")
-        half = product(product(A_X, C), A_l.mT)
-        S = congruence(A_X, P_X) + congruence(A_l, P_l) + half + half.mT + np.eye(b.shape[1])
+        S = of_sums(A_X, P_X, C, A_l, P_l) + np.eye(b.shape[1])
         d2[near], width[near] = mahalanobis(b, S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
     return d2, width
 
