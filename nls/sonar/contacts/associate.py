@@ -44,10 +44,10 @@ from nls.values import Values
 
 __all__ = ["Associated", "associate"]
 
-NARROW = (4.0, 2.0)  # the widest innovations of the first rounds, in sigmas of the sensor
+NARROW = (8.0, 4.0, 2.0)  # the widest innovations of the first rounds, in sigmas of the sensor
 WIDER = 2.0  # times as wide are those of the next rounds
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
-FEW = 0.005  # part of the sightings; a round that moves no more is the last with its gates
+FEW = 0.01  # part of the sightings; a round that moves no more is the last with its gates
 ROUNDS = 40
 SURE = 0.98  # pieces of one target stay together with this probability
 OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it

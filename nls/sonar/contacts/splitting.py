@@ -25,6 +25,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors import Between, Isotropic
+from factors.replaced import replaced
 from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import mahalanobis
@@ -60,9 +61,7 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
         return leaving
     names, piece = np.unique(np.column_stack([tracks[d], pieces[d]]), axis=0, return_inverse=True)
     piece, landmark = piece.reshape(-1), names[:, 0]
-    _, _, (_, A_l), b = estimate.linearized(pings, d, tracks[d])
-    pull = np.zeros((len(names), dim))
-    np.add.at(pull, piece, KERNEL.weight((b * b).sum(axis=1))[:, None] * (A_l.mT @ b[..., None])[..., 0])
+    pull = _pulls(pings, estimate, d, piece)
     order = _by_pull(landmark, pull)  # landmark by landmark, as they are
     begins = np.append(True, landmark[1:] != landmark[:-1])
     first, which = np.flatnonzero(begins), np.cumsum(begins) - 1
@@ -81,6 +80,14 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     last[which[large]] = large
     leaving[d] = rank <= last[which[rank]]
     return leaving
+
+
+def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> Array:
+    """g_p (k, dim) of pieces (n,) of sightings d (n,), with the weights of the robust kernel."""
+    _, _, (_, A_l), b = estimate.linearized(pings, d, estimate.tracks[d])
+    pull = np.zeros((int(piece.max()) + 1, pings.group.point_dim))
+    np.add.at(pull, piece, KERNEL.weight((b * b).sum(axis=1))[:, None] * (A_l.mT @ b[..., None])[..., 0])
+    return pull
 
 
 def _by_pull(landmark: Index, pull: Array) -> Index:
@@ -109,19 +116,15 @@ def _information(
 ) -> Array:
     """Lambda (c, dim, dim) of cuts between places before (c,) and after (c,), that sightings d look for at targets."""
     tracks, values, dim = estimate.tracks, estimate.values, pings.group.point_dim
-    chosen = np.flatnonzero(of.sizes(tracks) > 1)
-    targets = tracks.copy()
+    sightings, *apertures = estimate.graph.factors[len(graph.factors) :]
+    chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
     targets[d] = target
     numbers, place = np.unique(targets[chosen], return_index=True)
     tied = Values.of([values.stack(pings.poses.kind)])
     tied.add(pings.kind, R(dim), values[pings.kind[tracks[chosen][place]]], numbers)
     i, j = pings.kind[before], pings.kind[after]
-    factors = [
-        *graph.factors,
-        pings.of_landmarks(targets[chosen], chosen).robust(KERNEL),
-        Between(i, j, np.zeros(dim), Isotropic(TIE)),
-        *([pings.aperture_factor(pings.of_landmarks(tracks[chosen], chosen))] if pings.limit else []),
-    ]
-    marginals = Marginals(FactorGraph(factors, graph.fixed), tied)
+    sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
+    tie = Between(i, j, np.zeros(dim), Isotropic(TIE))
+    marginals = Marginals(FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), tied)
     Lambda = np.linalg.inv(marginals.relative(i, j)) - np.eye(dim) / TIE**2
     return np.asarray(Lambda + np.eye(dim) / pings.extent.max() ** 2 if pings.limit else Lambda)
