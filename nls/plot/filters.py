@@ -266,7 +266,7 @@ def power_laws(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6 * len(panels), 5), layout="constrained")
+    figure = Figure(figsize=(4.8 * len(panels), 4.2), layout="constrained")
     for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for color, (n, y, _) in zip(SERIES, lines.values(), strict=False):
             axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)
