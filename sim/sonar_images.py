@@ -81,7 +81,7 @@ def sonar_image(
     Raises
     ------
     OptionError
-        An amplitude below 0, a spread or shape that is not above 0, a shadow outside 0 to 1, another speckle, a shape
+        An amplitude below 0, a spread or shape that is not above 0, a shadow outside 0 to 1; another speckle, a shape
         that is missing or of no use.
     GraphError
         A scene without a pose, points with one.

@@ -247,8 +247,8 @@ def save(
     path : the file; compressed where the name ends in ``.gz``.
     graph, values : what to write.
     report : the report the graph was read with: its times are kept. For a file of the same format the numbers of the
-        lines and the ids of parameters stay as they were, and unused lines are appended (otherwise a warning counts
-        them: another format may read them as its own).
+        lines and the ids of parameters stay as they were. Unused lines are appended. For another format, which may read
+        them as its own, a warning counts them.
     dialect : as for `load`; when omitted by the name: ``.npz`` and ``.json`` hold every graph bit for bit, ``.g2o``,
         ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for; ``.tum`` and ``.kitti`` hold the poses
         alone, and ``.csv`` the values as a table.

@@ -1,7 +1,7 @@
 """Records of graph text formats: one `Record` per tag, from which both reader and writer follow.
 
-A line is a tag, the ids of the vertices concerned, the ids of parameters, the numbers of one element of a space, and
-for a measurement the entries of a symmetric matrix (or of an upper square root). A new sensor is one more record.
+A line is a tag, the ids of the vertices concerned, the ids of parameters, and the numbers of one element of a space. A
+measurement has the entries of a symmetric matrix, too, or of an upper square root. A new sensor is one more record.
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
         best has more than 10 per degree of freedom, and the graph has other measurements than relative poses, the
         starts are compared by their results. That takes up to 20 steps of the dogleg from each, the lowest first, until
         noise explains chi2 (at most 2 per degree of freedom). If no start leads there, it tries ``incremental``, too. A
-        start that does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own,
-        where placeholders are usual.
+        start that does not exist or cannot be evaluated is left out, with a `GraphWarning`. The file's own start, often
+        a placeholder, is left out without one.
 
     Returns
     -------

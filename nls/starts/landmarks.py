@@ -55,10 +55,10 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : every `Sighting` of points that locates its target, or says its range or its direction as the pixels of a
-        `Projection` do, is used, equally weighted. Ranges and directions of one point are not combined. All other
-        factors are passed over: sightings of poses; `RangeAzimuth` and `Elevation`, for which `search_elevation` and
-        `rig` are the starts; priors of points, and lines.
+    graph : every `Sighting` of points is used, equally weighted, that locates its target, or says its range or its
+        direction as pixels do. Ranges and directions of one point are not combined. All other factors are passed over:
+        sightings of poses; `RangeAzimuth` and `Elevation`, for which `search_elevation` and `rig` are the starts;
+        priors of points, and lines.
     values : every variable; poses and variable offsets are taken as they are.
 
     Returns
