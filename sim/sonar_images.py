@@ -144,8 +144,8 @@ def contacts(image: Array, sonar: ImagingSonar, threshold: float) -> Array:
 
     Returns
     -------
-    (n, 2) range, m, and azimuth, rad, of the centers of these cells, by beam, then by bin: off by a cell at most while
-    the echo stands well above the background.
+    (n, 2) range, m, and azimuth, rad, of the centers of these cells, by beam, then by bin. They are off by a cell at
+    most while the echo stands well above the background.
 
     Raises
     ------

@@ -175,8 +175,8 @@ def main() -> int:
         "",
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
         "",
-        "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which a "
-        "landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
+        "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which "
+        "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
         "means of the seeds. s: processor time of the association.",
     ]
     write_page(lines, options.out / "unnamed_contacts.md")

@@ -63,9 +63,9 @@ def load(
         that holds ``graph.npz`` or ``graph.g2o``. A list of folders: dives at one place, with a track each, and their
         landmarks and beacons in common.
     convention : residual of pose measurements, see `factors.conventions`.
-    dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
-        `nls.io.dialects`), ``pyfg``, ``bal``, or the library's own ``npz`` and ``json``, which states the convention of
-        every factor. Files whose lines have several readings must be named.
+    dialect : ``auto`` goes by the content. The dialects are ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph``
+        (see `nls.io.dialects`), ``pyfg``, ``bal``, and the library's own ``npz`` and ``json``. The last two state the
+        convention of every factor. Files whose lines have several readings must be named.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones (with
         a warning) instead of refusing the file; for the dialects g2o and toro.
     elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see

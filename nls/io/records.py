@@ -62,8 +62,8 @@ class Record:
     ----------
     tag : the first word of its lines.
     group : SE2 or SE3, the poses of its dimension.
-    slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount`` (a pose of a sensor
-        on the vehicle that is a variable), ``either`` (pose or mount).
+    slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount``, ``either`` (pose or
+        mount). A mount is a pose of a sensor on the vehicle that is a variable.
     element : the value of a vertex or parameter, the measured value.
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.

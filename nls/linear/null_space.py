@@ -39,9 +39,9 @@ def null_space(system: LinearSystem) -> Array:
 def weakest(system: LinearSystem) -> tuple[Array, Array]:
     """The least singular values (k,) of A with columns scaled to length 1, at most 12, and their directions (n, k).
 
-    A is tall and sparse. A few rounds of inverse iteration on A'A + shift D^2, D the lengths of its columns, separate
-    the directions that no measurement sees. Small systems take the singular value decomposition of R in A = QR.
-    Directions are in the units of the unknowns, each of length 1.
+    A is tall and sparse. A few rounds of inverse iteration on A'A + shift D^2 separate the free directions; D has the
+    lengths of its columns. Small systems take the singular value decomposition of R in A = QR. Directions are in the
+    units of the unknowns, each of length 1.
     """
     norms = system.column_norms
     scale = np.where(norms > 0, norms, 1.0)

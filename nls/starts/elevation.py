@@ -39,8 +39,8 @@ FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to le
 
 
 class Arcs(NamedTuple):
-    """The landmarks of one kind that a sonar saw: rows (k,) of the stack, poses (k, 7) of the sonar and measurements
-    (k, 2) of the first contacts."""
+    """Landmarks of one kind that a sonar saw: rows (k,) of the stack, and the first contacts: poses (k, 7),
+    measurements (k, 2)."""
 
     kind: str
     rows: Index

@@ -17,8 +17,8 @@ What is assumed: the error of the heading lasts through a leg. So it turns the l
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that. As far as the heading goes, the covariances are on the safe side.
 
-Where poses are denser than the rows of a sensor, the sigmas of their `Heading` and `ZPR` grow by the root of the poses
-per row. So together they say what the rows say.
+Poses may be denser than the rows of a sensor. Then the sigmas of their `Heading` and `ZPR` grow by the root of the
+poses per row. So together they say what the rows say.
 
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
 from it say how the yaw went on, as a random walk from the even turn between the rows. All legs over a hole say x and y
