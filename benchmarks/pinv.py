@@ -240,11 +240,13 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
     """Time and memory against unknowns, both axes logarithmic."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 5), layout="constrained")
+    from nls.plot.style import BEFORE, ESTIMATE
+
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     styles = dict(zip(TITLE, ("o-", "s--", "^:", "o:", "s--", "^-"), strict=True))
     for s in (s for s in found if s.n):
-        color = "#e07a2f" if s.name in DENSE else "#0b4f6c"
+        color = BEFORE if s.name in DENSE else ESTIMATE
         for axes, y in ((left, s.seconds), (right, np.array(s.bytes) / 1e6)):
             axes.loglog(s.n, np.maximum(y, 1e-6), styles[s.name], color=color, label=TITLE[s.name], markersize=5)
     for axes, limit, what in ((left, seconds, f"{seconds:g} s"), (right, 1e3 * gigabytes, f"{gigabytes:g} GB")):

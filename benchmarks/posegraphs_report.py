@@ -47,7 +47,7 @@ PEERS = {
     "pyceres": f"pyceres: has no pose-graph cost; {CALLS} Ceres in C++; sets below 1,500 edges only; {PARTS}",
     "symforce": f"symforce: {CALLS} SymForce in C++; sets below 1,500 edges only; {PARTS}",
 }
-DOTS = {"g2o_cpp": ("g2o in C++", "#7fb069"), "g2o": ("g2o's wheel, reading not counted", "#e0a82f")}
+DOTS = {"g2o_cpp": "g2o in C++", "g2o": "g2o's wheel, reading not counted"}
 
 
 def ms(value: float) -> str:
@@ -198,6 +198,8 @@ def draw(sets: dict[str, Any], path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator, NullLocator
 
+    from nls.plot.style import BEFORE, CLOSURE, ESTIMATE, HELD, REJECTED
+
     shown = {name: found for name, found in sets.items() if "gtsam" in found["ratio"]}
     if not shown:
         return
@@ -208,13 +210,12 @@ def draw(sets: dict[str, Any], path: Path) -> None:
     figure = Figure(figsize=(8, 1.6 + 0.32 * len(names)), layout="constrained")
     axes = figure.subplots()
     other = [shown[n]["runs"]["gtsam"][shown[n]["fastest"]["gtsam"]]["outcome"] != "optimum" for n in names]
-    colors = np.where(other, "#b0b8bc", np.where(bars < 1, "#0b4f6c", "#b5482a"))
+    colors = np.where(other, HELD, np.where(bars < 1, ESTIMATE, REJECTED))
     axes.barh(range(len(names)), bars - 1, left=1, color=colors, height=0.7)
     for y, bar in enumerate(bars):
         axes.annotate(f"{bar:.2f}" + " *" * other[y], (1.01, y), xycoords=("axes fraction", "data"), va="center")
-    for peer, x in dots.items():
-        label, color = DOTS[peer]
-        axes.plot(x, range(len(names)), "o", color=color, markeredgecolor="0.2", label=label)
+    for (peer, x), color in zip(dots.items(), (BEFORE, CLOSURE), strict=False):
+        axes.plot(x, range(len(names)), "o", color=color, markeredgecolor="0.2", label=DOTS[peer])
     if dots:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), fontsize=9, frameon=False)
     axes.set_yticks(range(len(names)), [f"{name}  ({shown[name]['edges']:,} edges)" for name in names])

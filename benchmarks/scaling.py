@@ -277,40 +277,41 @@ def table(series: Series) -> list[str]:
     return [*lines, f"{series.stopped}.", ""] if series.stopped else lines
 
 
-COLORS = {"read": "#2a9d8f", "init": "#8a5fbf", "analyze": "#c9a227", "linearize": "#3a86c8", "assemble": "#d1698f"}
-COLORS["factorize"] = "#e07a2f"
+COLORED = ("linearize", "factorize", "init", "read", "assemble")  # the others are grey
 
 
 def draw(found: list[Series], path: Path, seconds: float, largest: int) -> None:
     """Seconds of every stage against edges, both axes logarithmic; the same axes for every world."""
     from matplotlib.figure import Figure
 
+    from nls.plot.style import SERIES, SIGHT, TRUE
+
     found = [s for s in found if s.runs]
-    figure = Figure(figsize=(5.2 * len(found), 5.4), layout="constrained")
+    figure = Figure(figsize=(3.9 * len(found), 4.6), layout="constrained")
     panels = figure.subplots(1, len(found), sharex=True, sharey=True, squeeze=False)[0]
-    lowest = 1e-3
+    lowest, colors = 1e-3, {"total": TRUE, **dict(zip(COLORED, SERIES, strict=False))}
     for axes, s in zip(panels, found, strict=True):
         ends: list[tuple[float, str, str]] = []
         for stage in (*STAGES, "total"):
             y = np.array(s.of("seconds", stage))
-            color = "black" if stage == "total" else COLORS.get(stage, "0.6")
-            bold = stage in COLORS or stage == "total"
+            color = colors.get(stage, SIGHT)
+            bold = stage in colors
             axes.loglog(s.edges, y, "-", color=color, linewidth=3.2 if stage == "total" else 2.0 if bold else 1.0)
             if bold and y[-1] > lowest:
                 p = law(s, "seconds", stage)
                 ends.append((float(y[-1]), f"{stage}  $\\propto n^{{{p}}}$" if p else stage, color))
         place = 0.0
         for y_end, text, color in sorted(ends):  # labels at the ends of the lines, none above another
-            place = max(math.log10(y_end), place + 0.2) if place else math.log10(y_end)
-            axes.annotate(text, (s.edges[-1], y_end), xytext=(1.25 * s.edges[-1], 10**place), va="center", color=color)
+            place = max(math.log10(y_end), place + 0.22) if place else math.log10(y_end)
+            axes.annotate(text, (s.edges[-1], y_end), xytext=(1.4 * s.edges[-1], 10**place), va="center", color=color)
         axes.axhline(seconds, color="0.5", linewidth=0.8, linestyle="--")
         axes.set(title=WORLDS[s.world].replace("`", ""), xlabel="edges n", ylim=(lowest, 3 * seconds))
-        axes.set(xlim=(800, 25 * largest), xticks=10.0 ** np.arange(3, math.floor(math.log10(largest)) + 1))
+        axes.set(xlim=(800, 100 * largest), xticks=10.0 ** np.arange(3, math.floor(math.log10(largest)) + 1))
         axes.minorticks_off()
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("processor time, one thread [s]")
     panels[0].annotate(f"limit {seconds:g} s", (1000, seconds), va="bottom", color="0.4")
-    panels[-1].annotate("grey: build, solve, retract, other", (0.98, 0.02), xycoords="axes fraction", ha="right")
+    panels[-1].annotate("grey: the other stages", (0.98, 0.02), xycoords="axes fraction", ha="right")
     figure.savefig(path, dpi=120)
 
 

@@ -18,7 +18,7 @@ __all__ = ["DvlLeg"]
 
 
 class DvlLeg(Factor):
-    r"""Step from pose i to pose j in the horizontal, as `XYH`, by a DVL with a scale error s and turned by an angle a.
+    r"""Horizontal step from pose i to pose j, as `XYH`, by a DVL with a scale error s, turned by an angle a.
 
     .. math:: h(X_i, X_j, s, a) = h_{XYH}(X_i, X_j) + \bigl(w(s_0, a_0) - w(s, a), \; 0\bigr), \quad
               w(s, a) = \frac{1 + s_0}{1 + s} \bigl(\cos(a - a_0)\,p + \sin(a - a_0)\,q + u\bigr)

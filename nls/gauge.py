@@ -1,7 +1,7 @@
 """The gauge: what relative measurements leave free, and what is done about it, by name.
 
-- ``first``: hold one variable in every component that has only relative measurements and nothing fixed: the lowest
-  numbered of the kind with the most degrees of freedom (a pose, where there are poses)
+- ``first``: hold one variable in every component that has only relative measurements and nothing fixed. It is the
+  lowest numbered of the kind with the most degrees of freedom (a pose, where there are poses)
 - ``prior``: give that variable a prior of unit information at its start value instead
 - ``free``: hold nothing and take the shortest step, the one of the pseudo-inverse
 - ``none``: do nothing; a graph with a free gauge is then refused as under-constrained

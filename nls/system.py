@@ -64,7 +64,7 @@ class LinearSystem:
     def A(self) -> sp.csr_array:
         """Sparse (m, n) matrix of the free columns.
 
-        ``A.data`` is one buffer in which every factor batch owns a contiguous slice, seen as (k, m, D) with D the
+        ``A.data`` is one buffer in which every factor batch owns a contiguous slice. It is seen as (k, m, D) with D the
         widths of its slots side by side. Columns of held variables are left out of it when there are any.
         """
         pattern = self.pattern

@@ -3,8 +3,8 @@ r"""Simulated rigs of a camera and a sonar, and the distance of an estimate from
     images      z = h(x_i, l_k) + v        pixels (u, v) of point k from camera i
     contacts    z = h(x_i o s, l_k) + v    range and azimuth of the same points, s the sonar in the frame of the camera
 
-Errors of poses and points are measured after one rigid motion T of the whole estimate, that of least squares over the
-positions of cameras and points together; no scale is estimated. The mounting s needs no alignment.
+Errors of poses and points are measured after one rigid motion T of the whole estimate. T is that of least squares over
+the positions of cameras and points together; no scale is estimated. The mounting s needs no alignment.
 """
 
 from __future__ import annotations

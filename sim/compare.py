@@ -1,10 +1,9 @@
 r"""One data set, every estimator: errors, what they say of themselves, time and memory side by side.
 
 NEES is that of the last pose, e' P^-1 e. Of a consistent estimator its mean over independent runs is within bounds
-with 95 %; the poses of one run are not independent. A covariance that is singular gives errors no size: few particles,
-of which one has nearly all the weight, do not know how wrong they are. Time is that of the processor for the whole run
-over its steps, on one BLAS thread. Memory is the largest that Python and NumPy held at once; a solver in C is not
-counted.
+with 95 %; the poses of one run are not independent. A covariance that is singular gives errors no size. Few particles,
+of which one has nearly all the weight, do not know their error. Time is that of the processor for the whole run over
+its steps, on one BLAS thread. Memory is the largest that Python and NumPy held at once; a solver in C is not counted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Points that an imaging sonar detects in a scene: from images, or drawn from their rates, 10 to 50 times faster.
 
-An echo of mean power S over the noise that fluctuates, as that of a rough wall does, is detected at a false-alarm rate
-P_fa with the probability
+An echo of mean power S over the noise fluctuates, as that of a rough wall does. At a false-alarm rate P_fa it is
+detected with the probability
 
     P_d = P_fa^(1 / (1 + S cos^2(i)))
 

@@ -1,7 +1,7 @@
 """Harbors as scenes, and the closed way of a vehicle in them.
 
-The way is a rounded rectangle about the origin, W by W / 2, its longer sides along x, driven clockwise from above: x
-north, y east, z down. So a turn to starboard is positive.
+The way is a rounded rectangle about the origin, W by W / 2, its longer sides along x, driven clockwise from above. With
+x north, y east and z down a turn to starboard is positive.
 
 marina    a basin 10 m around the way with finger pontoons, boats and piles on its walls, and a pontoon in the middle
 quay      one straight wall 10 m east of the way, without any mark, that ends beyond the reach of the sonar

@@ -4,8 +4,8 @@ r"""A simulated world of a vehicle in the plane and its landmarks: one data set 
     odometry    z = h(x_k, x_k+1) [+] v      pose to pose
     sightings   z = h(x_i, l_k) [+] v        wherever a landmark is in sight; which one it is, is known
 
-v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start values are what a vehicle has that
-never looked back: the odometry chained from the believed first pose, and each landmark where it was seen first.
+v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start values are those of a vehicle that
+never looked back. The odometry is chained from the believed first pose, and each landmark is where it was seen first.
 """
 
 from __future__ import annotations

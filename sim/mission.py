@@ -5,9 +5,8 @@ r"""Simulated sonar missions, made from a track and the landmarks in sight.
     contacts     z = h(x_i, l_k) + v       range and azimuth, wherever the sonar sees a landmark
     anchor       x, y and yaw of x_0, exact
 
-v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start is what a vehicle knows that has
-used none of its contacts: the first pose, the odometry chained from there, and each landmark at elevation 0 of its
-first contact.
+v ~ N(0, Sigma); a range below 0 is reflected at 0 (`sim.world.reflected`). The start uses none of the contacts for the
+poses: it is the first pose and the odometry chained from there. Each landmark is at elevation 0 of its first contact.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ class Mission:
     ----------
     name : of the function that made it.
     truth : the true poses, kind ``x`` in SE3, and landmarks, kind ``l`` in R(3), both numbered from 0.
-    graph : ``graph.factors`` are, in this order, `XYH`, `ZPR`, the anchor (`Position`, then `Heading`), the contacts
-        (`RangeAzimuth`), and what is done about their elevation (`ElevationHinge`, `Elevation` or nothing).
+    graph : ``graph.factors`` are, in this order, `XYH`, `ZPR`, the anchor (`Position`, then `Heading`) and the contacts
+        (`RangeAzimuth`). Last comes `ElevationHinge`, `Elevation` or nothing.
     start : dead reckoning, and landmarks at elevation 0 of their first contact.
     sonar : window, fan and aperture.
     offset : (7,) pose of the sonar on the vehicle.

@@ -3,8 +3,8 @@ r"""Monte-Carlo: one function, many seeds, on all cores or on any `concurrent.fu
     runs(function, seeds)  ->  [function(seed) for seed in seeds]
 
 A seed decides everything a run draws, and every run has one BLAS thread. So the records are the same bits whatever the
-workers and their number. With `resume` each record is appended to a file as soon as it is there, and a run that was
-killed goes on where it stopped:
+workers and their number. With `resume` each record is appended to a file at once, and a run that was killed goes on
+where it stopped:
 
     {"function": "sim.estimators.errors", "arguments": ["subsea", "ekf"], "options": {}}
     {"seed": 3, "record": {"ate": 0.21, "nees": 2.9}}

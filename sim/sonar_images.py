@@ -81,7 +81,7 @@ def sonar_image(
     Raises
     ------
     OptionError
-        An amplitude below 0, a spread or shape that is not above 0, a shadow outside 0 to 1, another speckle, a shape
+        An amplitude below 0, a spread or shape that is not above 0, a shadow outside 0 to 1; another speckle, a shape
         that is missing or of no use.
     GraphError
         A scene without a pose, points with one.
@@ -144,8 +144,8 @@ def contacts(image: Array, sonar: ImagingSonar, threshold: float) -> Array:
 
     Returns
     -------
-    (n, 2) range, m, and azimuth, rad, of the centers of these cells, by beam, then by bin: off by a cell at most while
-    the echo stands well above the background.
+    (n, 2) range, m, and azimuth, rad, of the centers of these cells, by beam, then by bin. They are off by a cell at
+    most while the echo stands well above the background.
 
     Raises
     ------

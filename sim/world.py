@@ -2,8 +2,8 @@ r"""Simulated worlds, and the three steps that all of them share: measure, chain
 
     z = h Exp(v),   v ~ N(0, Sigma),   h = x_i^{-1} x_j
 
-The noise is drawn in the tangent space at the true h. So the residual Log(h^-1 z) of the convention `log` is v itself:
-chi2 at the truth is a chi-square variable with as many degrees of freedom as there are measured numbers.
+The noise is drawn in the tangent space at the true h. So the residual Log(h^-1 z) of the convention `log` is v itself.
+chi2 at the truth is a chi-square variable with as many degrees of freedom as measured numbers.
 """
 
 from __future__ import annotations

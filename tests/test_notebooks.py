@@ -20,7 +20,8 @@ MUTANTS = tomllib.loads((ROOT / "tools" / "broken.toml").read_text(encoding="utf
 LINES = 25  # of a cell
 HIDDEN = {"hide-cell", "remove-cell"}  # tags of cells whose code a page does not show
 CLAIM = re.compile(
-    r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n\*\*You will be able to\*\* .+\n\n\*\*You need\*\* "
+    r"# (?P<title>[^\n]+)\n\n\*(?P<claim>[^*\n]+\.)\*\n\n"
+    r"\*\*You will be able to\*\*\n\n(?:- [^\n]+\n)+\n\*\*You need\*\* "
 )
 
 

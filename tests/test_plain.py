@@ -46,3 +46,13 @@ def test_long_sentences_and_pronouns_are_listed_the_longest_first(tmp_path: Path
     source = tmp_path / "a.py"
     source.write_text(f'"""{long}\n\n>>> print()\n"""\n\n\ndef _hidden():\n    """It is hidden."""\n')
     assert plain.sentences(plain.texts(source)) == [long]
+
+
+def test_a_page_before_and_after() -> None:
+    lines = plain.comparison({"a": [30, 4], "gone": [5]}, {"a": [10, 9, 8], "new": [7]})
+    assert lines[2:] == [
+        "| a | 34 | 27 | 30 | 10 | 1 | 0 |",
+        "| new |  | 7 |  | 7 |  | 0 |",
+        "| gone | 5 |  | 5 |  | 0 |  |",
+        "| **all** | 39 | 34 | 30 | 10 | 1 | 0 |",
+    ]

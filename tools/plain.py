@@ -2,6 +2,7 @@
 
     python tools/plain.py                        # one line a page or source file, then the candidates of each
     python tools/plain.py README.md docs/start.md
+    python tools/plain.py --before COMMIT --out benchmarks/results/words.md     # as the texts were, beside today's
 
 A candidate has more than 25 words, or *what*, *that* or *it* as its subject. Read are the Markdown pages, the Markdown
 cells of notebooks, docstrings of public names and the help texts of the commands. Left out are code, equations and
@@ -12,8 +13,13 @@ from __future__ import annotations
 
 import argparse
 import ast
+import datetime
+import io
 import json
 import re
+import subprocess
+import tarfile
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -87,13 +93,72 @@ def candidates(sentences: list[str]) -> list[str]:
     return sorted((s for s in sentences if words(s) > LONG or SUBJECT.match(s)), key=words, reverse=True)
 
 
+def all_paths(root: Path) -> list[Path]:
+    """Every page and source file of a tree."""
+    return [path for pattern in (*PAGES, *SOURCES) for path in sorted(root.glob(pattern)) if path.is_file()]
+
+
+def counted(root: Path) -> dict[str, list[int]]:
+    """Words of each sentence, page by page; the docstrings of a package are one page."""
+    pages: dict[str, list[int]] = {}
+    for path in all_paths(root):
+        name = path.relative_to(root)
+        title = f"docstrings of `{name.parts[0]}`" if path.suffix == ".py" else f"`{name.as_posix()}`"
+        pages.setdefault(title, []).extend(words(s) for s in sentences(texts(path)))
+    return {title: counts for title, counts in pages.items() if counts}
+
+
+def comparison(before: dict[str, list[int]], after: dict[str, list[int]]) -> list[str]:
+    """A row a page: words, the longest sentence, and the number of those above `LONG`, before and after."""
+    lines = ["| page | words before | after | longest before | after | above 25 before | after |", "|:--|" + "--:|" * 6]
+    total = [[n for counts in pages.values() for n in counts] for pages in (before, after)]
+    rows = {title: [before.get(title), after.get(title)] for title in {**after, **before}} | {"**all**": total}
+    for title, pair in rows.items():
+        measures = (sum, max, lambda counts: sum(n > LONG for n in counts))
+        cells = [f"{measure(counts):,}" if counts else "" for measure in measures for counts in pair]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return lines
+
+
+def earlier(commit: str) -> dict[str, list[int]]:
+    """What `counted` finds in the tree of a commit."""
+    archive = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True, check=True).stdout
+    with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as tree:
+        tree.extractall(folder, filter="data")
+        return counted(Path(folder))
+
+
+def report(commit: str) -> list[str]:
+    """The page of the results."""
+    dated = ["git", "log", "-1", "--format=%h, %cs", commit]
+    named = subprocess.run(dated, cwd=ROOT, capture_output=True, check=True, text=True).stdout.strip()
+    return [
+        "# Words and the longest sentences, before and after",
+        "",
+        f"- before: commit {named}; after: {datetime.date.today():%Y-%m-%d}",
+        f"- words of sentences, without code, equations, tables and headings; above {LONG}: sentences of more words",
+        "- a page that is new or gone has an empty cell; docstrings are those of public names",
+        "- `tools/plain.py` lists the sentences themselves",
+        "",
+        *comparison(earlier(commit), counted(ROOT)),
+    ]
+
+
 def main() -> None:
     """Prints the table, then the candidates page by page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="*", type=Path, help="all pages and sources when omitted")
-    given = parser.parse_args().files
-    paths = given or [path for pattern in (*PAGES, *SOURCES) for path in sorted(ROOT.glob(pattern)) if path.is_file()]
-    pages = [(path, sentences(texts(path))) for path in paths]
+    parser.add_argument("--before", metavar="COMMIT", help="compare all pages with those of this commit")
+    parser.add_argument("--out", type=Path, help="the page that --before writes; printed when omitted")
+    options = parser.parse_args()
+    if options.before:
+        text = "\n".join(report(options.before)) + "\n"
+        if options.out:
+            options.out.write_text(text, encoding="utf-8")
+        else:
+            print(text, end="")
+        return
+    pages = [(path, sentences(texts(path))) for path in options.files or all_paths(ROOT)]
     print("  words  longest  above 25  pronoun subject  page")
     total = [0, 0, 0]
     for path, listed in pages:

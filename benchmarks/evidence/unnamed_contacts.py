@@ -23,6 +23,8 @@ import sim
 from factors import Cauchy, Robust, sonar_factors
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
+from nls.plot.picture import write_picture
+from nls.plot.style import BEFORE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, TRUE
 from nls.sonar.contacts import associate
 from nls.starts import search_elevation
 
@@ -40,7 +42,7 @@ SPOILED: dict[str, dict[str, float]] = {  # parts of the contacts
 SWEEP = ("40 % false", "30 % lost", "60 % lost")  # a fifth of the seeds
 AXES = {"false contacts": ("clean", "5 % false", "10 % false", "20 % false", "40 % false")}
 AXES |= {"lost contacts": ("clean", "30 % lost", "60 % lost")}
-LINES = (("precision", "precision", "C0"), ("recall", "recall", "C1"), ("share", "explained", "C2"))
+LINES = {"precision": ("precision", ESTIMATE), "recall": ("recall", ELLIPSE), "share": ("explained", LANDMARK)}
 x, l = kinds("x", "l")
 
 
@@ -116,34 +118,31 @@ def draw(trials: list[Trial], path: Path) -> None:
     """How precision, recall, the explained share and the error of the track go with false and with lost contacts."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 6), layout="constrained")
+    figure = Figure(figsize=(9, 6.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
     for column, (title, spoiled) in enumerate(AXES.items()):
-        parts = np.array([0.0 if name == "clean" else float(name.split()[0]) for name in spoiled])
+        percent = np.array([0.0 if name == "clean" else float(name.split()[0]) for name in spoiled])
         above, below = axes[:, column]
-        for scene, marker in zip(SCENES, "os", strict=True):
+        for scene, line in zip(SCENES, ("o-", "s:"), strict=True):
             of = [[t for t in trials if (t.scene, t.spoiled) == (scene, name)] for name in spoiled]
-            style = {"marker": marker, "ls": "-" if marker == "o" else ":"}
-            for name, label, color in LINES:
-                y = [np.mean([getattr(t, name) for t in some]) for some in of]
-                above.plot(parts, y, color=color, label=f"{label}, {scene}", **style)
-            ratio = [[t.ate / t.named for t in some] for some in of]
+            for name, (label, color) in LINES.items():
+                y = [100 * np.mean([getattr(t, name) for t in some]) for some in of]
+                above.plot(percent, y, line, color=color, label=f"{label}, {scene}")
+            ratios = [[t.ate / t.named for t in some] for some in of]
             reckoned = [np.mean([t.reckoned / t.named for t in some]) for some in of]
-            below.plot(parts, [np.median(some) for some in ratio], color="C3", label=f"without names, {scene}", **style)
-            below.plot(
-                parts, [np.max(some) for some in ratio], color="C3", alpha=0.4, label=f"worst seed, {scene}", **style
-            )
-            below.plot(parts, reckoned, color="0.6", label=f"dead reckoning, {scene}", **style)
+            below.plot(percent, reckoned, line, color=BEFORE, label=f"dead reckoning, {scene}")
+            below.plot(percent, list(map(max, ratios)), line, color=REJECTED, label=f"worst seed, {scene}")
+            below.plot(percent, list(map(np.median, ratios)), line, color=ESTIMATE, label=f"median, {scene}")
         if column == 0:
-            above.plot(parts, 1 - parts / 100, color="0.7", lw=1, label="true contacts")
+            above.plot(percent, 100 - percent, color=ECHO, linewidth=1, label="true contacts")
         above.set_title(title)
-        below.set(xlabel=f"{title}, %", yscale="log")
-        below.axhline(1.0, color="k", lw=0.8)
-    axes[0, 0].set(ylabel="part", ylim=(0, 1.05))
-    axes[1, 0].set(ylabel="ATE, times that with all true names")
+        below.set(xlabel=f"{title} [%]", yscale="log")
+        below.axhline(1.0, color=TRUE, linewidth=0.8)
+    axes[0, 0].set(ylabel="[%]", ylim=(0, 105))
+    axes[1, 0].set(ylabel="ATE / ATE with true names", yticks=[1, 2, 5, 10], yticklabels=["1", "2", "5", "10"])
     for left, right in axes:
         right.legend(*left.get_legend_handles_labels(), fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=120)
+    write_picture(path, figure)
 
 
 def main() -> int:
@@ -176,9 +175,9 @@ def main() -> int:
         "",
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
         "",
-        "Precision and recall are those of pairs of contacts: of one landmark as said, and as they are. Explained: the "
-        "share of all contacts that a landmark was found for. Named: the clean mission with the true names. ATE: rmse "
-        "of the poses, nothing aligned, means of the seeds. s: processor time of the association.",
+        "Precision and recall count pairs of contacts of one landmark. Explained: the share of all contacts for which "
+        "a landmark was found. Named: the clean mission with the true names. ATE: rmse of the poses, nothing aligned, "
+        "means of the seeds. s: processor time of the association.",
     ]
     write_page(lines, options.out / "unnamed_contacts.md")
     draw(trials, options.out / "unnamed_contacts.png")

@@ -17,17 +17,12 @@ from matplotlib.figure import Figure
 
 import nls
 from nls import Kind
+from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, SIGHT
 
 EDGE = "EDGE_SE2 0 1  1 0 0  100 0 0 100 0 400"
 FILE = f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0.9 0.1 0\n{EDGE}\n"
-ROOMS = {
-    "nls/io": "#7a7a7a",
-    "factors": "#2f7d4f",
-    "models": "#8a5a2b",
-    "nls/sparse": "#0b4f6c",
-    "nls/linear": "#e07a2f",
-}
-REST = "#6a3d9a"  # of what a user touches, and the optimizers
+ROOMS = {"nls/io": SIGHT, "factors": LANDMARK, "models": REJECTED, "nls/sparse": ESTIMATE, "nls/linear": BEFORE}
+REST = ELLIPSE  # of what a user touches, and the optimizers
 
 
 def walk(numbers: dict[str, str]) -> list[tuple[str, str, str]]:

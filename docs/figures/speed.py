@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from nls.plot.style import CLOSURE, ECHO, ESTIMATE, REJECTED
+
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "posegraphs.json"
-FASTER, SLOWER = "#0b4f6c", "#c9743c"
-DOTS = {"gtsam": ("over GTSAM", "s", "#7a7a7a"), "ceres_cpp": ("over Ceres in C++", "D", "#8fb996")}
+FASTER, SLOWER = ESTIMATE, REJECTED
+DOTS = {"gtsam": ("over GTSAM", "s", ECHO), "ceres_cpp": ("over Ceres in C++", "D", CLOSURE)}
 MOST = 50.0
 
 

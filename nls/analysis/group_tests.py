@@ -41,7 +41,7 @@ class GroupTest:
     Attributes
     ----------
     batch, index : (k,) number of the batch, of the measurement in it.
-    t : squared distance from what all others say, in its sigmas.
+    t : squared distance from the prediction of all others, in its sigmas.
     log_tail : logarithm of the probability of a larger t, if the model is right.
     """
 

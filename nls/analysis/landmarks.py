@@ -5,9 +5,9 @@ r"""The information about every landmark, and its weakest direction.
 
     H_l = sum_k w_k v_k v_k',   w_1 <= w_2 <= ...                     condition w_1 / w_d, weak direction v_1
 
-A are whitened Jacobians, so w is 1/m^2 and 1 / sqrt(w_1) is the standard deviation along v_1. For a point seen by a
-sonar that does not measure elevation, v_1 is the tangent of the arc of the first sighting unless the motion has
-shown the elevation; `elevation_angle` says how far from it.
+A are whitened Jacobians, so w is 1/m^2 and 1 / sqrt(w_1) is the standard deviation along v_1. A sonar does not measure
+the elevation. For its point v_1 is the tangent of the arc of the first sighting, unless the motion has shown the
+elevation. `elevation_angle` says how far from it.
 
 The marginal information is the inverse of the marginal covariance,
 

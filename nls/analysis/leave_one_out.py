@@ -1,4 +1,4 @@
-r"""The measurements, one by one and by kind: against what the fit of all others says.
+r"""The measurements, one by one and by kind: against the prediction of all others.
 
     t_i = e_i' (I - C_i)^-1 e_i  ~  chi2(m_i)      under the model, without measurement i (w_i = 1)
     dof = sum_i m_i - tr(w_i C_i)                  of a kind: its numbers, less what it has spent on the unknowns
@@ -51,7 +51,7 @@ class Tested:
 
     Attributes
     ----------
-    t : (k,) squared distance from what all others say, in its sigmas.
+    t : (k,) squared distance from the prediction of all others, in its sigmas.
     m : (k,) numbers that all others check, the degrees of freedom of t.
     rows : (k,) numbers that measure something.
     dof : (k,) share of the degrees of freedom of chi2.

@@ -10,7 +10,7 @@ and without measurement i, exactly where the problem is linear,
     e_i <- (I - w_i C_i)^-1 e_i,   C_i <- C_i (I - w_i C_i)^-1
 
 Any two variables of one factor are neighbors in A'A. So the blocks of P that C_i needs come out of one pass over its
-Cholesky factor (`nls.sparse.takahashi`), and taking a measurement out changes all others by products of its m columns P
+Cholesky factor (`nls.sparse.takahashi`). Taking a measurement out changes all others by products of its m columns P
 A_i'. Several measurements are one whose A_i are stacked. W. Baarda, "A testing procedure for use in geodetic networks",
 1968; the redundancy numbers tr(I - C_i) are in P. Teunissen, "Testing theory: an introduction", 2000.
 """

@@ -1,7 +1,8 @@
 """Whole kinds of measurements that fit when they are read otherwise: a wrong sign, order, or handedness of a frame.
 
-A source is read otherwise as a whole, the graph is solved from a start of its own, and chi2 of both optima are compared
-(`nls.analysis.alternatives`). Sources are all measurements of a type, steps and closures of it, and single factors.
+A source is read otherwise as a whole, and the graph is solved from a start of its own. Then chi2 of both optima are
+compared (`nls.analysis.alternatives`). Sources are all measurements of a type, steps and closures of it, and single
+factors.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class MisreadMeasurement:
     place : number of the factor, index of the measurement.
     keys : its variables as they stand.
     reading : a name of `nls.analysis.readings`.
-    standing, t : squared distance from what all others say, as it stands and as it was meant, in sigmas of the
+    standing, t : squared distance from the prediction of all others, as it stands and as it was meant, in sigmas of the
         difference.
     m : degrees of freedom of t.
     chance : that a measurement drawn at random fits as well under one of the readings that were tried.

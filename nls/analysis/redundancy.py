@@ -5,9 +5,9 @@ makes all of them wrong by one motion. The model error of a group is a vector na
 
     b = A dx + C nabla + e,    e ~ N(0, I),    C = A_j Ad(T_j^-1 T_r) in the rows of the group, 0 elsewhere.
 
-A_j are the whitened Jacobians of the later ends T_j: a common error is one rigid motion of all later ends, written at
+A_j are the whitened Jacobians of the later ends T_j. A common error is one rigid motion of all later ends, written at
 one pose T_r among them. With P = (A'A)^-1 the residuals of the optimum are (I - A P A') b. They determine nabla with
-the information M, a known map would with N,
+the information M; a known map would with N,
 
     N = C'C,    M = C'(I - A P A') C = N - U'P U,    U = A'C,
 

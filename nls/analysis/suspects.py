@@ -59,7 +59,7 @@ class Suspects:
     places : (batch, index) in the order in which they were taken out.
     rivals : of each of them, how many others it might be instead, and one of these, None where there is none.
     accepted : (k,) by batch, 0 for these and 1 for all others.
-    tests : of every batch at the end; t of a suspect is its distance from what the others say.
+    tests : of every batch at the end; t of a suspect is its distance from the prediction of the others.
     s : of every batch at the end (k,), squared residuals at the optimum of the rest, as the linear problem has it.
     values : the optimum of the rest.
     chi2, dof : of the rest there.

@@ -61,8 +61,8 @@ def tangent(M: Array) -> Array:
 def nearest(M: Array) -> Array:
     """M with the nearest Y of orthonormal columns: U V' of Y = U S V'.
 
-    Of two rows and columns that is (Y + C) / |Y + C|, C the cofactors of Y, with the sign of det Y, and |.| the length
-    of a column: 2 ms for 15,000 poses, where as many singular value decompositions take 25.
+    Of two rows and columns that is (Y + C) / |Y + C|, with C the cofactors of Y by the sign of det Y, and |.| the
+    length of a column. It takes 2 ms for 15,000 poses, as many singular value decompositions 25.
     """
     Y_t = M[:, :-1]
     if Y_t.shape[1:] == (2, 2):

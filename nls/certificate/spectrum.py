@@ -12,7 +12,7 @@ Where S + mu D has no negative eigenvalue the first term is none either, so that
 whatever the start, and whether or not M is exactly stationary. S has r eigenvalues 0, of the rows of M, so mu has to be
 above 0 for a Cholesky factorization to tell. mu is so small that mu n d is half a millionth of the cost; or 100 eps
 times the largest entry of Q, where that is more. Then the gap may be as wide as this mu makes it, up to a hundredth of
-the cost: of one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
+the cost. With one edge a million times as precise as all others, mu hides any negative eigenvalue of those.
 
 Source: D. Rosen, L. Carlone, A. Bandeira, J. Leonard, "SE-Sync: a certifiably correct algorithm for synchronization
 over the special Euclidean group", IJRR 38(2-3), 2019, section 4.

@@ -37,12 +37,12 @@ class Certificate:
     values : the values given with the poses of the local minimum; the pose of lowest number, or the one that is fixed
         or has a prior, keeps its place.
     better, better_cost : a minimum of lower cost, where one was found, with the same pose in its place.
-    direction : (n, d + 1) the eigenvector of the first eigenvalue, in the order of the values: a row below every [R t]
-        along which the cost falls; None where certified.
+    direction : (n, d + 1) the eigenvector of the first eigenvalue, in the order of the values. Its rows below every [R
+        t] lower the cost. None where certified.
     moved : largest distance, m, and angle, rad, between the values given and `values`, pose by pose.
     moved_rms : their root mean squares.
-    lower_chi2 : chi2 of the graph at `better`, or else at `values`, where it is below that of the values given, which
-        then are not the global optimum of chi2 either; None otherwise.
+    lower_chi2 : chi2 of the graph at `better`, or else at `values`, where it is below that of the values given. These
+        then are not the global optimum of chi2 either. None otherwise.
     converged, steps : whether Newton's method had nothing left to gain at `values`, and its steps.
     """
 

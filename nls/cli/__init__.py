@@ -1,8 +1,8 @@
 """The command line: one file per command; this one runs them and turns every error into one line and an exit status.
 
-A process of its own has one thread: libraries that are told so before they are loaded start no others, whose start and
-end cost more than a small graph takes (import of NumPy and SciPy, four cores: 90 ms of processor time less). Settings
-of the user in the environment stay.
+A process of its own has one thread. Libraries that are told so before they are loaded start no others. Starting and
+ending threads costs more than a small graph takes. At the import of NumPy and SciPy on four cores it is 90 ms of
+processor time. Settings of the user in the environment stay.
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ class Marginals:
 
     - ``body``: of the tangent step, delta = (rho, phi) in X Exp(delta). What a factor on this pose would take as noise.
     - ``world``: of (R rho, R phi), in the plane (R rho, phi): the errors of position and rotation along the axes of the
-      world. Not Ad_X Sigma Ad_X': its translation part is the error of the point of the *body* at the origin of the
-      world, and grows with the distance from the origin.
+      world. Not Ad_X Sigma Ad_X'. Its translation part is the error of the point of the *body* at the origin of the
+      world, and grows with the distance from there.
 
     Vectors, and rotations of the plane, have one frame only and need none. See the theory page on covariances.
 

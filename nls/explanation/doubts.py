@@ -45,7 +45,7 @@ CURES = {  # action by reading
 
 
 def measurement(factor: Factor, index: int, values: Values, t: float, chance: float) -> Measurement:
-    """One measurement, t its squared distance from what the others say."""
+    """One measurement, t its squared distance from the prediction of the others."""
     chi2 = float(factor.chi2(values)[index])  # of all: a factor made from a function has no parts
     keys = tuple(keys[[index]] for keys in factor.keys)
     return Measurement(factor.describe(index), keys, chi2, chi2**0.5, max(t, 0.0) ** 0.5, chance)

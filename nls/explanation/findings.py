@@ -112,14 +112,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One measurement against what all others say.
+    """One measurement against the prediction of all others.
 
     Attributes
     ----------
     factor : ``Between(x3, x90)``.
     keys : its variables.
     chi2, sigmas : |b_i|^2 at the values, and its root.
-    normalized : distance from what all others say, in sigmas of the difference.
+    normalized : distance from the prediction of all others, in sigmas of the difference.
     chance : of one such measurement among all of them, if the model is right.
     """
 

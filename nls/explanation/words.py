@@ -167,7 +167,7 @@ def _systematic(f: Finding) -> str:
 def _doubtful(f: Finding) -> str:
     n, closure = f.numbers, f.kind is FindingKind.WRONG_CLOSURE
     text = f"{n['factor']}{', a loop closure,' if closure else ''} is probably wrong: "
-    text += f"{n['sigmas']:.3g} sigmas from what all others say"
+    text += f"{n['sigmas']:.3g} sigmas from the prediction of all others"
     if n["rival"]:
         rival = f"one of {n['rivals']} others, such as {n['rival']}" if n["rivals"] > 1 else n["rival"]
         text += f"; or {rival}, as nothing tells them apart"

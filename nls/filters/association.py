@@ -349,8 +349,8 @@ def identified(sightings: Sighting, associations: npt.ArrayLike, kind: Kind) -> 
     Parameters
     ----------
     sightings : whatever landmarks its measurements name.
-    associations : (n,) numbers of landmarks in the order of time (by pose, those of one pose in the order of the
-        factor), -1 for a sighting that was left out: `EKF.associations`.
+    associations : (n,) numbers of landmarks in the order of time, as `EKF.associations`. Those of one pose are in the
+        order of the factor. -1 for a sighting that was left out.
     kind : of the landmarks.
 
     Raises

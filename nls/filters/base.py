@@ -48,8 +48,8 @@ class Step:
     ----------
     pose : the pose of this step, one variable.
     motion : factors between the pose before and this one, one measurement each; empty at the first step.
-    observations : all other factors whose latest pose this is, as batches: first priors of landmarks that are seen here
-        for the first time, then the rest in the order of the graph.
+    observations : all other factors whose latest pose this is, as batches. First come priors of landmarks that are seen
+        here for the first time, then the rest in the order of the graph.
     """
 
     pose: Keys
@@ -181,8 +181,8 @@ class Track:
     method : which filter, with its options.
     x : the poses, in the order of time.
     manifold : their space.
-    X, P : (n, size) and (n, d, d), every pose and its covariance at the time it was the latest, in the tangent space at
-        X: axes of the body, position in m before angles in rad.
+    X, P : (n, size) and (n, d, d), every pose and its covariance at the time it was the latest. P is in the tangent
+        space at X: axes of the body, position in m before angles in rad.
     values : the poses as they are believed in the end (those of X where nothing is smoothed), and the landmarks that
         were found.
     landmarks, P_landmarks : the landmarks in `values` and (m, d, d) their covariances in the end.

@@ -52,11 +52,11 @@ class EKF(Filter):
 
     Parameters
     ----------
-    landmarks : what is believed of a landmark at its first sighting, unless a prior of its own came before:
-        ``correlated``: what pose and sighting say, with its correlation to everything else; ``first-sight``: its place
-        with `prior_sigma`, uncorrelated, which counts information nobody measured (the filter becomes over-confident;
-        known from simulations in the literature, kept for comparison); ``independent``: nothing, every landmark must
-        have a `Prior`.
+    landmarks : what is believed of a landmark at its first sighting, unless a prior of its own came before.
+        ``correlated``: the prediction of pose and sighting, with its correlation to everything else; ``first-sight``:
+        its place with `prior_sigma`, uncorrelated, which counts information nobody measured (the filter becomes
+        over-confident; known from simulations in the literature, kept for comparison); ``independent``: nothing, every
+        landmark must have a `Prior`.
     first_estimates : Jacobians are taken where a variable was first estimated, residuals where it is now. What no
         measurement sees, such as the heading of everything, then stays unseen.
     prior_sigma : of ``first-sight``, for every component of a landmark or one each, m (and rad for lines).
@@ -86,9 +86,9 @@ class EKF(Filter):
     filter of the latest pose refuses such factors.
 
     A chart to 4 m, bearings to 0.2 deg. At 25 m a sighting moves a landmark by 46 sigma of its bearing, too far for one
-    linearization. Over 30 seeds of `sim.subsea` with ``independent`` landmarks the mean NEES of the last pose, 3 of a
-    consistent filter, is 74 with one iteration and 2.6 with ten at most, 4 in the mean. Landmarks that begin where they
-    were seen, ``correlated``, need no more than one.
+    linearization. The mean NEES of the last pose is 3 for a consistent filter. Over 30 seeds of `sim.subsea` with
+    ``independent`` landmarks it is 74 with one iteration. With ten at most, 4 in the mean, it is 2.6. Landmarks that
+    begin where they were seen, ``correlated``, need no more than one.
 
     Examples
     --------

@@ -51,7 +51,7 @@ class MarginalPrior(Factor):
     Notes
     -----
     Straight steps from X0 are no rotation. Where all variables turn together by an angle that nothing else holds, far
-    landmarks leave the prior by its square, and Gauss-Newton may go back and forth for ever. The library then takes
+    landmarks leave the prior by its square. Gauss-Newton may then go back and forth for ever. The library then takes
     Levenberg-Marquardt, as for every factor that is `damped`.
 
     Examples

@@ -63,9 +63,9 @@ def load(
         that holds ``graph.npz`` or ``graph.g2o``. A list of folders: dives at one place, with a track each, and their
         landmarks and beacons in common.
     convention : residual of pose measurements, see `factors.conventions`.
-    dialect : ``auto`` goes by the content: ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph`` (see
-        `nls.io.dialects`), ``pyfg``, ``bal``, or the library's own ``npz`` and ``json``, which states the convention of
-        every factor. Files whose lines have several readings must be named.
+    dialect : ``auto`` goes by the content. The dialects are ``g2o``, ``toro``, ``isam``, ``isam-covariance``, ``graph``
+        (see `nls.io.dialects`), ``pyfg``, ``bal``, and the library's own ``npz`` and ``json``. The last two state the
+        convention of every factor. Files whose lines have several readings must be named.
     repair_information : replace information matrices with negative eigenvalues by the nearest semi-definite ones (with
         a warning) instead of refusing the file; for the dialects g2o and toro.
     elevation : of a mission, what is done about the elevation a sonar does not measure, ``hinge`` when omitted; see
@@ -247,8 +247,8 @@ def save(
     path : the file; compressed where the name ends in ``.gz``.
     graph, values : what to write.
     report : the report the graph was read with: its times are kept. For a file of the same format the numbers of the
-        lines and the ids of parameters stay as they were, and unused lines are appended (otherwise a warning counts
-        them: another format may read them as its own).
+        lines and the ids of parameters stay as they were. Unused lines are appended. For another format, which may read
+        them as its own, a warning counts them.
     dialect : as for `load`; when omitted by the name: ``.npz`` and ``.json`` hold every graph bit for bit, ``.g2o``,
         ``.toro``, ``.isam``, ``.pyfg`` and ``.bal`` what they have lines for; ``.tum`` and ``.kitti`` hold the poses
         alone, and ``.csv`` the values as a table.

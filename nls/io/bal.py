@@ -6,8 +6,8 @@
     X Y Z                            three per point, meters (or the unit of the reconstruction)
 
 Cameras and points are counted from 0 and have no names. A camera becomes two variables of its number, so that its lens
-can be held: `c`, the rotation vector and translation that take the world into the camera, and `k`, the
-focal length and two distortions. Points are `l`. The file states no noise: one pixel is taken.
+can be held. `c` is the rotation vector and translation that take the world into the camera, `k` the focal length and
+two distortions. Points are `l`. The file states no noise: one pixel is taken.
 
 Source: S. Agarwal, N. Snavely, S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010, and its data sets.
 """
@@ -121,8 +121,8 @@ def bal_text(path: str | Path, graph: FactorGraph, values: Values) -> bytes:
     Raises
     ------
     GraphError
-        Something the format has no line for: other factors or kinds, variables not counted from 0, a lens that is not
-        that of its camera, a noise other than one pixel, variables held fixed.
+        The format has no line for it: other factors or kinds, variables not counted from 0, variables held fixed; a
+        lens that is not that of its camera, a noise other than one pixel.
     """
     for factor in graph.factors:
         if not isinstance(factor, BundleProjection):

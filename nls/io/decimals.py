@@ -1,7 +1,7 @@
 """Decimal numbers of a text, eight characters at a time, by arithmetic on whole arrays of 64-bit words.
 
-Every byte of the text is first turned into its mark: a digit into its value, a point into 16, all others into 128 and
-more. The last eight marks of a token are one word, the eight before them another where it is longer. In a word
+Every byte of the text is first turned into its mark. This is the value of a digit, 16 for a point, 128 and more for all
+others. The last eight marks of a token are one word, the eight before them another where it is longer. In a word
 
     a point is closed up: the marks in front of it move one place,
     neighbors are joined: pairs of digits 10 a + b, pairs of those 100 a + b, and 10,000 a + b.

@@ -8,9 +8,9 @@ The information is the upper triangle row by row; that of a pose of space is of 
 belongs to the *vector part of the quaternion*, half a rotation vector. For the conventions ``g2o``, ``graphslam`` and
 ``gtsam`` it is taken verbatim, for ``log`` converted (rotation block / 4, mixed blocks / 2: exact in binary).
 
-Poses are the variables ``x``, points ``l``, and vertices used only as the place of a sensor on the vehicle ``o``, with
-the ids of the file. Source: R. Kuemmerle et al., "g2o: a general framework for graph optimization", ICRA 2011, and the
-types registered in its sources (slam2d, slam3d, sclam2d and their add-ons).
+Poses are the variables ``x``, points ``l``, with the ids of the file. Vertices used only as the place of a sensor on
+the vehicle are ``o``. Source: R. Kuemmerle et al., "g2o: a general framework for graph optimization", ICRA 2011, and
+the types registered in its sources (slam2d, slam3d, sclam2d and their add-ons).
 """
 
 from __future__ import annotations

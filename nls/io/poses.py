@@ -1,9 +1,9 @@
 """Poses of a trajectory with their times or numbers, of any file that holds them: TUM, KITTI, and CSV with a head.
 
 A CSV file has the columns of a mission's ``truth.csv`` and ``trajectory.csv``: x_m, y_m, z_m, roll_rad, pitch_rad,
-yaw_rad, and i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
-Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A scan
-mission calls its columns keyframe, time, x, y and yaw.
+yaw_rad. It has i (numbers of the poses), time_s, or both. Other columns are not read but standard deviations of these.
+Poses of the plane have x_m, y_m and yaw_rad alone; positions alone are poses without headings. A scan mission calls its
+columns keyframe, time, x, y and yaw.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@
     EDGE_RANGE time a b range variance
 
 A *covariance* is its upper triangle, row by row, of (translation, rotation); its rotation part in space is that of the
-rotation vector: readers of the format turn it into a precision 3 / (2 trace), which is the one of the chordal distance
-for it. For the conventions ``g2o`` and ``graphslam``, whose residual is half a rotation vector, it is converted (block
-/ 4, mixed / 2: exact in binary). A name is letters and a number: ``A17`` is number 17 of kind ``A``, one kind per
-vehicle, usually ``L`` for points.
+rotation vector. Readers of the format turn it into a precision 3 / (2 trace), the one of the chordal distance. For the
+conventions ``g2o`` and ``graphslam``, whose residual is half a rotation vector, it is converted (block / 4, mixed / 2:
+exact in binary). A name is letters and a number: ``A17`` is number 17 of kind ``A``, one kind per vehicle, usually
+``L`` for points.
 
 Source: the reader and writer of MarineRoboticsGroup/PyFactorGraph, py_factor_graph/io/pyfg_text.py; A. Papalia et al.,
 "Certifiably correct range-aided SLAM", IEEE T-RO 2024.

@@ -1,7 +1,7 @@
 """Records of graph text formats: one `Record` per tag, from which both reader and writer follow.
 
-A line is a tag, the ids of the vertices concerned, the ids of parameters, the numbers of one element of a space, and
-for a measurement the entries of a symmetric matrix (or of an upper square root). A new sensor is one more record.
+A line is a tag, the ids of the vertices concerned, the ids of parameters, and the numbers of one element of a space. A
+measurement has the entries of a symmetric matrix, too, or of an upper square root. A new sensor is one more record.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Record:
     ----------
     tag : the first word of its lines.
     group : SE2 or SE3, the poses of its dimension.
-    slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount`` (a pose of a sensor
-        on the vehicle that is a variable), ``either`` (pose or mount).
+    slots : what the vertices are used as, in the order of the line: ``pose``, ``point``, ``mount``, ``either`` (pose or
+        mount). A mount is a pose of a sensor on the vehicle that is a variable.
     element : the value of a vertex or parameter, the measured value.
     factor : the measurement; None for a vertex or parameter.
     parameters : ids of fixed poses of sensors, the offsets of the factor.

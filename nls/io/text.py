@@ -1,8 +1,8 @@
 """Lines, tags and numbers of a text file by whole-array operations: lines are split, never looped over in Python.
 
-Numbers are read all at once (`nls.io.decimals`). The few of another form or of more than 19 digits, and those next to
-the middle of two floating-point numbers, are matched against the grammar of a decimal number and go to Python's
-float(), which also takes "nan", "1_0" and the digits of other scripts.
+Numbers are read all at once (`nls.io.decimals`). Few are left: those of another form, of more than 19 digits, or next
+to the middle of two floating-point numbers. They are matched against the grammar of a decimal number and go to Python's
+float(). It also takes "nan", "1_0" and the digits of other scripts.
 """
 
 from __future__ import annotations

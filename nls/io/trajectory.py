@@ -73,7 +73,7 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     Raises
     ------
     GraphFileError
-        With the line: another count of numbers, a word that is no number, a quaternion that is not of length 1, a time
+        With the line: another count of numbers, a word that is no number; a quaternion that is not of length 1, a time
         that does not rise.
     """
     times, poses, _ = _tum(path)

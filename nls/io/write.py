@@ -1,7 +1,7 @@
 """The writer of graph text files of every dialect: from a graph and values to the lines of its records.
 
-Read, write, read with one dialect and one convention gives the same graph bit for bit, where noise is about angles only
-with the report of the file. Comments are never written: widely used readers lose a file's edges over one.
+Read, write, read with one dialect and one convention gives the same graph bit for bit. Where noise is about angles this
+takes the report of the file. Comments are never written: widely used readers lose a file's edges over one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 r"""Anchors that hold what the measurements leave free, and nothing else.
 
-With N (n, k) a basis of the null space of A, k unknowns (the pivots of a QR decomposition of N') are chosen so that
-their rows of N form an invertible matrix C N. A prior on each of them gives
+N (n, k) is a basis of the null space of A. The k unknowns are the pivots of a QR decomposition of N', so that their
+rows of N form an invertible matrix C N. A prior on each of them gives
 
     S = (A'A + C'C)^-1 = S_0 + N M' + M N'
 

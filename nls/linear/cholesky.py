@@ -2,17 +2,17 @@
 
 Measured choices (SuiteSparse 5.12, OpenBLAS, two cores):
 
-- AMD orders the graph of *variables*, one node per pose, and the matrix is handed over already in that order: the fill
-  of scalar AMD at half the time.
-- METIS (nested dissection) orders again where more than `LARGE` pairs of variables share a factor and AMD's order costs
-  more than `COSTLY` flops a pair, a variable taken as one column; the order of fewer flops is taken. 10^9 flops of a
-  factorization, AMD -> METIS, simulated: city of 100,000 edges 10.1 -> 4.4, of a million 548 -> 166; sphere of 100,000
-  116 -> 36; filled cube of 100,000 3555 -> 392. Per 100,000 edges METIS takes 0.2 - 0.6 s, AMD 0.02 - 0.12, counting
-  flops 0.07 - 0.15. So smaller graphs (city10000 has 20,687 pairs) are not even counted. A CHOLMOD built without METIS
-  answers a request for it with AMD's order: then that one stays.
+- AMD orders the graph of *variables*, one node per pose, and the matrix is handed over already in that order. This has
+  the fill of scalar AMD at half the time.
+- METIS (nested dissection) orders again where more than `LARGE` pairs of variables share a factor. AMD's order must
+  cost more than `COSTLY` flops a pair, a variable taken as one column. The order of fewer flops is taken. 10^9 flops of
+  a factorization, AMD -> METIS, simulated: city of 100,000 edges 10.1 -> 4.4, of a million 548 -> 166; sphere of
+  100,000 116 -> 36; filled cube of 100,000 3555 -> 392. Per 100,000 edges METIS takes 0.2 - 0.6 s, AMD 0.02 - 0.12,
+  counting flops 0.07 - 0.15. So smaller graphs (city10000 has 20,687 pairs) are not even counted. A CHOLMOD built
+  without METIS answers a request for it with AMD's order: then that one stays.
 - CHOLMOD chooses itself between columns one by one and supernodes (dense blocks), at 40 flops per number of R. With its
-  threads kept in check that is the faster one on every graph measured: kitti_00 3 ms against 12, city10000 63 against
-  92, sphere2500 65 against 398.
+  threads kept in check supernodes are faster on every graph measured. kitti_00 takes 3 ms against 12, city10000 63
+  against 92, sphere2500 65 against 398.
 - One thread: see `nls.sparse.threads`.
 """
 

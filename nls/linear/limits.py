@@ -1,16 +1,16 @@
 """How much memory a factorization may take: estimated before it is taken, and refused with the numbers.
 
-The estimate is the numbers of R (`nls.sparse.fill`) times what a number costs at the peak, which was measured as the
-largest resident memory of analysis and solve together, above that of the linearized graph, over 8 bytes a number of R:
+The estimate is the numbers of R (`nls.sparse.fill`) times the memory of a number at the peak, in units of 8 bytes. The
+peak is the largest resident memory of analysis and solve together, above that of the linearized graph:
 
     CHOLMOD   1.9 - 2.1   (R of 27 to 218 MB: a factor with zeros in its supernodes, the fronts, H and its blocks)
     SuperLU   8 - 18      (L and U with their indices, in arrays that grow by copying)
     SPQR      9.7 - 10.9  (fronts of Householder vectors, R as triplets and again by columns)
 
-It costs nothing where it cannot matter. A full triangle of n columns has n (n + 1) / 2 numbers, and where these fit (up
-to 26,000 columns for CHOLMOD in 6 GB) nothing is counted. Beyond, counting adds about a seventh to the analysis, once
-per graph: 0.05 s to 0.32 s for 100,000 measurements in the plane, 0.05 to 0.51 s in space, 0.5 to 4.4 s for a million
-in the plane.
+It costs nothing where it cannot matter. A full triangle of n columns has n (n + 1) / 2 numbers. Where these fit (up to
+26,000 columns for CHOLMOD in 6 GB) nothing is counted. Beyond, counting adds about a seventh to the analysis, once per
+graph. This is 0.05 s to 0.32 s for 100,000 measurements in the plane, 0.05 to 0.51 s in space. For a million in the
+plane it is 0.5 to 4.4 s.
 """
 
 from __future__ import annotations

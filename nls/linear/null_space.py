@@ -6,8 +6,8 @@ that is free. Of eight landmarks seen once, eight directions that move all of th
     A_v u = 0        v: the columns of one variable, u a direction of it alone
 
 which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
-directions is zero in k - 1 chosen unknowns (the pivots of a QR decomposition of the transposed basis). What belongs to
-separate parts of the graph comes apart.
+directions is zero in k - 1 chosen unknowns. These are the pivots of a QR decomposition of the transposed basis. What
+belongs to separate parts of the graph comes apart.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def null_space(system: LinearSystem) -> Array:
 def weakest(system: LinearSystem) -> tuple[Array, Array]:
     """The least singular values (k,) of A with columns scaled to length 1, at most 12, and their directions (n, k).
 
-    A is tall and sparse: a few rounds of inverse iteration on A'A + shift D^2, D the lengths of its columns, separate
-    what no measurement sees. Small systems take the singular value decomposition of R in A = QR. Directions are in the
+    A is tall and sparse. A few rounds of inverse iteration on A'A + shift D^2 separate the free directions; D has the
+    lengths of its columns. Small systems take the singular value decomposition of R in A = QR. Directions are in the
     units of the unknowns, each of length 1.
     """
     norms = system.column_norms

@@ -17,7 +17,7 @@ no part along a v with A v = 0. So a second right side, h, is solved for beside 
     h = A_0'eta + diag(sqrt(damping_0)) xi,    eta, xi normal, fixed seed;    E[h h'] = M
 
 Its part along any direction v, v'M v = 1, is a normal number of deviation 1, and along a free one no step lowers it.
-A step dx is accepted when all of h has fallen below `SURE`, and the Lanczos process that comes with it shows no
+A step dx is accepted when all of h has fallen below `SURE`. The Lanczos process that comes with it must show no
 direction in which H is below `SOFT` times M. Otherwise H is factorized and judged by its pivots like everywhere.
 Guarantee: a first linearization is judged as by `Cholesky`; later, a direction that has become free is overlooked with
 a probability below `SURE`.
@@ -161,8 +161,9 @@ class CholeskyPCG(Cholesky):
     ----------
     tol : of a step, |H dx - g|_M <= tol |g|_M with M the factorized matrix; above 0 and below 1.
     max_steps : of conjugate gradients in a solve. A step with its two right sides costs a fourth to a tenth of a
-        factorization (4.8 manhattan, 5.4 city10000, 6.6 sphere2500, 9.0 torus3D, 3.7 parking-garage, 9.4 for 100,000
-        poses), hence 6. A count and not a clock: the same input gives the same bits on a busy machine.
+        factorization, hence 6. The ratios are 4.8 manhattan, 5.4 city10000, 6.6 sphere2500, 9.0 torus3D, 3.7
+        parking-garage, 9.4 for 100,000 poses. A count and not a clock: the same input gives the same bits on a busy
+        machine.
     memory_limit : as in `Cholesky`.
 
     Raises

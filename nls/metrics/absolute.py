@@ -86,8 +86,8 @@ def ate(estimate: npt.ArrayLike, truth: npt.ArrayLike, align: str = "none") -> T
     OptionError
         No such alignment.
     SingularGeometryError
-        ``yaw``, ``rigid`` or ``similarity`` over positions that do not determine the rotation: all on one spot, on
-        one line of space, for ``yaw`` on one vertical line.
+        ``yaw``, ``rigid`` or ``similarity`` over positions that do not determine the rotation. They are all on one spot
+        or on one line of space, for ``yaw`` on one vertical line.
 
     Examples
     --------

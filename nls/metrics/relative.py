@@ -4,9 +4,9 @@ r"""How fast an estimated trajectory drifts: errors of relative poses over a dis
     translation = mean |t(E_ij)| / w_ij,   rotation = mean |angle(E_ij)| / w_ij
 
 For every pose i, j is the first pose at which the vehicle has travelled the distance since. No alignment is needed:
-relative poses are the same in every frame. KITTI divides by the distance itself; the way w_ij is longer by less than a
-step, and with it a scale error of 1 % is 1 % at every spacing of the poses. KITTI takes every tenth pose as i; here
-every pose is one.
+relative poses are the same in every frame. KITTI divides by the distance itself. The way w_ij is longer by less than a
+step; with it a scale error of 1 % is 1 % at every spacing of the poses. KITTI takes every tenth pose as i; here every
+pose is one.
 
 Source: A. Geiger, P. Lenz, R. Urtasun, "Are we ready for autonomous driving?", CVPR 2012, and the development kit of
 its odometry benchmark; J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, section V.A.

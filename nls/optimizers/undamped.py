@@ -16,7 +16,7 @@ FAINT = 1e-14  # lambda that changes no step within its digits; 100 times as muc
 LARGEST = 1e-8  # that a system which follows keeps
 # A'A squares the condition of A: a direction that A sees with 1e-8 of a column is lost in it. Up to so many unknowns
 # the weakest directions of A are looked at, those it sees by more than so much of a column, and followed where they
-# promise to lower chi2 by more than so much of itself. A bundle has dozens of them, and little to gain.
+# promise a relative decrease of chi2 above this. A bundle has dozens of them, and little to gain.
 SMALL, UNSEEN, GAIN = 300, 1e-10, 0.02
 HOPELESS = 1e16  # lambda at which no step is left to try
 

@@ -5,8 +5,8 @@ r"""What an estimator believed while a vehicle moved, against the truth: four pi
     errors      the pose minus the truth, within +-3 sigma or not
     landmarks   sigma of each landmark against the step, from where it was found
 
-Errors and sigmas of the pose are those of the tangent step from the truth to the estimate, along the axes of the body:
-ahead and to the left, m, and the heading, deg. The position of a landmark has one sigma, sqrt(trace(P) / d).
+Errors and sigmas of the pose are those of the tangent step from the truth to the estimate. They are along the axes of
+the body: ahead and to the left, m, and the heading, deg. The position of a landmark has one sigma, sqrt(trace(P) / d).
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def estimator_figure(
 def estimator_map(track: Track, truth: Values, axes: Axes, sightings: Sequence[Keys] | None = None) -> None:
     """The track when each pose was the latest, the true one, and 95 % ellipses of the vehicle and of the landmarks.
 
-    Walls are drawn as long as they were seen: over the feet of the perpendiculars from the poses in `sightings`, keys
+    Walls are drawn as long as they were seen, over the feet of the perpendiculars from the poses. `sightings` are keys
     of poses and of walls. Without these they are drawn as infinite lines.
     """
     manifold = track.manifold
@@ -266,7 +266,7 @@ def power_laws(
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6 * len(panels), 5), layout="constrained")
+    figure = Figure(figsize=(4.8 * len(panels), 4.2), layout="constrained")
     for axes, (title, lines) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for color, (n, y, _) in zip(SERIES, lines.values(), strict=False):
             axes.loglog(n, y, "o-", color=color, linewidth=1.0, markersize=4)

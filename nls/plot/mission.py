@@ -51,8 +51,8 @@ def track(
     values, dead : poses ``x`` of the solution and of dead reckoning.
     truth : true poses.
     marginals : covariances of the solution.
-    errors : tracks by what they are called, see `nls.io.mission.track_of`; their errors are drawn beside the map, and
-        with marginals the error to be expected, the root of the trace of the covariance of the position. Without
+    errors : tracks by what they are called, see `nls.io.mission.track_of`; their errors are drawn beside the map. With
+        marginals the error to be expected is drawn, the root of the trace of the covariance of the position. Without
         errors this is drawn alone.
 
     Returns

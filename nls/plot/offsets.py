@@ -5,7 +5,7 @@ r"""How far an estimator is off along the axes of the world: field, heading, pos
     position    dX and dY, estimate minus truth, m, in one picture
     landmarks   dX against dY of every landmark in the end
 
-The step of every landmark from the truth is nearly the same where the whole map is shifted: then the points lie in one
+The step of every landmark from the truth is nearly the same where the whole map is shifted. Then the points lie in one
 heap beside the origin. A shift of everything is not measured by ranges and bearings, so its sigma is that of the start.
 """
 

@@ -1,7 +1,7 @@
 """A camera and a sonar that moved past points: what was known before the optimization, and what after, from above.
 
-Errors of centimeters in a scene of meters cannot be seen: every point and camera is drawn where it is, and its error as
-a line many times as long, in the direction of the error and in a color that says how large it is.
+Errors of centimeters in a scene of meters cannot be seen. Every point and camera is drawn where it is, and its error as
+a line many times as long. The line has the direction of the error, its color says the size.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What an imaging sonar saw: by beam and range, as a fan, and with the arcs on which landmarks must lie.
 
-A contact of range r and azimuth az is one place in the fan, r (cos az, sin az), whatever its elevation: seen from the
+A contact of range r and azimuth az is one place in the fan, r (cos az, sin az), whatever its elevation. Seen from the
 same pose the whole arc of elevations falls onto it. Seen from another pose it does not. There an arc is drawn from the
-lower to the upper edge of the aperture, and the landmark must lie where its other contacts cross it.
+lower to the upper edge of the aperture. The landmark must lie where its other contacts cross it.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ def fan_image(image: Array, sonar: ImagingSonar, axes: Axes | None = None) -> Fi
 def arcs(contacts: RangeAzimuth, values: Values, pose: Keys, sonar: ImagingSonar, axes: Axes | None = None) -> Figure:
     """In the fan of one pose: its contacts, the landmarks, and each landmark's arc of another pose.
 
-    Of every landmark with a contact here, the contact of the pose farthest from here is spread over the aperture, to
-    the arc on which the landmark must lie, and that arc is seen from here. The longest one is pointed at.
+    Every landmark with a contact here has a contact of the pose farthest from here. That one is spread over the
+    aperture, to the arc on which the landmark must lie. The arc is seen from here. The longest one is pointed at.
 
     Parameters
     ----------

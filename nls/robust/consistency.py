@@ -20,8 +20,8 @@ Neighbors say nothing of a long way along odometry, which has errors of its own.
 
 over all closures, T_ij and P_ij along odometry, and never more than 1 or less than sigma0^2.
 
-The covariance of the pose of j in i along odometry needs no walk from i to j: in the axes of the world the covariances
-of the steps, Ad(T_k) C_k Ad(T_k)', just add up. So a running sum serves all pairs.
+The covariance of the pose of j in i along odometry needs no walk from i to j. In the axes of the world the covariances
+of the steps, Ad(T_k) C_k Ad(T_k)', add up. So a running sum serves all pairs.
 
 Source: J. G. Mangelson, D. Dominic, R. M. Eustice, R. Vasudevan, "Pairwise consistent measurement set maximization for
 robust multi-robot map merging", ICRA 2018, which takes the largest set of which every pair agrees; here agreement is

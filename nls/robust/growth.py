@@ -12,9 +12,9 @@ order of
     log det(C + P_ij) - log det C - k,
 
 the volume that was open, in units of the closure's own, less the number k of closures that agree with it and pass as
-well: that all of a large group pass by accident is less likely. A quarter of those that pass is accepted, and the poses
-are solved for. With each closure the predictions between the places around it become sharp, and so do the next tests.
-Misfits are given back, and at the end every group of closures that all others contradict (`nls.robust.groups`).
+well. A large group is less likely to pass as a whole by accident. A quarter of those that pass is accepted, and the
+poses are solved for. With each closure the predictions between the places around it become sharp, and so do the next
+tests. Misfits are given back, and at the end every group of closures that all others contradict (`nls.robust.groups`).
 
 Before it starts, closures that agree with no neighbor are set aside (`nls.robust.consistency`).
 """

@@ -2,9 +2,9 @@ r"""Whether contacts of a sonar are wrong: the test after a plain solution.
 
     chi2 > its 97.5 % quantile,     max s > v q,     v = max(1, median s / median of chi2)
 
-with s the squared whitened residuals of the n contacts and q the quantile of chi2 of two numbers that one of n right
-contacts is beyond by chance with 0.1 %. v is the variance of unit weight by the median. Sigmas that are all too small
-raise v and max s alike, wrong contacts raise the largest ones far more.
+with s the squared whitened residuals of the n contacts, and q a quantile of chi2 of two numbers. One of n right
+contacts is beyond it by chance with 0.1 %. v is the variance of unit weight by the median. Sigmas that are all too
+small raise v and max s alike, wrong contacts raise the largest ones far more.
 """
 
 from __future__ import annotations

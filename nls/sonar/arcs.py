@@ -5,8 +5,8 @@ point is:
 
 - *measured*: one side is clearly better, or the minimum lies at 0 itself
 - *ambiguous*: a minimum on either side, and their chi2 differ by less than `ALIKE`; both are kept, never averaged
-- *weak*: the two views say less about the elevation than the aperture does, an even spread over 2 limit: both sides
-  are kept, at +-limit / sqrt(3), which has the mean and the variance of that spread
+- *weak*: the two views say less about the elevation than the aperture does, an even spread over 2 limit. Both sides are
+  kept, at +-limit / sqrt(3), which has the mean and the variance of that spread
 """
 
 from __future__ import annotations

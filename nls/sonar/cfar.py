@@ -1,7 +1,7 @@
 r"""Constant false-alarm rate (CFAR) thresholds, exact for exponentially distributed noise power.
 
 In Rayleigh noise the power x of a cell (its amplitude squared) has the density exp(-x / mu) / mu. A cell is a detection
-where x > T Z, with Z made of n training cells on either side, of sums S_1 and S_2, so that mu cancels:
+where x > T Z. Z is made of n training cells on either side, of sums S_1 and S_2, so that mu cancels:
 
     ca      Z = S_1 + S_2           P = (1 + T)^-2n
     soca    Z = min(S_1, S_2)       P = 2 (1 + T)^-n I_{(1 + T) / (2 + T)}(n, n)

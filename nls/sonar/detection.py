@@ -5,14 +5,14 @@ cells on either side, after `guard` cells that the echo itself may fill:
 
     x = amplitude^2,      x > T Z       Z from the training cells, T from the false-alarm rate (`nls.sonar.cfar`)
 
-An amplitude in Rayleigh noise has an exponentially distributed power, and then the share of noise cells above their
+An amplitude in Rayleigh noise has an exponentially distributed power. Then the share of noise cells above their
 threshold is the stated one whatever the level. Two things raise it (benchmarks, "Detections in sonar images"): spiky
 noise, and a level that falls within the window, as before a shadow. For soca at 1e-3 K-distributed noise of shape 4 to
 0.5 raises it 6 to 36 times. There the greatest-of detector keeps the rate best and the smallest-of one worst.
 
-The image stays in beams and range bins. Of the cells within 5 m a Cartesian raster of squares of 0.1 m drops 95 to
-99 %, one of squares as large as a bin up to 70 %; far away it repeats cells. Repeated cells are no independent training
-cells, and the rate would not be the stated one.
+The image stays in beams and range bins. Of the cells within 5 m a Cartesian raster of squares of 0.1 m drops 95 to 99
+%. One of squares as large as a bin drops up to 70 %; far away it repeats cells. Repeated cells are no independent
+training cells, and the rate would not be the stated one.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ def detect(
     ----------
     image : (beams, bins) amplitudes, at least 0, from port to starboard and from near to far.
     sonar : that made it.
-    detector : Z is the sum of all training cells ("ca", cell averaging), the smaller or the greater of the sums of both
-        sides ("soca", "goca"), or the 3/4 ordered statistic ("os"). "soca" and "os" detect
-        an echo beside a stronger one; "goca" has the fewest false alarms where the level of the noise changes.
+    detector : Z is the sum of all training cells ("ca", cell averaging), or the smaller or greater of the sums of both
+        sides ("soca", "goca"). With "os" it is the 3/4 ordered statistic. "soca" and "os" detect an echo beside a
+        stronger one; "goca" has the fewest false alarms where the level of the noise changes.
     false_alarms : share of noise cells that become detections, in Rayleigh noise, 0 to 1.
     train : training cells n on each side.
     guard : guard cells g on each side: at least the length of an echo in bins.

@@ -1,7 +1,7 @@
 """The blocks of H = A'A from the blocks of A, in one flat array S, without forming A.
 
-S holds the summed diagonal blocks A_a'A_a of *all* variables, also of held ones, whose blocks are never taken from it,
-and of these blocks the lower triangle; then the blocks A_a'A_c of all pairs of slots, one for every measurement.
+S holds the summed diagonal blocks A_a'A_a of *all* variables, of each the lower triangle. Blocks of held variables are
+there, and never taken. Then come the blocks A_a'A_c of all pairs of slots, one for every measurement.
 """
 
 from __future__ import annotations

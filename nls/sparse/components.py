@@ -13,9 +13,9 @@ def connected(i: Index, j: Index, n: int) -> Index:
     """The lowest node (n,) of every node's component, of the pairs (i, j).
 
     Runs of nodes that are each joined to the one before hang below their first: a trajectory numbered along its way is
-    done. Then the root of every pair's higher node is hung below that of the lower one, and ways to the root are halved
-    until all are of length one, as long as a pair has two roots: 0.2 ms for city10000, where `scipy.sparse.csgraph`
-    takes 3 to build and check a matrix first.
+    done. As long as a pair has two roots, the root of its higher node is hung below that of the lower one. Then ways to
+    the root are halved until all are of length one. This takes 0.2 ms for city10000; `scipy.sparse.csgraph` takes 3 to
+    build and check a matrix first.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Which pairs of variables share a block of H, in the order in which the variables are eliminated.
 
-This is what all matrices over one graph of variables have in common, whatever the sizes of their blocks: the two
+All matrices over one graph of variables have this in common, whatever the sizes of their blocks. They are the two
 systems of a chordal start and the normal equations. It is found once per graph; `Eliminations` keeps the latest, ten
 whole numbers a pair.
 """

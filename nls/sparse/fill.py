@@ -1,7 +1,7 @@
 r"""Size of a Cholesky factor before it is computed: no number of the matrix is looked at.
 
-Row i of L has a number in column j when j lies on the way from a neighbor of i (eliminated before it) up the
-elimination tree to i. So column j is counted by summing over its subtree
+Row i of L has a number in column j when j lies on the way from an earlier neighbor of i up the elimination tree to i.
+So column j is counted by summing over its subtree
 
     + w_i  at every neighbor of i and at i itself,
     - w_i  where the ways of two neighbors, next to each other in postorder, meet

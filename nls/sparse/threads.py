@@ -1,7 +1,7 @@
 """One thread for the factorizations, whatever the libraries would take.
 
-SuiteSparse 5 opens OpenMP regions of a fixed four threads in its supernodal code, which two cores spend waiting for
-each other (80 ms a factorization of sphere2500 instead of 24); OMP_NUM_THREADS does not change it. They are kept from
+SuiteSparse 5 opens OpenMP regions of a fixed four threads in its supernodal code. Two cores spend them waiting for each
+other: a factorization of sphere2500 takes 80 ms instead of 24. OMP_NUM_THREADS does not change it. They are kept from
 opening here, and the BLAS libraries are kept on one thread, which also makes results independent of the machine's load.
 
 The libraries are looked for once, by name, among the files that Linux maps into the process: 1.5 ms. threadpoolctl

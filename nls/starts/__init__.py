@@ -66,16 +66,16 @@ def initialize(graph: FactorGraph, values: Values, method: str = "auto") -> tupl
     ----------
     graph, values : the graph and what the file, or the user, gave.
     method : ``file`` keeps the values; ``odometry``, ``spanning-tree`` and ``chordal`` move the poses, and the points
-        to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from relative poses, and
-        puts a point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`);
+        to where these poses saw them; ``odometry`` reckons from `XYH` and `ZPR` as well as from relative poses. It puts
+        a point an imaging sonar saw at the elevation that fits all its contacts best (`search_elevation`).
         ``incremental`` solves the graph as it grows. ``auto`` takes the start of lowest chi2 among the file's own and
-        chordal; above 100 per measured row it tries ``incremental``, which costs several solves, if the graph has
-        measurements between poses and points or both kinds of odometry. Above 10 it tries the odometry chain. If the
-        best has more than 10 per degree of freedom, and the graph has other measurements than relative poses, the
-        starts are compared by their results. That takes up to 20 steps of the dogleg from each, the lowest first, until
+        chordal. Above 100 per measured row it tries ``incremental``, which costs several solves. The graph must have
+        measurements between poses and points, or both kinds of odometry. Above 10 it tries the odometry chain. The
+        starts are compared by their results if the best has more than 10 per degree of freedom, and the graph has other
+        measurements than relative poses. That takes up to 20 steps of the dogleg from each, the lowest first, until
         noise explains chi2 (at most 2 per degree of freedom). If no start leads there, it tries ``incremental``, too. A
-        start that does not exist or cannot be evaluated is left out, with a `GraphWarning` unless it is the file's own,
-        where placeholders are usual.
+        start that does not exist or cannot be evaluated is left out, with a `GraphWarning`. The file's own start, often
+        a placeholder, is left out without one.
 
     Returns
     -------

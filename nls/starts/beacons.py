@@ -7,7 +7,7 @@ With positions p_i, u_i = (p_i - c) in the horizontal and their mean c, the squa
 of a beacon of depth z. Without z the r_i themselves stand for rho_i, and the mean of r_i^2 - |l - u_i|^2 is
 (z - p_z)^2, above or below. Along the shorter axis of the track the sums say little; there the mean says how far, to
 one side or the other. All these candidates and their mirror images are improved by least squares with the weights of a
-Cauchy kernel, and the best one counts, of equal ones that below.
+Cauchy kernel. The best one counts, of equal ones that below.
 
 Source: E. Olson, J. Leonard, S. Teller, "Robust range-only beacon localization", IEEE J. Oceanic Engineering 31, 2006.
 """

@@ -12,9 +12,9 @@ __all__ = ["chain", "spanning_tree"]
 def chain(graph: FactorGraph, values: Values) -> Values:
     """Poses composed from one number to the next: the dead-reckoned trajectory.
 
-    Where two neighbors in number have no common edge, the edge that jumps over the fewest numbers is taken (a minimum
-    spanning tree over the difference of places). Fixed poses keep their values; in a component without any, the first
-    pose does.
+    Where two neighbors in number have no common edge, the edge that jumps over the fewest numbers is taken. This is a
+    minimum spanning tree over the difference of places. Fixed poses keep their values; in a component without any, the
+    first pose does.
 
     Parameters
     ----------

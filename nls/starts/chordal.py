@@ -4,7 +4,7 @@ Rotations minimize sum kappa |M_j - M_i R_ij|_F^2 over matrices M, without the c
 are projected afterwards; translations then minimize sum tau |t_j - t_i - R_i t_ij|^2. Fixed poses keep their values;
 in a component without any, the first pose does. kappa and tau are the mean informations of the two blocks. Both systems
 have the pattern of the pose graph, so one elimination serves both. In the plane a rotation is one complex number of
-length 1: a Hermitian system of n numbers, which CHOLMOD factorizes four times faster than the 2n real ones.
+length 1. CHOLMOD factorizes the Hermitian system of n numbers four times faster than the 2n real ones.
 
 Source: L. Carlone, R. Tron, K. Daniilidis, F. Dellaert, "Initialization techniques for 3D SLAM", ICRA 2015.
 """
@@ -126,10 +126,10 @@ def _refuse_cancelled(system: _Relaxation, kappa: Array, size: Array) -> None:
 def nearest_rotation(M: Array) -> tuple[Array, Array]:
     """Rotation (n, 3, 3) nearest to each matrix, and a size (n,) that vanishes where it is not unique.
 
-    Where det M is well above 0 it is the orthogonal factor of the polar decomposition, by Newton's iteration
-    X <- (X + X^-T) / 2 on the whole stack (N. Higham, "Computing the polar decomposition", 1986): 1 ms for 2,500
-    matrices, their singular value decomposition 10. Elsewhere U diag(1, 1, det UV') V', of which the second singular
-    value is the size.
+    Where det M is well above 0 it is the orthogonal factor of the polar decomposition, by Newton's iteration X <- (X +
+    X^-T) / 2 on the whole stack. It takes 1 ms for 2,500 matrices, their singular value decomposition 10 (N. Higham,
+    "Computing the polar decomposition", 1986). Elsewhere U diag(1, 1, det UV') V', of which the second singular value
+    is the size.
     """
     size = np.abs(M).max(axis=(-2, -1))  # may be 1e-150: its cube would be 0
     M = M / np.where(size > 0, size, 1.0)[:, None, None]

@@ -1,13 +1,13 @@
 r"""Start values of the landmarks of an imaging sonar: on the arc of the first contact, at an elevation or at the best.
 
-A contact (r, az) of a sonar at S leaves its landmark on an arc, and the other views of it decide where on the arc:
+A contact (r, az) of a sonar at S leaves its landmark on an arc. The other views decide the place on the arc:
 
     l(el) = S p(r, az, el),     f(el) = sum |b_i(l(el))|^2 over all sightings of the landmark,     |el| <= limit
 
 f is evaluated on a grid, all landmarks at once, and its smallest value refined by the parabola through it and its two
 neighbors. After motion in the plane of the sonar f(el) = f(-el), and 0 is a maximum from which no Newton step leads
-away: the search takes one of the two minima, where a mean of them would be as wrong as the start. Where f is flat (one
-view, or turns only) the landmark stays at elevation 0.
+away. The search takes one of the two minima; their mean would be as wrong as the start. Where f is flat (one view, or
+turns only) the landmark stays at elevation 0.
 
 Source: the search over the aperture is that of aldoteran/fs-slam, src/BundleAdjuster.py, after E. Westman, M. Kaess,
 "Degeneracy-aware imaging sonar simultaneous localization and mapping", IEEE Journal of Oceanic Engineering 45, 2020.
@@ -39,8 +39,8 @@ FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to le
 
 
 class Arcs(NamedTuple):
-    """The landmarks of one kind that a sonar saw: rows (k,) of the stack, poses (k, 7) of the sonar and measurements
-    (k, 2) of the first contacts."""
+    """Landmarks of one kind that a sonar saw: rows (k,) of the stack, and the first contacts: poses (k, 7),
+    measurements (k, 2)."""
 
     kind: str
     rows: Index

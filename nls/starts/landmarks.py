@@ -1,8 +1,8 @@
 r"""Start values of points from the poses that saw them, all points at once.
 
-A point with a measurement that gives direction and distance is put where the first of them (by the number of the pose)
-has it, l = S p; one whose information is nothing beside that of the others is passed over. The other points follow from
-sums over all their measurements, from sensors at s_i:
+A point with a measurement of direction and distance is put where the first of them (by the number of the pose) has it,
+l = S p. One whose information is nothing beside that of the others is passed over. Other points follow from sums over
+all their measurements, from sensors at s_i:
 
     ranges      M = sum u_i u_i',        v = sum u_i (|u_i|^2 - r_i^2) / 2,   u_i = s_i - c,  c = mean of s_i
     directions  M = sum (I - d_i d_i'),  v = sum (I - d_i d_i') u_i           d_i the unit vector of the ray
@@ -38,8 +38,8 @@ DETERMINED = 1e-6  # smallest over largest eigenvalue of M: 1 mm across for 1 m 
 
 
 class Sightings(NamedTuple):
-    """Measurements of the points of one kind: row of the point, number and pose of the sensor, measured value, and the
-    least singular value of its whitener: what it says where it says least."""
+    """Measurements of the points of one kind: row of the point, number and pose of the sensor, and measured value.
+    `least` is the least singular value of the whitener."""
 
     factor: Sighting
     group: LieGroup
@@ -55,10 +55,10 @@ def locate_points(graph: FactorGraph, values: Values) -> Values:
 
     Parameters
     ----------
-    graph : every `Sighting` of points that locates its target, or says its range or its direction as the pixels of a
-        `Projection` do, is used, equally weighted. Ranges and directions of one point are not combined. All other
-        factors are passed over: sightings of poses; `RangeAzimuth` and `Elevation`, for which `search_elevation` and
-        `rig` are the starts; priors of points, and lines.
+    graph : every `Sighting` of points is used, equally weighted, that locates its target, or says its range or its
+        direction as pixels do. Ranges and directions of one point are not combined. All other factors are passed over:
+        sightings of poses; `RangeAzimuth` and `Elevation`, for which `search_elevation` and `rig` are the starts;
+        priors of points, and lines.
     values : every variable; poses and variable offsets are taken as they are.
 
     Returns

@@ -10,12 +10,12 @@ r_1 and r_2 the axes x and y of the sonar,
     tan az = q'r_2 / q'r_1     so     sin(az) q'r_1 - cos(az) q'r_2 = 0
 
 one equation per contact, linear and homogeneous in the six numbers (r_1, r_2): they are the right singular vector of
-the smallest singular value. Of its two signs the one for which most lengths cos(az) q'r_1 + sin(az) q'r_2 are positive
-is right, and the rotation nearest to (r_1, r_2, r_1 x r_2) is taken. Azimuths have noise, so the coefficients have,
-too. With +-5 deg of noise, 12,000 contacts, the axes are 0.5 deg (rms) off the optimum, near enough for a start.
+the smallest singular value. Its sign is right where most lengths cos(az) q'r_1 + sin(az) q'r_2 are positive. The
+rotation nearest to (r_1, r_2, r_1 x r_2) is taken. Azimuths have noise, so the coefficients have, too. With +-5 deg of
+noise, 12,000 contacts, the axes are 0.5 deg (rms) off the optimum, near enough for a start.
 
-The axes stay free, or the noise decides them, if all q are nearly in one plane: r_1 and r_2 then come out far from a
-right angle and equal lengths, and are refused.
+The axes stay free, or the noise decides them, if all q are nearly in one plane. Then r_1 and r_2 are far from a right
+angle and equal lengths, and are refused.
 """
 
 from __future__ import annotations

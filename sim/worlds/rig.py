@@ -51,9 +51,9 @@ def rig(
 ) -> Rig:
     """A camera and a sonar on one frame see the same points from all sides; the pose of the sonar is to be estimated.
 
-    Points lie evenly in a box of 8 m x 6 m x 6 m, 5 m ahead of the first camera, as far as every image has them. The
-    camera swings around them by 4 m, looking at their middle and rolling by 15 deg. Noise is uniform: +-5 pixels of 600
-    of focal length, +-5 cm, +-5 deg. The factors have its standard deviations, half-widths / sqrt 3. A range below 0 is
+    Points lie evenly in a box of 8 x 6 x 6 m, 5 m ahead of the first camera, as far as every image has them. The camera
+    swings around them by 4 m, looking at their middle and rolling by 15 deg. Noise is uniform: +-5 pixels of 600 of
+    focal length, +-5 cm, +-5 deg. The factors have its standard deviations, half-widths / sqrt 3. A range below 0 is
     reflected at 0. The guess of the sonar's pose is wrong by 3 deg about a random axis and 5 cm in a random direction.
     The rest of the start is from the measurements.
 

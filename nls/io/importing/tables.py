@@ -61,8 +61,8 @@ def rows_of(section: Section, log: Log | None) -> Rows:
     Raises
     ------
     GraphFileError
-        A column that is not there or not in the log, a cell that is no number, a unit that cannot be, times that do
-        not rise: with its line in the log or in the mapping.
+        A column that is not there or not in the log, a cell that is no number, times that do not rise; a unit that
+        cannot be. The error has the line in the log or in the mapping.
     """
     rows = Rows(section, log)
     _refuse_missing(section, log)

@@ -3,9 +3,9 @@
 Files ``dvl_linkquest.csv.gz``, ``depth_sensor.csv.gz``, ``asekf_slam.csv`` (the published trajectory, of scan-matching
 SLAM), ``cones.csv`` and ``cone_distances.csv``. The heading sensor is not among them.
 
-The mounting of the DVL is read off the data: over steps of 8.6 s the published motion has a correlation of -0.99 with
-its first velocity carried along the published course (slope -1.02), the change of depth one of -0.87 with the third.
-So its x points aft and its z up: half a turn about y, which leaves y as the vehicle's y.
+The mounting of the DVL is read off the data, over steps of 8.6 s. The published motion has a correlation of -0.99 with
+its first velocity carried along the published course (slope -1.02). The change of depth has one of -0.87 with the
+third. So its x points aft and its z up: half a turn about y, which leaves y as the vehicle's y.
 
 Source: A. Mallios, E. Vidal, R. Campos, M. Carreras, "Underwater caves sonar data set", IJRR 36(12), 2017.
 """

@@ -66,8 +66,8 @@ def read_mrclam(folder: str | Path, robot: int) -> Mrclam:
     Raises
     ------
     GraphFileError
-        With the line: a file that cannot be read, another count of numbers, a time that falls, a barcode or subject
-        that is no whole number or given twice, a range that is not above 0.
+        With the line: a file that cannot be read, another count of numbers, a time that falls, a range that is not
+        above 0; a barcode or subject that is no whole number or given twice.
     """
     folder = Path(folder)
     commands, *_ = _timed(folder, f"Robot{robot}_Odometry.dat", 3, "time, velocity, rate of turn")

@@ -3,8 +3,8 @@ r"""A truck among the trees of a park for 26 minutes and 4 km: wheel speed, stee
 Files ``DRS.txt``, ``LASER_TREE.txt`` and ``GPS.txt`` (each may end in ``.gz``). A scan is a time and then a range and a
 bearing for every tree detected in it. The trees have no names. Bearings are positive to the left.
 
-GPS has two columns of meters. Taken for x and y they are the mirror image of what wheels and laser say (over the first
-five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise). So they are taken for north and east.
+GPS has two columns of meters. Taken for x and y they are the mirror image of the track by wheels and laser. Over the
+first five minutes SLAM fits them to 1.0 m mirrored, 9.0 m otherwise. So they are taken for north and east.
 
 The encoder is on the left rear wheel, the laser at the left end of the front bumper; their places are those used with
 the data in the source: J. Guivant, E. Nebot, "Optimization of the simultaneous localization and map-building algorithm
@@ -57,8 +57,8 @@ def read_victoria_park(folder: str | Path) -> VictoriaPark:
     Raises
     ------
     GraphFileError
-        With the line: a file that cannot be read, another count of numbers, a time that does not rise, a range that is
-        not above 0, half a pair in a scan.
+        With the line: a file that cannot be read, another count of numbers, half a pair in a scan; a time that does not
+        rise, a range that is not above 0.
     """
     drs, gps, trees = (or_compressed(folder, name) for name in ("DRS.txt", "GPS.txt", "LASER_TREE.txt"))
     tables = []

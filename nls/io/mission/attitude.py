@@ -11,9 +11,9 @@ is that of means over a second (or two rows) before and after a pose: the noise 
 
     d psi / dt = (w_y sin(roll) + w_z cos(roll)) / cos(pitch)
 
-and is no measurement of the heading: the step from pose to pose has its turn, with the variance sigma_w^2 dt of white
-noise, and a bias b that is the same for a minute and then walks, `Shifted` by G = dt. A turn with an error that is new
-at every time swings the way (x, y) of its leg by half and a third of its variance:
+and is no measurement of the heading. The step from pose to pose has its turn, with the variance sigma_w^2 dt of white
+noise. It has a bias b, the same for a minute, which then walks: `Shifted` by G = dt. A turn with an error that is new
+at every time swings the way (x, y) of its leg, by half and a third of its variance:
 
     cov(yaw) = q,    cov((x, y), yaw) = q/2 (-y, x)',    cov((x, y)) = q/3 (-y, x)'(-y, x)
 """

@@ -6,9 +6,10 @@ is not known; it is taken from the same log, as a Brownian bridge of density
 
     beta = 2 max(rms d, |y_b - y_a| / 2) / sqrt(T)
 
-where d is how far, elsewhere in the log, the value in the middle of a time as long as the hole was from the mean of the
-values at its ends. (The second number: nothing says *when* in the hole the whole of the change was made.) In the middle
-of the hole the value then has the standard deviation max(rms d, |y_b - y_a| / 2), at its ends none but that of a row.
+where d is measured elsewhere in the log, over times as long as the hole. It is the distance of the value in the middle
+from the mean of the values at the ends. The second number is there as nothing says *when* in the hole the change was
+made. In the middle of the hole the value has the standard deviation max(rms d, |y_b - y_a| / 2), at its ends none but
+that of a row.
 
 Poses in one hole share the error of its line. A factor of each cannot say so, and each counts with the sum of its
 covariances with all of them, K(s, t) = beta^2 s (T - t) / T for s <= t since t_a, so that no combination of them is

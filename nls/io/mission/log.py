@@ -7,9 +7,9 @@ first pose, X_i = (0, Ry(pitch_i) Rx(roll_i)):
 
 `ZPR` and `Heading` are the depth and the attitude interpolated at the poses. The yaw of a leg is the difference of the
 headings at its ends, so dead reckoning follows the headings as measured. But `Heading` says all that was measured of
-the yaw. As a measurement of its own that difference would count the same readings a second time (yaw then has a mean
-NEES of 1.65, where 1 is right). So `XYH` gives no information about yaw, and x and y count as they are *given the
-heading* of their leg, Sigma without the noise of the yaw:
+the yaw. As a measurement of its own that difference would count the same readings a second time. Yaw would then have a
+mean NEES of 1.65, where 1 is right. So `XYH` gives no information about yaw. x and y count *given the heading* of their
+leg, with Sigma without the noise of the yaw:
 
     Omega = [[Sigma_xy^-1, 0], [0, 0]]
 
@@ -17,12 +17,12 @@ What is assumed: the error of the heading lasts through a leg. So it turns the l
 `Heading` leaves to the yaw of its first pose. For one that changes within the leg, from sample to sample, x and y
 across the track are known better than that. As far as the heading goes, the covariances are on the safe side.
 
-Where poses are denser than the rows of a sensor, the sigmas of their `Heading` and `ZPR` grow by the root of how many
-poses there are for a row. So together they say what the rows say.
+Poses may be denser than the rows of a sensor. Then the sigmas of their `Heading` and `ZPR` grow by the root of the
+poses per row. So together they say what the rows say.
 
 Holes in ahrs.csv and depth.csv: `nls.io.mission.holes`. A pose in a hole of ahrs.csv has no `Heading`; the legs to and
-from it say how the yaw went on, as a random walk from the even turn between the rows, and all legs over a hole say x
-and y given that turn:
+from it say how the yaw went on, as a random walk from the even turn between the rows. All legs over a hole say x and y
+given that turn:
 
     Omega = W'W,    W = L^-1 of (yaw, x, y), L L' = Sigma_XYH + diag(0, 0, 2 sigma_yaw^2)
 
@@ -84,7 +84,7 @@ def integrated(
     Raises
     ------
     GraphFileError
-        Times that do not rise, a pose before or after the log, a log that cannot be integrated, a hole in the attitude
+        Times that do not rise, a pose before or after the log, a log that cannot be integrated; a hole in the attitude
         or depth that nothing tells how to bridge.
     """
     noise, mount = _noise(tables), _mount(tables, report)

@@ -1,8 +1,8 @@
 r"""The start of a mission in the world: dead reckoning turned and moved to its fixes, and beacons from their ranges.
 
-Pairs of places in the horizontal, u_i in the world and v_i by dead reckoning: the fixes, the vehicle where a ship saw
-it, the beacons whose place is known, where the track would have them. The motion is that of `models.alignment`, turned
-about the vertical alone, with the weights of a Cauchy kernel; with a compass it does not turn.
+Pairs of places in the horizontal, u_i in the world and v_i by dead reckoning. They are the fixes, the vehicle where a
+ship saw it, and the beacons whose place is known. The motion is that of `models.alignment`, turned about the vertical
+alone, with the weights of a Cauchy kernel; with a compass it does not turn.
 """
 
 from __future__ import annotations

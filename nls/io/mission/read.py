@@ -52,8 +52,8 @@ def read_mission(
 
     Returns
     -------
-    graph : over the poses ``x`` and the landmarks ``l``, numbered as in the files: `XYH` and `ZPR`, `Position` and
-        `Heading` of the anchor, and the factors of the contacts.
+    graph : over the poses ``x`` and the landmarks ``l``, numbered as in the files. It has `XYH` and `ZPR`, `Position`
+        and `Heading` of the anchor, and the factors of the contacts.
     values : poses by dead reckoning, landmarks where they were seen first.
     report : with the truth, the sonar and its mounting.
 

@@ -1,8 +1,8 @@
 r"""How many measured numbers check the position of dead reckoning, and how well it is known where none does.
 
-A raw log measures depth and attitude at each pose and a step to the next: as many numbers as unknowns, so whatever the
-DVL says fits. The degrees of freedom that are left for the position are those of the graph without those of the yaw,
-which has numbers of its own:
+A raw log measures depth and attitude at each pose and a step to the next. These are as many numbers as unknowns, so
+whatever the DVL says fits. The degrees of freedom left for the position are those of the graph without those of the
+yaw:
 
     checks = dof - max(0, headings + turns - poses)
 

@@ -1,7 +1,7 @@
 r"""The velocities of dvl.csv: which rows count, how good each is, and what the track through the water adds.
 
-Rows count that are marked valid, have three beams or more on the bottom, an altitude above 0, and lie within a gate of
-the median of five rows, all as far as the file has these columns.
+A row counts that is marked valid, has three beams or more on the bottom, and an altitude above 0. It must lie within a
+gate of the median of five rows. All this as far as the file has these columns.
 
 **Calibration.** The DVL reads (1 + s) Rz(a)' times the velocity along the axes of its mounting, so v = Rz(a) v_read /
 (1 + s) with s and a as they are believed to be.

@@ -35,8 +35,8 @@ def _own() -> dict[str, type]:
 def register(name: str) -> Callable[[F], F]:
     """Let native files hold a factor class of yours, under a name that stays when the class is renamed or moved.
 
-    The parameters of its constructor are what a file holds of it: variables in the order of the slots, ``z``,
-    ``noise``, and attributes of the same name. A program that reads the file registers the class, too.
+    A file holds the parameters of its constructor: variables in the order of the slots, ``z``, ``noise``, and
+    attributes of the same name. A program that reads the file registers the class, too.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ H_pp and no larger. (H_pl H_ll^-1 H_lp as it is written passes through numbers a
 
 Which pairs (Y_lp, Y_lq) make which S_pq is listed once per graph. All S_pq of one shape with lists of one length are
 one stacked product (`nls.linear.schur.pairs`). Variables p that see the same l, a camera and its lens, count as one
-with both their columns: a fourth of the pairs, half of the numbers to be gathered.
+with both their columns. So there are a fourth of the pairs, and half of the numbers to be gathered.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ class Complement:
     hessian : structure of H, in its order the eliminated variables first, by dimension.
     gone : how many variables are eliminated.
     block_inverse : None for the exact inverse.
-    group : (kept,) a number for every variable that is kept, equal ones next to each other: those that see the same
-        eliminated ones, whose columns make one block of S.
+    group : (kept,) a number for every variable that is kept, equal ones next to each other. Equal are those that see
+        the same eliminated ones; their columns make one block of S.
     diagonal : form the diagonal blocks of S alone.
 
     Attributes

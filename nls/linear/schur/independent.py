@@ -130,8 +130,8 @@ def together(order: Index, group: Index) -> Index:
 def separate(u: Index, v: Index, V: int) -> Mask:
     """A maximal set of nodes (V,) of which no two are neighbors; those of few neighbors first.
 
-    In every round the nodes that come before all their neighbors are taken, and the neighbors left out: about log V
-    rounds when nodes of equally many neighbors come in random order (fixed seed).
+    In every round the nodes that come before all their neighbors are taken, and the neighbors left out. There are about
+    log V rounds when nodes of equally many neighbors come in random order (fixed seed).
 
     Source: M. Luby, "A simple parallel algorithm for the maximal independent set problem", SIAM J. Comput. 15 (1986).
 

@@ -17,8 +17,8 @@ a scale, leaves them alone, and A'b has no part along it. So an undamped system 
 
 whose part along any direction v, v'M v = 1, is a normal number of deviation 1. It is solved when all of h has fallen
 below `SURE`. Along a free direction no step lowers it: x grows that way, up to 1e16 times what it is elsewhere, until
-rounding ends that. So x is the direction to be judged, in the end and where r'M^-1 r has grown by `GROWN`, and A
-itself tells whether it is free. A direction is overlooked with a probability below `SURE`.
+rounding ends that. So x is the direction to be judged, in the end and where r'M^-1 r has grown by `GROWN`. A itself
+tells whether it is free. A direction is overlooked with a probability below `SURE`.
 
 Source: S. Agarwal, N. Snavely, S. Seitz, R. Szeliski, "Bundle adjustment in the large", ECCV 2010, section 4 (implicit
 Schur complement and its block-Jacobi preconditioner); J. Mandel, "On block diagonal and Schur complement

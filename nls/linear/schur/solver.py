@@ -7,7 +7,7 @@ r"""Landmarks first: every one is eliminated by itself, and only the graph of po
 
 l are variables that share no factor with each other (`nls.linear.schur.independent`), so that H_ll is block diagonal; p
 are all others. S is formed block by block (`nls.linear.schur.complement`) and factorized by the best decomposition
-installed, in the order it gives to the graph of p in which everything that sees one l is joined.
+installed. Its order is that of the graph of p in which everything that sees one l is joined.
 
 It is the Cholesky factorization of H in one particular order, and judged like every other. Pivots of H_ll and of S are
 compared with the diagonal of H, and a free direction that rounding hides is looked for in A.
@@ -134,8 +134,8 @@ class Schur(NormalEquations):
 
     Which they are is found from the graph, and the result says it. Where no whole kind of variables will do, as in a
     pose graph, single ones are eliminated. On surveys a solve takes 0.9 to 1.3 times that of `Cholesky`, whose minimum
-    degree finds almost the same order (benchmarks/results/schur.md), on a bundle adjustment where every camera has its
-    own lens 0.6 times (benchmarks/bundle.py); more on other graphs.
+    degree finds almost the same order (benchmarks/results/schur.md). On a bundle adjustment where every camera has its
+    own lens it takes 0.6 times (benchmarks/bundle.py); more on other graphs.
 
     Parameters
     ----------

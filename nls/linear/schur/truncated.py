@@ -6,10 +6,10 @@ Put in the place of H_ll^-1 when landmarks l are eliminated from the poses p,
 
     S = H_pp - H_pl H_ll^+ H_lp,   g_S = g_p - H_pl H_ll^+ g_l,   D_p = S^-1 g_S,   D_l = H_ll^+ (g_l - H_lp D_p),
 
-it gives the step of least |A D - b| among those in which no landmark moves along a direction left out: with
-D_l = V y, V the directions kept, V'H_ll V is regular and H_ll^+ = V (V'H_ll V)^-1 V'. Along a direction that is *free*,
-A_l v = 0, nothing is lost and S is exact. One that is only *weak* is taken for known, so its information goes to the
-poses: leave out what the measurements see worse than it is known without them, which is what `floor` is for.
+it gives the step of least |A D - b| among those in which no landmark moves along a direction left out. V are the
+directions kept, D_l = V y: V'H_ll V is regular and H_ll^+ = V (V'H_ll V)^-1 V'. Along a direction that is *free*, A_l v
+= 0, nothing is lost and S is exact. One that is only *weak* is taken for known, so its information goes to the poses.
+So `floor` leaves out directions that the measurements see worse than they are known without them.
 """
 
 from __future__ import annotations

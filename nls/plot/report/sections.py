@@ -15,6 +15,7 @@ from nls.explanation.words import sentence, together
 from nls.plot.report.bars import across, bar
 from nls.plot.report.markup import Html, joined, listed, section, table, tag
 from nls.plot.report.pictures import picture
+from nls.plot.style import REJECTED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 
-WRONG = "#c1121f"
 MAP = (5.2, 4.6)  # inches: letters of a picture that fills half of a page, or a phone
 ROWS, FEW = 10, 5  # of a table, and of one that shows nothing remarkable
 RARE = 0.05  # chance of a remarkable measurement
@@ -50,7 +50,7 @@ def maps(data: ReportData) -> Html | None:
         figure = trajectory(data.graph, values)
         _marked(figure.axes[0], values, wrong)
         alt = f"{name}: positions of {len(values):,} variables and the measurements between them, chi2 {chi2}"
-        red = "; red: what does not fit the others" if wrong else ""
+        red = "; red: measurements that do not fit the others" if wrong else ""
         shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{red}", data.size, MAP))
     return section("maps", "Before and after", tag("div", *shown, class_="pictures"))
 
@@ -85,8 +85,8 @@ def kinds(data: ReportData) -> Html | None:
         for kind in parts
     ]
     note = (
-        "The band is where chi2 / expected of a right model is in 95 % of all cases, the line is 1, the dot is this "
-        "graph: right of the band the sigmas are too small or there are outliers, left of it they are too large."
+        "The dot is chi2 / expected of this graph, the line is 1. With a right model the dot is in the band in 95 % "
+        "of all cases. Right of the band: sigmas too small, or outliers. Left of it: sigmas too large."
     )
     heads = ("kind", "less than expected ← 1 → more", "ratio", "chi2", "expected", "measurements")
     return section(
@@ -106,9 +106,9 @@ def worst(data: ReportData) -> Html | None:
     if rows:
         heads = ("measurement", "sigmas from all others", "sigmas", "by chance")
         note = (
-            "Sigmas from all others: how far it is from what all other measurements say, in sigmas of that difference; "
-            "the other sigmas are those of its error here. By chance: how likely one such measurement among all is, if "
-            "the model is right."
+            "Sigmas from all others: the distance from the prediction of all other measurements, in sigmas of that "
+            "distance. Sigmas: the residual in its stated sigmas. By chance: the probability of one such measurement "
+            "among all, if the model is right."
         )
         inside += [table("Measurements that fit worst", heads, rows, range(1, 4)), _note(note)]
     if data.rejected:
@@ -215,7 +215,7 @@ def sparsity(data: ReportData) -> Html:
         titles = ", ".join(axes.get_title() for axes in figure.axes)
         for axes, name in zip(figure.axes, ("A", "H = A'A", "R, reordered"), strict=True):
             axes.set_title(name)
-        caption = "Where A, H = A'A and its Cholesky factor R have numbers. Orange is fill-in, which H does not have."
+        caption = "Nonzeros of A, of H = A'A and of its Cholesky factor R. Orange: fill-in, zero in H."
         dots = cost["numbers_in_A"] + 2 * upper + cost["numbers_in_R"]
         drawn = picture(figure, f"Dots where there are numbers: {titles}", caption, dots)
     return section("sparsity", "What does a step cost?", listed(facts, class_="facts"), drawn)
@@ -263,7 +263,7 @@ def _marked(axes: Axes, values: Values, wrong: Sequence[Measurement]) -> None:
         stacks = [values.stack(key.kind) for key in factor.keys]
         ends = [s.manifold.position(s.X[s.index(key)]) for s, key in zip(stacks, factor.keys, strict=True)]
         X = np.concatenate([end for end in ends if end.shape[1] == dim] or [np.zeros((0, dim))])
-        axes.plot(*X.T, ".-", color=WRONG, linewidth=2.0, zorder=5)
+        axes.plot(*X.T, ".-", color=REJECTED, linewidth=2.0, zorder=5)
 
 
 def _note(text: str) -> Html:

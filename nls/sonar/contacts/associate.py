@@ -1,7 +1,7 @@
 r"""Which sightings are of one target, where nothing names them: tracks of near pings, then rounds over the whole graph.
 
-1. Sightings of pings that follow one another are linked where one fits the arc of the other, nothing else does as well,
-   and the same holds backwards. Links that hang together are tracks.
+1. Sightings of pings that follow one another are linked where one fits the arc of the other and nothing else does. The
+   same must hold backwards. Links that hang together are tracks.
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
 3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
    alone with one another. Only pairings that most of their ping agree with count, and a track with two answers waits. A
@@ -9,13 +9,13 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    their own again (`nls.sonar.contacts.splitting`). Of a track in one piece, whose chi2 no noise explains, the worst
    sighting is alone.
 
-2 and 3 again, from the better estimate, until next to nothing changes: first with narrow gates, where poses are known
-well beside each other, then with gates twice as wide, until no pair that fits is wider. The narrow ones correct the
+2 and 3 again, from the better estimate, until next to nothing changes. First gates are narrow, where poses are known
+well beside each other. Then they are twice as wide, until no pair that fits is wider. The narrow ones correct the
 poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
 (`nls.sonar.contacts.compatibility`).
 
 How narrow is right depends on how far apart targets are. So all of it is done for each of `NARROW`, and the answer of
-least cost is taken: chi2, a price for every number of a landmark, and one for every undecided sighting.
+least cost is taken. The cost is chi2, a price for every number of a landmark, and one for every undecided sighting.
 
 Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 1978, for the price of a number.
 """
@@ -66,8 +66,8 @@ class Associated:
     values : poses and landmarks, by all decided sightings.
     rounds : after each round how many sightings were decided.
     settled : whether the last round changed next to nothing.
-    cost : chi2 with its robust kernel, log N for each number of a landmark where N numbers are measured, and what the
-        kernel charges at the gate for each undecided sighting.
+    cost : chi2 with its robust kernel, and log N for each number of a landmark where N numbers are measured. Each
+        undecided sighting adds the kernel's charge at the gate.
     d2 : (n,) squared residual of each decided sighting, in sigmas; nan of the others.
     history : the tracks (n,) after each round, see `nls.sonar.contacts.tracks`.
     """

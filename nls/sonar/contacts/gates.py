@@ -1,6 +1,6 @@
 r"""How far a sighting is from a target, in sigmas: squared Mahalanobis distances of pairs.
 
-A sighting d of ping j and the arc of a sighting c of ping i, point by point (everything whitened by the noise of d):
+A sighting d of ping j and the arc of a sighting c of ping i, point by point, whitened by the noise of d:
 
     b = W (z_d - h(X_j, p_k)),   S = I + A_X Sigma_G A_X' + A_l C_k A_l',      d2 = min over the arc of b' S^-1 b
 

@@ -1,7 +1,7 @@
 """Which tracks are one target: of pairs that fit, those that nothing else contradicts. What is doubtful stays apart.
 
 Two tracks that share a ping are two targets. A track b that fits several landmarks a is joined with the nearest only
-where the others fit that one too: then they may be one target in pieces. Otherwise the choice waits for the
+where the others fit that one, too. Then they may be one target in pieces. Otherwise the choice waits for the
 measurements of a later round. In the end a track that nothing needs is none.
 """
 

@@ -4,9 +4,8 @@ The sightings i of a piece p pull at their landmark. At the optimum all pulls ad
 
     g_p = sum A_l,i' b_i
 
-Pieces of another target pull to another side. So the pieces are put in the order of their pulls, along the axis on
-which these are largest, and cut in two at any place. If the pieces S before the cut may move by a common delta, chi2
-falls by
+Pieces of another target pull to another side. So the pieces are put in the order of their pulls, along the axis of the
+largest ones, and cut in two at any place. If the pieces S before the cut may move by a common delta, chi2 falls by
 
     g_S' Lambda^-1 g_S,    g_S = sum of g_p over p in S
 
@@ -50,9 +49,9 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     graph : the measurements of `estimate` without them.
     estimate : of tracks.
     pieces : (n,) a finer partition than these.
-    gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull: the bound grows with the
-        median of their falls, where that is above the one of noise. It grows as well with the error that the sightings
-        of a piece share.
+    gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull. So the bound grows with
+        the median of their falls, where that is above the one of noise. It grows as well with the error that the
+        sightings of a piece share.
     """
     tracks, n, dim = estimate.tracks, len(pieces), pings.group.point_dim
     leaving = np.zeros(n, dtype=bool)

@@ -30,8 +30,8 @@ def centers(scans: Scans) -> Index:
 def pairs(poses: Array, scans: Scans, middle: Index) -> tuple[Index, Index]:
     """Earlier and later submap (n,) of each pair to be matched, as rows of `middle`.
 
-    A submap is paired with those at least `APART` keyframes before it whose footprint overlaps with its own, the one of
-    largest overlap of every `SPREAD` keyframes, `PARTNERS` at most.
+    A submap is paired with those at least `APART` keyframes before it whose footprint overlaps with its own. Of every
+    `SPREAD` keyframes the one of largest overlap is taken, `PARTNERS` at most.
     """
     if len(middle) < 2:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)

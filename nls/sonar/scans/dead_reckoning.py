@@ -124,7 +124,7 @@ def dead_reckoning(poses: npt.ArrayLike, drift: Drift | None = None) -> tuple[Fa
 
     .. math:: z_k = (p_k + L_k d_{s(k)}, \psi_{k+1} - \psi_k), \quad d_s = m + w_s
 
-    where :math:`d_s` is the drift of a stretch of the way and m that of the mission: commanded speeds have a bias,
+    where :math:`d_s` is the drift of a stretch of the way and m that of the mission. Commanded speeds have a bias,
     currents come and go. With independent steps instead, the sigma of a position grows with the root of the way, and is
     several times too small after 100 m.
 

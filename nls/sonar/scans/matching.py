@@ -123,7 +123,7 @@ def match(field: Field, points: npt.ArrayLike, guess: npt.ArrayLike, window: tup
 def scores(
     field: Field, p: Array, guess: Array, window: tuple[float, float]
 ) -> tuple[npt.NDArray[np.float32], Array, Array]:
-    """S (yaws, n, n) of all poses in a window, with the yaws and the x and y (n,) it has them at, from the guess."""
+    """S (yaws, n, n) of all poses in a window, with their yaws and their x and y (n,), from the guess."""
     from scipy.fft import ifft, irfft, next_fast_len, rfft2
 
     reach, turns = int(np.ceil(window[0] / field.resolution)), int(np.ceil(window[1] / YAW_STEP))

@@ -20,9 +20,10 @@ def section(title: str) -> str:
 def columns_of(text: str) -> dict[str, list[str]]:
     """Columns of each CSV file, from tables whose rows name a file, or go on with the one before, and columns."""
     columns: dict[str, list[str]] = {}
+    file = ""
     for row in re.findall(r"^\|([^|]*)\|([^|]*)\|.*\|$", text, re.M):
-        file = re.findall(r"`([\w-]+)\.csv`", row[0]) or [list(columns)[-1] if columns else ""]
-        columns.setdefault(file[0], []).extend(re.findall(r"`(\w+)`", row[1]))
+        file = (re.findall(r"`([\w-]+)\.csv`", row[0]) or [file])[0]
+        columns.setdefault(file, []).extend(re.findall(r"`(\w+)`", row[1]))
     columns.pop("")  # the heads of the tables
     return columns
 

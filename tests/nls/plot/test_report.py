@@ -22,6 +22,7 @@ from nls.plot.report.markup import Html
 from nls.plot.report.pictures import SMALL, picture
 from nls.plot.report.style import STYLE
 from nls.plot.report.verdict import number
+from nls.plot.style import REJECTED
 from tests.nls.graphs import l, mixed, pose_graph, x
 from tests.nls.plot.html_page import Page, undrawn
 
@@ -122,7 +123,7 @@ def test_a_wrong_closure_is_named_and_red(monkeypatch: pytest.MonkeyPatch) -> No
     plot = __import__("matplotlib.axes").axes.Axes.plot
 
     def watched(self: Any, *args: Any, **style: Any) -> Any:
-        if style.get("color") == "#c1121f":
+        if style.get("color") == REJECTED:
             drawn.append(np.stack(args[:2], axis=1))
         return plot(self, *args, **style)
 
@@ -132,7 +133,7 @@ def test_a_wrong_closure_is_named_and_red(monkeypatch: pytest.MonkeyPatch) -> No
     np.testing.assert_allclose(drawn[0], X[[10, 30], :2])
     np.testing.assert_allclose(drawn[1], result.values[x][[10, 30], :2])
     assert len(drawn) == 2  # before, after
-    assert "red: what does not fit the others" in page.text
+    assert "red: measurements that do not fit the others" in page.text
 
 
 def test_covariances_beside_something_free(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 r"""Do the sensors of a raw log agree with each other, and if not, how must one of them be read?
 
-Over windows of time the DVL, turned by the attitude, repeats other sensors: the way down, beside the depth, and the way
-north and east, beside the fixes. The misfit of a log is, relative to the way itself and to the noise,
+Over windows of time the DVL, turned by the attitude, repeats other sensors. Its way down repeats the depth, its way
+north and east the fixes. The misfit of a log is, relative to the way itself and to the noise,
 
     m_z = rms(r - mean r) / rms(dz - mean dz),   r = dz - dD        n_z = max(sqrt(2) sigma_z / rms dz, FLOOR)
     m_p = median |dp - dd| / median |dp|                            n_p = max(median sigma_p / median |dp|, FLOOR)

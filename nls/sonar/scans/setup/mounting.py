@@ -10,7 +10,7 @@ calibration of a sensor against odometry: A. Censi, A. Franchi, L. Marchionni, G
 odometry and sensor parameters for mobile robots", IEEE Trans. Robotics 29(2), 2013.
 
 - x and y of G change z by (R(turn) - I) G: a lever arm shows in steps that turn, and in no other.
-- yaw of G turns the way of every step, exactly as a drift to the side does: it is determined as well as that drift is.
+- yaw of G turns the way of every step, exactly as a drift to the side does. So it is determined as well as that drift.
 - c changes z by (w_j - w_i) c: a late clock shows where speed or rate of turn change.
 
 Closures say little of it. The graph follows them to the way of the sensor, and submaps that are built from there agree

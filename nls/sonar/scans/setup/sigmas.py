@@ -1,7 +1,7 @@
 """chi2 over degrees of freedom of steps, of drifts and of closures: sigmas that are too large or too small.
 
-Drifts tell most. Steps and closures leave little of their own once drifts have followed them: with all sigmas of dead
-reckoning doubled or halved, drifts of a harbor have 0.36 and 3.3 (1.0 as stated), steps 0.31 and 0.42 (0.47).
+Drifts tell most. Steps and closures leave little of their own once drifts have followed them. With all sigmas of dead
+reckoning doubled or halved, drifts of a harbor have 0.36 and 3.3 (1.0 as stated). Steps have 0.31 and 0.42 (0.47).
 """
 
 from __future__ import annotations
