@@ -6,7 +6,7 @@ Errors, results and findings carry advice; whoever shows them says in which of t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 __all__ = ["ACTIONS", "Advice", "listed"]
 
@@ -91,8 +91,7 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
 }
 
 
-@dataclass(frozen=True)
-class Advice:
+class Advice(NamedTuple):
     """One thing to do.
 
     Parameters

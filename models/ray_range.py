@@ -21,7 +21,7 @@ where w = 0, the ray touching the sphere, the derivatives have no value. No arc 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,8 +34,7 @@ from models.sensors.singular import CLOSE, refuse
 __all__ = ["RayRange", "ray_range"]
 
 
-@dataclass(frozen=True)
-class RayRange:
+class RayRange(NamedTuple):
     """Where n rays meet the spheres of n ranges; made by `ray_range`.
 
     Attributes

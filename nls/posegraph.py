@@ -80,7 +80,7 @@ def closures(pattern: Pattern) -> list[Mask]:
     return [_closing(batch, place) for batch in pattern.batches]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Edges:
     """Some relative poses with their covariances.
 

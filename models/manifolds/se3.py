@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, apply, components, dot, matrix, product, skew, stumpff
+from models.algebra import Array, apply, dot, matrix, product, skew, stumpff
 from models.errors import GraphError
 from models.finite import finite
 from models.manifolds.base import LieGroup, block_triangular
@@ -47,9 +47,8 @@ def split(X: npt.ArrayLike) -> tuple[Array, Array]:
 
 
 def join(t: Array, q: Array) -> Array:
-    """Poses (..., 7) of translations (..., 3) and quaternions (..., 4), components first in memory."""
-    X = np.concatenate([components(t), components(q)])
-    return X.transpose(*range(1, X.ndim), 0)
+    """Poses (..., 7) of translations (..., 3) and quaternions (..., 4)."""
+    return np.concatenate([t, q], axis=-1)
 
 
 class PosesOfSpace(LieGroup):

@@ -43,24 +43,13 @@ def quaternion_product(p: Array, q: Array) -> Array:
 def rotation3(q: Array) -> Array:
     """Rotation matrix (..., 3, 3) of quaternions (v, w) (..., 4) of any length but 0.
 
-    R = (1 - s v'v) I + s v v' + s w [v]x with s = 2 / |q|^2.
+    R = ((w I + [v]x)^2 + v v') / |q|^2.
     """
-    q = components(q)
-    v, w = q[:3], q[3]
-    sv = 2 / np.einsum("i...,i...->...", q, q) * v
-    R: Array = v[:, None] * sv
-    r = 1 - (R[0, 0] + R[1, 1] + R[2, 2])
-    R[0, 0] += r
-    R[1, 1] += r
-    R[2, 2] += r
-    x, y, z = w * sv
-    R[0, 1] -= z
-    R[1, 0] += z
-    R[0, 2] += y
-    R[2, 0] -= y
-    R[1, 2] -= x
-    R[2, 1] += x
-    return R.transpose(*range(2, R.ndim), 0, 1)
+    v, B = q[..., :3], _w_plus_v(q)
+    R: Array = np.einsum("...ik,...kj->...ij", B, B)
+    R += v[..., :, None] * v[..., None, :]
+    R /= dot(q, q)[..., None, None]
+    return R
 
 
 def quaternion_from_matrix(R: npt.ArrayLike) -> Array:

@@ -66,7 +66,7 @@ def second_view(G: Array, h: Array) -> tuple[Array, tuple[Array, Array]]:
     return z, (product(J, H_G), product(J, product(H_p, P)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contacts:
     """m points in two images.
 

@@ -142,7 +142,7 @@ def without_rejected(as_read: FactorGraph, choice: Robustified, report: LoadRepo
         if id(old.noise) in known
     ]
     sources = [
-        replace(source, lines=source.lines[mask])
+        source._replace(lines=source.lines[mask])
         for source, mask in zip(report.sources, masks, strict=True)
         if mask.any()
     ]

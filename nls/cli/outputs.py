@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -157,6 +156,8 @@ def write_json(report: dict[str, Any], where: str | None) -> None:
 
 def json_text(report: dict[str, Any]) -> str:
     """The report for programs."""
+    import json
+
     from models.finite import finite_or_none
 
     return json.dumps(finite_or_none(report), indent=1, allow_nan=False) + "\n"

@@ -26,7 +26,7 @@ KINDS = {"pose": "x", "point": "l", "mount": "o"}  # variables of vertices by wh
 ANGLES_FIRST = [3, 4, 5, 0, 1, 2]  # x y z roll pitch yaw from (roll, pitch, yaw, x, y, z), and back
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Element:
     """How an element of a space stands in a line; ``angles``: the rotation as roll, pitch and yaw."""
 
@@ -54,7 +54,7 @@ class Element:
         return from_se3(X)[:, ANGLES_FIRST] if self.angles else X
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Record:
     """One tag.
 
@@ -138,7 +138,7 @@ class Record:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Format:
     """A dialect of graph text files.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,7 @@ from models.algebra import Array, Index, Mask, Numbers
 __all__ = ["LoadReport", "Source", "Statement"]
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
+class Source(NamedTuple):
     """The file and the lines that the measurements of one factor were read from.
 
     Attributes
@@ -27,8 +27,7 @@ class Source:
     lines: Index
 
 
-@dataclass(frozen=True, eq=False)
-class Statement:
+class Statement(NamedTuple):
     """The numbers of the lines that one factor was read from, which writing gives back as they were.
 
     Attributes
@@ -55,8 +54,7 @@ class Statement:
 
     def only(self, mask: Mask, noise: Noise) -> Statement:
         """The numbers of some of the lines, and the noise of their factor."""
-        return replace(
-            self,
+        return self._replace(
             noise=noise,
             z=self.z[mask],
             numbers=self.numbers[mask],

@@ -85,7 +85,7 @@ class QRAnalysis(Analysis):
         n = A.shape[1]
         lengths = system.column_norms if damping is None else np.sqrt(system.column_norms**2 + damping)
         if n == 0:
-            return LinearSolution(np.zeros(0))
+            return LinearSolution(np.zeros(0), {})
         if (lengths == 0).any() or A.shape[0] < n:
             raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
         scaled = sp.coo_matrix(A @ sp.diags_array(1 / lengths))

@@ -29,6 +29,7 @@ class Record:
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
+    start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
     fall, level_steps : of the last step; steps in a row that ran along a plateau.
     free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
@@ -46,7 +47,7 @@ class Record:
 
     def _begin(self) -> None:
         """Nothing is known but the best point."""
-        self.start, self.since_best, self.fall, self.level_steps = self.best, 0, math.inf, 0
+        self.start, self.since_best, self.fall, self.level_steps = self.best.coordinates, 0, math.inf, 0
         self._longest: Array | float = 0.0  # column of A of each unknown
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 from models.advice import Advice, listed
 from models.html_table import html_table
@@ -40,8 +41,7 @@ class Iteration:
     reused: bool = False
 
 
-@dataclass(frozen=True)
-class Attempt:
+class Attempt(NamedTuple):
     """A method that failed before another one continued from its best point.
 
     Attributes
@@ -59,7 +59,7 @@ class Attempt:
 SUSPICIOUS = 100  # chi2 per degree of freedom beyond which noise cannot be the reason
 
 
-@dataclass(repr=False)
+@dataclass(repr=False, eq=False)
 class Result:
     """The outcome of an optimization; ``print(result)`` shows the table.
 

@@ -111,7 +111,7 @@ class Step:
         Where the fit is perfect b is rounding alone, of numbers as large as |W z|.
         """
         system = self.system
-        b, x = math.sqrt(system.chi2), np.abs(system.pattern.restrict(self.values.coordinates))
+        b, x = math.sqrt(system.chi2), np.abs(self._coordinates)
         error = EPS * max(b, float((system.column_norms * x).max(initial=0.0)))
         return change <= max((2 * b + error) * error, (EPS * system.pattern.largest_measurement) ** 2)
 
@@ -154,8 +154,11 @@ class Step:
         """Whether dx is long, and not along something free."""
         return not self.short and not self.free
 
+    @cached_property
+    def _coordinates(self) -> Array:
+        return self.system.pattern.restrict(self.values.coordinates)
+
     def _short(self, dx: Array) -> bool:
-        D, restrict = self.watch.scale(self.system), self.system.pattern.restrict
-        sizes = (float(np.linalg.norm(D * restrict(X.coordinates))) for X in (self.values, self.watch.start))
-        length = float(np.linalg.norm(D * dx))
-        return any(length <= SHORT * size for size in sizes)
+        D = self.watch.scale(self.system)
+        length, start = np.linalg.norm(D * dx), D * self.system.pattern.restrict(self.watch.start)
+        return bool(length <= SHORT * np.linalg.norm(start) or length <= SHORT * np.linalg.norm(D * self._coordinates))

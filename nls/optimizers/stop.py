@@ -134,7 +134,9 @@ def noise_floor(step: Step) -> Verdict | None:
 
 def plateau(step: Step) -> Verdict | None:
     """fall <= chi2_rtol chi2 and dx no shorter, 6 times in a row; or a long step that chi2 cannot show."""
-    return levels_off(step) if step.watch.level_steps >= PLATEAU or (step.invisible and step.leaves) else None
+    if step.watch.level_steps >= PLATEAU or (not step.short and step.invisible and step.leaves):  # the cheapest first
+        return levels_off(step)
+    return None
 
 
 def levels_off(step: Step) -> Verdict:

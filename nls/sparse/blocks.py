@@ -43,11 +43,11 @@ class Blocks:
     """
 
     def __init__(self, dims: Index, held: Mask, slots: Slots) -> None:
-        free = np.flatnonzero(~held)
+        free = (~held).nonzero()[0]
         number = np.full(len(held), -1, dtype=np.intp)
         number[free] = np.arange(len(free))
         sizes = dims * dims
-        begin = np.cumsum(sizes) - sizes
+        begin = sizes.cumsum() - sizes
         self.dims, self.diagonal, self.size = dims[free], begin[free], int(sizes.sum())
         self.squares = Scatter(slots, begin, self.size, _lower)
         u, v, off = [], [], []
@@ -55,7 +55,7 @@ class Blocks:
         for k, batch in enumerate(slots):
             for (a, (i, d)), (c, (j, e)) in combinations(enumerate(batch), 2):
                 p, q = number[i], number[j]
-                pairs = np.flatnonzero((p >= 0) & (q >= 0))
+                pairs = ((p >= 0) & (q >= 0)).nonzero()[0]
                 u.append(p[pairs])
                 v.append(q[pairs])
                 off.append(self.size + pairs * d * e)

@@ -54,7 +54,7 @@ class Elimination:
         sort = np.argsort(place)
         new = _first_of_equals(place[sort])
         again = (~new).nonzero()[0]
-        self.blocks, self.again, self.twin = sort[new], sort[again], np.cumsum(new)[again] - 1
+        self.blocks, self.again, self.twin = sort[new], sort[again], new.cumsum()[again] - 1
 
     def serves(self, u: Index, v: Index, V: int, order: Order | None) -> bool:
         """Whether it is the one of these pairs."""

@@ -54,25 +54,25 @@ class Hessian:
         self._analyses: dict[tuple[Callable[[sp.csc_matrix], Any], np.dtype[Any]], Any] = {}
         e, V = elimination, len(dims)
         widths = dims[e.variables]
-        starts = np.cumsum(widths) - widths
+        starts = widths.cumsum() - widths
         self.n = int(widths.sum())
-        inner = np.arange(self.n) - np.repeat(starts, widths)  # column within its block column
-        self.permutation = np.repeat((np.cumsum(dims) - dims)[e.variables], widths) + inner
+        inner = np.arange(self.n) - starts.repeat(widths)  # column within its block column
+        self.permutation = (dims.cumsum() - dims)[e.variables].repeat(widths) + inner
 
         # Rows of a block column below its diagonal block, and above each of its blocks.
         heights, column = widths[e.row[e.blocks]], e.column[e.blocks]
         total = np.bincount(column, weights=heights, minlength=V).astype(np.intp)
-        above = np.cumsum(heights) - heights - (np.cumsum(total) - total)[column]
+        above = heights.cumsum() - heights - (total.cumsum() - total)[column]
 
         # Column k of a block column: the diagonal block from its row k on, then the blocks below.
-        ends = np.cumsum(np.repeat(widths + total, widths) - inner)
+        ends = ((widths + total).repeat(widths) - inner).cumsum()
         if len(ends) and ends[-1] > np.iinfo(np.int32).max:
             raise ResourceLimitError(f"H has {ends[-1]} numbers, more than 32-bit indices can count", float(ends[-1]))
         self.indptr = np.concatenate([[0], ends]).astype(np.int32)
         self.indices = np.empty(self.indptr[-1], dtype=np.int32)
         self.source = np.empty(self.indptr[-1], dtype=np.intp)
-        for d in np.flatnonzero(np.bincount(widths)):
-            k = np.flatnonzero(widths == d)[:, None]
+        for d in np.bincount(widths).nonzero()[0]:
+            k = (widths == d).nonzero()[0][:, None]
             r, c = triangle(int(d))
             target = self.indptr[starts[k] + c] + (r - c)
             self.indices[target] = starts[k] + r
@@ -82,8 +82,8 @@ class Hessian:
             """All pairs of one shape at a time: places in the data, sources in S, and rows of their numbers."""
             row, column, base = e.row[pairs], e.column[pairs], int(widths.max(initial=0)) + 1
             shapes = widths[row] * base + widths[column]  # one number a shape: unique rows are 20 times slower to find
-            for height, width in (divmod(int(shape), base) for shape in np.flatnonzero(np.bincount(shapes))):
-                same = np.flatnonzero(shapes == height * base + width)
+            for height, width in (divmod(int(shape), base) for shape in np.bincount(shapes).nonzero()[0]):
+                same = (shapes == height * base + width).nonzero()[0]
                 r, c = np.divmod(np.arange(height * width), width)
                 target = self.indptr[starts[column[same], None] + c] + (width - c + r) + above[same, None]
                 inside = np.stack([r * width + c, c * height + r])  # of a contribution as it is, and turned
@@ -124,14 +124,14 @@ class Hessian:
 
     def data(self, S: Array, out: Array | None = None) -> Array:
         """Numbers of the lower triangle from the flat blocks S, in ``out`` where it is given."""
-        data = np.take(S, self.source, out=out, mode="clip")  # half the time of mode "raise"; all sources are in S
+        data = S.take(self.source, out=out, mode="clip")  # half the time of mode "raise"; all sources are in S
         if self._add is not None:
-            np.add.at(data, self._add[0], np.take(S, self._add[1]))
+            np.add.at(data, self._add[0], S.take(self._add[1]))
         return data
 
     def diagonal(self, S: Array) -> Array:
         """Diagonal of the matrix (n,), real."""
-        return np.take(S, self._on_diagonal).real
+        return S.take(self._on_diagonal).real
 
     def damp(self, S: Array, damping: Array) -> None:
         """Add a diagonal (n,), in the given order of columns, to the flat blocks S."""

@@ -24,7 +24,7 @@ from nls.values import Values, take
 __all__ = ["Batch", "Pattern", "measured_rows", "offsets"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Batch:
     """One factor in the pattern: its model and its rows; per slot the kind, the rows of its stack, the variables."""
 
@@ -79,7 +79,7 @@ class Pattern:
             rows = slice(self.m, self.m + len(factor) * model.dim)
             self.batches.append(Batch(model, rows, tuple(s.kind for s in stacks), index, variables))
             self.m = rows.stop
-        ends = np.cumsum(self.dims)
+        ends = self.dims.cumsum()
         self.eliminations = Eliminations()
         self._latest: Pattern | None = None  # with other variables held
         self._hessian: Hessian | None = None
@@ -92,10 +92,10 @@ class Pattern:
         """Number the columns of the variables that are not held."""
         self.held = held
         free = np.where(held, 0, self.dims)
-        ends = np.cumsum(free)
+        ends = free.cumsum()
         self.starts = np.where(held, -1, ends - free)
         self.n = int(ends[-1]) if len(ends) else 0
-        self._free_columns = np.flatnonzero(np.repeat(~held, self.dims)) if held.any() else None
+        self._free_columns = (~held).repeat(self.dims).nonzero()[0] if held.any() else None
 
     def holding(self, held: Mask) -> Pattern:
         """The same rows and variables, with others of them held; the latest is kept, with its structure."""

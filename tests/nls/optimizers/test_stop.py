@@ -148,7 +148,7 @@ def test_a_rule_and_its_inequality(rule: stop.Rule) -> None:
 
 
 def test_a_long_step_that_chi2_cannot_show_is_a_plateau() -> None:
-    assert stop.plateau(looked(invisible=True, leaves=True)) is not None
+    assert stop.plateau(looked(invisible=True, short=False, leaves=True)) is not None
     assert stop.plateau(looked(invisible=True)) is None
     assert stop.zero(looked(chi2=0.0, short=False)) is not None
     for rule, holds in ((refusal.promise_small, {"promised": 4e-5}), (refusal.promise_invisible, {"invisible": True})):
