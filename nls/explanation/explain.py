@@ -125,24 +125,29 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
         if fall > _little(chi2):
             findings.insert(0, doubts.no_optimum(fall, chi2))
         else:
+            held = _held(graph, whole, idle)
+            calibrated: list[Finding] = []
             if not free.count:
                 findings += duplicate_points(free.checked, pattern, values)
-            held = _held(graph, whole, idle)
-            outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
-            lower = graph.chi2(outliers.values)
-            if lower < graph.chi2(values) - _little(chi2):
-                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
-            parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
-            kinds = doubts.of_parts(parts_without, outliers, graph)
-            if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
-                outliers = replace(outliers, places=[])  # where most are off, it is not these
-                kinds = doubts.of_parts(parts, outliers, graph)
-            alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-            findings += _causes(held, values, free.checked, tests, outliers, alike)
-            findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-            findings += [kind for kind in kinds if kind not in alike]
-            if not (free.count or alike or outliers.many):
-                findings += doubts.unverified(held, values)
+                calibrated = causes.calibrated(held, values)
+            if causes.explained(calibrated):  # what does not fit, does because of that
+                findings += calibrated
+            else:
+                outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
+                lower = graph.chi2(outliers.values)
+                if lower < graph.chi2(values) - _little(chi2):
+                    findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
+                parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
+                kinds = doubts.of_parts(parts_without, outliers, graph)
+                if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
+                    outliers = replace(outliers, places=[])  # where most are off, it is not these
+                    kinds = doubts.of_parts(parts, outliers, graph)
+                alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
+                findings += _causes(held, values, free.checked, tests, outliers, alike) or calibrated
+                findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
+                findings += [kind for kind in kinds if kind not in alike]
+                if not (free.count or alike or outliers.many):
+                    findings += doubts.unverified(held, values)
         findings += doubts.unchecked(tests, whole)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
