@@ -42,7 +42,9 @@ FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise wha
 
 
 @single_thread()
-def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = None) -> Explanation:
+def explain(
+    graph: FactorGraph, values: Values, groups: Sequence[str] | None = None, assumed: Sequence[int] = ()
+) -> Explanation:
     """Determined and free directions, agreement of the measurements, and cures.
 
     Parameters
@@ -50,6 +52,7 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
     graph : as for `FactorGraph.optimize`; not changed. Measurements under a robust kernel count with their weight.
     values : usually the optimum, ``graph.optimize(...).values``. Elsewhere the findings begin with that.
     groups : a name for each factor, such as its dive: chi2 is counted for each kind of measurement and name.
+    assumed : numbers of factors that nobody measured, such as an anchor: none is listed as unchecked.
 
     Returns
     -------
@@ -148,7 +151,7 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
                 findings += [kind for kind in kinds if kind not in alike]
                 if not (free.count or alike or outliers.many):
                     findings += doubts.unverified(held, values)
-        findings += doubts.unchecked(tests, whole)
+        findings += doubts.unchecked(tests, whole, assumed)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
     return Explanation(
