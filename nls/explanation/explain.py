@@ -12,7 +12,6 @@ from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
-from models.manifolds.measured import unit
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
@@ -297,7 +296,7 @@ def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tup
         J, names = axes(keys, stack.manifold, np.asarray(stack.X)[rows], frame, None)
         Sigma = turned(J, free.checked.diagonal[at].reshape(-1, d, d))
         sigma = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
-        for c, component in enumerate(names):
+        for c, (component, unit) in enumerate(zip(names, stack.manifold.units, strict=True)):
             k = int(np.argmax(sigma[:, c]))
-            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit(component)))
+            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit))
     return tuple(out)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
 from models.listing import some
-from nls.analysis.observable import shown
+from nls.analysis.observable import in_unit, shown
 from nls.explanation.findings import FindingKind, number
 from nls.explanation.rejections import unverified
 
@@ -362,8 +362,8 @@ def report(e: Explanation, shell: bool = False) -> str:
     if e.weakest:
         lines += ["", "least certain       sigma        median"]
         lines += [
-            f"{f'{weak.key!r} {weak.component}':18s}  {shown(weak.sigma, weak.component):12s} "
-            f"{shown(weak.typical, weak.component)}"
+            f"{f'{weak.key!r} {weak.component}':18s}  {in_unit(weak.sigma, weak.unit):12s} "
+            f"{in_unit(weak.typical, weak.unit)}"
             for weak in e.weakest
         ]
     return "\n".join(lines)
