@@ -36,7 +36,7 @@ from factors.return_values import Batch
 from models import Manifold
 from models.algebra import Array, Mask
 from models.errors import EvaluationError, SingularGeometryError
-from models.manifolds.measured import ANGLES
+from models.manifolds.units import ANGLES
 
 __all__ = ["EPS", "derivative"]
 

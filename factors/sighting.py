@@ -25,7 +25,7 @@ from factors.noise import Noise
 from models import LieGroup, Manifold, R
 from models.algebra import Array, product
 from models.errors import GraphError
-from models.manifolds.measured import ANGLES
+from models.manifolds.units import ANGLES
 from models.sensors import point_in_frame
 
 __all__ = ["Sighting"]

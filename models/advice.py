@@ -61,6 +61,12 @@ ACTIONS: dict[str, str | tuple[str, str | None, str | None]] = {
     "flip": "exchange or flip its axes: another frame",
     "exchange": "exchange {0} and {1} in these sightings",
     "clock": "shift the times of these measurements",
+    "calibrate mounting": (
+        "measure the mounting of the sensor on the vehicle again, or estimate it",
+        "factor.mounted(o[0]) with a Prior on o[0]",
+        "",
+    ),
+    "calibrate odometry": ("calibrate the odometry, or estimate its error", "factors.Shifted", ""),
     "merge": "give both one number, if they are the same",
     "wrap": ("wrap the difference of the angles", "models.algebra.wrap(z - h)", ""),
     "larger sigma": "give it a larger sigma",

@@ -17,6 +17,7 @@ from models.algebra import Array, apply
 from models.errors import GraphError, OptionError
 from models.finite import first_not_finite
 from models.manifolds.rigid import homogeneous
+from models.manifolds.units import unit
 
 __all__ = ["LieGroup", "Manifold"]
 
@@ -30,6 +31,7 @@ class Manifold(Abstract):
     dim : dimension of the tangent space (degrees of freedom).
     size : numbers per stored element.
     components : names of the tangent components, in order.
+    units : of them, such as ``("m", "rad")``; m for x, y, z and range, rad for angles by their names when not stated.
     body_axes : whether the tangent space has the axes of the body, so that a covariance has to say its frame.
 
     Notes
@@ -44,6 +46,11 @@ class Manifold(Abstract):
     size: int
     components: tuple[str, ...]
     body_axes: ClassVar[bool] = False
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each component, as reports print it; by the names, unless a space of your own states ``units``."""
+        return tuple(map(unit, self.components))
 
     @abstractmethod
     def retract(self, X: Array, delta: Array) -> Array:

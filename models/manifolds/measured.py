@@ -11,16 +11,9 @@ from models.algebra import Array, wrap
 from models.errors import OptionError
 from models.manifolds.base import LieGroup
 from models.manifolds.rn import Vectors
+from models.manifolds.units import ANGLES, unit
 
-__all__ = ["ANGLES", "LENGTHS", "Measured", "unit"]
-
-ANGLES = frozenset({"azimuth", "bearing", "elevation", "pitch", "roll", "yaw"})  # what is wrapped; the rest is not
-LENGTHS = frozenset({"x", "y", "z", "range"})
-
-
-def unit(component: str) -> str:
-    """The unit of a component by its name: rad, m, or empty where it is neither an angle nor a length."""
-    return "rad" if component in ANGLES else "m" if component in LENGTHS else ""
+__all__ = ["Measured"]
 
 
 class MeasuredNumbers(Vectors):
@@ -29,6 +22,7 @@ class MeasuredNumbers(Vectors):
     def __init__(self, names: tuple[str, ...]) -> None:
         super().__init__(len(names))
         self.name, self.components = f"({', '.join(names)})", names
+        self.units = tuple(map(unit, names))
         self._angles = [k for k, name in enumerate(names) if name in ANGLES]
 
     def exp(self, delta: npt.ArrayLike) -> Array:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from models.algebra import Array
 from models.errors import OptionError
 from models.manifolds.base import LieGroup
+from models.manifolds.units import unit
 from models.options import is_whole
 
 __all__ = ["R"]
@@ -21,10 +22,12 @@ class Vectors(LieGroup):
     """R^n as an additive group: Exp and Log are the identity, the product is the sum."""
 
     flat = True
+    units: tuple[str, ...] = ()
 
     def __init__(self, n: int) -> None:
         self.name, self.dim, self.size = f"R({n})", n, n
         self.components = _NAMES[:n] if n <= 3 else tuple(f"c{k}" for k in range(n))
+        self.units = ("",) if n == 1 else tuple(map(unit, self.components))  # one number is no place
 
     def exp(self, delta: npt.ArrayLike) -> Array:
         return np.asarray(delta, dtype=float)

@@ -33,6 +33,7 @@ from nls.starts import initialize
 from nls.values import Values
 
 UNLIKELY = 1e-3  # chance of a false alarm, all tries of one question together
+EQUAL = 2 * math.log(1 / UNLIKELY)  # alternatives whose chi2 differ by less cannot be told apart
 STARTS: dict[str, Callable[[FactorGraph, Values], Values]] = {  # the others of `nls.starts` cost several solves
     "chordal": lambda graph, values: initialize(graph, values, "chordal")[0],
     "odometry": lambda graph, values: initialize(graph, values, "odometry")[0],

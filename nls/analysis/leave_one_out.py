@@ -86,6 +86,8 @@ def left_out(e: Array, C: Array, w: Array) -> tuple[Array, Array]:
 def measuring(model: Model) -> Index:
     """(n,) numbers per measurement that measure something, as `nls.sparse.pattern.measured_numbers` counts them."""
     n, W = len(model.z), model.W
+    if model.factor.limit_only:
+        return np.zeros(n, dtype=np.intp)
     zero = (W == 0).sum(axis=1) if W.ndim == 2 else (W == 0).all(axis=2).sum(axis=1)
     return np.broadcast_to(model.dim - model.factor.eliminated - zero, n)
 

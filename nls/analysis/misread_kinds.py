@@ -14,7 +14,7 @@ import numpy as np
 
 from factors.base import Factor
 from models.algebra import Index
-from nls.analysis.alternatives import FIRST, UNLIKELY, expected, solved, supported
+from nls.analysis.alternatives import EQUAL, FIRST, expected, solved, supported
 from nls.analysis.leave_one_out import kinds_of, measuring, middle_variance
 from nls.analysis.readings import READINGS, Reading
 from nls.graph import FactorGraph
@@ -27,7 +27,6 @@ MANY = 6  # measurements of a source that may be off alike
 MIDDLE = 2.0  # variance of the middle measurement of a source that is read as it was meant, at most
 NEAR = 10.0  # times the lowest chi2 after the first iterations: alternatives above that are given up
 WORSE = 100.0  # times chi2 as it stands: starts above that lead nowhere; headings turned by 90 degrees begin at 6
-EQUAL = 2 * math.log(1 / UNLIKELY)  # readings whose chi2 differ by less cannot be told apart
 
 Places = tuple[tuple[int, Index], ...]
 

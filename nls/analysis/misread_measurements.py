@@ -23,7 +23,7 @@ from factors.keys import Keys
 from factors.noise import square
 from models import SE3, SO3
 from models.algebra import Array
-from models.manifolds.measured import unit
+from models.manifolds.units import unit
 from nls.analysis.alternatives import UNLIKELY
 from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.leave_one_out import measuring

@@ -12,12 +12,12 @@ import numpy.typing as npt
 from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
-from models.manifolds.measured import unit
+from models.manifolds.units import unit
 
 if TYPE_CHECKING:
     from factors.keys import Keys
 
-__all__ = ["Observability", "shown"]
+__all__ = ["Observability", "in_unit", "shown"]
 
 FREE = 1e-7  # |E n| of a free direction, 1 if all else were known: 5e-14 at the worst seen, 3e-12 with differences
 INVOLVED = 0.2  # a component is named in a direction when it makes up at least this part of its largest
@@ -166,8 +166,16 @@ def _unit(name: str) -> str:
 
 
 def shown(number: float, name: str, infinite: str = "") -> str:
-    """With three digits and the unit of a component, angles in degrees; a word where it is infinite."""
-    if np.isinf(number):
-        return infinite
-    printed = _unit(name)
-    return f"{degrees(number) if printed == 'deg' else number:.3g} {printed}".rstrip()
+    """With three digits and the unit of a component by its name, angles in degrees; a word where it is infinite."""
+    return infinite if np.isinf(number) else in_unit(number, unit(name))
+
+
+def in_unit(number: float, unit: str) -> str:
+    """With three digits and a unit; radians in degrees.
+
+    Examples
+    --------
+    >>> in_unit(0.1, "rad"), in_unit(35.0, "g/kg"), in_unit(0.5, "")
+    ('5.73 deg', '35 g/kg', '0.5')
+    """
+    return f"{degrees(number):.3g} deg" if unit == "rad" else f"{number:.3g} {unit}".rstrip()

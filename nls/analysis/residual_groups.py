@@ -14,7 +14,7 @@ import numpy as np
 from factors.robust import Kernel
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError
-from models.manifolds.measured import unit
+from models.manifolds.units import unit
 from nls.analysis.leave_one_out import kinds_of, measuring
 from nls.analysis.linearization import Checked
 from nls.sparse.pattern import Batch, Pattern

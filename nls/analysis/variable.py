@@ -17,7 +17,7 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
-from models.manifolds.measured import ANGLES, LENGTHS
+from models.manifolds.units import ANGLES, LENGTHS
 from models.options import check_between
 from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables

@@ -76,33 +76,23 @@ def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     return replace(explanation, findings=(*findings, *explanation.findings))
 
 
-def _placed(explanation: Explanation, report: LoadReport) -> Explanation:
-    """With the lines of the measurements, where these are of a file; nobody checks what holds a mission by itself."""
-    from nls.explanation.findings import FindingKind
+def _of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:
+    """The explanation of a graph that was read, with the lines of the measurements where its file has them."""
+    import nls
 
-    if not report.has_lines:
-        return explanation
-    placed = explanation.placed(report.place)
-    findings = tuple(
-        finding
-        for finding in placed.findings
-        if finding.kind is not FindingKind.UNCHECKED
-        or finding.numbers["count"] > len(finding.places)
-        or {*finding.places} != {report.path}  # of a file, and not of the folder as an anchor that no file has
-    )
-    return replace(placed, findings=findings)
+    explanation = nls.explain(graph, values, _dives(report), report.assumed)
+    return explanation.placed(report.place) if report.has_lines else explanation
 
 
 def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: LoadReport) -> tuple[Explanation, str]:
     """The explanation of a mission without its wrong contacts, which it names, and what it is of."""
-    import nls
     from nls.cli import outliers
     from nls.explanation.wrong_contacts import wrong_contacts
 
     kept, kept_report = outliers.without_rejected(graph, choice, report)
-    explanation = _placed(nls.explain(kept, choice.result.values, _dives(kept_report)), kept_report)
-    placed = _placed(replace(explanation, findings=wrong_contacts(graph, choice)), report)
-    first, *exchanged = placed.findings
+    explanation = _of(kept, choice.result.values, kept_report)
+    wrong = replace(explanation, findings=wrong_contacts(graph, choice)).placed(report.place)
+    first, *exchanged = wrong.findings
     how = f"at its optimum without {outliers.sentence(choice)}"
     return replace(explanation, findings=(first, *explanation.findings, *exchanged)), how
 
@@ -141,11 +131,11 @@ def _explained(
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
-            return _placed(nls.explain(graph, result.values, _dives(report)), report), how
+            return _of(graph, result.values, report), how
         best, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
-    explanation = _placed(nls.explain(graph, best, _dives(report)), report)
+    explanation = _of(graph, best, report)
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, best))
     finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
     findings = tuple(entry for entry in explanation.findings if entry.kind is not FindingKind.NO_OPTIMUM)

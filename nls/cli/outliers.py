@@ -103,7 +103,7 @@ def rows(choice: Robustified, asked: bool) -> list[str]:
 
 def sentence(choice: Robustified) -> str:
     """How many contacts were rejected, and which landmarks left."""
-    from nls.explanation.words import left, rejected_contacts
+    from nls.explanation.rejections import left, rejected_contacts
 
     numbers = len(choice.rejected), choice.doubted, choice.expected_by_chance, choice.probability
     names, count = [x.variable for x in choice.left], sum(x.measurements for x in choice.left)

@@ -25,8 +25,8 @@ def contacts_of(graph: FactorGraph) -> list[Factor]:
 def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadReport) -> Robustified | None:
     """The choice among the contacts of a mission that was solved with all of them; None where all are believed.
 
-    All are believed where `nls.robust.misfit` finds nothing, and where the choice is doubtful or cannot be made; a note
-    says so then.
+    All are believed where `nls.robust.misfit` finds nothing. They are believed, and a note says so, where a calibration
+    explains most of the misfit, and where the choice is doubtful or cannot be made.
 
     Parameters
     ----------
@@ -38,11 +38,15 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
         return None
     import nls
     from models.errors import UnderconstrainedError
+    from nls.explanation.causes import calibrated
     from nls.robust.misfit import misfit
 
     if not misfit(result, contacts):
         return None
     kept = "all contacts are kept, though some do not fit"
+    if result.converged and (wrong := calibrated(graph, result.values)):
+        report.notes.append(f"{kept}: {wrong[0].says}")
+        return None
     try:
         choice = nls.gnc(graph, values, doubted=contacts)
     except UnderconstrainedError as error:

@@ -1,11 +1,16 @@
-"""Findings that name a cause: a reading, an exchange of landmarks, a clock, a number beyond all others."""
+"""Findings that name a cause: a calibration, a reading, exchanged landmarks, a clock, a number beyond all others."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from models.advice import Advice
 from models.listing import SOME
+from nls.analysis.alternatives import UNLIKELY
+from nls.analysis.calibrations import calibrations
+from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.clock import clock_offsets
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
@@ -93,3 +98,33 @@ def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding
         )
         for offset in clock_offsets(checked, values, count)
     ]
+
+
+def calibrated(graph: FactorGraph, values: Values) -> list[Finding]:
+    """One finding for all calibrations that explain chi2; nothing tells several apart."""
+    wrong = calibrations(graph, values)
+    if not wrong:
+        return []
+    numbers = {
+        "calibrations": tuple(
+            {
+                "kind": calibration.kind,
+                "quantity": calibration.quantity,
+                "components": calibration.components,
+                "correction": calibration.correction.tolist(),
+                "sigma": calibration.sigma.tolist(),
+            }
+            for calibration in wrong
+        ),
+        "chi2": wrong[0].standing,
+        "chi2_otherwise": wrong[0].chi2,
+        "dof": wrong[0].dof,
+    }
+    advice = tuple(Advice(f"calibrate {quantity}") for quantity in dict.fromkeys(c.quantity for c in wrong))
+    return [Finding(FindingKind.CALIBRATION, (), numbers, advice)]
+
+
+def explained(findings: list[Finding]) -> bool:
+    """Whether chi2 is as noise has it with the calibration that a finding names."""
+    fits = [(finding.numbers["chi2_otherwise"], finding.numbers["dof"]) for finding in findings]
+    return any(chi2_tail(np.array(chi2), np.array(dof)) >= UNLIKELY for chi2, dof in fits)

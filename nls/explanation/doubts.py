@@ -197,13 +197,13 @@ def turns(graph: FactorGraph, values: Values) -> list[Finding]:
     return out
 
 
-def unchecked(tests: list[Tested], pattern: Pattern) -> list[Finding]:
-    """Measurements that nothing else checks."""
+def unchecked(tests: list[Tested], pattern: Pattern, assumed: Sequence[int]) -> list[Finding]:
+    """Measurements that nothing else checks, without factors that are assumed."""
     places: list[tuple[int, int]] = []
     count = total = 0
     for k, test in enumerate(tests):
         factor = pattern.batches[k].model.factor
-        if factor.limit_only:
+        if factor.limit_only or k in assumed:
             continue
         total += len(factor)
         alone = np.flatnonzero((test.m == 0) & (test.rows > 0))

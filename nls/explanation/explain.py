@@ -12,7 +12,6 @@ from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
-from models.manifolds.measured import unit
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
@@ -42,7 +41,9 @@ FRACTIONS = (1.0, 0.5, 0.1, 0.01)  # of a Gauss-Newton step that may promise wha
 
 
 @single_thread()
-def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = None) -> Explanation:
+def explain(
+    graph: FactorGraph, values: Values, groups: Sequence[str] | None = None, assumed: Sequence[int] = ()
+) -> Explanation:
     """Determined and free directions, agreement of the measurements, and cures.
 
     Parameters
@@ -50,6 +51,7 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
     graph : as for `FactorGraph.optimize`; not changed. Measurements under a robust kernel count with their weight.
     values : usually the optimum, ``graph.optimize(...).values``. Elsewhere the findings begin with that.
     groups : a name for each factor, such as its dive: chi2 is counted for each kind of measurement and name.
+    assumed : numbers of factors that nobody measured, such as an anchor: none is listed as unchecked.
 
     Returns
     -------
@@ -125,25 +127,30 @@ def explain(graph: FactorGraph, values: Values, groups: Sequence[str] | None = N
         if fall > _little(chi2):
             findings.insert(0, doubts.no_optimum(fall, chi2))
         else:
+            held = _held(graph, whole, idle)
+            calibrated: list[Finding] = []
             if not free.count:
                 findings += duplicate_points(free.checked, pattern, values)
-            held = _held(graph, whole, idle)
-            outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
-            lower = graph.chi2(outliers.values)
-            if lower < graph.chi2(values) - _little(chi2):
-                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
-            parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
-            kinds = doubts.of_parts(parts_without, outliers, graph)
-            if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
-                outliers = replace(outliers, places=[])  # where most are off, it is not these
-                kinds = doubts.of_parts(parts, outliers, graph)
-            alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-            findings += _causes(held, values, free.checked, tests, outliers, alike)
-            findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-            findings += [kind for kind in kinds if kind not in alike]
-            if not (free.count or alike or outliers.many):
-                findings += doubts.unverified(held, values)
-        findings += doubts.unchecked(tests, whole)
+                calibrated = causes.calibrated(held, values)
+            if causes.explained(calibrated):  # what does not fit, does because of that
+                findings += calibrated
+            else:
+                outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
+                lower = graph.chi2(outliers.values)
+                if lower < graph.chi2(values) - _little(chi2):
+                    findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
+                parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
+                kinds = doubts.of_parts(parts_without, outliers, graph)
+                if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
+                    outliers = replace(outliers, places=[])  # where most are off, it is not these
+                    kinds = doubts.of_parts(parts, outliers, graph)
+                alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
+                findings += _causes(held, values, free.checked, tests, outliers, alike) or calibrated
+                findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
+                findings += [kind for kind in kinds if kind not in alike]
+                if not (free.count or alike or outliers.many):
+                    findings += doubts.unverified(held, values)
+        findings += doubts.unchecked(tests, whole, assumed)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
     return Explanation(
@@ -289,7 +296,7 @@ def _weakest(free: Freedom, pattern: Pattern, values: Values, idle: Mask) -> tup
         J, names = axes(keys, stack.manifold, np.asarray(stack.X)[rows], frame, None)
         Sigma = turned(J, free.checked.diagonal[at].reshape(-1, d, d))
         sigma = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
-        for c, component in enumerate(names):
+        for c, (component, unit) in enumerate(zip(names, stack.manifold.units, strict=True)):
             k = int(np.argmax(sigma[:, c]))
-            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit(component)))
+            out.append(Weak(keys[k], component, float(sigma[k, c]), float(np.median(sigma[:, c])), unit))
     return tuple(out)

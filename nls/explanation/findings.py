@@ -31,6 +31,7 @@ class FindingKind(StrEnum):
     MISREAD = "misread"
     SWAPPED = "swapped"
     CLOCK = "clock"
+    CALIBRATION = "calibration"
     OUTSIZED = "outsized"
     SYSTEMATIC = "systematic"
     WRONG_CLOSURE = "wrong_closure"

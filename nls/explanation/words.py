@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
 from models.listing import some
-from nls.analysis.observable import shown
+from nls.analysis.observable import in_unit, shown
 from nls.explanation.findings import FindingKind, number
+from nls.explanation.rejections import unverified
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nls.explanation.findings import Explanation, Finding, Part
 
-__all__ = ["left", "rejected_contacts", "rejections", "sentence", "together", "unverified"]
+__all__ = ["sentence", "together"]
 
 SHOWN = 12  # findings, and rows of a table
 FEW = 3  # of a list of measurements
@@ -149,6 +149,19 @@ def _clock(f: Finding) -> str:
     )
 
 
+def _calibration(f: Finding) -> str:
+    n, ways = f.numbers, [_calibrated(**calibration) for calibration in f.numbers["calibrations"]]
+    several = " (nothing tells these apart)" if len(ways) > 1 else ""
+    fall = f"from {number(n['chi2'])} to {number(n['chi2_otherwise'])}, {number(n['dof'])} expected"
+    return f"{', or '.join(ways)}{several}; with that chi2 falls {fall}"
+
+
+def _calibrated(kind: str, quantity: str, components: list[str], correction: list[float], sigma: list[float]) -> str:
+    columns = zip(components, correction, sigma, strict=True)
+    off = ", ".join(f"{name} {shown(c, name)} +- {shown(s, name)}" for name, c, s in columns)
+    return f"{'the sensor of' if quantity == 'mounting' else 'odometry of'} {kind} is off by {off}"
+
+
 def _outsized(f: Finding) -> str:
     n = f.numbers
     unit, comparison = (" m", "the median is") if n["quantity"] == "length" else ("", "the largest of the others is")
@@ -227,32 +240,6 @@ def _unverified(f: Finding) -> str:
     return f"accepted, not verified: {unverified(n['factors'], n['redundancy'], n['meters'], n['sigmas'])}"
 
 
-def unverified(factors: Sequence[str], redundancy: float, meters: float, sigmas: float) -> str:
-    """A group of closures that nothing verifies, with its redundancy and how far the map moves without it."""
-    motion = f"the map moves {meters:.3g} m ({sigmas:.2g} sigmas)" if isfinite(meters) else "the graph falls apart"
-    return f"{some(factors, 1)}: redundancy {redundancy:.2f}, {motion} without it"
-
-
-def rejections(count: int, doubted: int, by_chance: float, probability: float, sigma0: float) -> str:
-    """How many measurements were rejected, and how many right ones are at a threshold of this probability."""
-    scaled = "" if f"{sigma0:.3g}" == "1" else f" (sigmas times {sigma0:.3g})"
-    right = "less than one is" if by_chance < 1 else f"about {by_chance:.0f} are"
-    expected = f"{right} expected by chance at {100 * probability:.6g} %"
-    return f"{count:,} of {doubted:,} doubted measurements rejected{scaled}; {expected}"
-
-
-def rejected_contacts(count: int, doubted: int, by_chance: float, probability: float) -> str:
-    """The same of contacts, in short."""
-    return (
-        f"{count:,} of {doubted:,} contacts rejected; {by_chance:.0f} expected by chance at {100 * probability:.6g} %"
-    )
-
-
-def left(landmarks: list[str], count: int) -> str:
-    """Which landmarks left with what was rejected, and how many doubted measurements of theirs."""
-    return f"{some(landmarks, FEW)} left with them: too few of {count} doubted measurements of theirs agree"
-
-
 def _repeated(f: Finding) -> str:
     n = f.numbers
     are = "measurement is" if n["count"] == 1 else "measurements are"
@@ -280,6 +267,7 @@ SENTENCES: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.MISREAD: _misread,
     FindingKind.SWAPPED: _swapped,
     FindingKind.CLOCK: _clock,
+    FindingKind.CALIBRATION: _calibration,
     FindingKind.OUTSIZED: _outsized,
     FindingKind.SYSTEMATIC: _systematic,
     FindingKind.WRONG_CLOSURE: _doubtful,
@@ -321,6 +309,8 @@ def summary(e: Explanation) -> str:
     remarks = []
     if FindingKind.LOCAL_MINIMUM in kinds:
         remarks.append("This is a local minimum.")
+    if FindingKind.CALIBRATION in kinds:
+        remarks.append("A calibration is off.")
     if closures := kinds.count(FindingKind.WRONG_CLOSURE):
         remarks.append(f"{closures} loop {'closure is' if closures == 1 else 'closures are'} probably wrong.")
     if outliers := kinds.count(FindingKind.OUTLIER):
@@ -372,8 +362,8 @@ def report(e: Explanation, shell: bool = False) -> str:
     if e.weakest:
         lines += ["", "least certain       sigma        median"]
         lines += [
-            f"{f'{weak.key!r} {weak.component}':18s}  {shown(weak.sigma, weak.component):12s} "
-            f"{shown(weak.typical, weak.component)}"
+            f"{f'{weak.key!r} {weak.component}':18s}  {in_unit(weak.sigma, weak.unit):12s} "
+            f"{in_unit(weak.typical, weak.unit)}"
             for weak in e.weakest
         ]
     return "\n".join(lines)

@@ -125,6 +125,11 @@ class LoadReport:
         return any(source.lines.any() for source in self.sources)
 
     @property
+    def assumed(self) -> list[int]:
+        """Numbers of the factors that no line says, such as the anchor of a mission without one."""
+        return [k for k, source in enumerate(self.sources) if not source.lines.any()] if self.has_lines else []
+
+    @property
     def counts(self) -> dict[str, int]:
         """How much there is besides the graph, by name."""
         return {}

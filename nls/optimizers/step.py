@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from models.algebra import Array
-from models.manifolds.measured import unit
 from nls.optimizers.record import Record
 from nls.optimizers.undamped import Undamped
 from nls.system import LinearSystem
@@ -59,7 +58,9 @@ class Step:
     def largest(self) -> str:
         """max |dx| with its unit, component and variable."""
         key, component = self.system.column(int(np.argmax(np.abs(self.dx))))
-        return f"{self.update:.1e} {unit(component)} ({component} of {key})".replace("  ", " ")
+        manifold = self.values.stack(key.kind).manifold
+        unit = manifold.units[manifold.components.index(component)]
+        return f"{self.update:.1e} {unit} ({component} of {key})".replace("  ", " ")
 
     @property
     def shorter(self) -> bool:

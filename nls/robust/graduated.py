@@ -147,7 +147,7 @@ class Robustified:
 
     def report(self, most: int = 10) -> list[str]:
         """Lines: how many were rejected, how many by chance, doubts, unverified groups, and the first rejected ones."""
-        from nls.explanation.words import left, rejections, unverified
+        from nls.explanation.rejections import left, rejections, unverified
 
         lines = [rejections(len(self.rejected), self.doubted, self.expected_by_chance, self.probability, self.sigma0)]
         if self.left:

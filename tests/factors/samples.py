@@ -17,7 +17,8 @@ from factors import Between, Factor, Noise, Prior, SequentialMatch, SqrtInformat
 from factors.conventions import CONVENTIONS
 from factors.keys import Keys
 from models import LINE, SE2, SE3, SO2, SO3, LieGroup, Manifold, R
-from models.manifolds.measured import ANGLES, MeasuredNumbers
+from models.manifolds.measured import MeasuredNumbers
+from models.manifolds.units import ANGLES
 from nls import Values
 from tests.factors.evaluated import error
 

@@ -12,7 +12,7 @@ ABOUT = {
     "sonar": "the imaging sonar: one row; its name in quotation marks where it has a comma",
     "contacts": "a landmark that the sonar saw, at a time or from pose i; azimuth to starboard",
     "odometry": "the step from pose i to pose j, in the horizontal axes of i",
-    "zpr": "depth and tilt of each pose",
+    "zpr": "depth and tilt of each pose, and its heading where there is a compass",
     "anchor": "a pose whose place and heading in the world are known",
     "truth": "true poses, for errors; of a pose i, or of a time",
     "landmarks": "true landmarks",

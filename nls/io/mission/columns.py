@@ -10,6 +10,7 @@ LEVEL = ("x_m", "y_m", "yaw_rad")
 UPRIGHT = ("z_m", "roll_rad", "pitch_rad")  # what a vehicle at one depth, level, does not measure
 TILT = ("z_m", "pitch_rad", "roll_rad")
 CONTACT = ("range_m", "azimuth_rad")
+COMPASS = ("yaw_rad", "sigma_yaw_rad")
 USBL = ("range_m", "bearing_rad", "elevation_rad")
 WHEN = ("time_s", "i")  # a measurement is of a time, or of a pose
 GEODETIC = ("lat_deg", "lon_deg")
@@ -35,7 +36,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     ),
     "contacts": (*WHEN[::-1], "landmark", *CONTACT, *suffixed(CONTACT)),
     "odometry": ("i", "j", *LEVEL, *suffixed(LEVEL)),
-    "zpr": ("i", *TILT, *suffixed(TILT)),
+    "zpr": ("i", *TILT, *suffixed(TILT), *COMPASS),
     "anchor": ("i", *LEVEL, *suffixed(LEVEL)),
     "truth": (*WHEN[::-1], *ANGLES, *PLACE),
     "landmarks": ("landmark", *PLACE),
@@ -68,6 +69,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where one of two is needed, the reader says so
     "truth": WHEN,
     "contacts": (*WHEN, "landmark"),
+    "zpr": COMPASS,
     "dvl": ("valid", *LOCK, *WATER_TRACK),
     "ahrs": ("yaw_rad",),
     "noise": ("sigma_yaw_rad", "gate_v_m_s", *GYRO),

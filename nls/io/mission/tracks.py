@@ -17,16 +17,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors import XYH, ZPR, Between, Diagonal, Prior, SqrtInformation
+from factors import XYH, ZPR, Between, Diagonal, Heading, Prior, SqrtInformation
 from factors.base import Factor
 from factors.keys import kinds
 from models import SE3, euler
-from models.algebra import Array, Numbers
+from models.algebra import Array, Numbers, wrap
 from models.errors import GraphFileError
 from models.sensors import levelled
 from nls.io.mission.calibration import Calibrations
-from nls.io.mission.columns import ANGLES, ARM, LEVEL, PLACE, TILT, UPRIGHT, suffixed
+from nls.io.mission.columns import ANGLES, ARM, COMPASS, LEVEL, PLACE, TILT, UPRIGHT, suffixed
 from nls.io.mission.report import MissionReport
+from nls.io.mission.rows import columns_together
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Times, poses_of_rows, united
 from nls.sparse.components import connected
@@ -85,10 +86,14 @@ def _odometry(tables: dict[str, Table], report: MissionReport) -> tuple[Numbers,
     if "poses" in tables:
         report.vertex_times["x"] = _times(tables["poses"], numbers)
     report.sources += [odometry.source(), zpr.source()]
-    return numbers, [
+    factors: list[Factor] = [
         XYH(x[i], x[j], odometry.measured(*LEVEL), Diagonal(odometry.positive(*suffixed(LEVEL)))),
         ZPR(x[tilted], zpr.attitude(*TILT), Diagonal(zpr.positive(*suffixed(TILT)))),
     ]
+    if columns_together(zpr, *COMPASS):
+        report.sources.append(zpr.source())
+        factors.append(Heading(x[tilted], wrap(zpr.attitude(COMPASS[0])), Diagonal(zpr.positive(COMPASS[1]))))
+    return numbers, factors
 
 
 def _times(poses: Table, numbers: Numbers) -> Array:

@@ -1,4 +1,4 @@
-"""Clean graphs: nothing read otherwise, no landmarks exchanged, no late clock, no outsized number."""
+"""Clean graphs: nothing read otherwise, no landmarks exchanged, no clock or calibration off, no outsized number."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nls import FactorGraph, Values
+from nls.analysis.calibrations import calibrations
 from nls.analysis.clock import clock_offsets
 from nls.analysis.leave_one_out import checks
 from nls.analysis.linearization import Checked, Linearization
@@ -26,7 +27,14 @@ def alarms(graph: FactorGraph, values: Values) -> tuple[object, ...]:
     offsets = clock_offsets(checked, values, count)
     doubts = suspects(graph, pattern, values, checked)  # takes out the measurements it doubts
     measurements = misread_measurements(pattern, doubts.values, doubts.places)
-    return *landmarks, *offsets, *measurements, *misread_kinds(graph, values), *outsized(pattern)
+    return (
+        *landmarks,
+        *offsets,
+        *measurements,
+        *misread_kinds(graph, values),
+        *calibrations(graph, values),
+        *outsized(pattern),
+    )
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -116,6 +116,14 @@ def test_the_shares_are_the_degrees_of_freedom(group: object, held: bool) -> Non
     assert {part.name for part in explanation.parts} >= {"Between, steps", "Between, closures"}
 
 
+def test_limits_measure_nothing() -> None:
+    """The hinges of a sonar are no degrees of freedom."""
+    world = sim.hauv_floor(np.random.default_rng(0), legs=1, per_leg=10)
+    result = world.graph.optimize(world.start)
+    tests = checks(checked(world.graph, result.values), len(world.graph.factors))
+    assert sum(test.dof.sum() for test in tests) == pytest.approx(result.dof, abs=1e-3)
+
+
 def test_zero_rows_measure_nothing() -> None:
     """An information without one direction: a number less, for all that counts them. One of zeros is not unchecked."""
     omega = np.diag([100.0, 100.0, 0.0])

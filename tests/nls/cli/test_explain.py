@@ -101,3 +101,6 @@ def test_an_anchor_that_no_file_has_needs_no_check(shell: Shell) -> None:
     assert "no other measurement checks Position(x0), Heading(x0)" in shell("explain m")
     (shell / "m" / "anchor.csv").unlink()
     assert "no other measurement checks" not in shell("explain m")
+    folder(shell / "n")
+    (shell / "n" / "anchor.csv").unlink()
+    assert "no other measurement checks" not in shell("explain m n")

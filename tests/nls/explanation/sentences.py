@@ -23,6 +23,8 @@ PART = {"kind": "Between", "without": 0, "chi2": 400.0, "expected": 100.0, "typi
 GROUP = ("Between(x3, x9)", "Between(x4, x10)")
 CARRIED = {"factors": GROUP, "redundancy": 0.01, "meters": 12.0, "rms": 4.0, "sigmas": 40.0}
 FALL = {"chi2": 4000.0, "chi2_otherwise": 110.0, "dof": 100}
+TURNED = {"quantity": "mounting", "components": ("x", "yaw"), "correction": (-0.5, 0.52), "sigma": (0.01, 0.004)}
+SCALED = {"quantity": "odometry", "components": ("scale",), "correction": (1.14,), "sigma": (0.003,)}
 OUT = {"factor": "Between(x3, x4)", "value": 1e9, "others": 1.0}
 SPEED = {"check": "speed", "file": "dvl.csv", "line": 2, "column": "vx_m_s", "measured": 1400.0, "limit": 10.0}
 MM = {"cause": "unit", "file": "dvl.csv", "column": "vx_m_s", "factor": 1000.0}
@@ -43,6 +45,8 @@ FINDINGS = (
     Finding(Kind.MISREAD, (), FALL | {"readings": (("BearingRange", "mirrored"), ("Between", "y flipped"))}),
     Finding(Kind.SWAPPED, (l[3], l[7]), FALL | {"sightings": 4}),
     Finding(Kind.CLOCK, (), {"kind": "Position", "dt": -0.3, "sigma": 0.02, "chance": 1e-9, "fall": 123.0}),
+    Finding(Kind.CALIBRATION, (), FALL | {"calibrations": ({"kind": "RangeAzimuth"} | TURNED,)}),
+    Finding(Kind.CALIBRATION, (), FALL | {"calibrations": ({"kind": "Range"} | TURNED, {"kind": "Between"} | SCALED)}),
     Finding(Kind.OUTSIZED, (x[3], x[4]), OUT | {"quantity": "length", "component": ""}),
     Finding(Kind.OUTSIZED, (x[3], x[4]), OUT | {"quantity": "information", "component": "yaw"}),
     Finding(Kind.SYSTEMATIC, (), {"kinds": (("Between, steps", 29.0), ("Heading", 8.0))}),

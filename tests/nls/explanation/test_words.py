@@ -21,6 +21,7 @@ from nls.explanation import Finding, FindingKind, Measurement, words
 from nls.explanation.applicability import certifies, graduates
 from nls.explanation.doubts import CURES, of_suspects
 from nls.explanation.naming import _loose
+from nls.explanation.rejections import rejections
 from nls.explanation.words import together
 from nls.plot import report as page
 from tests.combinations import for_all
@@ -147,10 +148,10 @@ def test_every_reading_has_its_words_and_its_action() -> None:
 
 
 def test_rejections_are_compared_with_those_by_chance() -> None:
-    counted = words.rejections(17, 2450, 24.6, 0.99, 1.01)
+    counted = rejections(17, 2450, 24.6, 0.99, 1.01)
     assert counted == (
         "17 of 2,450 doubted measurements rejected (sigmas times 1.01); about 25 are expected by chance at 99 %"
     )
-    assert words.rejections(2, 30, 0.028, 0.999, 1.0) == (
+    assert rejections(2, 30, 0.028, 0.999, 1.0) == (
         "2 of 30 doubted measurements rejected; less than one is expected by chance at 99.9 %"
     )

@@ -274,3 +274,23 @@ def test_a_truth_of_times_is_interpolated_to_the_poses(tmp_path: Path) -> None:
 def test_a_truth_of_no_time(truth: tuple[str, str], tmp_path: Path) -> None:
     with pytest.raises(nls.GraphFileError, match=truth[1]):
         nls.load(folder(tmp_path / "m", raw(), truth=truth[0]))
+
+
+def test_headings_of_a_compass_beside_odometry(tmp_path: Path) -> None:
+    """They are measured in the world, so that only x and y of a pose are held where there is no anchor."""
+    head, *rows = TINY["zpr"].splitlines()
+    yaws = [0.5, 0.55, 0.6, 0.6 - 2 * np.pi]
+    zpr = "\n".join(
+        [f"{head},yaw_rad,sigma_yaw_rad", *(f"{row},{yaw},0.01" for row, yaw in zip(rows, yaws, strict=True))]
+    )
+    graph, start, report = nls.load(folder(tmp_path / "m", zpr=zpr, anchor=None))
+    (compass,) = [factor for factor in graph.factors if isinstance(factor, Heading)]
+    np.testing.assert_allclose(compass.z[:, 0], [0.5, 0.55, 0.6, 0.6])
+    assert report.place(graph.factors.index(compass), 2).endswith("zpr.csv:4")
+    assert any("x and y of x0 are held" in note for note in report.notes)
+    values = graph.optimize(start).values
+    np.testing.assert_allclose(euler.from_se3(values[x])[:, 2], [0.5, 0.55, 0.6, 0.6], atol=0.01)
+    with pytest.raises(nls.GraphFileError, match="has yaw_rad and no sigma_yaw_rad"):
+        nls.load(folder(tmp_path / "n", zpr="\n".join(line.rpartition(",")[0] for line in zpr.splitlines())))
+    with pytest.raises(nls.GraphFileError, match=r"go into zpr.csv, columns yaw_rad and sigma_yaw_rad"):
+        nls.load(folder(tmp_path / "o", ahrs="time_s,roll_rad,pitch_rad,yaw_rad\n0,0,0,0\n"))

@@ -1,0 +1,251 @@
+r"""Calibrations that explain chi2: where a sensor sits on the vehicle, and the scale and turn of odometry.
+
+Each is a variable c with a wide prior, estimated with everything else. First one Gauss-Newton step at the optimum
+without it says by how much chi2 would fall,
+
+    2 dx'A'b - |A dx|^2  ~  chi2(dim c)          without an error there
+
+the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). Where that is no chance the graph is
+solved with c. Calibrations whose chi2 differ by no more than chance cannot be told apart.
+
+The step of odometry z is h o Exp(G c) with c its scale error and the turn of its axes,
+
+    G = [(R'p; 0), (Ad(z)^-1 - I) of the rotations]         z = (R, p), a pose
+    G = [(x, y, 0), (-y, x, 0)]                             z = (x, y, yaw)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors import Isotropic, Prior, Shifted
+from factors.base import Factor
+from factors.keys import Keys, Kind
+from factors.sighting import Sighting
+from models import SE2, SE3, LieGroup, R
+from models.algebra import Array, Index
+from nls.analysis.alternatives import EQUAL, Fit, expected, solved
+from nls.analysis.chi_squared import chi2_tail
+from nls.gauge import choose_gauge, fixed_variables
+from nls.graph import FactorGraph
+from nls.linear import factorize
+from nls.linear.singular import SingularSystemError
+from nls.posegraph import odometry
+from nls.sparse.pattern import Pattern, measured_rows
+from nls.system import LinearSystem
+from nls.values import Values
+
+__all__ = ["Calibration", "calibrations"]
+
+UNLIKELY = 1e-6  # chance of a false alarm: no noise is exactly as stated; the public smallGrid3D has 4e-5
+CAUSE = 0.9  # of the chi2 beyond its expectation, which a calibration must explain; odometry without use has 0.75
+WIDE = 1.0  # m, rad, or a fraction: sigma of the prior of a calibration
+LARGEST = 1.6  # m, rad, or a fraction: beyond a quarter turn it is another mistake
+CLEAR = 3.0  # sigmas of a component that is named
+MANY = 6  # measurements
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration that explains chi2.
+
+    Attributes
+    ----------
+    kind : types of its measurements, ``RangeAzimuth``.
+    quantity : ``mounting`` or ``odometry``.
+    components : those that are off. Of a mounting in the axes of the vehicle; of odometry ``scale`` and turns.
+    correction : of each, m or rad, to be added to the mounting as given. Of odometry ``scale`` is measured over true
+        length, and the turn that of its axes.
+    sigma : of each.
+    standing, chi2 : of the graph without it and with it.
+    dof : degrees of freedom without it.
+    """
+
+    kind: str
+    quantity: str
+    components: tuple[str, ...]
+    correction: Array
+    sigma: Array
+    standing: float
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class Source:
+    """One calibration as a variable.
+
+    Attributes
+    ----------
+    kind, quantity : as of `Calibration`.
+    components : of the variable.
+    factors : all of the graph, with the variable in those that depend on it.
+    group, X : space and start of the variable.
+    """
+
+    kind: str
+    quantity: str
+    components: tuple[str, ...]
+    factors: tuple[Factor, ...]
+    group: LieGroup
+    X: Array
+
+
+def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
+    """Calibrations that explain chi2: noise explains the rest, or nine tenths of its excess are gone.
+
+    Parameters
+    ----------
+    graph : not changed.
+    values : its optimum, of full rank.
+
+    Returns
+    -------
+    tuple of Calibration
+        The lowest chi2 first. Where there are several, nothing tells them apart.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import sim
+    >>> from factors.replaced import replaced
+    >>> world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    >>> first, odometry, sightings = world.graph.factors
+    >>> turned = FactorGraph([first, odometry, replaced(sightings, z=sightings.z + [0.1, 0])])
+    >>> for wrong in calibrations(turned, turned.optimize(world.start).values):
+    ...     print(wrong.kind, wrong.quantity, wrong.components, wrong.correction.round(2))
+    Between odometry ('yaw',) [-0.1]
+    BearingRange mounting ('yaw',) [-0.12]
+    """
+    key = _unused(values)
+    pattern = graph.pattern(values)
+    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
+    held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
+    chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.holding(gauge.held).n
+    sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, key)]
+    fits: list[tuple[Source, Fit]] = []
+    for source in sources:
+        other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(WIDE))], held)
+        start = Values.of(values.stacks.values())
+        start.add(Kind(key.kind), source.group, source.X)
+        system = LinearSystem.at(other.pattern(start).holding(fixed_variables(held, start)), start)
+        try:
+            fall = system.promised(factorize(system).solve(system.gradient))
+        except SingularSystemError:  # the optimum is at numbers beside which the calibration has no digits left
+            continue
+        scale, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
+        if len(sources) * float(chi2_tail(np.array(fall / scale), np.array(d))) > UNLIKELY:
+            continue
+        fit = solved(other, start, start=False)
+        if fit is None or chi2 - fit.chi2 < EQUAL * max(1.0, fit.chi2 / max(dof, 1)):
+            continue
+        if np.abs(source.group.log(source.group.between(source.X, fit.values[key][None]))).max() > LARGEST:
+            continue
+        if expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof):
+            fits.append((source, fit))
+    if not fits:
+        return ()
+    lowest = min(fit.chi2 for _, fit in fits)
+    limit = lowest + EQUAL * max(1.0, lowest / max(dof, 1))
+    ordered = sorted(fits, key=lambda pair: pair[1].chi2)
+    return tuple(_named(source, fit, key, chi2, dof) for source, fit in ordered if fit.chi2 <= limit)
+
+
+def _unused(values: Values) -> Keys:
+    """A variable of a kind that has no values."""
+    name = "calibration"
+    while name in values.stacks:
+        name += "_"
+    return Kind(name)[0]
+
+
+def _mountings(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
+    """The known place of every sensor on the vehicle: sightings with the same offset are of one sensor."""
+    sensors: dict[tuple[LieGroup, bytes], tuple[Array, list[int]]] = {}
+    for k, (factor, batch) in enumerate(zip(graph.factors, pattern.batches, strict=True)):
+        group = batch.model.manifolds[0]
+        if not isinstance(factor, Sighting) or group not in (SE2, SE3):
+            continue
+        assert isinstance(group, LieGroup)
+        O = group.identity(1) if factor.offset is None else factor.offset
+        if not isinstance(O, Keys) and len(O) == 1:
+            sensors.setdefault((group, O.tobytes()), (O, []))[1].append(k)
+    sources = []
+    for (group, _), (O, numbers) in sensors.items():
+        measuring = [graph.factors[k] for k in numbers if not graph.factors[k].limit_only]
+        if sum(map(len, measuring)) < MANY:
+            continue
+        factors = list(graph.factors)
+        for k in numbers:
+            sighting = factors[k]
+            assert isinstance(sighting, Sighting)
+            factors[k] = sighting.mounted(key)
+        kind = " and ".join(dict.fromkeys(factor.name for factor in measuring))
+        sources.append(Source(kind, "mounting", group.components, tuple(factors), group, O))
+    return sources
+
+
+def _odometry(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
+    """Scale error and turned axes of the steps of each space: poses, or x, y and yaw."""
+    steps: dict[LieGroup, list[tuple[int, Index]]] = {}
+    for k, (batch, consecutive) in enumerate(zip(pattern.batches, odometry(pattern), strict=True)):
+        space, along = batch.model.space, consecutive | batch.model.factor.states("level_steps")
+        if batch.model.factor.frame == "first" and isinstance(space, LieGroup) and along.any():
+            steps.setdefault(space, []).append((k, np.flatnonzero(along)))
+    sources = []
+    for space, places in steps.items():
+        if sum(len(indices) for _, indices in places) < MANY or "yaw" not in space.components:
+            continue
+        turns = tuple(name for name in space.components if name not in {*"xyz"}) if space in (SE2, SE3) else ("yaw",)
+        factors = list(graph.factors)
+        for k, indices in places:
+            factor, model = graph.factors[k], pattern.batches[k].model
+            rest = np.setdiff1d(np.arange(len(factor)), indices)
+            factors[k] = Shifted(factor[indices], _rates(space, model.z[indices]), key)
+            factors += [factor[rest]] if len(rest) else []
+        kind = " and ".join(dict.fromkeys(graph.factors[k].name for k, _ in places))
+        group = R(1 + len(turns))
+        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), group, np.zeros((1, group.dim))))
+    return sources
+
+
+def _rates(space: LieGroup, z: Array) -> Array:
+    """G (n, m, k) of steps z (n, size): their scale error and the turn of their axes."""
+    G = np.zeros((len(z), space.dim, 1))
+    if space not in (SE2, SE3):  # named numbers
+        x, y = (space.components.index(name) for name in "xy")
+        turn = np.zeros_like(G)
+        G[:, x, 0], G[:, y, 0] = z[:, x], z[:, y]
+        turn[:, x, 0], turn[:, y, 0] = -z[:, y], z[:, x]
+        return np.concatenate([G, turn], axis=2)
+    d = space.point_dim
+    G[:, :d, 0] = np.matvec(space.rotation(z).mT, space.position(z))
+    return np.concatenate([G, (space.adjoint_inverse(z) - np.eye(space.dim))[:, :, d:]], axis=2)
+
+
+def _named(source: Source, fit: Fit, key: Keys, chi2: float, dof: int) -> Calibration:
+    """The components of a calibration that are off, in the axes of the vehicle."""
+    graph, values = fit.graph, fit.values
+    pattern = graph.pattern(values).holding(fixed_variables(graph.fixed, values))
+    system = LinearSystem.at(pattern, values)
+    columns = pattern.starts[pattern.offsets[key.kind]] + np.arange(source.group.dim)
+    selected = np.zeros((pattern.n, len(columns)))
+    selected[columns, np.arange(len(columns))] = 1.0
+    P = factorize(system).solve(selected)[columns]
+    X = values[key][None]
+    G = source.group.world_axes(X)[0]
+    sigma = np.sqrt(np.diagonal(G @ P @ G.T))
+    correction = G @ source.group.log(source.group.between(source.X, X))[0]
+    if source.quantity == "mounting":  # the difference of places, not of tangent vectors
+        d = source.group.point_dim
+        correction[:d] = (source.group.position(X) - source.group.position(source.X))[0]
+    off = np.flatnonzero(np.abs(correction) > CLEAR * sigma)
+    if source.quantity == "odometry":  # z - G c is z times a scale and a rotation
+        scale, turn = 1 - correction[0], float(np.linalg.norm(correction[1:]))
+        correction[1:] *= np.arctan2(turn, scale) / turn if turn > 0 else 1.0
+        correction[0] = 1 / np.hypot(scale, turn)
+        off = np.flatnonzero(np.abs(correction - np.eye(len(correction))[0]) > CLEAR * sigma)
+    names = tuple(source.components[c] for c in off)
+    return Calibration(source.kind, source.quantity, names, correction[off], sigma[off], chi2, fit.chi2, dof)

@@ -1,0 +1,83 @@
+"""Calibrations that are off: named with their size, together where nothing tells them apart, and no other mistake."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sim
+from factors import XYH, Between
+from factors.replaced import replaced
+from factors.rescaled import rescaled
+from factors.sighting import Sighting
+from models import SE3, euler
+from models.algebra import Array
+from nls import FactorGraph, Values
+from nls.analysis.calibrations import Calibration, calibrations
+from tests.combinations import for_all
+from tests.nls.misreadings import clean, misread, optimum, wrong_closure
+
+OFF = {  # x, y, z, roll, pitch, yaw of the mounting
+    "x": [0.5, 0, 0, 0, 0, 0],
+    "pitch": [0, 0, 0, 0, 0.1, 0],
+}
+PLAIN = sim.hauv_floor(np.random.default_rng(4), legs=2, per_leg=12)
+
+
+def moved(step: Array) -> FactorGraph:
+    """The mission with its sonar a step (6,) along the axes of the vehicle from where it was."""
+    (offset,) = {f.offset.tobytes() for f in PLAIN.graph.factors if isinstance(f, Sighting)}  # type: ignore[union-attr]
+    at = np.frombuffer(offset)
+    wrong = SE3.compose(
+        np.append(step[:3], euler.to_se3(np.append(step[3:], [0, 0, 0]))[3:]), np.append([0, 0, 0], at[3:])
+    )
+    wrong[:3] += at[:3]
+    return FactorGraph([f.mounted(wrong) if isinstance(f, Sighting) else f for f in PLAIN.graph.factors])
+
+
+@for_all(name=OFF)
+def test_the_mounting_of_a_sonar(name: str) -> None:
+    step = np.array(OFF[name], dtype=float)
+    graph = moved(step)
+    (wrong,) = calibrations(graph, optimum(graph, PLAIN.start))
+    assert (wrong.kind, wrong.quantity, wrong.components) == ("RangeAzimuth", "mounting", (name,))
+    assert wrong.correction[0] == pytest.approx(-step.sum(), abs=4 * wrong.sigma[0])
+    assert wrong.sigma[0] < 0.2 * abs(wrong.correction[0])
+
+
+def odometry_off(graph: FactorGraph, values: Values, kind: type) -> tuple[Calibration, ...]:
+    """Steps 20 % too long."""
+    long = [replaced(f, z=f.z * [1.2, 1.2, 1]) if isinstance(f, kind) else f for f in graph.factors]
+    other = FactorGraph(long, graph.fixed)
+    return calibrations(other, optimum(other, values))
+
+
+def test_the_scale_of_odometry() -> None:
+    """Of steps in the plane, and of steps in the horizontal; closures of the same type stay as they are."""
+    graph, start, _ = clean("subsea", 0)
+    for wrong in (odometry_off(graph, start, Between), odometry_off(PLAIN.graph, PLAIN.start, XYH)):
+        assert wrong[0].quantity == "odometry"
+        assert wrong[0].components == ("scale",)
+        assert wrong[0].correction[0] == pytest.approx(1.2, abs=0.02)
+
+
+def test_a_turned_sensor_and_turned_odometry_are_named_together() -> None:
+    graph, start, _ = clean("subsea", 0)
+    first, odometry, sightings = graph.factors
+    other = FactorGraph([first, odometry, replaced(sightings, z=sightings.z + np.array([0.1, 0]))])
+    mounting, steps = sorted(calibrations(other, optimum(other, start)), key=lambda wrong: wrong.quantity)
+    assert (mounting.components, steps.components) == (("yaw",), ("yaw",))
+    np.testing.assert_allclose([mounting.correction[0], steps.correction[0]], [-0.1, -0.1], atol=0.02)
+
+
+def test_other_mistakes_are_no_calibration() -> None:
+    """Odometry with a flipped axis, sigmas that are too small, a wrong closure."""
+    graph, start, values = clean("subsea", 0)
+    flipped = misread(graph, start, 1, "y flipped")
+    assert calibrations(flipped, optimum(flipped, start)) == ()
+    models = [values.gather(factor)[0] for factor in graph.factors]
+    small = FactorGraph([rescaled(model, np.full((1, model.dim), 0.5)) for model in models])
+    assert calibrations(small, values) == ()
+    graph, start, _ = clean("ring", 0)
+    wrong = wrong_closure(graph, np.random.default_rng(1))
+    assert calibrations(wrong, optimum(wrong, start)) == ()
