@@ -9,30 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from nls.io.importing.bags import Bag, is_bag
+from nls.io.importing.examples import example
 from nls.io.importing.guess import guess, plain
 from nls.io.importing.text_log import Log, TextLog
 from nls.io.importing.units import dimension, header_unit, mission_unit
-from nls.io.mission.columns import ANGLES, PLACE
+from nls.io.mission.columns import ANGLES, COLUMNS, PLACE
 
 __all__ = ["NOISE", "draft"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
-SONAR = [
-    "[sonar]                          # from its data sheet, and where it is on the vehicle",
-    'name = "sonar"',
-    "beams = 256",
-    "bins = 500",
-    "fan_rad = 2.1                    # its whole width in azimuth, and its height in elevation",
-    "aperture_rad = 0.35",
-    "range_min_m = 1.0",
-    "range_max_m = 20.0",
-    "x_m = 0.0",
-    "y_m = 0.0",
-    "z_m = 0.0",
-    "roll_rad = 0.0",
-    "pitch_rad = 0.0                  # negative where it looks down",
-    "yaw_rad = 0.0",
-]
+REMARKS = {
+    "fan_rad": "its whole width in azimuth, and its height in elevation",
+    "pitch_rad": "negative where it looks down",
+}
 TABLES = {  # what must be there, what may be
     "dvl": (("time_s", *VELOCITY), ("valid",)),
     "path": (("time_s", "x_m", "y_m", "yaw_rad"), ("z_m", "roll_rad", "pitch_rad")),
@@ -42,10 +31,10 @@ TABLES = {  # what must be there, what may be
     "truth": (("time_s", *ANGLES, *PLACE), ()),
     "contacts": (("time_s", "range_m", "azimuth_rad"), ("landmark",)),
 }
-NUMBERS = {  # lines of a section that no log has
-    "fixes": ["sigma_x_m = 2.0   # a guess", "sigma_y_m = 2.0"],
-    "path": ["sigma_x_m = 0.05   # of one step; a guess, as are the next", "sigma_y_m = 0.05", "sigma_yaw_rad = 0.01"],
-    "contacts": ["sigma_range_m = 0.02   # a guess", "sigma_azimuth_rad = 0.005", "", *SONAR],
+NUMBERS = {  # columns that no log has
+    "fixes": ("sigma_x_m", "sigma_y_m"),
+    "path": ("sigma_x_m", "sigma_y_m", "sigma_yaw_rad"),
+    "contacts": ("sigma_range_m", "sigma_azimuth_rad"),
 }
 NOISE = """\
 [noise]                          # one sigma each, from the data sheets
@@ -147,11 +136,26 @@ def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
         used |= set(chosen.values())
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
         lines += [_line(column, name, log) for column, name in chosen.items()]
-        lines += [*NUMBERS.get(table, ()), ""]
+        lines += [*_numbers(table), ""]
+        if table == "contacts":
+            lines += ["[sonar]   # from its data sheet, and where it is on the vehicle", *_sonar(), ""]
     unused = [name for name in log.names if name not in used]
     if unused:
         lines = [*lines[: -1 if lines[-1] == "" else None], f"# not used: {', '.join(map(repr, unused))}", ""]
     return lines
+
+
+def _numbers(table: str) -> list[str]:
+    """The lines of a section that are no columns of the log."""
+    remark = "   # a guess, as are the next; of one step" if table == "path" else "   # a guess"
+    numbers = [f"{column} = {example(table, column)}" for column in NUMBERS.get(table, ())]
+    return [numbers[0] + remark, *numbers[1:]] if numbers else []
+
+
+def _sonar() -> list[str]:
+    """The lines of the sonar."""
+    columns = [(column, f"{column} = {example('sonar', column)}") for column in COLUMNS["sonar"]]
+    return [f"{line}   # {REMARKS[column]}" if column in REMARKS else line for column, line in columns]
 
 
 def _is_odometry(chosen: dict[str, str]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nls.io.importing.draft import NOISE
+from nls.io.importing.examples import example
 from nls.io.importing.units import mission_unit
 from nls.io.mission.columns import COLUMNS, LOG, OPTIONAL, TRACK
 
@@ -38,14 +39,6 @@ ABOUT = {
     "tide": "the height of the surface above the level from which depths count",
     "sound-speed": "the speed of sound over depth",
     "calibration": "a property of a sensor: its value and sigma; sigma 0 holds it",
-}
-EXAMPLES = {
-    **{"name": "dvl_scale", "kernel": "huber:1.345", "time_s": "0.0", "time_i_s": "10.0", "time_j_s": "95.0"},
-    **{"i": "0", "j": "1", "landmark": "7", "beacon": "1", "beams": "96", "bins": "512", "ways": "2", "valid": "1"},
-    **{"lat_deg": "54.1", "lon_deg": "10.2", "sound_speed_m_s": "1500.0", "vx_m_s": "1.2", "range_m": "12.5"},
-    **{"range_min_m": "1.0", "range_max_m": "10.0", "fan_rad": "0.5", "aperture_rad": "0.2", "scale": "0.005"},
-    **{"travel_time_s": "0.0167", "turn_around_s": "0.0", "delay_s": "0.0", "sigma_bridge_m_s_sqrt_s": "0.05"},
-    **{"sigma_travel_time_s": "0.0001", "value": "0.0", "sigma": "0.01", "z_m": "5.0"},
 }
 ALTERNATIVES = {  # of two ways to say the same the template has one
     "truth": ("time_s",),
@@ -109,16 +102,7 @@ def _template(table: str) -> str:
         lines.append(f"# may be left out: {', '.join(optional)}")
     if others := ALTERNATIVES.get(table):
         lines.append(f"# other columns: {', '.join(others)}")
-    return "\n".join([*lines, ",".join(columns), "# " + ",".join(map(_example, columns))]) + "\n"
-
-
-def _example(column: str) -> str:
-    """A value that a column may have."""
-    if column in EXAMPLES:
-        return EXAMPLES[column]
-    unit = mission_unit(column)[1]
-    small = {"rad": "0.01", "deg": "1.0", "m": "0.5", "m/s": "0.02", "s": "0.01"}.get(unit, "1.0")
-    return small if column.startswith("sigma") or unit in ("rad", "m/s") else "0.0" if unit else "1.0"
+    return "\n".join([*lines, ",".join(columns), "# " + ",".join(example(table, column) for column in columns)]) + "\n"
 
 
 def _section(table: str) -> str:

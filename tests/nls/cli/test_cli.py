@@ -164,6 +164,7 @@ def test_info(shell: Shell) -> None:
     out, report = shell(f"info {shell.file()}"), shell.report("info graph.g2o")
     assert re.search(r"EDGE_SE2 +4", out)
     assert re.search(r"gauge +x0 held", out)
+    assert re.search(r"variables of each part +4\n.*smallest sigma, m or rad +\d", out, re.DOTALL)
     assert report["tags"] == {"VERTEX_SE2": 4, "EDGE_SE2": 4}
     assert (report["rows_of_A"], report["columns_of_A"], report["components"]) == (12, 9, 1)
     assert math.isclose(report["chi2"], nls.load("graph.g2o")[0].chi2(nls.load("graph.g2o")[1]))

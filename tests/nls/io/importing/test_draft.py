@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import tomllib
 from pathlib import Path
 
 from nls.io.importing import Mapping, draft, import_logs
+from nls.io.importing.templates import templates
 
 ODOMETRY = "time,x_odo [m],y_odo [m],depth [m],heading [deg]\n0,0,0,4,0\n2,1,0,4,9\n"
 ECHOES = "time,target,range [m],bearing [deg]\n0,1,6.9,15.8\n1,4,10.8,48.9\n"
@@ -30,3 +33,14 @@ def test_whole_poses_are_a_truth_unless_their_name_says_odometry(tmp_path: Path)
         text = draft([log])
         assert f"\n[{table}]\n" in text
         assert ("[ahrs]\ntime_s" in text) == (table == "truth")
+
+
+def test_the_sonar_of_a_draft_is_that_of_its_template(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text(
+        "time,odo x [m],odo y [m],yaw [rad],range [m],azimuth [rad],landmark\n0,0,0,0,5,0.1,3\n1,1,0,0,5,0.1,3\n"
+    )
+    section = tomllib.loads(draft([log]))["sonar"]
+    names, values = templates()["templates/sonar.csv"].decode().splitlines()[-2:]
+    row = next(csv.reader([values.removeprefix("# ")]))
+    assert dict(zip(names.split(","), row, strict=True)) == {name: str(value) for name, value in section.items()}
