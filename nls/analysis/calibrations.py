@@ -196,7 +196,7 @@ def _odometry(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
             steps.setdefault(space, []).append((k, np.flatnonzero(along)))
     sources = []
     for space, places in steps.items():
-        if sum(len(indices) for _, indices in places) < MANY or "yaw" not in space.components:
+        if sum(len(indices) for _, indices in places) < MANY or not {"x", "y", "yaw"} <= {*space.components}:
             continue
         turns = tuple(name for name in space.components if name not in {*"xyz"}) if space in (SE2, SE3) else ("yaw",)
         factors = list(graph.factors)

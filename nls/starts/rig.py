@@ -141,7 +141,8 @@ def _aligned(key: Keys, u: Array, v: Array, variance: Array, three_points: bool)
         )
     weights = 1 / variance
     mean = weights @ v / weights.sum()
-    spread = np.linalg.eigvalsh((weights[:, None] * (v - mean)).T @ (v - mean) / weights.sum())[1] ** 0.5
+    middle = np.linalg.eigvalsh((weights[:, None] * (v - mean)).T @ (v - mean) / weights.sum())[1]
+    spread = max(middle, 0.0) ** 0.5  # on a line rounding may leave it below zero
     sigma = (len(v) / weights.sum()) ** 0.5
     try:
         if not spread > IN_LINE * sigma:

@@ -17,7 +17,7 @@ from models.algebra import Array, Numbers
 from models.errors import GraphError, GraphFileError
 from nls.graph import FactorGraph
 from nls.io.files import write_folder
-from nls.io.mission.columns import COLUMNS, TRACK
+from nls.io.mission.columns import COLUMNS, COMPASS, TRACK
 from nls.io.mission.statements import measured_numbers, no_file, standard_deviations
 from nls.io.mission.table import csv_text
 from nls.io.mission.write_positions import positioned, positioned_files, positioned_poses
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["mission_files", "refuse_mixed", "write_mission"]
 
 Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
+NOT_WRITTEN = {"poses": (), "zpr": COMPASS}  # columns; the time of all other tables
 MEASURED = {"odometry": ("x", "y", "yaw"), "zpr": ("z", "pitch", "roll"), "contacts": ("range", "azimuth")}
 
 
@@ -150,7 +151,7 @@ def mission_files(
         rows["poses"] = [_times(poses, times)]
     return {
         f"{name}.csv": csv_text(
-            [column for column in names if column != "time_s" or name == "poses"],
+            [column for column in names if column not in NOT_WRITTEN.get(name, ("time_s",))],
             *(np.concatenate(column) for column in zip(*rows[name], strict=True)),
         )
         for name, names in COLUMNS.items()

@@ -14,6 +14,7 @@ RAW = {
     **COLUMNS,
     "truth": POSE,
     "contacts": tuple(name for name in COLUMNS["contacts"] if name != "time_s"),
+    "zpr": COLUMNS["zpr"][:7],
     "dvl": COLUMNS["dvl"][:5],
     "noise": COLUMNS["noise"][:7],
 }  # without what may be left out
