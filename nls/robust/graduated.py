@@ -247,8 +247,10 @@ def gnc(
     ]
     off = [
         Rejected(factor.describe(n), float(s[n]) ** 0.5)
-        for factor, m, s, leaves in zip(graph.factors, choice.inliers, choice.s, landmarks.leaving(gone), strict=True)
-        for n in np.flatnonzero(~m & ~leaves).tolist()
+        for factor, d, m, s, leaves in zip(
+            graph.factors, masks, choice.inliers, choice.s, landmarks.leaving(gone), strict=True
+        )
+        for n in np.flatnonzero(d & ~m & ~leaves).tolist()
     ]
     rejected = tuple(sorted(off, key=lambda rejection: -rejection.sigmas))
     weights = [m.astype(float) for m in choice.inliers]

@@ -6,6 +6,7 @@ A landmark of d coordinates is determined, the poses held, where its measurement
 
 Two contacts of an imaging sonar have four numbers for three unknowns, one has two. A landmark that lost measurements
 and is no longer determined leaves, with its other measurements and its hinges: nothing checks what is left of it.
+A hinge says that a target was in view. It leaves where all measurements of its pose and its landmark do.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Landmarks:
             if leaves.any():
                 for number, _, row in touching:
                     masks[number] = masks[number] & ~leaves[row]
-        return masks
+        return self._with_limits(masks)
 
     def gone(self, inliers: Sequence[Mask]) -> dict[str, Mask]:
         """Per kind which landmarks have no measurement left, of those that had some."""
@@ -100,6 +101,22 @@ class Landmarks:
         touching = [row[masks[number]] for number, _, row in self.factors[kind]]
         return np.bincount(np.concatenate(touching), minlength=size)
 
+    def _with_limits(self, masks: list[Mask]) -> list[Mask]:
+        """Without the limits of pairs of variables that have lost all their measurements."""
+        pairs = [np.column_stack([keys.numbers for keys in factor.keys[:2]]) for factor in self.graph.factors]
+        kinds = [[keys.kind for keys in factor.keys[:2]] for factor in self.graph.factors]
+        kept = list(masks)
+        for number, limit in enumerate(self.graph.factors):
+            if not limit.limit_only:
+                continue
+            stays, lost = np.zeros(len(limit), dtype=bool), np.zeros(len(limit), dtype=bool)
+            for k, factor in enumerate(self.graph.factors):
+                if not factor.limit_only and kinds[k] == kinds[number]:
+                    stays |= _among(pairs[number], pairs[k][masks[k]])
+                    lost |= _among(pairs[number], pairs[k][~masks[k]])
+            kept[number] = masks[number] & (stays | ~lost)
+        return kept
+
     def _lost(self, kind: str, inliers: Sequence[Mask]) -> Mask:
         """Which landmarks lost a doubted measurement."""
         lost = [d & ~m for d, m in zip(self.doubted, inliers, strict=True)]
@@ -119,6 +136,13 @@ class Landmarks:
             np.add.at(M, row[rows], A.mT @ A)
         eigenvalues = np.linalg.eigvalsh(M)
         return np.asarray(eigenvalues[:, 0] > DETERMINED * eigenvalues[:, -1])
+
+
+def _among(pairs: Index, others: Index) -> Mask:
+    """Which pairs (n, 2) are among others (m, 2)."""
+    _, place = np.unique(np.concatenate([pairs, others]), axis=0, return_inverse=True)
+    first, second = np.split(place.reshape(-1), [len(pairs)])
+    return np.isin(first, second)
 
 
 def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> Landmarks:

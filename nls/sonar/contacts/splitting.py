@@ -119,7 +119,7 @@ def _information(
     chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
     targets[d] = target
     numbers, place = np.unique(targets[chosen], return_index=True)
-    tied = Values.of([values.stack(pings.poses.kind)])
+    tied = Values.of(stack for name, stack in values.stacks.items() if name != pings.kind.name)
     tied.add(pings.kind, R(dim), values[pings.kind[tracks[chosen][place]]], numbers)
     i, j = pings.kind[before], pings.kind[after]
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])

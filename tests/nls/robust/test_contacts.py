@@ -107,6 +107,7 @@ def test_the_estimate_without_false_contacts_is_as_good_as_if_there_were_none() 
     mission = floor(1, 0.2)
     found = nls.gnc(mission.graph, mission.start, doubted=[mission.contacts])
     out = found.weights[4] == 0
+    np.testing.assert_array_equal(found.weights[5] == 0, out)  # nobody saw that these landmarks were in view
     assert out[mission.wrong].mean() > 0.98
     assert out[~mission.wrong].mean() < 0.08
     clean = floor(1)

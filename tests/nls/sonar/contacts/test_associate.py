@@ -8,7 +8,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from factors import Bearing, Isotropic
+from factors import Bearing, Isotropic, Prior
 from models import R
 from models.algebra import Index
 from models.errors import GraphError, OptionError, UnderconstrainedError
@@ -139,6 +139,16 @@ def test_least_kind_rounds_and_history() -> None:
         assert np.count_nonzero(size > counts.min()) == decided
     short = associate(scene.graph, scene.values, scene.sightings, rounds=1)
     assert (len(short.rounds), short.settled) == (1, False)
+
+
+def test_other_unknowns_of_the_graph_have_no_influence() -> None:
+    """Such as a scale error of the log, which a prior holds."""
+    scene = in_plane()
+    graph = FactorGraph([*scene.graph.factors, Prior(m[0], [0.5], Isotropic(0.1))])
+    values = Values.of([*scene.values.stacks.values(), Values({m: (R(1), [0.0])}).stack("m")])
+    result = associate(graph, values, scene.sightings)
+    np.testing.assert_array_equal(result.numbers, associated(scene).numbers)
+    np.testing.assert_allclose(result.values[m], [[0.5]])
 
 
 def test_the_answer_of_least_cost_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
