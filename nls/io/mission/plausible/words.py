@@ -26,7 +26,7 @@ NUMBERS = {  # of a check: what was measured, and what its limit is
     "depth rate": "the depth changes by {measured}; a vehicle stays below {limit}",
     "time step": "the middle time between two rows is {measured}; expected {side} {limit}",
     "outliers": "{percent} of the rows are far from the rows beside them; expected below {limit_percent}",
-    "scatter": "its rows scatter by {measured}; {limit} is {ratio} times the sigma stated in noise.csv",
+    "scatter": "its rows scatter by {measured}, {ratio} times the sigma stated in noise.csv; expected below {limit}",
     "sound speed": "it is {measured}; water has 1400 to 1600 m/s",
     "far away": "the middle fix is {measured} from x = y = 0; expected below {limit}",
     "jumps": "{percent} of the fixes jump away from those before and after; expected below {limit_percent}",
