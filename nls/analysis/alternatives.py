@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -51,6 +52,18 @@ REFUSED = (
     UnderconstrainedError,
     SingularGeometryError,
 )
+
+
+class Judged(Protocol):
+    """What has chi2 and degrees of freedom."""
+
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def dof(self) -> int: ...
+
+
+J = TypeVar("J", bound=Judged)
 
 
 @dataclass(frozen=True)
@@ -109,9 +122,21 @@ def solved(
     return best
 
 
-def expected(fit: Fit) -> bool:
+def expected(fit: Judged) -> bool:
     """Whether noise explains chi2: its chance is at least 1e-3."""
     return bool(chi2_tail(np.array(fit.chi2), np.array(fit.dof)) >= UNLIKELY)
+
+
+def nearest(fits: Sequence[J]) -> tuple[J, ...]:
+    """Those of the lowest chi2, which nothing tells apart, the lowest first."""
+    ordered = sorted(fits, key=lambda fit: fit.chi2)
+    limit = ordered[0].chi2 + EQUAL * scale(ordered[0]) if ordered else 0.0
+    return tuple(fit for fit in ordered if fit.chi2 <= limit)
+
+
+def scale(fit: Judged) -> float:
+    """By how much the sigmas squared are too small, 1 at least."""
+    return max(1.0, fit.chi2 / max(fit.dof, 1))
 
 
 def supported(standing: Fit, other: Fit, tries: int) -> bool:
@@ -122,6 +147,5 @@ def supported(standing: Fit, other: Fit, tries: int) -> bool:
     Noise must explain chi2 of the other, or it must be at most half of the one that stands. Wrong closures and sigmas
     that are off remain under every reading.
     """
-    scale = max(1.0, other.chi2 / max(other.dof, 1))
-    decisive = standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale
+    decisive = standing.chi2 - other.chi2 > 2 * (math.log(tries) - math.log(UNLIKELY)) * scale(other)
     return decisive and (expected(other) or other.chi2 <= HALF * standing.chi2)

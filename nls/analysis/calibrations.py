@@ -26,8 +26,9 @@ from factors.keys import Keys, Kind
 from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
-from nls.analysis.alternatives import EQUAL, Fit, expected, solved
+from nls.analysis.alternatives import EQUAL, Fit, expected, nearest, scale, solved
 from nls.analysis.chi_squared import chi2_tail
+from nls.covariance import Marginals
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
 from nls.linear import factorize
@@ -125,7 +126,7 @@ def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
     held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
     chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.holding(gauge.held).n
     sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, key)]
-    fits: list[tuple[Source, Fit]] = []
+    fits: list[Calibration] = []
     for source in sources:
         other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(WIDE))], held)
         start = Values.of(values.stacks.values())
@@ -135,22 +136,17 @@ def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
             fall = system.promised(factorize(system).solve(system.gradient))
         except SingularSystemError:  # the optimum is at numbers beside which the calibration has no digits left
             continue
-        scale, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
-        if len(sources) * float(chi2_tail(np.array(fall / scale), np.array(d))) > UNLIKELY:
+        variance, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
+        if len(sources) * float(chi2_tail(np.array(fall / variance), np.array(d))) > UNLIKELY:
             continue
         fit = solved(other, start, start=False)
-        if fit is None or chi2 - fit.chi2 < EQUAL * max(1.0, fit.chi2 / max(dof, 1)):
+        if fit is None or chi2 - fit.chi2 < EQUAL * scale(fit):
             continue
         if np.abs(source.group.log(source.group.between(source.X, fit.values[key][None]))).max() > LARGEST:
             continue
         if expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof):
-            fits.append((source, fit))
-    if not fits:
-        return ()
-    lowest = min(fit.chi2 for _, fit in fits)
-    limit = lowest + EQUAL * max(1.0, lowest / max(dof, 1))
-    ordered = sorted(fits, key=lambda pair: pair[1].chi2)
-    return tuple(_named(source, fit, key, chi2, dof) for source, fit in ordered if fit.chi2 <= limit)
+            fits.append(_named(source, fit, key, chi2, dof))
+    return nearest(fits)
 
 
 def _unused(values: Values) -> Keys:
@@ -227,25 +223,18 @@ def _rates(space: LieGroup, z: Array) -> Array:
 
 def _named(source: Source, fit: Fit, key: Keys, chi2: float, dof: int) -> Calibration:
     """The components of a calibration that are off, in the axes of the vehicle."""
-    graph, values = fit.graph, fit.values
-    pattern = graph.pattern(values).holding(fixed_variables(graph.fixed, values))
-    system = LinearSystem.at(pattern, values)
-    columns = pattern.starts[pattern.offsets[key.kind]] + np.arange(source.group.dim)
-    selected = np.zeros((pattern.n, len(columns)))
-    selected[columns, np.arange(len(columns))] = 1.0
-    P = factorize(system).solve(selected)[columns]
-    X = values[key][None]
+    X = fit.values[key][None]
     G = source.group.world_axes(X)[0]
-    sigma = np.sqrt(np.diagonal(G @ P @ G.T))
+    sigma = np.sqrt(np.diagonal(Marginals(fit.graph, fit.values).covariance(key, frame="world")))
     correction = G @ source.group.log(source.group.between(source.X, X))[0]
     if source.quantity == "mounting":  # the difference of places, not of tangent vectors
         d = source.group.point_dim
         correction[:d] = (source.group.position(X) - source.group.position(source.X))[0]
     off = np.flatnonzero(np.abs(correction) > CLEAR * sigma)
     if source.quantity == "odometry":  # z - G c is z times a scale and a rotation
-        scale, turn = 1 - correction[0], float(np.linalg.norm(correction[1:]))
-        correction[1:] *= np.arctan2(turn, scale) / turn if turn > 0 else 1.0
-        correction[0] = 1 / np.hypot(scale, turn)
+        along, turn = 1 - correction[0], float(np.linalg.norm(correction[1:]))
+        correction[1:] *= np.arctan2(turn, along) / turn if turn > 0 else 1.0
+        correction[0] = 1 / np.hypot(along, turn)
         off = np.flatnonzero(np.abs(correction - np.eye(len(correction))[0]) > CLEAR * sigma)
     names = tuple(source.components[c] for c in off)
     return Calibration(source.kind, source.quantity, names, correction[off], sigma[off], chi2, fit.chi2, dof)

@@ -14,7 +14,7 @@ import numpy as np
 
 from factors.base import Factor
 from models.algebra import Index
-from nls.analysis.alternatives import EQUAL, FIRST, expected, solved, supported
+from nls.analysis.alternatives import FIRST, expected, nearest, solved, supported
 from nls.analysis.leave_one_out import kinds_of, measuring, middle_variance
 from nls.analysis.readings import READINGS, Reading
 from nls.graph import FactorGraph
@@ -114,17 +114,7 @@ def misread_kinds(graph: FactorGraph, values: Values) -> tuple[MisreadKind, ...]
             continue
         tries = len(alternatives)
         meant.append(MisreadKind(name, places, reading, standing.chi2, fit.chi2, fit.dof, tries, fit.values))
-    return _nearest(meant)
-
-
-def _nearest(meant: list[MisreadKind]) -> tuple[MisreadKind, ...]:
-    """Those of the lowest chi2, which nothing tells apart."""
-    ordered = sorted(meant, key=lambda kind: kind.chi2)
-    if not ordered:
-        return ()
-    best = ordered[0]
-    limit = best.chi2 + EQUAL * max(1.0, best.chi2 / max(best.dof, 1))
-    return tuple(kind for kind in ordered if kind.chi2 <= limit)
+    return nearest(meant)
 
 
 def _sources(pattern: Pattern) -> dict[str, Places]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -103,19 +104,26 @@ class Landmarks:
 
     def _with_limits(self, masks: list[Mask]) -> list[Mask]:
         """Without the limits of pairs of variables that have lost all their measurements."""
-        pairs = [np.column_stack([keys.numbers for keys in factor.keys[:2]]) for factor in self.graph.factors]
-        kinds = [[keys.kind for keys in factor.keys[:2]] for factor in self.graph.factors]
-        kept = list(masks)
-        for number, limit in enumerate(self.graph.factors):
-            if not limit.limit_only:
-                continue
-            stays, lost = np.zeros(len(limit), dtype=bool), np.zeros(len(limit), dtype=bool)
-            for k, factor in enumerate(self.graph.factors):
-                if not factor.limit_only and kinds[k] == kinds[number]:
-                    stays |= _among(pairs[number], pairs[k][masks[k]])
-                    lost |= _among(pairs[number], pairs[k][~masks[k]])
-            kept[number] = masks[number] & (stays | ~lost)
-        return kept
+        if not any(factor.limit_only for factor in self.graph.factors):
+            return masks
+        measured, lost = np.zeros((2, sum(map(len, masks))), dtype=bool)
+        for factor, mask, pair in zip(self.graph.factors, masks, self._pairs, strict=True):
+            if not factor.limit_only:
+                measured[pair[mask]] = lost[pair[~mask]] = True
+        limits = zip(self.graph.factors, masks, self._pairs, strict=True)
+        return [mask & (measured | ~lost)[pair] if factor.limit_only else mask for factor, mask, pair in limits]
+
+    @cached_property
+    def _pairs(self) -> list[Index]:
+        """Per factor a number (n,) for the pair of variables that each measurement begins with."""
+        kinds = {name: code for code, name in enumerate({key.kind: None for f in self.graph.factors for key in f.keys})}
+        ends = [
+            np.column_stack([np.broadcast_to([kinds[i.kind], kinds[j.kind]], (len(f), 2)), i.numbers, j.numbers])
+            for f in self.graph.factors
+            for i, j in [(*f.keys, f.keys[0])[:2]]
+        ]
+        _, pair = np.unique(np.concatenate(ends), axis=0, return_inverse=True)
+        return np.split(pair.reshape(-1), np.cumsum([len(f) for f in self.graph.factors])[:-1])
 
     def _lost(self, kind: str, inliers: Sequence[Mask]) -> Mask:
         """Which landmarks lost a doubted measurement."""
@@ -136,13 +144,6 @@ class Landmarks:
             np.add.at(M, row[rows], A.mT @ A)
         eigenvalues = np.linalg.eigvalsh(M)
         return np.asarray(eigenvalues[:, 0] > DETERMINED * eigenvalues[:, -1])
-
-
-def _among(pairs: Index, others: Index) -> Mask:
-    """Which pairs (n, 2) are among others (m, 2)."""
-    _, place = np.unique(np.concatenate([pairs, others]), axis=0, return_inverse=True)
-    first, second = np.split(place.reshape(-1), [len(pairs)])
-    return np.isin(first, second)
 
 
 def landmarks_of(graph: FactorGraph, values: Values, doubted: Sequence[Mask]) -> Landmarks:

@@ -34,7 +34,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.compatibility import resolved, supported
-from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers
+from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
@@ -166,7 +166,7 @@ def associate(
     check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
     pings = Pings.of(sightings, values, kind, aperture)
     pieces = _linked(pings, graph, values, chi2_gate(measured_numbers(pings), probability))
-    poses = _without(estimated(pings, graph, values, pieces, FIRST).values, kind)
+    poses = without(estimated(pings, graph, values, pieces, FIRST).values, kind)
     first = estimated(pings, graph, poses, pieces)
     answers = [_rounds(pings, graph, first, narrow, least, probability, rounds) for narrow in NARROW]
     return min(answers, key=lambda answer: answer.cost)
@@ -188,7 +188,7 @@ def _rounds(
     history: list[Index] = []
     while len(history) < rounds and not settled:
         if history:
-            estimate = estimated(pings, graph, _without(estimate.values, pings.kind), history[-1])
+            estimate = estimated(pings, graph, without(estimate.values, pings.kind), history[-1])
         tracks, open_ = estimate.tracks, expelled < TWICE
         if last:
             joined = resolved(pings, estimate, open_, least, probability)
@@ -207,12 +207,7 @@ def _rounds(
             last = True
             expelled[:] = 0
         history.append(tracks)
-    return _associated(pings, graph, _without(estimate.values, pings.kind), history, least, gate, settled)
-
-
-def _without(values: Values, kind: Kind) -> Values:
-    """The values of all other kinds."""
-    return Values.of(stack for name, stack in values.stacks.items() if name != kind.name)
+    return _associated(pings, graph, without(estimate.values, pings.kind), history, least, gate, settled)
 
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
@@ -259,7 +254,7 @@ def _associated(
     sightings = pings.of_landmarks(numbers[decided], np.flatnonzero(decided))
     if len(names):
         stack = values.stack(pings.kind)
-        values = _without(values, pings.kind)
+        values = without(values, pings.kind)
         values.add(pings.kind, stack.manifold, stack.X, np.arange(len(names)))
     price = np.log(measured_numbers(pings) * len(tracks)) * pings.group.point_dim
     undecided = float(KERNEL.rho(np.array(gate))) * np.count_nonzero(~decided)

@@ -21,7 +21,7 @@ from nls.sonar.contacts.places import Pings
 from nls.starts import locate_points, search_elevation
 from nls.values import Values
 
-__all__ = ["FIRST", "Estimate", "estimated"]
+__all__ = ["FIRST", "Estimate", "estimated", "without"]
 
 KERNEL = Cauchy(2.0)
 FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
@@ -98,3 +98,8 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
 def measured_numbers(pings: Pings) -> int:
     """Numbers of one sighting."""
     return int(pings.model(np.arange(1)).dim)
+
+
+def without(values: Values, kind: Kind) -> Values:
+    """The values of all other kinds."""
+    return Values.of(stack for name, stack in values.stacks.items() if name != kind.name)

@@ -31,9 +31,8 @@ from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.estimate import KERNEL, Estimate
+from nls.sonar.contacts.estimate import KERNEL, Estimate, without
 from nls.sonar.contacts.places import Pings
-from nls.values import Values
 
 __all__ = ["split"]
 
@@ -119,7 +118,7 @@ def _information(
     chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
     targets[d] = target
     numbers, place = np.unique(targets[chosen], return_index=True)
-    tied = Values.of(stack for name, stack in values.stacks.items() if name != pings.kind.name)
+    tied = without(values, pings.kind)
     tied.add(pings.kind, R(dim), values[pings.kind[tracks[chosen][place]]], numbers)
     i, j = pings.kind[before], pings.kind[after]
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
