@@ -33,6 +33,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, encoding="utf-8")
     monkeypatch.setattr(check_site, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(check_site, "DOCS", tmp_path / "docs")
     return root
 
 
@@ -73,3 +74,9 @@ def test_style_sheets_and_benchmarks(site: Path) -> None:
         "benchmarks/results/speed.md has no page: add docs/benchmarks/speed.md, which includes it",
     ]
     assert next(check_site.problems(site / "nowhere")).endswith("there are no pages; build them first: make docs")
+
+
+def test_links_without_a_text(site: Path) -> None:
+    check_site.DOCS.mkdir()
+    (check_site.DOCS / "a.md").write_text("[b](b.md), ![](picture.png), [](c.md#d)", encoding="utf-8")
+    assert list(check_site.problems(site)) == ["docs/a.md: the link to c.md#d has no text: write [text](c.md#d)"]

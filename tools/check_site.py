@@ -4,7 +4,8 @@
 
 Every link inside the site leads to a file that is there and to an anchor in it; every picture is there and has a text;
 no script, style sheet, font or picture is loaded over http; a page with equations loads MathJax from the site; every
-page of benchmarks/results is on the site. Prints what is wrong, a line each; the exit status is 1 if anything is.
+page of benchmarks/results is on the site. In the sources, every link has a text: a code host shows nothing for a link
+without one. Prints what is wrong, a line each; the exit status is 1 if anything is.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"
+DOCS = Path(__file__).parents[1] / "docs"
 LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "video": "src"}
 NEEDED = {"stylesheet", "preload", "icon", "modulepreload"}  # links that a browser follows by itself
 PATH = re.compile(r"^\S*[/.]\S*$")  # a file name is no text
+NO_TEXT = re.compile(r"(?<!!)\[\]\(([^)]*)\)")  # a link that takes the title of its page
 
 
 class Page(HTMLParser):
@@ -78,6 +81,9 @@ def problems(root: Path) -> Iterator[str]:
     for result in sorted(RESULTS.glob("*.md")):
         if not (root / "benchmarks" / f"{result.stem}.html").exists():
             yield f"benchmarks/results/{result.name} has no page: add docs/benchmarks/{result.name}, which includes it"
+    for source in (path for pattern in ("*.md", "*/*.md", "*/*.ipynb") for path in sorted(DOCS.glob(pattern))):
+        for link in NO_TEXT.findall(source.read_text(encoding="utf-8")):
+            yield f"docs/{source.relative_to(DOCS).as_posix()}: the link to {link} has no text: write [text]({link})"
 
 
 def _broken(link: str, path: Path, pages: dict[Path, Page]) -> Iterator[str]:
