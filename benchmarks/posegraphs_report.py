@@ -23,11 +23,12 @@ HEAD = [
     "machine hardly changes it. Ratios are of processor times; wall clocks are in the last table",
     "- every optimization ends where the cost falls by less than 1e-6 of it. 'optimum': within 1e-6 of the lowest "
     "cost any variant of that library reaches; 'not converged': further; 'another optimum': more than 1 % higher",
-    "- the variant shown is the fastest of those that reached the lowest cost of their library. What took twice the "
-    "time of the fastest of its library in the first round, or ten times leadline's, ran once",
-    "- chi2: of the solution, evaluated here, in g2o's residual for everybody and in GTSAM's (Log, and the rotation "
-    "information of a file taken 4 times as large in space); every solution is the optimum of its own cost. What a "
-    "library computes as the cost of its solution is compared with that first; one that differs has no time",
+    "- the variant shown is the fastest of those that reached the lowest cost of their library. A variant ran once "
+    "if it took twice the time of the fastest in the first round, or ten times leadline's",
+    "- chi2: of the solution, evaluated here, in g2o's residual for everybody and in GTSAM's. GTSAM's is Log, in "
+    "space with 4 times the rotation information of the file",
+    "- every solution is the optimum of its own cost. The cost that a library states for its solution is compared "
+    "with that first. A library that differs has no time",
     "- every contender reads the same plain g2o file: compressed ones were unpacked, and FR079 and the iSAM files "
     "converted, beforehand; C++ programs read manhattan, CSAIL and kitti_00, which have edges only, with a start for "
     "every pose added",
@@ -36,12 +37,12 @@ HEAD = [
 CALLS = "a Python function per edge is called back, which is where the time goes: it says nothing about"
 PARTS = "ms and ratio are of start + optimize, on both sides"
 PEERS = {
-    "gtsam": "gtsam: `readG2o`, a tight prior on the first pose, start from the file, chordal (in the plane LAGO, "
-    "which refuses noise that is not diagonal) or by FastSync (which refuses noise that is not isotropic), "
+    "gtsam": "gtsam: `readG2o`, a tight prior on the first pose. Starts: the file's, chordal (in the plane LAGO, "
+    "which refuses noise that is not diagonal) or FastSync (which refuses noise that is not isotropic). Methods: "
     "Gauss-Newton (GN) or Levenberg-Marquardt (LM), COLAMD or METIS, and GN also with the new MULTIFRONTAL_SOLVER",
     "g2o_cpp": "g2o_cpp: g2o's C++ libraries, with CHOLMOD; own reader, start from the file or along a spanning tree",
-    "ceres_cpp": "ceres_cpp: Ceres' C++ library, with CHOLMOD; it has no reader and no pose-graph cost: both are in "
-    "`benchmarks/peers/ceres_driver.cpp`, with automatic derivatives; start from the file",
+    "ceres_cpp": "ceres_cpp: Ceres' C++ library, with CHOLMOD; start from the file. The reader and the pose-graph "
+    "cost, with automatic derivatives, are ours: `benchmarks/peers/ceres_driver.cpp`",
     "g2o": "g2o: the wheel registers no tag of the format (`load` returns True and reads nothing), so that a Python "
     f"loop builds its graph; {PARTS}",
     "pyceres": f"pyceres: has no pose-graph cost; {CALLS} Ceres in C++; sets below 1,500 edges only; {PARTS}",

@@ -222,12 +222,16 @@ def main() -> int:
         "# Scans to a map: time and memory",
         "",
         *head,
-        f"- a made-up harbor: {LAPS} rounds of each basin, a keyframe every meter, {POINTS} points each",
-        "- processor time, one thread; memory: the peak of a fresh process above what it has before it begins",
-        "- map: positions from the truth, m rms, the first pose being known; reckoned: the same of dead reckoning",
-        "- nothing closes a loop from one basin to the next: over several, the map turns with the heading between them",
-        "- pairs: which submaps may overlap; windows: covariances of their relative poses; solving: with the choice of",
-        "  closures",
+        f"- The harbor is simulated. The vehicle goes {LAPS} times around each basin and takes a keyframe of "
+        f"{POINTS} points every meter",
+        "- Times are processor times of one thread. Memory is the peak of a fresh process above its memory before "
+        "the run",
+        "- map: rms error of the positions, m, with the first pose known; reckoned: the same of dead reckoning",
+        "- No closure joins two basins. So over several basins the map turns with the error of the heading between "
+        "them",
+        "- pairs: the search for submaps that may overlap; windows: covariances of their relative poses",
+        "- solving: includes the choice of closures",
+        f"- keyframes^p: exponents fitted to the {UPPER} largest sizes",
         "",
         *tables(whole, online),
     ]

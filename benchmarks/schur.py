@@ -220,12 +220,12 @@ def main() -> int:
     if data and (Path(data) / BAL).exists() and not options.quick:
         names = ["problem-49-7776", *names]
     notes = [
-        "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, damped by 1e-4 "
-        "of the diagonal, at the start of the file (not run where the data set is missing)",
-        "- floor: `sim.hauv_floor`, seed 1, two passes over legs of 6 m, 14 deg of elevation, `XYH`, `ZPR` and "
-        "`RangeAzimuth` factors, elevation free, linearized at the truth",
-        f"- order: {', '.join(f'`{solver}` {order}' for solver, order in SOLVERS.items())}: the last is CHOLMOD with "
-        "the unknowns as the graph numbers them, poses before landmarks in a survey",
+        "- problem-49-7776: bundle adjustment, 49 cameras with their own focal length and distortion, at the start "
+        "of the file. Damping: 1e-4 of the diagonal. Not run where the data set is missing",
+        "- floor: `sim.hauv_floor`, seed 1, two passes over legs of 6 m, 14 deg of elevation. Factors: `XYH`, "
+        "`ZPR` and `RangeAzimuth`; elevation free, linearized at the truth",
+        f"- order: {', '.join(f'`{solver}` {order}' for solver, order in SOLVERS.items())}. The last is CHOLMOD in "
+        "the order of the graph: poses before landmarks in a survey",
         "- analysis: ordering and symbolic factorization, once per graph; solve: filling A'A, factorization, solution, "
         f"median of up to {RUNS} runs; relative: to `schur`",
         "- memory: what analysis and solve add to the process at their peak; a fresh process for every row",

@@ -239,9 +239,9 @@ Chosen while looking at the truth of this mission: `matching.INDEPENDENT`, `verd
 `verdicts.SPREAD`, `candidates.PARTNERS`, `candidates.SPREAD`, `Drift.stretch` and `Drift.length`. `submaps.BENT` was
 chosen on simulated harbors besides. The others stayed as they were first written.
 
-The map has two ends, near 0.7 m and near 5 m, and the tables above do not show all ways into the second. A variant that
-widens the covariance of matches along a single straight wall, by the normals of their points, was tried in three forms
-and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with PARTNERS
+The map has two ends, near 0.7 m and near 5 m, and the tables above do not show all ways into the second. One variant
+widens the covariance of matches along a single straight wall, by the normals of their points. Three forms of it were
+tried and left out. In all matches: 2.85 m, unsettled. In closures, refused where wide: 0.73 m, and 5.46 m with PARTNERS
 doubled. In closures, kept where wide: 5.09 m, unsettled; 0.74 m and 0.68 m with PARTNERS halved and doubled.
 
 Points of a scan outside of what the map has observed, the sectors of its keyframes, may be neutral: neither for nor

@@ -77,9 +77,8 @@ def climbed(graph: FactorGraph, values: Values) -> str:
     better, lowest = staircase(problem, found, known)
     assert better is not None
     return (
-        f"From that local minimum of torus3D, {found.cost:.6g}, without another start: rows added to the poses along "
-        f"the direction of descent lead to {better.cost:.6g} (none is below {lowest:.6g}) in "
-        f"{process_time() - began:.0f} s."
+        f"torus3D from that local minimum, {found.cost:.6g}, without another start: rows added along the direction "
+        f"of descent lead to {better.cost:.6g} in {process_time() - began:.0f} s. No cost is below {lowest:.6g}."
     )
 
 
@@ -90,8 +89,9 @@ def report(data: Path) -> list[str]:
         "  the SE-Sync cost by Newton's method from there, and the eigenvalues",
         "- *at chi2's optimum*: the SE-Sync cost there; *published*: D. Rosen et al., IJRR 38(2-3), 2019, tables 1",
         "  and 2 (four digits; of manhattan the cost found here is lower than the one printed there)",
-        "- *gap*: what the optimum is at most below the cost found; *eigenvalue*: the first of the certificate matrix",
-        "  that is not 0 for the motion of the whole; above 0 the optimum is the only one",
+        "- *gap*: how far the optimum can be below the cost found; *eigenvalue*: the first of the certificate "
+        "matrix that is",
+        "not 0 for the motion of the whole; above 0 the optimum is the only one",
         "- *apart*: between the optima of chi2 and of the SE-Sync cost, first pose in its place, rms (largest)",
         "",
         "| graph | poses | edges | chi2 | at chi2's optimum | SE-Sync cost | published | verdict | gap | eigenvalue "

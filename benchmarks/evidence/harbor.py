@@ -121,12 +121,14 @@ def maps(rows: dict[str, Array]) -> list[str]:
     head += ["and right heading", "recall", "wrong in round 1", "NEES, expected 2", "s"]
     lines = ["## Maps", "", *markdown(head, table), ""]
     lines += [
-        f"Harbors of {KEYFRAMES} keyframes, 1 m apart, in two laps. ATE: rmse of the keyframes after a rigid motion. "
-        "Of the closures that the last round kept: right place, "
-        f"within {AWAY:g} m of the truth; right heading, within {np.degrees(TURNED):g} deg besides. Recall: kept "
-        "at the right place, of all candidates. Wrong in round 1: kept at a wrong place, in all seeds. NEES: of the "
-        "positions of the keyframes, the first of which is held. In brackets: the least and the most of the seeds. "
-        "s: processor time.",
+        f"- Harbors of {KEYFRAMES} keyframes, 1 m apart, in two laps. Numbers in brackets are the least and the "
+        "most of the seeds.",
+        "- ATE: rmse of the keyframes after a rigid motion. s: processor time.",
+        f"- Right place: of the closures that the last round kept, those within {AWAY:g} m of the truth. Right "
+        f"heading: within {np.degrees(TURNED):g} deg as well.",
+        "- Recall: closures kept at the right place, of all candidates.",
+        "- Wrong in round 1: closures kept at a wrong place, in all seeds.",
+        "- NEES: of the positions of the keyframes. The first keyframe is held.",
         "",
         "## Verdicts of the last round, a harbor",
         "",
@@ -237,17 +239,21 @@ def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
     return [
         *lines,
         "",
-        f"Random pairs of submaps of {2 * HALF + 1} keyframes whose footprints overlap. A guess is off by up to the "
-        "stated width, evenly; the window is as wide, but 3 m and 3 deg at least. Submaps: of the true poses, and as "
-        f"reckoned, not rigid. Wrong: more than {AWAY:g} m off. Of all others: the rms of the position, and the mean "
-        "of d2/3, with d the error in its covariance (Mahalanobis): 1 where it holds, less where it is too wide. ICP: "
-        f"point to point, pairs up to {REACH:g} m, covariance s^2 (J'J)^-1.",
+        f"- Random pairs of submaps of {2 * HALF + 1} keyframes with overlapping footprints.",
+        "- A guess is off by up to the stated width, evenly distributed. The window is as wide, and at least 3 m "
+        "and 3 deg.",
+        "- Submaps are of the true poses, or of reckoned poses and then not rigid.",
+        f"- Wrong: more than {AWAY:g} m off. The rms of the position and the mean of d2/3 are of all others.",
+        "- d is the error over its covariance (Mahalanobis). A mean d2/3 of 1 means a right covariance, less a "
+        "covariance that is too wide.",
+        f"- ICP: point to point, pairs up to {REACH:g} m, covariance s^2 (J'J)^-1.",
         "",
         "## The straight quay: along and across",
         "",
         *markdown(head, quays),
         "",
-        "All matches, wrong ones too. Nothing marks a place along this wall: a match must not be accepted.",
+        "The table has all matches, also wrong ones. No feature fixes a place along this wall, so a match must not "
+        "be accepted.",
     ]
 
 
@@ -298,9 +304,9 @@ def images(seeds: int) -> list[str]:
         "",
         *markdown([*head, "s for the scans", "s for the map"], rows),
         "",
-        "Images of 768 beams by 1,000 bins by `sim.sonar_image`, detections by `nls.sonar.detect`, greatest-of at the "
-        "rate for which the others are drawn. "
-        "Strays: points more than 1 m from any surface at the true pose.",
+        "- Images have 768 beams by 1,000 bins (`sim.sonar_image`). Detections are by `nls.sonar.detect`, "
+        "greatest-of. Their nominal rate of false alarms is that of the drawn points.",
+        "- Strays: points more than 1 m from any surface at the true pose.",
     ]
 
 

@@ -206,9 +206,9 @@ def report(seeds: int, nees_seeds: int) -> list[str]:
         "",
         *drift(seeds),
         "",
-        "Absolute trajectory error (rmse of positions, nothing aligned): mean over the seeds, and least and most. "
-        "Better: seeds whose optimized trajectory is nearer to the truth than dead reckoning. s: processor time of a "
-        "solve.",
+        "- Absolute trajectory error: rmse of positions, nothing aligned; mean over the seeds, and least and most.",
+        "- Better: seeds whose optimized trajectory is nearer to the truth than dead reckoning. s: processor time "
+        "of a solve.",
         "",
         *(
             line
@@ -220,14 +220,19 @@ def report(seeds: int, nees_seeds: int) -> list[str]:
                 "",
             )
         ),
-        "NEES: e' P^-1 e with the error e and the covariance P at the optimum; its mean should lie within the 95 "
-        f"% bounds. Well observed: standard deviation along the weak direction below {WELL:g} m with the poses "
-        "known, at the truth. Landmarks of one seed share the errors of the poses: the bounds are for one of them a "
-        "seed, the middle one; the mean of all is given with 1.96 standard errors, found from the spread between the "
-        "seeds, which says more. On the hull many a landmark has an elevation known to decimeters only: it is "
-        "far from linear over such distances, and what it does to the poses is in no covariance; the rows that "
-        "leave those out show how much. With the hinge landmarks are known better than their "
-        "covariances say, which count only hinges that push.",
+        "- NEES: e' P^-1 e with the error e and the covariance P at the optimum. Its mean should lie within the 95 "
+        "% bounds.",
+        f"- Well observed: landmarks with a standard deviation below {WELL:g} m along the weak direction, with the "
+        "poses known, at the truth.",
+        "- Landmarks of one seed share the errors of the poses. So the bounds are for one landmark a seed, the "
+        "middle one.",
+        "- The mean of all landmarks has 1.96 standard errors from the spread between the seeds. These say more "
+        "than the bounds.",
+        "- On the hull many landmarks have an elevation known to decimeters only. The sonar equation is not linear "
+        "over such distances, and no covariance contains the effect on the poses. Rows without these landmarks "
+        "show how large it is.",
+        "- With the hinge, landmarks are known better than their covariances say. A covariance counts only hinges "
+        "that push.",
     ]
 
 

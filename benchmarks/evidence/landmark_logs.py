@@ -152,12 +152,15 @@ def robots(data: Path, images: Path | None) -> list[str]:
     lines = [
         "## MRCLAM dataset 6: landmarks with names",
         "",
-        "A pose at every time a landmark was seen; between them velocity commands, integrated, with white noise of "
-        f"{DENSITY[0, 0]:g} m/s ahead, {DENSITY[1, 1]:g} m/s across and {DENSITY[2, 2]:g} rad/s per sqrt(Hz); bearings "
-        f"to {BEARING:g} rad, ranges to {100 * RANGE:g} % (found on these logs; sightings of other robots are not "
-        "used). The first pose is the true one (1 mm, 0.1 mrad), so nothing has to be aligned; *aligned* is after the "
-        "rigid motion that fits the poses best. All lengths in m, rms. ATE: each pose when it was the latest; "
-        "smoothed: as believed in the end. Landmarks: 15, against the survey. NEES: mean over all poses, 3 expected.",
+        "- There is a pose at every time at which a landmark was seen. Between poses velocity commands are integrated.",
+        f"- Noise of the commands is white: {DENSITY[0, 0]:g} m/s ahead, {DENSITY[1, 1]:g} m/s across and "
+        f"{DENSITY[2, 2]:g} rad/s per sqrt(Hz).",
+        f"- Bearings have a sigma of {BEARING:g} rad, ranges of {100 * RANGE:g} %. All sigmas were found on these "
+        "logs. Sightings of other robots are not used.",
+        "- The first pose is the true one (1 mm, 0.1 mrad), so nothing has to be aligned. *Aligned* is after the "
+        "rigid motion that fits the poses best.",
+        "- Lengths are in m, rms. ATE: each pose when it was the latest. Smoothed: as believed in the end.",
+        "- Landmarks: 15, against the survey. NEES: mean over all poses, 3 expected.",
         "",
     ]
     for number in (3, 5):
@@ -180,14 +183,15 @@ def robots(data: Path, images: Path | None) -> list[str]:
         if images is not None and number == 3:
             robot_picture(world, logged, images / "mrclam.png")
     lines += [
-        "Misread barcodes that are those of other landmarks: to a filter without a gate, and to a graph without a "
-        "kernel, they move whole landmarks by meters. Sightings are better than what the robot knows of its heading "
-        "when it first sees the map, and the plain EKF, whose Jacobians are taken at estimates that move, believes it "
-        "has measured that heading: the map of robot 5 ends up turned, in shape nearly as good as the others. With "
-        "first estimates, and in a graph, it is not. An NEES above 3 remains for all. The sigmas are right (residuals "
-        "at the truth have a standard deviation of 0.9 to 1.2 of them), but errors last: those of the range of one "
-        "landmark are correlated by 0.9 from one sighting to the next and by 0.6 after 3 s, and every estimator here "
-        "is told that they are independent.",
+        "- Some barcodes are misread as those of other landmarks. They move whole landmarks by meters in a filter "
+        "without a gate, and in a graph without a kernel.",
+        "- A sighting is more accurate than the robot's heading when it first sees the map. The Jacobians of the "
+        "plain EKF are taken at estimates that move, so the filter believes that it has measured the heading. The "
+        "map of robot 5 ends up turned; its shape is nearly as good as the others. With first estimates, and in a "
+        "graph, the map is not turned.",
+        "- An NEES above 3 remains for all. The sigmas are right: residuals at the truth have a standard deviation "
+        "of 0.9 to 1.2 of them. But errors last. Errors of the range of one landmark are correlated by 0.9 from "
+        "one sighting to the next, and by 0.6 after 3 s. Every estimator here takes them for independent.",
         "",
     ]
     return lines
@@ -286,22 +290,24 @@ def trees(data: Path, images: Path | None) -> list[str]:
     return [
         "## Victoria Park: trees without names",
         "",
-        f"{park.scans} scans in {park.t[-1] - park.t[0]:.0f} s; a pose at each of the {len(park.t)} for which the "
-        f"wheel had rolled on by 2 cm. Of {park.seen} sightings {n} are used: those made near the same place in 3 of "
-        "the 10 scans around. Odometry: wheel speed and steering through `models.vehicles.ackermann`; sigmas and the "
-        "direction of the laser (1.1 deg to the right) from scans 1 s apart, see `victoria_park.py`. Lengths in m: "
-        f"distance of the {len(park.gps_error(last[x]).distances)} GPS fixes from the track, after one rigid motion "
-        "of each track that fits it best: no absolute heading is measured. GPS has gaps of up to 3 minutes and jumps "
-        "of several meters; its antenna is somewhere else on the truck than the laser.",
+        f"- The log has {park.scans} scans in {park.t[-1] - park.t[0]:.0f} s. There is a pose at each of the "
+        f"{len(park.t)} scans for which the wheel had rolled on by 2 cm.",
+        f"- Of {park.seen} sightings {n} are used: those made near the same place in 3 of the 10 scans around.",
+        "- Odometry: wheel speed and steering through `models.vehicles.ackermann`. Sigmas and the direction of the "
+        "laser (1.1 deg to the right) come from scans 1 s apart; see `victoria_park.py`.",
+        f"- Lengths in m: distance of the {len(park.gps_error(last[x]).distances)} GPS fixes from the track. Each "
+        "track is first moved rigidly to fit them best, as no absolute heading is measured.",
+        "- GPS has gaps of up to 3 minutes and jumps of several meters. Its antenna is not where the laser is.",
         "",
         *table,
         "",
-        f"The two associations differ in {differ} of {n} sightings. *Found again*: each sighting to the tree nearest "
-        "to it where the first solution has both, up to 2 m, and solved once more: "
-        f"{int((again != names).sum())} sightings change their tree, {int((again < 0).sum())} are left out. "
-        f"chi2 of that solution is {chi2:.2f} of its number of residuals: sigmas are wide on purpose, the gates of "
-        "the filter are made of them. *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning; "
-        f"{associated}.",
+        f"- The two associations differ in {differ} of {n} sightings.",
+        "- *Found again*: each sighting goes to the tree nearest to it in the first solution, up to 2 m, and the "
+        f"graph is solved once more. {int((again != names).sum())} sightings change their tree, "
+        f"{int((again < 0).sum())} are left out.",
+        f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose, as the "
+        "gates of the filter are made of them.",
+        f"- *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning. {associated}.",
     ]
 
 

@@ -81,9 +81,11 @@ def acoustic(data: Path, folder: Path) -> list[str]:
     stated = nls("solve", mission)
     report = nls("solve", mission, "--robust", "cauchy:1", "--sigmas", "estimate")
     lines = [
-        f"Acoustic positions of a vehicle (24 min; {MEASURED}): chi2 over the degrees of freedom is "
-        f"{stated['chi2_final'] / stated['dof']:.2f} with 0.1 m for a range, the device's own standard deviation for a",
-        "fix, and 0.3 m/sqrt(s) of random walk. With Cauchy kernels and `--sigmas estimate`:",
+        f"Acoustic positions of a vehicle, 24 min: {MEASURED}.",
+        "Stated sigmas: 0.1 m for a range, the device's own standard deviation for a fix, 0.3 m/sqrt(s) of random "
+        "walk.",
+        f"With them chi2 over the degrees of freedom is {stated['chi2_final'] / stated['dof']:.2f}. With Cauchy "
+        "kernels and `--sigmas estimate`:",
         "",
         "| kind | measurements | scale on the stated sigma | its sigma | numbers that check |",
         "|:--|--:|--:|--:|--:|",
@@ -114,9 +116,11 @@ def report(data: Path) -> list[str]:
             "",
             *acoustic(data, folder),
             "",
-            "The fixes are made of the same ranges, and many rows repeat the one before: their small scale says how",
-            "well they fit these, not how right they are. There is no truth. The ranges of one ping differ by",
-            "decimeters at tens of meters: four receivers a meter apart give a range, and a poorly known direction.",
+            "The fixes are computed from the same ranges, and many rows repeat the one before. So their small "
+            "scale shows how well",
+            "they fit the ranges, not how right they are. There is no truth. The ranges of one ping differ by "
+            "decimeters at tens of",
+            "meters. Four receivers a meter apart give a range and a poorly known direction.",
             "",
             "The caves have no heading sensor in the log: `nls import` reads DVL and depth, and says what is missing.",
         ]

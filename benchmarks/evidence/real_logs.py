@@ -202,10 +202,13 @@ def report(data: Path) -> list[str]:
     lines = [
         "## AUV at sea",
         "",
-        "DVL of an AUV of the A18-D class, 1 Hz, 400 s a trajectory, against its fibre-optic INS. Attitude: that of",
-        "the INS, and that of a simulated sensor (0.1 deg of noise in roll and pitch, 0.3 in yaw, a yaw offset of",
-        f"0.5 deg and 0.02 deg/sqrt(s) of random walk, 1 sigma), median and largest of {len(SEEDS)} seeds. The lever",
-        "arm of the DVL is not published and not corrected.",
+        "DVL of an AUV of the A18-D class, 1 Hz, 400 s a trajectory, against its fibre-optic INS. The lever arm of "
+        "the DVL is",
+        "not published and not corrected. *True attitude* is that of the INS. *Sensor* is a simulated sensor: "
+        "median and largest",
+        f"of {len(SEEDS)} seeds. Its noise is 0.1 deg in roll and pitch and 0.3 deg in yaw. Its yaw offset is 0.5 "
+        "deg and its",
+        "random walk 0.02 deg/sqrt(s) (1 sigma).",
         "",
         "| trajectory | distance [m] | true attitude: drift [%] | ATE [m] | sensor: drift [%] | most [%] | ATE [m] |",
         "|---|---|---|---|---|---|---|",
@@ -239,8 +242,9 @@ def report(data: Path) -> list[str]:
         "",
         "## Caves",
         "",
-        "DVL of an AUV led by a diver, 33 min. There is no heading sensor in the log: the heading is the course of the",
-        "published SLAM track, so these figures say how well distances are kept, not how well the vehicle navigates.",
+        "DVL of an AUV led by a diver, 33 min. The log has no heading sensor: the heading is the course of the "
+        "published SLAM",
+        "track. So these figures show how well distances are kept, not how well the vehicle navigates.",
         f"{legs}.",
         "",
         "| sensors | distance [m] | end beside the published track [%] | rms [m] |",

@@ -79,9 +79,9 @@ def real(folder: Path) -> list[str]:
         print(lines[-1], flush=True)
     ours_found = found["nls.gnc"]
     return [
-        f"Bovisa04: 11,393 poses in the plane over 1.7 km, {len(far)} closures of a place recognizer. Ends of "
-        f"{far.sum()} of them are by GPS more than 5 m nearer or farther than they say, of {near.sum()} less than 2 m; "
-        "GPS itself is poor in places. ATE against GPS, rigidly aligned.",
+        f"Bovisa04: 11,393 poses in the plane over 1.7 km, {len(far)} closures of a place recognizer. GPS "
+        f"contradicts the distance between the ends of {far.sum()} closures by more than 5 m, of {near.sum()} by "
+        "less than 2 m. GPS itself is poor in places. ATE against GPS, rigidly aligned.",
         "",
         *lines,
         "",

@@ -187,17 +187,19 @@ def page(log: Log, rounds: int) -> list[str]:
         "|:--|:--|--:|--:|--:|--:|",
         *(f"| {' | '.join(cells)} |" for cells in rows),
         "",
-        f"ATE: rigid, keyframes against DGPS, after {rounds} rounds. *Cured*: closed again with the setup that the "
-        "finding asks for. The errors of right and cured setups scatter: differences within that scatter say nothing. "
-        "*Check*: seconds of one core, without the rounds. The place of the sonar on the vehicle is not published; "
-        "*right* takes it for the origin of dead reckoning. Turned: the rigid alignment takes a turn of the map out, "
-        "so that the error does not show it, nor its cure.",
+        f"- ATE: rms distance of the keyframes from DGPS after a rigid alignment, with {rounds} rounds of closing.",
+        "- ATE cured: the same after closing again with the setup that the finding asks for.",
+        "- Errors of right and cured setups vary by chance. Small differences between them mean nothing.",
+        "- Check: seconds of one core, without the rounds.",
+        "- The place of the sonar on the vehicle is not published. The setup *right* puts it at the origin of dead "
+        "reckoning.",
+        "- Turned: the rigid alignment removes a turn of the map. So the error shows neither the fault nor its cure.",
         "",
-        "## The right setup: what scans tell of it",
+        "## The right setup: estimates of the mounting",
         "",
         *(f"- {line}" for line in observable(estimate)),
         "",
-        "## In words",
+        "## The findings",
         "",
         *sentences,
     ]

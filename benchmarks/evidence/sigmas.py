@@ -309,56 +309,65 @@ def page(data: Path, seeds: int) -> Sequence[str]:
     low, high = nees_bounds(2, 1)
     all_low, all_high = nees_bounds(2, count)
     return [
-        "`nls solve --sigmas estimate` finds one scale on the stated sigmas of every kind of measurement, "
-        "`estimate:units` one for the lengths and one for the angles of a kind, from the residuals alone. The truth is "
-        "used for nothing but the columns that compare with it.",
+        "`nls solve --sigmas estimate` finds one scale on the stated sigmas of every kind of measurement. "
+        "`estimate:units` finds one for the lengths and one for the angles of a kind. Both use the residuals "
+        "alone. The truth is used only in the columns that compare with it.",
         "",
         "## GOATS: an AUV among four acoustic beacons",
         "",
-        "The files state 2 cm and 2 mrad for a step of dead reckoning and 0.75 m for a range. Poses are compared with "
-        "the vertices of the file, which the origin gives as truth. Beacons are held where the file has them, or have "
-        f"priors of {SURVEYED:g} m there (a kind of its own: its scale is estimated, too), or are unknown. Then the "
-        "first pose is held where the file has it, and errors are seen from there. ATE is not aligned. Sigma: rms "
-        "over the poses of the standard deviation of the position. NEES: mean over the poses of e' P^-1 e of the "
-        f"position, expectation 2; 95 % of single poses are within {low:.2f} to {high:.2f}, and the mean over {count} "
-        f"poses would be within {all_low:.2f} to {all_high:.2f} if their errors were independent, which those along a "
-        "track are not. *Inside 95 %*: poses whose truth is within the ellipse of 95 %. Lengths in m. Kernels: "
-        f"{HUBER}, {CAUCHY}.",
+        "- The files state 2 cm and 2 mrad for a step of dead reckoning and 0.75 m for a range.",
+        "- Poses are compared with the vertices of the file, which its source gives as truth.",
+        f"- Beacons are held where the file has them, have priors of {SURVEYED:g} m there, or are unknown. The "
+        "priors are a kind of their own with an estimated scale.",
+        "- With unknown beacons the first pose is held where the file has it. Errors are relative to this pose.",
+        "- ATE is not aligned. Sigma: rms over the poses of the standard deviation of the position. Lengths are in m.",
+        "- NEES: mean over the poses of e' P^-1 e of the position, expectation 2. Of single poses 95 % are within "
+        f"{low:.2f} to {high:.2f}.",
+        f"- With independent errors the mean over {count} poses would be within {all_low:.2f} to {all_high:.2f}. "
+        "Errors along a track are not independent.",
+        "- *Inside 95 %*: poses whose truth is within the ellipse of 95 %.",
+        f"- Kernels: {HUBER}, {CAUCHY}.",
         "",
         *tables,
-        "Estimation takes the NEES down by one to three orders of magnitude. On GOATS 15 it ends at 2.2 to 3.0 once "
-        "the places of the beacons are measurements with an estimated scale, and are not held: 85 to 94 % of the "
-        "poses are inside their ellipse. With unknown beacons, `estimate:units` and a kernel, it is inside the "
-        "bounds of a single pose on both logs, which is a weak test: 67 to 69 % of the poses are inside their "
-        "ellipse. With held beacons it is above the bounds on both, and with priors on GOATS 14. Outliers decide "
-        "what a scale without a kernel means: a dozen ranges of beacon 3 of GOATS 14 are up to 200 m wrong, and "
-        "sigmas that cover these are too large for the rest. What remains is not one of scale:",
+        "Estimation lowers the NEES by one to three orders of magnitude.",
+        "",
+        "- GOATS 15 ends at 2.2 to 3.0 where the places of the beacons are measurements with an estimated scale, "
+        "not held. Of the poses, 85 to 94 % are inside their ellipse.",
+        "- With unknown beacons, `estimate:units` and a kernel, both logs are inside the bounds of a single pose. "
+        "The test is weak: 67 to 69 % of the poses are inside their ellipse.",
+        "- With held beacons both logs are above the bounds, with priors GOATS 14 is.",
+        "- Outliers decide the scale where there is no kernel. A dozen ranges of beacon 3 of GOATS 14 are up to "
+        "200 m wrong. Sigmas that cover these are too large for the rest.",
+        "",
+        "The remaining error is not one of scale:",
         "",
         *reasons(data, kept),
         "",
-        "Residuals in the units of the measurement; without ranges that are 15 m off at the solution; lag: correlation "
-        "of the residuals at the truth of one beacon, 1 and 10 of its ranges apart. At the solution: Cauchy, "
-        "`estimate:units`, beacons held. Ranges and steps fit the solution better than they fit the truth, whose "
-        "steps differ from the dead reckoning by more than a meter each. So the truth of these files is probably an "
-        "estimate of its own, meters beside what the log says. Its range errors differ from beacon to beacon and last "
-        "for several ranges. Every model here takes errors for independent: its sigmas shrink with the number of "
-        "ranges, and errors that last do not. No scale repairs that, and none was tuned to the truth.",
+        "- Residuals are in the units of the measurement, without ranges that are 15 m off at the solution. The "
+        "solution: Cauchy, `estimate:units`, beacons held.",
+        "- Lag: correlation of the residuals at the truth of one beacon, 1 and 10 of its ranges apart.",
         "",
-        "A delay of a ping or a speed of sound that is 1 % wrong is not the reason: the ranges as logged need the "
-        "smallest scale. Scale of the ranges, Cauchy, beacons held:",
+        "Ranges and steps fit the solution better than the truth. Steps of the truth differ from dead reckoning by "
+        "more than a meter each. So the truth of these files is probably an estimate of its own, meters beside the "
+        "log. Its range errors differ from beacon to beacon and last for several ranges. Every model here takes "
+        "errors for independent. Its sigmas shrink with the number of ranges, and lasting errors do not. No scale "
+        "repairs that, and none was tuned to the truth.",
+        "",
+        "A delay of the pings is not the reason, nor is a speed of sound that is 1 % wrong. The ranges as logged "
+        "need the smallest scale. Scale of the ranges, Cauchy, beacons held:",
         "",
         *controls(data),
         "",
         "### Simulated twins",
         "",
-        "The same geometry, with independent errors of the estimated sigmas (Cauchy, `estimate:units`), told the "
-        "stated sigmas of the file. Mean NEES of the positions; bounds as for one pose a run.",
+        "Same geometry and same stated sigmas as in the file. The errors are independent and have the estimated "
+        "sigmas (Cauchy, `estimate:units`). Mean NEES of the positions; bounds as for one pose a run.",
         "",
         *twins(data, kept, seeds),
         "",
-        "Where the errors are what the model says, covariances pass with a scale for each unit. One scale a kind keeps "
-        "the ratio that is stated between positions and headings. Here that ratio is wrong by a factor of 20, and most "
-        "so without known beacons.",
+        "Where errors are as the model says, covariances pass with a scale for each unit. One scale a kind keeps "
+        "the stated ratio between positions and headings. Here that ratio is wrong by a factor of 20, most so "
+        "without known beacons.",
         "",
         "## Logs with fair sigmas",
         "",
@@ -367,8 +376,9 @@ def page(data: Path, seeds: int) -> Sequence[str]:
         "",
         *others(data),
         "",
-        "Both tracks get better with estimated sigmas. The NEES of plaza2 gets worse: its odometry is better than "
-        "stated, and its range errors last (they depend on beacon and distance), so smaller sigmas are too small.",
+        "Both tracks get better with estimated sigmas. The NEES of plaza2 gets worse. Its odometry is better than "
+        "stated, so the sigmas shrink. Its range errors last (they depend on beacon and distance), so the smaller "
+        "sigmas are too small.",
     ]
 
 

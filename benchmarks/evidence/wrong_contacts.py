@@ -135,13 +135,15 @@ def report(seeds: int, jobs: int) -> list[str]:
             print("\n".join(lines), flush=True)
     return [
         *lines,
-        f"Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned. Times the "
-        "clean run: mean over that of the same missions without wrong contacts; in brackets the least and most of a "
-        "seed. Judged: missions whose plain solution said that contacts are wrong. Left out: contacts without a say, "
-        "of how many that are wrong; about one right contact in a hundred is rejected by chance. Contacts of landmarks "
-        "that left count as left out. Named as exchanged: contacts that `nls explain` names in pairs. Plain, choice: "
-        "processor time of the solution with all contacts, here "
-        f"of at most {STEPS} steps from dead reckoning, and of what follows it.",
+        f"- Means over seeds 0 to {seeds - 1}, and least and most. ATE: rmse of positions, nothing aligned.",
+        "- Times the clean run: mean ATE over that of the same missions without wrong contacts. Brackets: the "
+        "least and most of a seed.",
+        "- Judged: missions whose plain solution said that contacts are wrong.",
+        "- Left out: rejected contacts, of how many wrong ones. Contacts of landmarks that left count as left out. "
+        "About one right contact in a hundred is rejected by chance.",
+        "- Named as exchanged: contacts that `nls explain` names in pairs.",
+        f"- Plain: processor time of the solution with all contacts, here of at most {STEPS} steps from dead "
+        "reckoning. Choice: processor time of the rest.",
     ]
 
 

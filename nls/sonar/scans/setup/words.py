@@ -77,16 +77,16 @@ def _mounting(n: Numbers) -> str:
     name = n["component"]
     key, k = {"x": ("x_m", 0), "y": ("y_m", 1), "yaw": ("yaw_rad", 2)}[name]
     return (
-        f"{LABELS[name]} looks wrong by {_shown(name, n['value'])} +- {_shown(name, n['sigma'])}: write {key} = "
+        f"{LABELS[name]} looks wrong by {_shown(name, n['value'])} +- {_shown(name, n['sigma'])}. Write {key} = "
         f"{n['mount'][k]:.3g} {SONAR}, or measure it on the vehicle"
     )
 
 
 def _turned(n: Numbers) -> str:
     return (
-        f"the sonar looks turned by {_shown('yaw', n['value'])} +- {_shown('yaw', n['sigma'])} from the assumed yaw, "
-        f"or the vehicle drifts to the side by {abs(n['value']):.2g} m for every meter: scans do not tell one from the "
-        f"other. If nothing drifts, write yaw_rad = {n['mount'][2]:.3g} {SONAR}; the map turns with it"
+        f"the sonar looks turned by {_shown('yaw', n['value'])} +- {_shown('yaw', n['sigma'])} from the assumed yaw. A "
+        f"drift of the vehicle to the side by {abs(n['value']):.2g} m per meter looks the same in scans. If nothing "
+        f"drifts, write yaw_rad = {n['mount'][2]:.3g} {SONAR}; the map turns with it"
     )
 
 
@@ -94,7 +94,7 @@ def _time_offset(n: Numbers) -> str:
     late, act = ("late", "subtract") if n["value"] > 0 else ("early", "add")
     return (
         f"times of the scans look {abs(n['value']):.3g} +- {n['sigma']:.2g} s {late} against the track: {act} "
-        f"{abs(n['value']):.3g} s, or set both clocks, and choose the scans of the keyframes again"
+        f"{abs(n['value']):.3g} s, or set both clocks. Then choose the scans of the keyframes again"
     )
 
 
@@ -104,16 +104,16 @@ def _sigmas(n: Numbers) -> str:
         (f"{1 / scale:.2g} times too large", "smaller") if scale < 1 else (f"{scale:.2g} times too small", "larger")
     )
     names = {"steps": "step and yaw", "drifts": "mean and stretch"}.get(n["measurements"])
-    cure = CLOSURES[act] if names is None else f"state a {act} {names} {DRIFT}"
+    cure = CLOSURES[act] if names is None else f"State a {act} {names} {DRIFT}"
     return (
         f"sigmas of the {n['measurements']} look {size}: chi2 {n['chi2']:.0f}, {n['dof']:.0f} expected, chi2/dof "
-        f"{n['chi2'] / n['dof']:.2f}; {cure}"
+        f"{n['chi2'] / n['dof']:.2f}. {cure}"
     )
 
 
 CLOSURES = {
-    "smaller": "covariances of the map are too wide by as much",
-    "larger": "covariances of the map are too narrow by as much: look at the mounting and at the noise of the points",
+    "smaller": "Covariances of the map are too wide by as much",
+    "larger": "Covariances of the map are too narrow by as much: look at the mounting and at the noise of the points",
 }
 LABELS = {
     "x": "place of the sonar ahead",

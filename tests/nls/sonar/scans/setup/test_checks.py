@@ -122,7 +122,7 @@ def test_a_turned_sonar_and_a_drift_to_the_side_are_not_told_apart() -> None:
     (finding,) = check_setup(graph, values, scans)
     assert finding.kind is SetupKind.TURNED
     assert abs(finding.numbers["value"] - 0.2) < 3 * finding.numbers["sigma"]
-    assert "drifts to the side" in sentence(finding)
+    assert "looks the same in scans" in sentence(finding)
 
 
 def test_a_late_clock_is_named() -> None:
