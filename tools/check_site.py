@@ -81,9 +81,9 @@ def problems(root: Path) -> Iterator[str]:
     for result in sorted(RESULTS.glob("*.md")):
         if not (root / "benchmarks" / f"{result.stem}.html").exists():
             yield f"benchmarks/results/{result.name} has no page: add docs/benchmarks/{result.name}, which includes it"
-    for source in (path for pattern in ("*.md", "*/*.md", "*/*.ipynb") for path in sorted(DOCS.glob(pattern))):
-        for link in NO_TEXT.findall(source.read_text(encoding="utf-8")):
-            yield f"docs/{source.relative_to(DOCS).as_posix()}: the link to {link} has no text: write [text]({link})"
+    for path in (path for pattern in ("*.md", "*/*.md", "*/*.ipynb") for path in sorted(DOCS.glob(pattern))):
+        for link in NO_TEXT.findall(path.read_text(encoding="utf-8")):
+            yield f"docs/{path.relative_to(DOCS).as_posix()}: the link to {link} has no text: write [text]({link})"
 
 
 def _broken(link: str, path: Path, pages: dict[Path, Page]) -> Iterator[str]:
