@@ -212,7 +212,7 @@ def robot_picture(world: LandmarkWorld, rows: dict[str, Row], path: Path) -> Non
         L, true = row.track.values[row.track.landmarks], truth[row.track.landmarks]
         axes.plot(*np.stack([L, true]).transpose(2, 0, 1), color=LANDMARK, linewidth=0.8)
         axes.plot(*true.T, "+", color=TRUE, markersize=8, label="surveyed landmarks")
-        axes.plot(*L.T, "o", color=LANDMARK, markersize=5, label="found")
+        axes.plot(*L.T, "o", color=LANDMARK, markersize=5, label="estimated landmarks")
         axes.set(title=f"{name}: ATE {row.smoothed:.2f} m", xlabel="x [m]", aspect="equal")
     panels[0].set_ylabel("y [m]")
     panels[-1].legend(loc="lower left", fontsize=9)
@@ -302,9 +302,9 @@ def trees(data: Path, images: Path | None) -> list[str]:
         *table,
         "",
         f"- The two associations differ in {differ} of {n} sightings.",
-        "- *Found again*: each sighting goes to the tree nearest to it in the first solution, up to 2 m, and the "
-        f"graph is solved once more. {int((again != names).sum())} sightings change their tree, "
-        f"{int((again < 0).sum())} are left out.",
+        "- *Found again*: each sighting goes to the nearest tree of the first solution, up to 2 m. Then the graph "
+        f"is solved once more. {int((again != names).sum())} sightings change their tree, {int((again < 0).sum())} "
+        "are left out.",
         f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose, as the "
         "gates of the filter are made of them.",
         f"- *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning. {associated}.",
@@ -334,7 +334,7 @@ def park_picture(park: Park, filtered: Any, values: Values, path: Path) -> None:
     for axes in (left, right):
         axes.plot(*seen.T, ".", color=TRUE, markersize=3, label="GPS")
         axes.legend(loc="upper left", fontsize=9)
-    figure.suptitle("Victoria Park, 26 minutes, 4 km: which tree is which was found on the way")
+    figure.suptitle("Victoria Park, 26 minutes, 4 km, trees without names")
     write_picture(path, figure)
 
 
