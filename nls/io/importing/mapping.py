@@ -20,15 +20,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from models.algebra import Array, Mask
 from models.errors import GraphFileError, OptionError
 from models.options import did_you_mean, is_number
+from nls.io.importing.examples import example
 from nls.io.importing.frames import FRAMES, axes
 from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
+from nls.io.mission.columns import ANGLES, COLUMNS, MAY_BE_0, OPTIONAL, PLACE, suffixed
+from nls.io.mission.table import LARGEST, SMALLEST
 from nls.io.toml_file import TomlFile
 
-__all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required"]
+__all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required", "sigma_words", "sigmas_out"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
@@ -51,6 +56,8 @@ OPTIONS = {  # of a section, with what they may be
 ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
 CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 PLACES_ON_EARTH = ("lat_deg", "lon_deg")
+ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
+FINITE = 1e300  # a number below it is one of 64 bits
 
 
 @dataclass(frozen=True)
@@ -93,6 +100,7 @@ class Section:
     cells : by column.
     options : see `OPTIONS`.
     rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
+    groups : the name of the group that a column stands in.
     mapping : that it stands in, for messages.
     """
 
@@ -100,11 +108,12 @@ class Section:
     cells: dict[str, Cell]
     options: dict[str, Any]
     rotation: tuple[str, tuple[Any, ...]] | None
+    groups: dict[str, str]
     mapping: Mapping = field(repr=False)
 
     def error(self, key: str, message: str) -> GraphFileError:
         """An error at the line of a key of this section."""
-        return self.mapping.error(self.table, key, message)
+        return self.mapping.error(self.table, self.groups.get(key, key), message)
 
     @property
     def used(self) -> list[str]:
@@ -163,6 +172,7 @@ class Mapping(TomlFile):
         for name, value in options.items():
             self._refuse_option(table, name, value)
         cells: dict[str, Cell] = {}
+        groups: dict[str, str] = {}
         rotation = None
         known = COLUMNS[table]
         for name, value in content.items():
@@ -174,13 +184,14 @@ class Mapping(TomlFile):
             elif columns:
                 if not isinstance(value, list) or len(value) != len(columns):
                     raise self.error(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
-                cells |= {column: self._cell(table, column, v) for column, v in zip(columns, value, strict=True)}
+                cells |= {column: self._cell(table, name, column, v) for column, v in zip(columns, value, strict=True)}
+                groups |= dict.fromkeys(columns, name)
             elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
-                cells[name] = self._cell(table, name, value)
+                cells[name] = self._cell(table, name, name, value)
             else:
                 advice = _advice(name, value, known)
                 raise self.error(table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}")
-        return Section(table, cells, options, rotation, self)
+        return Section(table, cells, options, rotation, groups, self)
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
@@ -194,17 +205,23 @@ class Mapping(TomlFile):
             )
         return tuple(value)
 
-    def _cell(self, table: str, column: str, value: Any) -> Cell:
-        """One column of a section."""
+    def _cell(self, table: str, place: str, column: str, value: Any) -> Cell:
+        """One column of a section, whose place is its own name or that of its group."""
 
         def refuse(problem: str) -> GraphFileError:
-            return self.error(table, column, f"{column}: {problem}")
+            return self.error(table, place, f"{column}: {problem}")
 
         kind = mission_unit(column)[0]
         if isinstance(value, str) and column not in ("name", "kernel"):
             return Cell((value,))
         if isinstance(value, bool) and column != "valid":
             raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
+        if is_number(value):
+            if not abs(value) < FINITE:
+                raise refuse(f"{value!r:.30} is not possible; expected a finite number or the name of a column")
+            if sigmas_out(column, float(value)):
+                write = f"{column} = {example(table, column)}"
+                raise refuse(f"{value!r} is not possible; expected {sigma_words(column)}; write one, such as {write}")
         if isinstance(value, bool | str) or is_number(value):
             return Cell(constant=value)
         if not isinstance(value, dict):
@@ -216,8 +233,8 @@ class Mapping(TomlFile):
                 )
         numbers = {key: value[key] for key in ("sign", "scale", "offset", "missing", "above") if key in value}
         for key, number in numbers.items():
-            if not is_number(number) or (key == "sign" and number not in (-1, 1)):
-                raise refuse(f"{key} is {number!r}; expected {'1 or -1' if key == 'sign' else 'a number'}")
+            if not is_number(number) or not abs(number) < FINITE or (key == "sign" and number not in (-1, 1)):
+                raise refuse(f"{key} is {number!r:.30}; expected {'1 or -1' if key == 'sign' else 'a finite number'}")
         if not isinstance(value.get("equals", ""), str | bool | int | float):
             raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
         unit = value.get("unit", "")
@@ -326,3 +343,26 @@ def _toml(value: object) -> str:
 def required(table: str) -> list[str]:
     """Columns of a table that must be mapped: not those that may be left out, nor the flag of a DVL."""
     return [name for name in COLUMNS[table] if name not in (*OPTIONAL.get(table, ()), "valid")]
+
+
+def sigma_words(column: str) -> str:
+    """The numbers that a column of standard deviations may have, in words.
+
+    Examples
+    --------
+    >>> sigma_words("sigma_x_m"), sigma_words("scale")
+    ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
+    """
+    return "0 or above, up to 1e12" if column in ZERO else "a standard deviation above 0, 1e-12 to 1e12"
+
+
+def sigmas_out(column: str, numbers: Array | float) -> Mask:
+    """Which numbers a column of standard deviations cannot have; none of another column.
+
+    Examples
+    --------
+    >>> sigmas_out("sigma_x_m", np.array([-2.0, 0.0, 2.0])).tolist(), bool(sigmas_out("scale", 0.0))
+    ([True, True, False], False)
+    """
+    is_sigma, smallest = column in ZERO or column.startswith("sigma"), 0.0 if column in ZERO else SMALLEST
+    return np.asarray(is_sigma & ((numbers < smallest) | (numbers > LARGEST)))

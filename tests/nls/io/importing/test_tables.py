@@ -141,6 +141,18 @@ def test_degrees_that_nobody_names_are_refused(tmp_path: Path) -> None:
         imported(tmp_path, mapping, log="t,heading\n0,270\n")
 
 
+def test_sigmas_of_a_log(tmp_path: Path) -> None:
+    """One that cannot be has its line, unless it stands for none; a DVL without bottom lock may say anything."""
+    fixes, log = "fixes = {{ time_s = 't', x_m = 0, y_m = 0, sigma_x_m = {}, sigma_y_m = 1 }}", "t,acc [m]\n0,2\n1,-1\n"
+    with pytest.raises(GraphFileError, match=r"log\.csv:3: 'acc \[m\]' makes sigma_x_m -1.0; expected .* above 0"):
+        imported(tmp_path, fixes.format("'acc [m]'"), log=log)
+    result = imported(tmp_path, fixes.format("{ column = 'acc [m]', missing = -1 }"), log=log)
+    assert table(result, "fixes")["sigma_x_m"].tolist() == [2]
+    dvl = "dvl = { time_s = 't', velocity = [1, 0, 0], sigma_v_m_s = 's', valid = 'lock' }"
+    result = imported(tmp_path, dvl, log="t,s,lock\n0,1,1\n1,-1,0\n")
+    assert table(result, "dvl")["valid"].tolist() == [1, 0]
+
+
 def test_dates(tmp_path: Path) -> None:
     """A date and a time in two columns, no zone; a date that is none has its line."""
     mapping = 'depth = { time_s = { column = ["date", "time"] }, z_m = "z_m" }'
