@@ -180,7 +180,7 @@ def _disagreement(
     """
     assert free.checked is not None
     findings = [] if free.count else duplicate_points(free.checked, pattern, values)
-    wrong = () if free.count else calibrations(graph, values)
+    wrong = () if free.count else calibrations(graph, values, free.checked)
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
