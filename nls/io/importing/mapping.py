@@ -20,20 +20,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from models.algebra import Array, Mask
 from models.errors import GraphFileError, OptionError
-from models.options import did_you_mean, is_number
+from models.options import did_you_mean, is_number, is_whole
 from nls.io.importing.examples import example
 from nls.io.importing.frames import FRAMES, axes
+from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
-from nls.io.mission.columns import ANGLES, COLUMNS, MAY_BE_0, OPTIONAL, PLACE, suffixed
-from nls.io.mission.table import LARGEST, SMALLEST
+from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
 from nls.io.toml_file import TomlFile
 
-__all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required", "sigma_words", "sigmas_out"]
+__all__ = ["VELOCITY", "WHOLE", "Cell", "Mapping", "Section", "read_mapping", "required"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
@@ -56,8 +53,7 @@ OPTIONS = {  # of a section, with what they may be
 ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
 CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 PLACES_ON_EARTH = ("lat_deg", "lon_deg")
-ZERO = (*MAY_BE_0, "sigma")  # a sigma of 0 in calibration.csv holds the value
-FINITE = 1e300  # a number below it is one of 64 bits
+FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
 
 
 @dataclass(frozen=True)
@@ -102,6 +98,7 @@ class Section:
     rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
     groups : the name of the group that a column stands in.
     mapping : that it stands in, for messages.
+    part : which of the sections of its table it is.
     """
 
     table: str
@@ -110,10 +107,11 @@ class Section:
     rotation: tuple[str, tuple[Any, ...]] | None
     groups: dict[str, str]
     mapping: Mapping = field(repr=False)
+    part: int = 0
 
     def error(self, key: str, message: str) -> GraphFileError:
         """An error at the line of a key of this section."""
-        return self.mapping.error(self.table, self.groups.get(key, key), message)
+        return self.mapping.error(self.table, self.groups.get(key, key), message, self.part)
 
     @property
     def used(self) -> list[str]:
@@ -161,10 +159,15 @@ class Mapping(TomlFile):
                 raise self.error(
                     table, "", f"[{table}] is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
                 )
-            for part in content if isinstance(content, list) else [content]:
+            for k, part in enumerate(content if isinstance(content, list) else [content]):
+                self._part = k
                 self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
         if not self.sections:
             raise GraphFileError("has no section; expected one for each table, such as [dvl]", path)
+
+    def _refused(self, table: str, key: str, message: str) -> GraphFileError:
+        """An error in the section that is being read."""
+        return self.error(table, key, message, self._part)
 
     def _section(self, table: str, content: Mappings[str, Any]) -> Section:
         """A section with its groups taken apart."""
@@ -183,15 +186,17 @@ class Mapping(TomlFile):
                 rotation = name, self._parts(table, name, value)
             elif columns:
                 if not isinstance(value, list) or len(value) != len(columns):
-                    raise self.error(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
+                    raise self._refused(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
                 cells |= {column: self._cell(table, name, column, v) for column, v in zip(columns, value, strict=True)}
                 groups |= dict.fromkeys(columns, name)
             elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
                 cells[name] = self._cell(table, name, name, value)
             else:
                 advice = _advice(name, value, known)
-                raise self.error(table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}")
-        return Section(table, cells, options, rotation, groups, self)
+                raise self._refused(
+                    table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}"
+                )
+        return Section(table, cells, options, rotation, groups, self, self._part)
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
@@ -200,7 +205,7 @@ class Mapping(TomlFile):
             return tuple(f"{value}.{axis}" for axis in "xyzw")
         kinds = {isinstance(part, str) for part in value} if isinstance(value, list) else set()
         if len(kinds) != 1 or len(value) != count or not (True in kinds or all(map(is_number, value))):
-            raise self.error(
+            raise self._refused(
                 table, name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
             )
         return tuple(value)
@@ -209,7 +214,7 @@ class Mapping(TomlFile):
         """One column of a section, whose place is its own name or that of its group."""
 
         def refuse(problem: str) -> GraphFileError:
-            return self.error(table, place, f"{column}: {problem}")
+            return self._refused(table, place, f"{column}: {problem}")
 
         kind = mission_unit(column)[0]
         if isinstance(value, str) and column not in ("name", "kernel"):
@@ -222,6 +227,8 @@ class Mapping(TomlFile):
             if sigmas_out(column, float(value)):
                 write = f"{column} = {example(table, column)}"
                 raise refuse(f"{value!r} is not possible; expected {sigma_words(column)}; write one, such as {write}")
+        if isinstance(value, str) and "\n" in value:
+            raise refuse(f"{value!r:.30} is not possible; expected one line")
         if isinstance(value, bool | str) or is_number(value):
             return Cell(constant=value)
         if not isinstance(value, dict):
@@ -233,8 +240,10 @@ class Mapping(TomlFile):
                 )
         numbers = {key: value[key] for key in ("sign", "scale", "offset", "missing", "above") if key in value}
         for key, number in numbers.items():
-            if not is_number(number) or not abs(number) < FINITE or (key == "sign" and number not in (-1, 1)):
-                raise refuse(f"{key} is {number!r:.30}; expected {'1 or -1' if key == 'sign' else 'a finite number'}")
+            expected = {"sign": "1 or -1", "scale": "a finite number other than 0"}.get(key, "a finite number")
+            numeric = is_number(number) and abs(number) < FINITE
+            if not numeric or (key == "sign" and number not in (-1, 1)) or (key == "scale" and number == 0):
+                raise refuse(f"{key} is {number!r:.30}; expected {expected}")
         if not isinstance(value.get("equals", ""), str | bool | int | float):
             raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
         unit = value.get("unit", "")
@@ -247,8 +256,12 @@ class Mapping(TomlFile):
         if "up" in value and (column != "z_m" or not isinstance(value["up"], bool)):
             raise refuse("up = true is for z_m alone, of a column that is larger where it is higher")
         if "row" in value:
-            if not set(value) <= {"row", "scale", "offset"} or not isinstance(value["row"], int):
-                raise refuse("row is the number of the first row: { row = 0 }, also with scale and offset")
+            row = value["row"]
+            if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > WHOLE:
+                raise refuse(
+                    f"row is {row!r:.30}; expected the number of the first row, such as {{ row = 0 }}, also with scale "
+                    "and offset"
+                )
             return Cell(row=value["row"], scale=float(value.get("scale", 1)), offset=float(value.get("offset", 0)))
         names = value.get("column", ())
         names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
@@ -285,7 +298,7 @@ class Mapping(TomlFile):
         }.get(name, isinstance(value, str) and bool(value))
         if not good:
             near = did_you_mean(value, FRAMES) if name == "frame" else ""
-            raise self.error(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
+            raise self._refused(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
 
 
 def read_mapping(path: str | Path) -> Mapping:
@@ -343,26 +356,3 @@ def _toml(value: object) -> str:
 def required(table: str) -> list[str]:
     """Columns of a table that must be mapped: not those that may be left out, nor the flag of a DVL."""
     return [name for name in COLUMNS[table] if name not in (*OPTIONAL.get(table, ()), "valid")]
-
-
-def sigma_words(column: str) -> str:
-    """The numbers that a column of standard deviations may have, in words.
-
-    Examples
-    --------
-    >>> sigma_words("sigma_x_m"), sigma_words("scale")
-    ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
-    """
-    return "0 or above, up to 1e12" if column in ZERO else "a standard deviation above 0, 1e-12 to 1e12"
-
-
-def sigmas_out(column: str, numbers: Array | float) -> Mask:
-    """Which numbers a column of standard deviations cannot have; none of another column.
-
-    Examples
-    --------
-    >>> sigmas_out("sigma_x_m", np.array([-2.0, 0.0, 2.0])).tolist(), bool(sigmas_out("scale", 0.0))
-    ([True, True, False], False)
-    """
-    is_sigma, smallest = column in ZERO or column.startswith("sigma"), 0.0 if column in ZERO else SMALLEST
-    return np.asarray(is_sigma & ((numbers < smallest) | (numbers > LARGEST)))

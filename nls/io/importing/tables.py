@@ -11,7 +11,8 @@ from models.errors import GraphFileError, OptionError
 from models.listing import several
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
-from nls.io.importing.mapping import VELOCITY, Cell, Section, required, sigma_words, sigmas_out
+from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.times import Stamps, stamps
 from nls.io.importing.units import dimension, factor, header_unit, mission_unit
