@@ -26,8 +26,8 @@ __all__ = ["mirrored"]
 
 ALIKE = 9.0  # chi2: the poses have settled with the side that stands, so that the other one is a little worse
 APART = 2.0  # standard deviations between two places
-STEPS = 64  # elevations of the other side that are tried
-FINER = (16, 64, 256, 1024)  # parts of such a step, around the best so far
+STEPS = 24  # elevations of the other side that are tried
+FINER = (6, 36)  # parts of such a step, three to either side of the best so far
 
 
 def mirrored(graph: FactorGraph, values: Values, points: Keys, S: Array, h: Array, sigma: Array) -> Mask:
@@ -77,7 +77,7 @@ def mirrored(graph: FactorGraph, values: Values, points: Keys, S: Array, h: Arra
     f = misfit_of(sightings, values, Arcs(points.kind, values.stack(points.kind).index(points), S, h[:, :2]))
     side, step = np.where(elevation > 0, -1.0, 1.0), largest / STEPS
     other, lowest = np.zeros(len(points)), f(np.zeros(len(points)))
-    for tried in (np.arange(1, STEPS + 1), *(np.arange(-8, 9) / part for part in FINER)):
+    for tried in (np.arange(1, STEPS + 1), *(np.arange(-3, 4) / part for part in FINER)):
         size = np.clip(side * other + step * tried[:, None], 0.0, largest)
         grid = side * size
         chi2 = np.array([f(row) for row in grid])
