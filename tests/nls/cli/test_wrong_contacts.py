@@ -108,3 +108,4 @@ def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell) -> N
         assert f"l{cells[1]}" in first["keys"]
     assert len(given.contacts) == len(lines) - 1
     assert "contacts rejected" in record["optimum"]
+    assert shell.report("explain m --robust none")["optimum"].startswith("at its optimum (")
