@@ -190,7 +190,7 @@ def kernel_from_text(text: str) -> Kernel:
     try:
         c = float(number) if colon or name not in EFFICIENT else EFFICIENT[name]
     except ValueError as error:
-        raise OptionError("robust", text, allowed) from error
+        raise OptionError("robust", text, f"{name}:NUMBER, the number in sigmas") from error
     return KERNELS[name](c)
 
 

@@ -1,15 +1,19 @@
-"""Where the time goes inside one call: the library marks its stages, and a caller who wants to know collects them."""
+"""Where the time goes inside one call: the library marks its stages, and a caller who wants to know collects them.
+
+Long stages also say how far they are, to a caller who listens.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from time import perf_counter
 
-__all__ = ["collected", "stage"]
+__all__ = ["announce", "collected", "listened", "stage"]
 
 _SECONDS: ContextVar[dict[str, float] | None] = ContextVar("seconds", default=None)
+_LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("listener", default=None)
 
 
 @contextmanager
@@ -42,3 +46,26 @@ def collected() -> Iterator[dict[str, float]]:
         yield seconds
     finally:
         _SECONDS.reset(token)
+
+
+def announce(words: str) -> None:
+    """How far a long stage is, for whoever listens."""
+    if (listener := _LISTENER.get()) is not None:
+        listener(words)
+
+
+@contextmanager
+def listened(listener: Callable[[str], object]) -> Iterator[None]:
+    """Call the listener with all that is announced inside, by this thread.
+
+    Examples
+    --------
+    >>> with listened(print):
+    ...     announce("round 3")
+    round 3
+    """
+    token = _LISTENER.set(listener)
+    try:
+        yield
+    finally:
+        _LISTENER.reset(token)

@@ -5,8 +5,13 @@ without it says by how much chi2 would fall,
 
     2 dx'A'b - |A dx|^2  ~  chi2(dim c)          without an error there
 
-the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). Where that is no chance the graph is
-solved with c. Calibrations whose chi2 differ by no more than chance cannot be told apart.
+the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). With J the columns of c it is
+
+    g'H^-1 g + r'S^-1 r,    r = J'b - B'H^-1 g,    S = J'J + I / WIDE^2 - B'H^-1 B,    B = A'J,    g = A'b
+
+so that H = A'A is factorized once, without c. The J of odometry is that of the estimated steps. The measured ones share
+their noise with b: scaled down they always fit better. Where the fall is no chance the graph is solved with c.
+Calibrations whose chi2 differ by no more than chance cannot be told apart.
 
 The step of odometry z is h o Exp(G c) with c its scale error and the turn of its axes,
 
@@ -17,12 +22,14 @@ The step of odometry z is h o Exp(G c) with c its scale error and the turn of it
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from factors import Isotropic, Prior, Shifted
 from factors.base import Factor
 from factors.keys import Keys, Kind
+from factors.predicted import predicted
 from factors.sighting import Sighting
 from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
@@ -37,6 +44,10 @@ from nls.posegraph import odometry
 from nls.sparse.pattern import Pattern, measured_rows
 from nls.system import LinearSystem
 from nls.values import Values
+
+if TYPE_CHECKING:
+    from nls.analysis.linearization import Checked
+    from nls.linear.factorization import Factorization
 
 __all__ = ["Calibration", "calibrations"]
 
@@ -83,6 +94,7 @@ class Source:
     kind, quantity : as of `Calibration`.
     components : of the variable.
     factors : all of the graph, with the variable in those that depend on it.
+    changed : the latter, for the score test.
     group, X : space and start of the variable.
     """
 
@@ -90,17 +102,27 @@ class Source:
     quantity: str
     components: tuple[str, ...]
     factors: tuple[Factor, ...]
+    changed: tuple[Factor, ...]
     group: LieGroup
     X: Array
 
 
-def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
+class Standing(NamedTuple):
+    """The linear problem without a calibration: its factorization, its step, and by how much chi2 falls in that."""
+
+    factorization: Factorization
+    dx: Array
+    promised: float
+
+
+def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = None) -> tuple[Calibration, ...]:
     """Calibrations that explain chi2: noise explains the rest, or nine tenths of its excess are gone.
 
     Parameters
     ----------
     graph : not changed.
     values : its optimum, of full rank.
+    checked : its linearization there, where that is at hand.
 
     Returns
     -------
@@ -125,16 +147,21 @@ def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
     gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
     held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
     chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.holding(gauge.held).n
-    sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, key)]
+    sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, values, key)]
+    if not sources:
+        return ()
+    try:
+        standing = checked or _standing(LinearSystem.at(pattern.holding(gauge.held), values))
+    except SingularSystemError:
+        return ()
     fits: list[Calibration] = []
     for source in sources:
         other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(WIDE))], held)
         start = Values.of(values.stacks.values())
         start.add(Kind(key.kind), source.group, source.X)
-        system = LinearSystem.at(other.pattern(start).holding(fixed_variables(held, start)), start)
         try:
-            fall = system.promised(factorize(system).solve(system.gradient))
-        except SingularSystemError:  # the optimum is at numbers beside which the calibration has no digits left
+            fall = _fall(FactorGraph(list(source.changed), held).linearize(start), standing)
+        except np.linalg.LinAlgError:  # the optimum is at numbers beside which the calibration has no digits left
             continue
         variance, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
         if len(sources) * float(chi2_tail(np.array(fall / variance), np.array(d))) > UNLIKELY:
@@ -147,6 +174,28 @@ def calibrations(graph: FactorGraph, values: Values) -> tuple[Calibration, ...]:
         if expected(fit) or chi2 - fit.chi2 > CAUSE * (chi2 - dof):
             fits.append(_named(source, fit, key, chi2, dof))
     return nearest(fits)
+
+
+def _standing(system: LinearSystem) -> Standing:
+    factorization = factorize(system)
+    dx = factorization.solve(system.gradient)
+    return Standing(factorization, dx, system.promised(dx))
+
+
+def _fall(system: LinearSystem, standing: Checked | Standing) -> float:
+    """By how much chi2 falls with a calibration.
+
+    Parameters
+    ----------
+    system : of the measurements that depend on it; its columns are the last ones.
+    standing : of all measurements without it.
+    """
+    A, n, x = system.A, len(standing.dx), standing.dx
+    J = A @ np.eye(A.shape[1], A.shape[1] - n, -n)
+    B, M = np.split(A.T @ J, [n])
+    r = J.T @ system.b - B.T @ x
+    S = M + np.eye(len(r)) / WIDE**2 - B.T @ standing.factorization.solve(B)
+    return standing.promised + float(np.square(np.linalg.solve(np.linalg.cholesky(S), r)).sum())
 
 
 def _unused(values: Values) -> Keys:
@@ -179,11 +228,12 @@ def _mountings(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
             assert isinstance(sighting, Sighting)
             factors[k] = sighting.mounted(key)
         kind = " and ".join(dict.fromkeys(factor.name for factor in measuring))
-        sources.append(Source(kind, "mounting", group.components, tuple(factors), group, O))
+        changed = tuple(factors[k] for k in numbers)
+        sources.append(Source(kind, "mounting", group.components, tuple(factors), changed, group, O))
     return sources
 
 
-def _odometry(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
+def _odometry(graph: FactorGraph, pattern: Pattern, values: Values, key: Keys) -> list[Source]:
     """Scale error and turned axes of the steps of each space: poses, or x, y and yaw."""
     steps: dict[LieGroup, list[tuple[int, Index]]] = {}
     for k, (batch, consecutive) in enumerate(zip(pattern.batches, odometry(pattern), strict=True)):
@@ -195,15 +245,17 @@ def _odometry(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
         if sum(len(indices) for _, indices in places) < MANY or not {"x", "y", "yaw"} <= {*space.components}:
             continue
         turns = tuple(name for name in space.components if name not in {*"xyz"}) if space in (SE2, SE3) else ("yaw",)
-        factors = list(graph.factors)
+        factors, changed = list(graph.factors), []
         for k, indices in places:
             factor, model = graph.factors[k], pattern.batches[k].model
-            rest = np.setdiff1d(np.arange(len(factor)), indices)
-            factors[k] = Shifted(factor[indices], _rates(space, model.z[indices]), key)
+            rest, own_steps = np.setdiff1d(np.arange(len(factor)), indices), factor[indices]
+            factors[k] = Shifted(own_steps, _rates(space, model.z[indices]), key)
             factors += [factor[rest]] if len(rest) else []
+            changed.append(Shifted(own_steps, _rates(space, predicted(own_steps, own_steps.keys, values).z), key))
         kind = " and ".join(dict.fromkeys(graph.factors[k].name for k, _ in places))
         group = R(1 + len(turns))
-        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), group, np.zeros((1, group.dim))))
+        begin = np.zeros((1, group.dim))
+        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), tuple(changed), group, begin))
     return sources
 
 

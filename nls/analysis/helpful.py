@@ -22,7 +22,7 @@ from factors.predicted import predicted
 from models import LieGroup
 from models.algebra import Array, Mask
 from models.errors import GraphError, OptionError
-from nls.analysis.observable import Observability, shown
+from nls.analysis.observable import Observability, in_unit
 from nls.analysis.variable import check_one, observability
 from nls.values import Values
 
@@ -86,8 +86,8 @@ def _cells(motion: Motion) -> list[str]:
     """The gain of every component; where it has become determined, its sigma."""
     after = motion.after
     return [
-        f"now {shown(sigma, name)}" if np.isinf(gain) else "free" if np.isinf(sigma) else f"{gain:.3f}"
-        for name, gain, sigma in zip(after.components, motion.gain, after.sigma, strict=True)
+        f"now {in_unit(sigma, unit)}" if np.isinf(gain) else "free" if np.isinf(sigma) else f"{gain:.3f}"
+        for unit, gain, sigma in zip(after.units, motion.gain, after.sigma, strict=True)
     ]
 
 

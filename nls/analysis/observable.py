@@ -12,7 +12,6 @@ import numpy.typing as npt
 from models.algebra import Array, Mask
 from models.finite import finite_or_none
 from models.html_table import html_table
-from models.manifolds.units import unit
 
 if TYPE_CHECKING:
     from factors.keys import Keys
@@ -30,12 +29,12 @@ Row = tuple[str, str, str, str]
 class Observability:
     """The information of a data set about one variable, everything else being estimated too. ``print`` it.
 
-    Arrays are in the tangent space of the variable (of a pose: its own axes), m and rad.
+    Arrays are in the tangent space of the variable (of a pose: its own axes), in the units of its space.
 
     Attributes
     ----------
     key : the variable.
-    components : (d) names.
+    components, units : (d) names, and the unit of each, empty where it has none.
     covariance : (d, d) Cramer-Rao bound on what is determined; what is free takes no part in it.
     undetermined : (d,) components a free direction moves.
     free : (k, d) directions in which it can move and no measurement changes.
@@ -49,6 +48,7 @@ class Observability:
 
     key: Keys
     components: tuple[str, ...]
+    units: tuple[str, ...]
     covariance: Array
     undetermined: Mask
     free: Array
@@ -66,7 +66,7 @@ class Observability:
 
     @property
     def sigma(self) -> Array:
-        """Standard deviation of every component (d,), m and rad; inf where it is not determined."""
+        """Standard deviation of every component (d,); inf where it is not determined."""
         return np.where(self.undetermined, np.inf, np.sqrt(np.diagonal(self.covariance)))
 
     @property
@@ -89,7 +89,7 @@ class Observability:
     @property
     def compared(self) -> Array:
         """Every sigma (d,) as a multiple of the smallest one of its unit."""
-        units = np.array([_unit(name) or name for name in self.components])
+        units = np.array(self._comparable)
         best = np.array([self.sigma[units == unit].min() for unit in units])
         return np.where(np.isinf(self.sigma), np.inf, self.sigma / np.where(np.isinf(best), 1.0, best))
 
@@ -98,7 +98,12 @@ class Observability:
         step = np.asarray(step, dtype=float)
         size = np.abs(step * self.weights)
         indices = np.flatnonzero(size >= INVOLVED * size.max())
-        return ", ".join(f"{self.components[i]} {shown(step[i], self.components[i])}" for i in indices)
+        return ", ".join(f"{self.components[i]} {in_unit(step[i], self.units[i])}" for i in indices)
+
+    @property
+    def _comparable(self) -> list[str]:
+        """What is alike (d) for components that may be compared: their unit, or where they have none their name."""
+        return [unit or name for name, unit in zip(self.components, self.units, strict=True)]
 
     def _head(self) -> str:
         return f"{self.key!r}: {self.rank} of {len(self.components)} directions determined; {self.gauge}"
@@ -106,10 +111,12 @@ class Observability:
     def _rows(self) -> list[Row]:
         """Component, sigma, sigma if all else were known, compared with the best of its unit."""
         rows: list[Row] = []
-        best = {_unit(c) or c: c for c, ratio in zip(self.components, self.compared, strict=True) if ratio == 1.0}
-        for c, sigma, known, ratio in zip(self.components, self.sigma, self.sigma_known, self.compared, strict=True):
-            comparison = f"{ratio:.1f} x {best[_unit(c) or c]}" if 1.0 < ratio < np.inf else ""
-            rows.append((c, shown(sigma, c, "free"), shown(known, c, "-"), comparison))
+        alike, ratios = self._comparable, self.compared
+        best = {alike[i]: self.components[i] for i in np.flatnonzero(ratios == 1.0)}
+        for i, (c, unit) in enumerate(zip(self.components, self.units, strict=True)):
+            comparison = f"{ratios[i]:.1f} x {best[alike[i]]}" if 1.0 < ratios[i] < np.inf else ""
+            sigma, known = shown(self.sigma[i], unit, "free"), shown(self.sigma_known[i], unit, "-")
+            rows.append((c, sigma, known, comparison))
         return rows
 
     def _notes(self) -> list[str]:
@@ -140,10 +147,11 @@ class Observability:
         return html_table(self._head(), heads, self._rows(), self._notes())
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON knows it: None for a sigma or correlation that does not exist; m and rad."""
+        """Everything as JSON knows it: None for a sigma or correlation that does not exist."""
         return {
             "key": repr(self.key),
             "components": list(self.components),
+            "units": list(self.units),
             "rank": self.rank,
             "gauge": self.gauge,
             "length": self.length,
@@ -160,14 +168,9 @@ class Observability:
         }
 
 
-def _unit(name: str) -> str:
-    """The unit of a component as it is printed: angles in degrees."""
-    return unit(name).replace("rad", "deg")
-
-
-def shown(number: float, name: str, infinite: str = "") -> str:
-    """With three digits and the unit of a component by its name, angles in degrees; a word where it is infinite."""
-    return infinite if np.isinf(number) else in_unit(number, unit(name))
+def shown(number: float, unit: str, infinite: str) -> str:
+    """With three digits and a unit, as `in_unit`; a word where it is infinite."""
+    return infinite if np.isinf(number) else in_unit(number, unit)
 
 
 def in_unit(number: float, unit: str) -> str:

@@ -17,7 +17,6 @@ import numpy as np
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
-from models.manifolds.units import ANGLES, LENGTHS
 from models.options import check_between
 from nls.analysis.observable import FREE, Observability
 from nls.gauge import choose_gauge, fixed_variables, touched_variables
@@ -102,12 +101,12 @@ def observability(
         length = check_between("length", length, 0, np.inf, "a distance above 0, m")
     stack = values.stack(key.kind)
     stack.index(key)  # refuses what has no value
-    components = stack.manifold.components
+    components, units = stack.manifold.components, stack.manifold.units
     pattern, held, description = _held(graph, values, key, gauge)
     system = LinearSystem.at(pattern.holding(held), values)
     A_k, X, E, other_columns = unexplained(system, _place(pattern, key))
     length = _distance(system.pattern, values, key) if length is None else length
-    w = _weights(components, np.linalg.norm(A_k, axis=0), length)
+    w = _weights(units, np.linalg.norm(A_k, axis=0), length)
     R = np.linalg.qr(E / w, mode="r")  # (E/w)'(E/w) = R'R
     _, t, Vt = np.linalg.svd(np.pad(R, ((0, max(0, len(w) - len(R))), (0, 0))))
     free = t <= FREE
@@ -115,6 +114,7 @@ def observability(
     return Observability(
         key=key[0],
         components=components,
+        units=units,
         covariance=(V.T / t**2 @ V) / np.outer(w, w),
         undetermined=np.linalg.norm(Vt[free], axis=0) > 1e-6,
         free=N / w,
@@ -172,13 +172,13 @@ def _distance(pattern: Pattern, values: Values, key: Keys) -> float:
     return total / count if total else 1.0
 
 
-def _weights(components: tuple[str, ...], norms: Array, length: float) -> Array:
+def _weights(units: tuple[str, ...], norms: Array, length: float) -> Array:
     """What a unit of each component (d,) counts: meters, `length` meters a radian, all else by its own column of A_k.
 
     Scaled so that A_k / w has columns of length 1 in the mean: |E n| for n = w dx of length 1 then is the part of the
     information that is left.
     """
-    unit = np.array([1.0 if c in LENGTHS else length if c in ANGLES else 0.0 for c in components])
+    unit = np.array([{"m": 1.0, "rad": length}.get(name, 0.0) for name in units])
     if (known := unit > 0).any():
         unit[known] *= np.sqrt(np.mean(np.square(norms[known] / unit[known])))
     unit[~known] = norms[~known]

@@ -9,9 +9,17 @@ ALIGNMENTS = ("none", "first", "yaw", "rigid", "similarity")
 CONVENTIONS = ("log", "g2o", "graphslam", "gtsam")
 DIALECTS = ("auto", "g2o", "toro", "isam", "isam-covariance", "graph", "pyfg", "bal", "npz", "json")
 FORMATS = (*DIALECTS[1:], "tum", "kitti", "csv", "ply")
+GNC = ("gnc-tls", "gnc-gm")  # graduated non-convexity
 GAUGES = ("first", "prior", "free", "none")
+KERNELS = ("huber", "cauchy", "tukey", "geman-mcclure", "welsch", "dcs")
 OPTIMIZERS = ("gauss-newton", "levenberg-marquardt", "dogleg")
 SIGMAS = ("stated", "estimate", "estimate:units", "estimate:components")
 SOLVERS = ("cholesky", "cholesky-pcg", "schur", "pcg", "qr", "lu", "dense-cholesky", "dense-qr", "pinv")
 STARTS = ("file", "odometry", "spanning-tree", "chordal", "incremental")
 TREATMENTS = ("free", "hinge", "prior")  # of the elevation of a sonar contact
+
+PROBABILITIES = " or ".join(f"{name}[:PROBABILITY]" for name in GNC)
+ROBUST = (
+    f"[TYPE=]KERNEL:SIGMAS, the kernel one of {', '.join(KERNELS)}; or none, of a mission: all contacts are believed"
+)
+ROBUST_OF_SOLVE = f"{ROBUST}; or {PROBABILITIES}"  # all that --robust takes

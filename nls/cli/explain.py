@@ -17,21 +17,22 @@ if TYPE_CHECKING:
     from nls.robust import Robustified
     from nls.values import Values
 
-__all__ = ["explain"]
+__all__ = ["explain", "explanation_of", "with_tables"]
 
 
 def explain(options: argparse.Namespace) -> int:
     """Read, start, optimize, explain; returns the exit status, 0 whatever was found."""
     import nls
     from nls.cli import outliers
+    from nls.cli.choices import GNC, ROBUST
     from nls.cli.formats import read
-    from nls.cli.preparation import prepare
+    from nls.cli.preparation import believes_all, prepare
     from nls.cli.progress import Progress
 
     for file in (options.file, *options.dives):
         refuse_unwritable(json=options.json, read=file)
     if outliers.is_gnc(options.robust):
-        raise nls.OptionError("--robust", options.robust, "a kernel, such as cauchy:1; nls solve has gnc-tls")
+        raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     for file in (options.file, *options.dives):
         if os.path.isdir(file):
             from nls.cli.scan_mission import refuse_explanation
@@ -39,11 +40,12 @@ def explain(options: argparse.Namespace) -> int:
             refuse_explanation(file)
     as_read, values, report = read(options)
     options.phase.doing = f"while explaining {options.file}"
+    judges = not believes_all(options, report) and options.robust is None
     graph = prepare(as_read, values, report, options)
     start, init, _ = nls.initialize(graph, values, options.init)
     with Progress("solve") as progress:
-        explanation, how = _explained(graph, start, values, progress, report, options.robust is None)
-        explanation = _with_tables(explanation, report)
+        explanation, how = _explained(graph, start, values, progress, report, judges)
+        explanation = with_tables(explanation, report)
     head = {"input": report.path, "format": report.format, "init": init, "optimum": how}
     options.phase.now("while writing the report")
     write_json(head | {"notes": report.notes} | explanation.record(), options.json)
@@ -64,7 +66,7 @@ def _dives(report: LoadReport) -> list[str] | None:
     return report.dive_of if isinstance(report, DivesReport) else None
 
 
-def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
+def with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     """With what is implausible in the tables of a mission, first."""
     if report.format != "mission":
         return explanation
@@ -76,7 +78,7 @@ def _with_tables(explanation: Explanation, report: LoadReport) -> Explanation:
     return replace(explanation, findings=(*findings, *explanation.findings))
 
 
-def _of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:
+def explanation_of(graph: FactorGraph, values: Values, report: LoadReport) -> Explanation:
     """The explanation of a graph that was read, with the lines of the measurements where its file has them."""
     import nls
 
@@ -90,7 +92,7 @@ def _without_wrong_contacts(graph: FactorGraph, choice: Robustified, report: Loa
     from nls.explanation.wrong_contacts import wrong_contacts
 
     kept, kept_report = outliers.without_rejected(graph, choice, report)
-    explanation = _of(kept, choice.result.values, kept_report)
+    explanation = explanation_of(kept, choice.result.values, kept_report)
     wrong = replace(explanation, findings=wrong_contacts(graph, choice)).placed(report.place)
     first, *exchanged = wrong.findings
     how = f"at its optimum without {outliers.sentence(choice)}"
@@ -131,11 +133,11 @@ def _explained(
         if result.converged:
             how = f"at its optimum ({result.method}, {several(result.iterations, 'iteration')})"
             progress.next("explain")
-            return _of(graph, result.values, report), how
+            return explanation_of(graph, result.values, report), how
         best, why = result.values, f"{result.status.value}: {result.reason}"
         how = f"at the best values found ({result.method}, {several(result.iterations, 'iteration')})"
     progress.next("explain")
-    explanation = _of(graph, best, report)
+    explanation = explanation_of(graph, best, report)
     advice = (Advice("start"), *(Advice("gnc"),) * graduates(graph, best))
     finding = nls.Finding(FindingKind.NOT_CONVERGED, (), {"reason": why, "values": how}, advice)
     findings = tuple(entry for entry in explanation.findings if entry.kind is not FindingKind.NO_OPTIMUM)

@@ -34,12 +34,20 @@ def output_format(path: str, named: str | None) -> str:
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     """The graph, start and report of the file, folder or stream of a command; a trajectory has no measurements."""
+    from nls.cli.progress import Progress
+    from nls.stages import listened
+
+    options.phase.doing = f"while reading {options.file}"
+    with Progress("read", quiet=getattr(options, "quiet", False), late=True) as progress, listened(progress.say):
+        return _read(options)
+
+
+def _read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:
     import nls
     from nls.io import load_stream
     from nls.io.dialects import no_information
     from nls.io.trajectory import TRAJECTORIES, load_trajectory
 
-    options.phase.doing = f"while reading {options.file}"
     form = Path(options.file.lower().removesuffix(".gz")).suffix[1:]
     how = options.convention, options.dialect, options.repair_information, getattr(options, "elevation", None)
     if dives := getattr(options, "dives", []):

@@ -79,11 +79,16 @@ def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] =
     """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known."""
     dof = result.dof
     if result.doubt:
-        return ["; ".join([result.doubt, *listed(result.advice, shell=True), f"see: {asking(options, written)}"])]
+        return [
+            "; ".join(
+                [f"implausible: {result.doubt}", *listed(result.advice, shell=True), f"see: {asking(options, written)}"]
+            )
+        ]
     if result.robust or not result.chi2_final > dof > 0:  # most graphs: SciPy is not imported for these
         return []
     from nls.analysis.chi_squared import chi2_interval
 
     if not result.chi2_final > chi2_interval(dof)[1]:
         return []
-    return [f"chi2 is more than noise explains; see: {asking(options, written)}"]
+    ratio = f"chi2 is {result.chi2_final / dof:.3g} times its expectation"
+    return [f"implausible: {ratio}, more than noise explains; see: {asking(options, written)}"]

@@ -206,6 +206,7 @@ class Solved:
             sigma = np.degrees(self.elevations.sigma[known])
             out["elevation_sigma_deg"] = {"median": float(np.median(sigma)), "largest": float(sigma.max())}
             out["at_limit"] = int(self.elevations.pushed.sum())
+            out["mirrored"] = int(self.elevations.mirrored.sum())
         if self.report.calibrations:
             out["calibrations"] = [
                 {
@@ -258,6 +259,11 @@ def lines(mission: dict[str, Any]) -> list[str]:
         edge = f"; {mission['at_limit']} landmarks at the edge of the aperture" if mission["at_limit"] else ""
         out.append(
             f"elevation   known to {s['median']:.2g} deg (median) and {s['largest']:.2g} deg (largest sigma){edge}"
+        )
+    if mission.get("mirrored"):
+        out.append(
+            f"mirrored    {mission['mirrored']} of {mission['landmarks']} landmarks fit as well on the other side of "
+            "the plane of the sonar, see mirrored in map.csv; a view after heave or roll of the sonar tells the side"
         )
     out += [f"calibration {_calibrated(c)}" for c in mission.get("calibrations", [])]
     return out

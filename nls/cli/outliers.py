@@ -36,20 +36,19 @@ def chosen(robust: str, init: str, graph: FactorGraph, values: Values) -> Robust
     """
     import nls
     from models.options import did_you_mean
+    from nls.cli.choices import GNC, PROBABILITIES
     from nls.cli.wrong_contacts import contacts_of
     from nls.posegraph import closures
     from nls.robust.kernels import LOSSES
 
     loss, colon, number = robust.removeprefix(PREFIX).partition(":")
-    allowed = " or ".join(f"{PREFIX}{name}[:PROBABILITY]" for name in LOSSES) + ", such as gnc-tls:0.99"
+    allowed = f"{PROBABILITIES}, such as gnc-tls:0.99"
     try:
         probability = float(number) if colon else 0.99
     except ValueError as error:
         raise nls.OptionError("--robust", robust, allowed) from error
     if loss not in LOSSES or not 0 < probability < 1:
-        raise nls.OptionError(
-            "--robust", robust, allowed + did_you_mean(f"{PREFIX}{loss}", [f"{PREFIX}{name}" for name in LOSSES])
-        )
+        raise nls.OptionError("--robust", robust, allowed + did_you_mean(f"{PREFIX}{loss}", GNC))
     if init != "auto":
         raise nls.OptionError("--init", init, f"auto with --robust {robust}, which begins with odometry")
     if not (contacts := contacts_of(graph)):

@@ -13,6 +13,7 @@ from nls.cli.choices import (
     DIALECTS,
     FORMATS,
     GAUGES,
+    KERNELS,
     OPTIMIZERS,
     SIGMAS,
     SOLVERS,
@@ -175,9 +176,9 @@ def parser() -> Parser:
     )
     _problem(
         solve,
-        "; gnc-tls or gnc-gm: find wrong loop closures and, in a mission, wrong contacts, solve without them, list "
-        "them; of a mission none: believe all contacts (default: without wrong ones where chi2 and residuals say that "
-        "there are some); of a scan mission gnc (default), cauchy or none: how matches are selected",
+        "; gnc-tls or gnc-gm, with :PROBABILITY, 0.99 when omitted: find wrong loop closures and, in a mission, wrong "
+        "contacts, solve without them, list them; of a scan mission gnc (default), cauchy or none: how matches are "
+        "selected",
     )
     solve.add_argument(
         "--sigmas",
@@ -243,7 +244,9 @@ def parser() -> Parser:
         default="leave",
         help="with --lag: landmarks leave with the last pose that measured them, or stay (default: leave)",
     )
-    stream.add_argument("--robust", action=Once, metavar="KERNEL:SIGMAS", help="robust kernel on every factor")
+    stream.add_argument(
+        "--robust", action=Once, metavar="KERNEL:SIGMAS", help=f"robust kernel on every factor: {', '.join(KERNELS)}"
+    )
     stream.add_argument(
         "--checkpoint",
         metavar="STATE",
@@ -313,8 +316,9 @@ def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
         "--robust",
         action=Once,
         metavar="[TYPE=]KERNEL:SIGMAS",
-        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1"
-        + more,
+        help="robust kernel on every factor, such as huber:1.0, or on those of a type, such as RangeAzimuth=cauchy:1; "
+        f"one of {', '.join(KERNELS)}; of a mission none: believe all contacts (default: without wrong ones where chi2 "
+        "and residuals say that there are some)" + more,
     )
     command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from nls.io import LoadReport
     from nls.values import Values
 
-__all__ = ["prepare"]
+__all__ = ["believes_all", "prepare"]
 
 
 def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: argparse.Namespace) -> FactorGraph:
@@ -34,6 +34,7 @@ def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: a
     from factors.robust import kernel_from_text
     from models.options import did_you_mean
     from nls.cli import outliers
+    from nls.cli.choices import GNC, KERNELS, ROBUST, ROBUST_OF_SOLVE
 
     if not as_read.factors:
         raise nls.GraphFileError(
@@ -50,6 +51,9 @@ def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: a
                 name,
                 "no type, or one of those in the graph: " + ", ".join(names) + did_you_mean(name, names),
             )
+        if (kind := kernel.partition(":")[0]) not in KERNELS:
+            more, near = (ROBUST_OF_SOLVE, GNC) if options.command == "solve" else (ROBUST, ())
+            raise nls.OptionError("--robust", options.robust, more + did_you_mean(kind, [*KERNELS, *near]))
         robust = kernel_from_text(kernel)
         if ":" not in kernel:
             report.notes.append(
@@ -63,3 +67,11 @@ def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: a
             )
         graph.fix(nls.Keys(kind, values.stack(kind).numbers))
     return graph
+
+
+def believes_all(options: argparse.Namespace, report: LoadReport) -> bool:
+    """Whether ``--robust none`` is given for a mission; without a kernel then, as if it were not."""
+    none = options.robust == "none" and report.format == "mission"
+    if none:
+        options.robust = None
+    return none

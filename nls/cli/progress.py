@@ -17,19 +17,25 @@ class Progress:
     title : is done.
     most : iterations, as far as that is known.
     quiet : nothing on a terminal either.
+    late : nothing before the first step, where most inputs take none.
     """
 
-    def __init__(self, title: str, most: int | None = None, quiet: bool = False) -> None:
+    def __init__(self, title: str, most: int | None = None, quiet: bool = False, late: bool = False) -> None:
         self.bar: Any = None
         self.active = sys.stderr.isatty() and not quiet
-        self.title, self.most = title, most
+        self.title, self.most, self.late = title, most, late
 
     def __enter__(self) -> Progress:
-        if self.active:
+        if not self.late:
+            self._open()
+        return self
+
+    def _open(self) -> None:
+        """Begin the line, unless it has begun."""
+        if self.active and self.bar is None:
             from tqdm import tqdm
 
             self.bar = tqdm(total=self.most, desc=self.title, unit="it", leave=False)
-        return self
 
     def show(self, iteration: Iteration) -> None:
         """One more iteration."""
@@ -39,6 +45,7 @@ class Progress:
 
     def say(self, step: object) -> None:
         """One more step, in its own words."""
+        self._open()
         if self.bar is not None:
             self.bar.set_postfix_str(str(step))
             self.bar.update()

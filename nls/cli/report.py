@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,16 +26,25 @@ def write_report(job: Job, result: Result | UnderconstrainedError, path: str) ->
     result : of the optimization, or the error in its place.
     path : of the page.
     """
+    import nls
+    from nls.cli.explain import explanation_of, with_tables
     from nls.io.files import write_bytes
     from nls.optimizers import Result
     from nls.plot.report import report as page
 
     solved, choice = job.solved, job.choice
     timings = job.timings if isinstance(result, Result) else {}
+    explanation = None
+    if job.select is None:  # closures between scans have no lines
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", nls.GraphWarning)  # they were given when it was solved
+            values = job.before if result.values is None else result.values
+            explanation = with_tables(explanation_of(job.graph, values, job.report), job.report)
     text = page(
         job.graph,
         job.before,
         result,
+        explanation,
         title=Path(job.report.path).name,
         init=job.init,
         marginals=None if solved is None else solved.marginals,

@@ -98,14 +98,13 @@ def _read(job: Job) -> None:
     """Graph, values and start."""
     from nls.cli import formats
     from nls.cli.outputs import refuse_loss
-    from nls.cli.preparation import prepare
+    from nls.cli.preparation import believes_all, prepare
     from nls.stages import collected
 
     options = job.options
     with collected() as job.stages:
         job.as_read, job.values, job.report = formats.read(options)
-        if options.robust == "none" and job.report.format == "mission":
-            job.judge_contacts, options.robust = False, None
+        job.judge_contacts = not believes_all(options, job.report)
         if job.form and job.form != job.report.format:
             refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"

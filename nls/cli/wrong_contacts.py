@@ -38,13 +38,14 @@ def choice_of(graph: FactorGraph, values: Values, result: Result, report: LoadRe
         return None
     import nls
     from models.errors import UnderconstrainedError
+    from nls.analysis.calibrations import calibrations
     from nls.explanation.causes import calibrated
     from nls.robust.misfit import misfit
 
     if not misfit(result, contacts):
         return None
     kept = "all contacts are kept, though some do not fit"
-    if result.converged and (wrong := calibrated(graph, result.values)):
+    if result.converged and (wrong := calibrated(calibrations(graph, result.values))):
         report.notes.append(f"{kept}: {wrong[0].says}")
         return None
     try:

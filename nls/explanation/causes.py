@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from models.advice import Advice
 from models.listing import SOME
-from nls.analysis.alternatives import UNLIKELY
-from nls.analysis.calibrations import calibrations
-from nls.analysis.chi_squared import chi2_tail
 from nls.analysis.clock import clock_offsets
 from nls.analysis.misread_kinds import misread_kinds
 from nls.analysis.misread_measurements import misread_measurements
@@ -20,6 +15,9 @@ from nls.explanation.findings import Finding, FindingKind
 from nls.linear.singular import SingularSystemError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nls.analysis.calibrations import Calibration
     from nls.analysis.leave_one_out import Tested
     from nls.analysis.linearization import Checked
     from nls.analysis.suspects import Suspects
@@ -100,9 +98,8 @@ def shifted_clocks(checked: Checked, values: Values, count: int) -> list[Finding
     ]
 
 
-def calibrated(graph: FactorGraph, values: Values) -> list[Finding]:
+def calibrated(wrong: Sequence[Calibration]) -> list[Finding]:
     """One finding for all calibrations that explain chi2; nothing tells several apart."""
-    wrong = calibrations(graph, values)
     if not wrong:
         return []
     numbers = {
@@ -122,9 +119,3 @@ def calibrated(graph: FactorGraph, values: Values) -> list[Finding]:
     }
     advice = tuple(Advice(f"calibrate {quantity}") for quantity in dict.fromkeys(c.quantity for c in wrong))
     return [Finding(FindingKind.CALIBRATION, (), numbers, advice)]
-
-
-def explained(findings: list[Finding]) -> bool:
-    """Whether chi2 is as noise has it with the calibration that a finding names."""
-    fits = [(finding.numbers["chi2_otherwise"], finding.numbers["dof"]) for finding in findings]
-    return any(chi2_tail(np.array(chi2), np.array(dof)) >= UNLIKELY for chi2, dof in fits)

@@ -12,6 +12,8 @@ from factors.keys import Keys
 from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
+from nls.analysis.alternatives import expected
+from nls.analysis.calibrations import calibrations
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
@@ -128,28 +130,11 @@ def explain(
             findings.insert(0, doubts.no_optimum(fall, chi2))
         else:
             held = _held(graph, whole, idle)
-            calibrated: list[Finding] = []
-            if not free.count:
-                findings += duplicate_points(free.checked, pattern, values)
-                calibrated = causes.calibrated(held, values)
-            if causes.explained(calibrated):  # what does not fit, does because of that
-                findings += calibrated
-            else:
-                outliers = suspects(held, free.checked.linear.pattern, values, free.checked)
-                lower = graph.chi2(outliers.values)
-                if lower < graph.chi2(values) - _little(chi2):
-                    findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
-                parts_without = _parts(pattern, outliers.s, outliers.tests, outliers.accepted)
-                kinds = doubts.of_parts(parts_without, outliers, graph)
-                if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
-                    outliers = replace(outliers, places=[])  # where most are off, it is not these
-                    kinds = doubts.of_parts(parts, outliers, graph)
-                alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
-                findings += _causes(held, values, free.checked, tests, outliers, alike) or calibrated
-                findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
-                findings += [kind for kind in kinds if kind not in alike]
-                if not (free.count or alike or outliers.many):
-                    findings += doubts.unverified(held, values)
+            disagreement, outliers = _disagreement(held, whole, pattern, values, free, tests, parts)
+            findings += disagreement
+            lower = np.inf if outliers is None else graph.chi2(outliers.values)
+            if lower < graph.chi2(values) - _little(chi2):
+                findings.insert(0, doubts.local_minimum(lower, graph.chi2(values), graph, values))
         findings += doubts.unchecked(tests, whole, assumed)
     findings += doubts.repeated(graph, values)
     low, high = chi2_interval(dof)
@@ -175,6 +160,42 @@ def explain(
         chi2_without=None if outliers is None or not outliers.places else (outliers.chi2, outliers.dof),
         weakest=weakest,
     )
+
+
+def _disagreement(
+    graph: FactorGraph,
+    whole: Pattern,
+    pattern: Pattern,
+    values: Values,
+    free: Freedom,
+    tests: list[Tested],
+    parts: tuple[Part, ...],
+) -> tuple[list[Finding], Suspects | None]:
+    """What does not fit at an optimum, with its causes, and the suspects; None where a calibration explains all of it.
+
+    Parameters
+    ----------
+    graph : with what no measurement touches held.
+    whole, pattern, values, free, tests, parts : of the explanation.
+    """
+    assert free.checked is not None
+    findings = [] if free.count else duplicate_points(free.checked, pattern, values)
+    wrong = () if free.count else calibrations(graph, values, free.checked)
+    calibrated = causes.calibrated(wrong)
+    if wrong and expected(wrong[0]):
+        return findings + calibrated, None
+    outliers = suspects(graph, free.checked.linear.pattern, values, free.checked)
+    kinds = doubts.of_parts(_parts(pattern, outliers.s, outliers.tests, outliers.accepted), outliers, graph)
+    if not outliers.many and any(kind.kind is FindingKind.SYSTEMATIC for kind in kinds):
+        outliers = replace(outliers, places=[])  # where most are off, it is not these
+        kinds = doubts.of_parts(parts, outliers, graph)
+    alike = [kind for kind in kinds if kind.kind is FindingKind.SYSTEMATIC]
+    findings += _causes(graph, values, free.checked, tests, outliers, alike) or calibrated
+    findings += alike + doubts.of_suspects(outliers, graph, whole, causes.readings(free.checked, outliers))
+    findings += [kind for kind in kinds if kind not in alike]
+    if not (free.count or alike or outliers.many):
+        findings += doubts.unverified(graph, values)
+    return findings, outliers
 
 
 def _causes(

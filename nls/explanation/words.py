@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from models.advice import listed
 from models.listing import some
-from nls.analysis.observable import in_unit, shown
+from models.manifolds.units import unit
+from nls.analysis.observable import in_unit
 from nls.explanation.findings import FindingKind, number
 from nls.explanation.rejections import unverified
 
@@ -158,7 +159,7 @@ def _calibration(f: Finding) -> str:
 
 def _calibrated(kind: str, quantity: str, components: list[str], correction: list[float], sigma: list[float]) -> str:
     columns = zip(components, correction, sigma, strict=True)
-    off = ", ".join(f"{name} {shown(c, name)} +- {shown(s, name)}" for name, c, s in columns)
+    off = ", ".join(f"{name} {in_unit(c, unit(name))} +- {in_unit(s, unit(name))}" for name, c, s in columns)
     return f"{'the sensor of' if quantity == 'mounting' else 'odometry of'} {kind} is off by {off}"
 
 

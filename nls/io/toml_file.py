@@ -57,28 +57,30 @@ class TomlFile:
         """
         return cls(read_text(path), str(path))
 
-    def error(self, section: str, key: str, message: str) -> GraphFileError:
-        """An error at the line of a key of a section, or of the section."""
-        return self._at(self._place(section, key), message)
+    def error(self, section: str, key: str, message: str, part: int = 0) -> GraphFileError:
+        """An error at the line of a key of a section, or of the section; `part` counts those of one name from 0."""
+        return self._at(self._place(section, key, part), message)
 
     def _at(self, line: int | None, message: str) -> GraphFileError:
         shown = self.text.split("\n")[line - 1].strip() if line else ""
         return GraphFileError(message, self.path, line, shown)
 
-    def _place(self, section: str, key: str) -> int | None:
+    def _place(self, section: str, key: str, part: int) -> int | None:
         """The line of a key; of one that is not in its section the line above all sections, or that of the section."""
-        within, start, above = "", None, None
+        within, start, above, heads, here = "", None, None, 0, False
         quoted = rf"[\"']?{re.escape(key)}[\"']?"
         for k, line in enumerate(self.text.split("\n"), 1):
             has_key = bool(key) and re.match(rf"\s*{quoted}\s*[.=]", line) is not None
             if head := re.match(r"\s*\[\[?\s*[\"']?([\w-]+)[\"']?\s*\]\]?", line):
                 within = head[1]
-                start = start or (k if within == section else None)
+                heads += within == section
+                here = within == section and heads == part + 1
+                start = start or (k if here else None)
             elif not within and section and re.match(rf"\s*[\"']?{re.escape(section)}[\"']?\s*[.=]", line):
                 start = start or k
                 if key and re.search(rf"[.{{,]\s*{quoted}\s*[.=]", line):
                     return k
-            elif has_key and within == section:
+            elif has_key and here:
                 return k
             elif has_key and not within:
                 above = k

@@ -165,7 +165,9 @@ def estimator_errors(track: Track, truth: Values, rows: Sequence[Axes]) -> None:
 
 def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: Axes) -> None:
     """Sigma of each landmark against the step: of the position, or of each component where it has none."""
-    axes.set(title="sigma of the landmarks", xlabel="step", ylabel="sigma [m]")
+    manifold = track.values.stack(track.landmarks.kind).manifold
+    units = ", ".join(dict.fromkeys(filter(None, manifold.units)))
+    axes.set(title="sigma of the landmarks", xlabel="step", ylabel=f"sigma [{units}]" if units else "sigma")
     by_landmark: dict[int, tuple[list[int], list[Array]]] = {}
     for step, (keys, P) in zip(track.x.numbers.tolist(), history, strict=True):
         for number, P_k in zip(keys.numbers.tolist(), P, strict=True):
@@ -174,7 +176,7 @@ def landmark_sigmas(track: Track, history: Sequence[tuple[Keys, Array]], axes: A
             variances.append(np.diagonal(P_k))
     if not by_landmark:
         return
-    line = track.values.stack(track.landmarks.kind).manifold is LINE
+    line = manifold is LINE
     right = axes.twinx() if line else None
     for k, (number, (at, variances)) in enumerate(sorted(by_landmark.items())):
         again, color = divmod(k, len(SERIES))

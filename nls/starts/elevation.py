@@ -33,7 +33,7 @@ from models.options import check_between, check_whole
 from nls.graph import FactorGraph
 from nls.values import Values, take
 
-__all__ = ["first_sighting", "search_elevation"]
+__all__ = ["APERTURE", "Arcs", "first_sighting", "misfit_of", "search_elevation"]
 APERTURE = radians(14.0)  # of a DIDSON, where no hinge of the graph states another
 FLAT = 1e-2  # a chi2 that falls by less, a tenth of a sigma, is no reason to leave elevation 0
 
@@ -131,7 +131,7 @@ def search_elevation(graph: FactorGraph, values: Values, limit: float | None = N
         sightings = [f for f in graph.factors if isinstance(f, Sighting) and len(f) and f.keys[1].kind == arcs.kind]
         hinges = [f.limit for f in sightings if isinstance(f, ElevationHinge)]
         widest = limit if limit is not None else max(hinges, default=APERTURE / 2)
-        elevation = _best(_misfit(sightings, values, arcs), len(arcs.rows), widest, steps)
+        elevation = _best(misfit_of(sightings, values, arcs), len(arcs.rows), widest, steps)
         landmarks[arcs.kind] = _placed(values, arcs, arcs.points(elevation))
     return values.replaced(landmarks)
 
@@ -165,7 +165,7 @@ def _placed(values: Values, arcs: Arcs, points: Array) -> Array:
     return X
 
 
-def _misfit(sightings: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
+def misfit_of(sightings: list[Sighting], values: Values, arcs: Arcs) -> Callable[[Array], Array]:
     """The function that takes elevations (k,) to the chi2 (k,) of all sightings of each landmark."""
     stack = values.stack(arcs.kind)
     bound = [(factor, *values.gather(factor), stack.index(factor.keys[1])) for factor in sightings]

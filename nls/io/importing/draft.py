@@ -31,6 +31,7 @@ TABLES = {  # what must be there, what may be
     "truth": (("time_s", *ANGLES, *PLACE), ()),
     "contacts": (("time_s", "range_m", "azimuth_rad"), ("landmark",)),
 }
+LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
 NUMBERS = {  # columns that no log has
     "fixes": ("sigma_x_m", "sigma_y_m"),
     "path": ("sigma_x_m", "sigma_y_m", "sigma_yaw_rad"),
@@ -101,8 +102,10 @@ def draft(paths: Sequence[str | Path]) -> str:
     """
     lines = ["# a draft: each line is a guess by the name of a column; read it, correct it", ""]
     tables: list[str] = []
-    for path in paths:
-        lines += _of_bag(Bag(path), tables) if is_bag(path) else _of_text(TextLog(path), len(paths) > 1, tables)
+    logs = [Bag(path) if is_bag(path) else TextLog(path) for path in paths]
+    tilted = any(isinstance(log, Bag) or all(guess(angle, log.names) for angle in ANGLES) for log in logs)
+    for log in logs:
+        lines += _of_bag(log, tables) if isinstance(log, Bag) else _of_text(log, len(logs) > 1, tables, tilted)
     if "path" in tables:  # which needs no log of sensors
         return "\n".join(lines)
     for table in ("dvl", "ahrs", "depth"):
@@ -111,8 +114,8 @@ def draft(paths: Sequence[str | Path]) -> str:
     return "\n".join([*lines, NOISE])
 
 
-def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
-    """The sections of a text file."""
+def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list[str]:
+    """The sections of a text file; where no log is `tilted`, a heading alone is an attitude."""
     lines = [f"# {log.title} has: {', '.join(map(repr, log.names))}"]
     used: set[str] = set()
     drafted = len(tables)
@@ -124,6 +127,8 @@ def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
         if table == "truth" and {"lat_deg", "lon_deg"} & set(chosen_places := _places(log)):
             chosen = {name: value for name, value in chosen.items() if name not in ("x_m", "y_m")} | chosen_places
             needed = ("time_s", *ANGLES, "lat_deg", "lon_deg", "z_m")
+        if table == "ahrs" and not tilted:
+            needed = ("time_s", "yaw_rad")
         if table in tables or not set(needed) <= set(chosen):
             continue
         if table == "fixes" and {*ANGLES} <= {c for c in ANGLES if guess(c, log.names)}:
@@ -136,6 +141,8 @@ def _of_text(log: TextLog, named: bool, tables: list[str]) -> list[str]:
         used |= set(chosen.values())
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
         lines += [_line(column, name, log) for column, name in chosen.items()]
+        if table == "ahrs":
+            lines += [f"{angle} = 0.0   # {LEVEL}" for angle in ANGLES if angle not in chosen]
         lines += [*_numbers(table), ""]
         if table == "contacts":
             lines += ["[sonar]   # from its data sheet, and where it is on the vehicle", *_sonar(), ""]

@@ -21,14 +21,16 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import GraphFileError, OptionError
-from models.options import did_you_mean, is_number
+from models.options import did_you_mean, is_number, is_whole
+from nls.io.importing.examples import example
 from nls.io.importing.frames import FRAMES, axes
+from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import SEPARATORS
 from nls.io.importing.units import dimension, known_units, mission_unit
 from nls.io.mission.columns import ANGLES, COLUMNS, OPTIONAL, PLACE, suffixed
 from nls.io.toml_file import TomlFile
 
-__all__ = ["VELOCITY", "Cell", "Mapping", "Section", "read_mapping", "required"]
+__all__ = ["VELOCITY", "WHOLE", "Cell", "Mapping", "Section", "read_mapping", "required"]
 
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 GROUPS: dict[str, tuple[str, ...]] = {"velocity": VELOCITY, "attitude": ANGLES, "position": PLACE}
@@ -51,6 +53,7 @@ OPTIONS = {  # of a section, with what they may be
 ABOVE_ALL = ("time_s", "time_zero", *(name for name in OPTIONS if name not in ("topic", "rows")))
 CELL = ("column", "unit", "sign", "scale", "offset", "missing", "up", "equals", "above", "row")
 PLACES_ON_EARTH = ("lat_deg", "lon_deg")
+FINITE, WHOLE = 1e300, 2**53  # numbers below them are numbers of 64 bits, and exact whole ones
 
 
 @dataclass(frozen=True)
@@ -93,18 +96,22 @@ class Section:
     cells : by column.
     options : see `OPTIONS`.
     rotation : ``quaternion`` or ``rotation`` and its columns or numbers, where the attitude is one.
+    groups : the name of the group that a column stands in.
     mapping : that it stands in, for messages.
+    part : which of the sections of its table it is.
     """
 
     table: str
     cells: dict[str, Cell]
     options: dict[str, Any]
     rotation: tuple[str, tuple[Any, ...]] | None
+    groups: dict[str, str]
     mapping: Mapping = field(repr=False)
+    part: int = 0
 
     def error(self, key: str, message: str) -> GraphFileError:
         """An error at the line of a key of this section."""
-        return self.mapping.error(self.table, key, message)
+        return self.mapping.error(self.table, self.groups.get(key, key), message, self.part)
 
     @property
     def used(self) -> list[str]:
@@ -152,10 +159,15 @@ class Mapping(TomlFile):
                 raise self.error(
                     table, "", f"[{table}] is no table of a mission{near or ';'} expected {', '.join(COLUMNS)}"
                 )
-            for part in content if isinstance(content, list) else [content]:
+            for k, part in enumerate(content if isinstance(content, list) else [content]):
+                self._part = k
                 self.sections.append(self._section(table, {**_fitting(defaults, table, part), **part}))
         if not self.sections:
             raise GraphFileError("has no section; expected one for each table, such as [dvl]", path)
+
+    def _refused(self, table: str, key: str, message: str) -> GraphFileError:
+        """An error in the section that is being read."""
+        return self.error(table, key, message, self._part)
 
     def _section(self, table: str, content: Mappings[str, Any]) -> Section:
         """A section with its groups taken apart."""
@@ -163,6 +175,7 @@ class Mapping(TomlFile):
         for name, value in options.items():
             self._refuse_option(table, name, value)
         cells: dict[str, Cell] = {}
+        groups: dict[str, str] = {}
         rotation = None
         known = COLUMNS[table]
         for name, value in content.items():
@@ -173,14 +186,17 @@ class Mapping(TomlFile):
                 rotation = name, self._parts(table, name, value)
             elif columns:
                 if not isinstance(value, list) or len(value) != len(columns):
-                    raise self.error(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
-                cells |= {column: self._cell(table, column, v) for column, v in zip(columns, value, strict=True)}
+                    raise self._refused(table, name, f"{name} is {value!r}; expected a list for {', '.join(columns)}")
+                cells |= {column: self._cell(table, name, column, v) for column, v in zip(columns, value, strict=True)}
+                groups |= dict.fromkeys(columns, name)
             elif name in known or (name in PLACES_ON_EARTH and {"x_m", "y_m"} <= set(known)):
-                cells[name] = self._cell(table, name, value)
+                cells[name] = self._cell(table, name, name, value)
             else:
                 advice = _advice(name, value, known)
-                raise self.error(table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}")
-        return Section(table, cells, options, rotation, self)
+                raise self._refused(
+                    table, name, f"{table}.csv has no column {name!r}{advice}; it has {', '.join(known)}"
+                )
+        return Section(table, cells, options, rotation, groups, self, self._part)
 
     def _parts(self, table: str, name: str, value: Any) -> tuple[Any, ...]:
         """The columns of a quaternion or a matrix; of a field of a message those below it."""
@@ -189,22 +205,30 @@ class Mapping(TomlFile):
             return tuple(f"{value}.{axis}" for axis in "xyzw")
         kinds = {isinstance(part, str) for part in value} if isinstance(value, list) else set()
         if len(kinds) != 1 or len(value) != count or not (True in kinds or all(map(is_number, value))):
-            raise self.error(
+            raise self._refused(
                 table, name, f"{name} is {value!r}; expected a list of {count} columns, or of {count} numbers: {order}"
             )
         return tuple(value)
 
-    def _cell(self, table: str, column: str, value: Any) -> Cell:
-        """One column of a section."""
+    def _cell(self, table: str, place: str, column: str, value: Any) -> Cell:
+        """One column of a section, whose place is its own name or that of its group."""
 
         def refuse(problem: str) -> GraphFileError:
-            return self.error(table, column, f"{column}: {problem}")
+            return self._refused(table, place, f"{column}: {problem}")
 
         kind = mission_unit(column)[0]
         if isinstance(value, str) and column not in ("name", "kernel"):
             return Cell((value,))
         if isinstance(value, bool) and column != "valid":
             raise refuse(f"{value!r} is not possible; expected the name of a column, a number or {{ column = ... }}")
+        if is_number(value):
+            if not abs(value) < FINITE:
+                raise refuse(f"{value!r:.30} is not possible; expected a finite number or the name of a column")
+            if sigmas_out(column, float(value)):
+                write = f"{column} = {example(table, column)}"
+                raise refuse(f"{value!r} is not possible; expected {sigma_words(column)}; write one, such as {write}")
+        if isinstance(value, str) and "\n" in value:
+            raise refuse(f"{value!r:.30} is not possible; expected one line")
         if isinstance(value, bool | str) or is_number(value):
             return Cell(constant=value)
         if not isinstance(value, dict):
@@ -216,8 +240,10 @@ class Mapping(TomlFile):
                 )
         numbers = {key: value[key] for key in ("sign", "scale", "offset", "missing", "above") if key in value}
         for key, number in numbers.items():
-            if not is_number(number) or (key == "sign" and number not in (-1, 1)):
-                raise refuse(f"{key} is {number!r}; expected {'1 or -1' if key == 'sign' else 'a number'}")
+            expected = {"sign": "1 or -1", "scale": "a finite number other than 0"}.get(key, "a finite number")
+            numeric = is_number(number) and abs(number) < FINITE
+            if not numeric or (key == "sign" and number not in (-1, 1)) or (key == "scale" and number == 0):
+                raise refuse(f"{key} is {number!r:.30}; expected {expected}")
         if not isinstance(value.get("equals", ""), str | bool | int | float):
             raise refuse(f"equals is {value['equals']!r}; expected a word, a number, true or false")
         unit = value.get("unit", "")
@@ -230,8 +256,12 @@ class Mapping(TomlFile):
         if "up" in value and (column != "z_m" or not isinstance(value["up"], bool)):
             raise refuse("up = true is for z_m alone, of a column that is larger where it is higher")
         if "row" in value:
-            if not set(value) <= {"row", "scale", "offset"} or not isinstance(value["row"], int):
-                raise refuse("row is the number of the first row: { row = 0 }, also with scale and offset")
+            row = value["row"]
+            if not set(value) <= {"row", "scale", "offset"} or not is_whole(row) or abs(row) > WHOLE:
+                raise refuse(
+                    f"row is {row!r:.30}; expected the number of the first row, such as {{ row = 0 }}, also with scale "
+                    "and offset"
+                )
             return Cell(row=value["row"], scale=float(value.get("scale", 1)), offset=float(value.get("offset", 0)))
         names = value.get("column", ())
         names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
@@ -268,7 +298,7 @@ class Mapping(TomlFile):
         }.get(name, isinstance(value, str) and bool(value))
         if not good:
             near = did_you_mean(value, FRAMES) if name == "frame" else ""
-            raise self.error(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
+            raise self._refused(table, name, f"{name} is {value!r}; expected {OPTIONS[name]}{near}")
 
 
 def read_mapping(path: str | Path) -> Mapping:

@@ -14,6 +14,7 @@ from models.errors import GraphFileError, OptionError
 from models.geodesy import LocalPlane
 from models.listing import several
 from nls.io.files import write_folder
+from nls.io.importing.mapping import WHOLE as LARGEST
 from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs, refuse_absent
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
@@ -127,7 +128,10 @@ def _zero(mapping: Mapping, parts: Sequence[Rows], notes: list[str]) -> int:
         zero = parse_zero(mapping.time_zero)
         if zero is None:
             raise mapping.error(
-                "", "time_zero", f"{mapping.time_zero!r} is no time of ISO 8601, nor seconds since 1970"
+                "",
+                "time_zero",
+                f"{mapping.time_zero!r} is not possible; expected a time of ISO 8601 such as "
+                '"2020-05-01T12:00:00Z", or seconds since 1970',
             )
         if not since:
             raise mapping.error("", "time_zero", "no time of the logs is since 1970; leave time_zero out")
@@ -200,9 +204,9 @@ def _columns(part: Rows, zero: int, origin: LocalPlane | None) -> dict[str, npt.
 def _refuse_whole(section: Section, merged: dict[str, Array]) -> None:
     """Refuse a number of a pose or a landmark that is not whole, and times that are constants."""
     for name in WHOLE:
-        if name in merged and (merged[name] != np.rint(merged[name])).any():
-            k = int(np.argmax(merged[name] != np.rint(merged[name])))
-            raise section.error(name, f"{name} is {float(merged[name][k])!r}; expected whole numbers")
+        if name in merged and (bad := (merged[name] != np.rint(merged[name])) | (np.abs(merged[name]) > LARGEST)).any():
+            k = int(np.argmax(bad))
+            raise section.error(name, f"{name} is {float(merged[name][k])!r}; expected whole numbers, up to 2^53")
     timed = [section.cells[name] for name in TIMES if name in section.cells]
     if section.used and any(not cell.columns and cell.row is None for cell in timed):
         raise section.error("time_s", "time_s is a constant, and times rise; name the column of the log")

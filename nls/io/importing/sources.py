@@ -114,7 +114,13 @@ class Logs:
         chosen = None if where is None else (str(where["column"]), str(where["equals"]))
         key = (name, *how.items(), chosen)
         if key not in self._read:
-            self._read[key] = TextLog(path, where=chosen, **how)
+            try:
+                self._read[key] = TextLog(path, where=chosen, **how)
+            except GraphFileError as error:
+                option = next((option for option in ("where", "join", "skip") if option in section.options), "")
+                if not option or error.line is not None:
+                    raise
+                raise section.error(option, f"{error}; correct {option}") from error
         return self._read[key]
 
 

@@ -12,6 +12,7 @@ from models.listing import several
 from nls.io.importing.frames import angles_of, axes, turn
 from nls.io.importing.guess import guess, nearest, plain
 from nls.io.importing.mapping import VELOCITY, Cell, Section, required
+from nls.io.importing.sigmas import sigma_words, sigmas_out
 from nls.io.importing.text_log import MISSING, Log
 from nls.io.importing.times import Stamps, stamps
 from nls.io.importing.units import dimension, factor, header_unit, mission_unit
@@ -90,6 +91,7 @@ def rows_of(section: Section, log: Log | None) -> Rows:
             rows.numbers[column] = np.asarray(
                 (cell.row + np.arange(len(rows.rows))) * cell.scale + cell.offset, dtype=np.float64
             )
+    _refuse_sigmas(rows)
     _turned(rows)
     return rows
 
@@ -300,6 +302,25 @@ def _take(rows: Rows, index: Index) -> None:
         )
         for name, stamp in rows.times.items()
     }
+
+
+def _refuse_sigmas(rows: Rows) -> None:
+    """Refuse a cell of the log that makes a standard deviation that cannot be; of a DVL where it is valid."""
+    section, log = rows.section, rows.log
+    for column, cell in section.cells.items():
+        if log is None or not cell.columns or column not in rows.numbers:
+            continue
+        bad = sigmas_out(column, rows.numbers[column]) & (
+            rows.numbers["valid"] == 1 if section.table == "dvl" else True
+        )
+        if bad.any():
+            k = int(np.argmax(bad))
+            number, write = float(rows.numbers[column][k]), f"missing = NUMBER in [{section.table}] of the mapping"
+            raise log.error(
+                int(rows.rows[k]),
+                f"{cell.columns[0]!r} makes {column} {number!r}; expected {sigma_words(column)}; write {write} for a "
+                "number that stands for none, or one standard deviation for all rows",
+            )
 
 
 def _order(rows: Rows) -> None:

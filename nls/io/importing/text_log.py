@@ -253,7 +253,7 @@ class TextLog(Log):
         k = next(
             k for k, word in enumerate(words) if word.lower() not in MISSING and not NUMBER.fullmatch(word.encode())
         )
-        raise self.error(k, f"{name}: {words[k][:40]!r} is not a number")
+        raise self.error(k, f"{name}: {words[k][:40]!r} is not a number; correct it, or name another column")
 
     def whole(self, name: str) -> Index | None:
         """See `Log`."""

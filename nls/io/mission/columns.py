@@ -85,6 +85,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {  # columns that may be left out; where 
     "dive_closures": (*UPRIGHT, *suffixed(UPRIGHT), "kernel"),
     "path": (*UPRIGHT, *suffixed(UPRIGHT)),
 }
+MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")  # of noise.csv; its others are above 0
 TRACK = ("odometry", "zpr")  # either these
 LOG = ("dvl", "ahrs", "depth", "noise")  # or these must be there, all of them, and pressure may be in place of depth
 ALONE = ("path", "motion")  # or one of these

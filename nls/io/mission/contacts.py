@@ -17,7 +17,7 @@ from nls.io.mission.columns import ANGLES, CONTACT, PLACE, suffixed
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
 from nls.io.mission.timeline import Timeline
-from nls.stages import stage
+from nls.stages import announce, stage
 from nls.values import Values
 
 __all__ = ["add_contacts", "add_unnamed_contacts", "are_named"]
@@ -59,7 +59,14 @@ def add_unnamed_contacts(
     contacts, rows = _measured(tables, table, timeline, np.arange(len(table)), report)
     assert report.sonar is not None
     with stage("associate"):
-        associated = associate(graph, start, contacts, report.sonar.aperture)
+        announce(f"{len(contacts):,} contacts without names")
+        associated = associate(
+            graph,
+            start,
+            contacts,
+            report.sonar.aperture,
+            callback=lambda decided: announce(f"{decided:,} of {len(contacts):,} contacts are of landmarks"),
+        )
     rows = rows[associated.numbers >= 0]
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)

@@ -58,7 +58,7 @@ from nls.io.mission.attitude import (
 )
 from nls.io.mission.bottom_lock import bottom_lock
 from nls.io.mission.calibration import Calibrations
-from nls.io.mission.columns import ANGLES, GYRO, PLACE
+from nls.io.mission.columns import ANGLES, GYRO, MAY_BE_0, PLACE
 from nls.io.mission.depth import depths_of
 from nls.io.mission.holes import holes_of
 from nls.io.mission.report import MissionReport
@@ -70,7 +70,6 @@ DVL = ("dvl_scale", "dvl_yaw_rad")
 LATE = 0.5  # s that an attitude is moved to and fro to tell how a leg depends on its clock
 EVERY = 1.0  # s from pose to pose where poses.csv does not say when they are
 MOST = 10_000_000  # such poses: four months, or times that are no seconds
-MAY_BE_0 = ("scale", "sigma_bridge_m_s_sqrt_s")
 GIVEN = 1e-9  # rad: what is left of the noise of the heading in legs given the heading; 1 nm after a meter
 
 

@@ -25,7 +25,7 @@ UPPER = np.triu_indices(3)
 MAP = (
     *("landmark", *PLACE),
     *(f"cov_{'xyz'[row]}_{'xyz'[column]}_m2" for row, column in zip(*UPPER, strict=True)),
-    *("views", "first_i", "elevation_rad", "sigma_elevation_rad", "at_limit"),
+    *("views", "first_i", "elevation_rad", "sigma_elevation_rad", "at_limit", "mirrored"),
 )
 
 
@@ -105,8 +105,8 @@ def map_text(values: Values, marginals: Marginals | None, elevations: Elevations
     """map.csv: landmarks with their covariance along the axes of the world, their views, and their elevation.
 
     The elevation is the one in the frame of the sonar at the first view; at_limit is 1 where a hinge pushes it back
-    into the aperture. Cells are empty where there are no sigmas: of all landmarks without marginals, else of those that
-    are free.
+    into the aperture, mirrored is 1 where the other sign of the elevation fits as well. Cells are empty where there are
+    no sigmas: of all landmarks without marginals, else of those that are free.
     """
     Sigma = np.full((len(elevations.landmarks), 6), np.nan)
     if marginals is not None:
@@ -115,6 +115,10 @@ def map_text(values: Values, marginals: Marginals | None, elevations: Elevations
         (*MAP, *extra.names),
         *(elevations.landmarks, values[l[elevations.landmarks]], _or_empty(Sigma), elevations.views, elevations.poses),
         *(elevations.elevation[:, None], _or_empty(elevations.sigma[:, None]), elevations.pushed.astype(int)),
+        [
+            "" if np.isnan(sigma) else str(int(m))
+            for sigma, m in zip(elevations.sigma, elevations.mirrored, strict=True)
+        ],
         *extra.columns(),
     )
 

@@ -37,6 +37,7 @@ from nls.graph import FactorGraph
 from nls.io.mission.report import MissionReport
 from nls.linear import LinearSolver
 from nls.metrics import TrajectoryError, ate
+from nls.sonar.mirror_images import mirrored
 from nls.values import Values
 
 __all__ = ["Elevations", "Track", "elevations", "track_of"]
@@ -118,6 +119,8 @@ class Elevations:
     pushed : (n,) whether a hinge keeps the landmark within the aperture, against its measurements.
     sigma : (n,) standard deviation of the elevation, rad; nan where covariances were not asked for, and where the
         landmark is free.
+    mirrored : (n,) whether the landmark fits as well with the other sign of the elevation, at a place that sigma does
+        not reach; False where there is no sigma. See `nls.sonar.mirror_images`.
     before : (n,) the same by the covariances alone, before the aperture had its say.
     along : (n, 3) unit vectors of the world: which way the landmark goes as its elevation grows.
     ahead : (n, 3) unit vectors of the world: from the sonar to the landmark.
@@ -131,6 +134,7 @@ class Elevations:
     elevation: Array
     pushed: Mask
     sigma: Array
+    mirrored: Mask
     before: Array
     along: Array
     ahead: Array
@@ -195,21 +199,27 @@ def elevations(
     sigma = np.full(len(r), np.nan)
     if sigmas:
         sigma = _sigmas(graph, values, firsts, elevation, linear_solver, gauge)
-    hinges, limit = _limits(graph, values, landmarks)
+    held = np.concatenate([np.zeros(0, dtype=int), *(keys.numbers for keys in graph.fixed if keys.kind == l.name)])
+    hinges, limit = _limits(graph, values, landmarks, held)
     pushed, before, v = hinges > 0, sigma.copy(), limit**2 / 3 + elevation**2
     sigma = np.minimum(sigma, np.sqrt(v))
     sigma[pushed] = 1 / np.sqrt(np.maximum(1 / before[pushed] ** 2 - hinges[pushed], 0.0) + 1 / v[pushed])
     ahead = (p - SE3.position(S)) / r[:, None]
-    return Elevations(landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, before, along, ahead)
+    twofold = np.isfinite(sigma) & ~np.isin(landmarks, held)
+    if twofold.any():
+        polar = np.column_stack([r, azimuth, elevation])[twofold]
+        twofold[twofold] = mirrored(graph, values, l[landmarks[twofold]], S[twofold], polar, sigma[twofold])
+    return Elevations(
+        landmarks, pose[first], views, r, azimuth, elevation, pushed, sigma, twofold, before, along, ahead
+    )
 
 
-def _limits(graph: FactorGraph, values: Values, landmarks: Numbers) -> tuple[Array, Array]:
+def _limits(graph: FactorGraph, values: Values, landmarks: Numbers, held: Numbers) -> tuple[Array, Array]:
     """Information (n,) of the hinges that push a landmark, 0 for none, and its limit (n,), inf where nothing says.
 
     A landmark that is held is not pushed: its place is given, and its hinges say something of the poses.
     """
     hinges, limit = np.zeros(len(landmarks)), np.zeros(len(landmarks))
-    held = np.concatenate([np.zeros(0, dtype=int), *(keys.numbers for keys in graph.fixed if keys.kind == l.name)])
     for factor in graph.factors:
         if isinstance(factor, ElevationHinge):
             W = square(factor.noise.sqrt_information(len(factor), factor.measures))[:, 0, 0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["mission_files", "refuse_mixed", "write_mission"]
 
 Rows = tuple[npt.ArrayLike, ...]  # the columns of some rows of a file, numbers first
-NOT_WRITTEN = {"poses": (), "zpr": COMPASS}  # columns; the time of all other tables
 MEASURED = {"odometry": ("x", "y", "yaw"), "zpr": ("z", "pitch", "roll"), "contacts": ("range", "azimuth")}
 
 
@@ -46,10 +44,11 @@ def write_mission(
     Parameters
     ----------
     folder : where.
-    graph : `XYH` and `ZPR` of poses ``x``; the anchor, a `Prior` of x, y and yaw, or `Position` and `Heading`;
-        `RangeAzimuth` of landmarks ``l``; `Position` without a `Heading`, `Between` of poses, `Range` to beacons ``b``
-        and their `Prior`, also under robust kernels. Factors of the elevation have no file: sonar.csv says the
-        aperture, and `read_mission` makes them. Of an anchor that is a `Prior`, x, y and yaw are written.
+    graph : `XYH` and `ZPR` of poses ``x``; `Heading` of a compass, for every pose of `ZPR` or none; the anchor, a
+        `Prior` of x, y and yaw, or `Position` and `Heading` of the same poses; `RangeAzimuth` of landmarks ``l``;
+        `Position` without a `Heading`, `Between` of poses, `Range` to beacons ``b`` and their `Prior`, also under
+        robust kernels. Factors of the elevation have no file: sonar.csv says the aperture, and `read_mission` makes
+        them. Of an anchor that is a `Prior`, x, y and yaw are written.
     sonar, offset : the sonar and its mounting (7,), SE3; None where it saw nothing, and where it is the vehicle.
     truth : true poses ``x`` and landmarks ``l``.
     times : (n,) of the poses, s, in the order of their numbers.
@@ -132,7 +131,8 @@ def mission_files(
             rows.setdefault(name, []).append(
                 (*numbers, measured_numbers(factor), standard_deviations(factor, MEASURED[name]))
             )
-    if anchors := _anchors(factors):
+    anchors, compass = _anchors(factors)
+    if anchors:
         rows["anchor"] = anchors
     if sonar is not None:
         rows["sonar"] = [_sonar(sonar, mount)]
@@ -147,11 +147,14 @@ def mission_files(
     if "contacts" not in rows and sonar is not None:
         raise GraphError("write_mission: the graph has no contacts; leave the sonar out")
     poses = _refuse_stray(rows, positioned_at)
+    if compass:
+        rows["zpr"] = _with_headings(rows["zpr"], compass)
     if times is not None:
         rows["poses"] = [_times(poses, times)]
+    not_written = {"poses": (), "zpr": () if compass else COMPASS}  # columns; the time of all other tables
     return {
         f"{name}.csv": csv_text(
-            [column for column in names if column not in NOT_WRITTEN.get(name, ("time_s",))],
+            [column for column in names if column not in not_written.get(name, ("time_s",))],
             *(np.concatenate(column) for column in zip(*rows[name], strict=True)),
         )
         for name, names in COLUMNS.items()
@@ -184,7 +187,9 @@ def _file_of(factor: Factor, mount: Array) -> str:
     for name, kind in (("odometry", XYH), ("zpr", ZPR), ("anchor", Prior), ("anchor", Position), ("anchor", Heading)):
         if isinstance(factor, kind):
             return name
-    raise no_file(factor, "files hold XYH, ZPR, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor")
+    raise no_file(
+        factor, "files hold XYH, ZPR, Heading, RangeAzimuth, Position, Between, Range to a beacon b, and an anchor"
+    )
 
 
 def _refuse_stray(rows: dict[str, list[Rows]], more: dict[str, Numbers]) -> Numbers:
@@ -222,8 +227,11 @@ def _times(poses: Numbers, times: npt.ArrayLike) -> Rows:
     return poses[order], t[order]
 
 
-def _anchors(factors: list[Factor]) -> list[Rows]:
-    """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading."""
+def _anchors(factors: list[Factor]) -> tuple[list[Rows], list[Heading]]:
+    """Rows of anchor.csv: priors of x, y and yaw, and positions each with its heading; and headings without a position.
+
+    Of two headings of the same poses the later one is of the anchor, as `read_mission` adds them.
+    """
     rows: list[Rows] = []
     for factor in factors:
         if isinstance(factor, Prior):
@@ -231,17 +239,38 @@ def _anchors(factors: list[Factor]) -> list[Rows]:
                 raise no_file(factor, "anchor.csv holds x, y and yaw: components=('x', 'y', 'yaw'), no offset")
             z = euler.from_se3(np.broadcast_to(factor.z, (len(factor), SE3.size)))
             rows.append((factor.keys[0].numbers, z[:, [3, 4, 2]], standard_deviations(factor, ("x", "y", "yaw"))))
-    positions = [factor for factor in factors if isinstance(factor, Position)]
     headings = [factor for factor in factors if isinstance(factor, Heading)]
-    for p, h in zip_longest(positions, headings):
-        if p is None or h is None or p.keys != h.keys or p.components != ("x", "y") or p.offset is not None:
-            raise no_file(
-                h if p is None else p,
-                "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose",
-            )
+    for p in (factor for factor in factors if isinstance(factor, Position)):
+        own = [k for k, h in enumerate(headings) if h.keys == p.keys]
+        if not own or p.components != ("x", "y") or p.offset is not None:
+            raise no_file(p, "anchor.csv holds x, y and yaw: a Position of x and y, and a Heading of the same pose")
+        h = headings.pop(own[-1])
         sigmas = np.hstack([standard_deviations(p, ("x", "y")), standard_deviations(h, ("yaw",))])
         rows.append((p.keys[0].numbers, np.hstack([measured_numbers(p), measured_numbers(h)]), sigmas))
-    return rows
+    return rows, headings
+
+
+def _with_headings(rows: list[Rows], compass: list[Heading]) -> list[Rows]:
+    """The rows of zpr.csv with the headings of a compass.
+
+    Raises
+    ------
+    GraphError
+        A pose with a depth has no heading, or several, or one with a heading has no depth.
+    """
+    poses, measured = (np.concatenate(column) for column in zip(*((r[0], np.hstack(r[1:])) for r in rows), strict=True))
+    numbers = np.concatenate([h.keys[0].numbers for h in compass])
+    unique, count = np.unique(numbers, return_counts=True)
+    wrong = [*unique[count > 1], *np.setxor1d(unique, poses)]
+    if wrong:
+        h = next((h for h in compass if wrong[0] in h.keys[0].numbers), compass[0])
+        raise no_file(
+            h,
+            f"zpr.csv has a depth and a heading for every pose, once: not for x{wrong[0]}; one of a large sigma says "
+            "nothing",
+        )
+    yaw = np.vstack([np.hstack([measured_numbers(h), standard_deviations(h, ("yaw",))]) for h in compass])
+    return [(poses, measured, yaw[np.argsort(numbers)[np.searchsorted(unique, poses)]])]
 
 
 def _sonar(sonar: ImagingSonar, mount: Array) -> Rows:

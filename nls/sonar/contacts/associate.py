@@ -22,6 +22,7 @@ Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -119,6 +120,7 @@ def associate(
     least: int = 3,
     probability: float = 0.999,
     rounds: int = ROUNDS,
+    callback: Callable[[int], object] | None = None,
 ) -> Associated:
     """Landmarks of sightings without names.
 
@@ -131,6 +133,7 @@ def associate(
     least : sightings that make a landmark; fewer stay undecided.
     probability : with which a right pairing is within its gate.
     rounds : at most.
+    callback : called after every round with the number of sightings that landmarks explain.
 
     Returns
     -------
@@ -168,7 +171,7 @@ def associate(
     pieces = _linked(pings, graph, values, chi2_gate(measured_numbers(pings), probability))
     poses = without(estimated(pings, graph, values, pieces, FIRST).values, kind)
     first = estimated(pings, graph, poses, pieces)
-    answers = [_rounds(pings, graph, first, narrow, least, probability, rounds) for narrow in NARROW]
+    answers = [_rounds(pings, graph, first, narrow, least, probability, rounds, callback) for narrow in NARROW]
     return min(answers, key=lambda answer: answer.cost)
 
 
@@ -180,6 +183,7 @@ def _rounds(
     least: int,
     probability: float,
     rounds: int,
+    callback: Callable[[int], object] | None,
 ) -> Associated:
     """The answer of rounds that begin with the tracks of an estimate, the pieces, and with gates as narrow as that."""
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
@@ -207,6 +211,8 @@ def _rounds(
             last = True
             expelled[:] = 0
         history.append(tracks)
+        if callback is not None:
+            callback(int(np.count_nonzero(of.sizes(tracks) >= least)))
     return _associated(pings, graph, without(estimate.values, pings.kind), history, least, gate, settled)
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import sim
-from factors import XYH, Between
+from factors import XYH, Between, Diagonal, Isotropic, Prior
 from factors.replaced import replaced
 from factors.rescaled import rescaled
 from factors.sighting import Sighting
-from models import SE3, euler
+from models import SE2, SE3, euler
 from models.algebra import Array
-from nls import FactorGraph, Values
+from nls import FactorGraph, Values, kinds
 from nls.analysis.calibrations import Calibration, calibrations
 from tests.combinations import for_all
 from tests.nls.misreadings import clean, misread, optimum, wrong_closure
@@ -21,6 +21,7 @@ OFF = {  # x, y, z, roll, pitch, yaw of the mounting
     "x": [0.5, 0, 0, 0, 0, 0],
     "pitch": [0, 0, 0, 0, 0.1, 0],
 }
+x = kinds("x")[0]
 PLAIN = sim.hauv_floor(np.random.default_rng(4), legs=2, per_leg=12)
 
 
@@ -68,6 +69,19 @@ def test_a_turned_sensor_and_turned_odometry_are_named_together() -> None:
     mounting, steps = sorted(calibrations(other, optimum(other, start)), key=lambda wrong: wrong.quantity)
     assert (mounting.components, steps.components) == (("yaw",), ("yaw",))
     np.testing.assert_allclose([mounting.correction[0], steps.correction[0]], [-0.1, -0.1], atol=0.02)
+
+
+def test_steps_no_longer_than_their_noise_are_not_too_long() -> None:
+    """Scaled down they fit better, with less noise: by the rates of the measured steps they were twice as long."""
+    rng, n, noise = np.random.default_rng(1), 200, np.array([0.1, 0.1, 0.05])
+    yaw = np.cumsum(rng.normal(0, 0.3, n))
+    X = np.column_stack([*np.cumsum(0.1 * np.array([np.cos(yaw), np.sin(yaw)]), axis=1), yaw])
+    graph = FactorGraph([Prior(x[0], X[0], Isotropic(0.01))])
+    for lag in (1, 7):
+        z = SE2.between(X[:-lag], X[lag:])
+        z = SE2.retract(z, noise * rng.normal(size=z.shape))
+        graph.add(Between(x[np.arange(n - lag)], x[np.arange(lag, n)], z, Diagonal(noise)))
+    assert calibrations(graph, optimum(graph, Values({x: (SE2, X)}))) == ()
 
 
 def test_other_mistakes_are_no_calibration() -> None:

@@ -9,13 +9,24 @@ import numpy as np
 import pytest
 
 import sim
-from factors import BundleProjection, Covariance, Factor, Isotropic, Prior, Projection, RangeAzimuth, SqrtInformation
+from factors import (
+    BundleProjection,
+    Covariance,
+    Diagonal,
+    Factor,
+    Isotropic,
+    Prior,
+    Projection,
+    RangeAzimuth,
+    SqrtInformation,
+)
 from factors.predicted import predicted
 from models import SE3, R
 from models.algebra import Array
 from nls import FactorGraph, GraphError, Marginals, OptionError, UnderconstrainedError, Values, kinds
 from nls.analysis import observability
 from tests.combinations import for_all
+from tests.nls.explanation.test_explain import WATER
 from tests.nls.rigs import (
     FLAT,
     SONAR,
@@ -253,6 +264,21 @@ def test_a_lens_has_names_of_its_own_and_no_unit() -> None:
     assert found.components == spaces[1].components
     assert " m" not in str(found)
     assert found.compared.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_a_space_of_ones_own_states_its_units() -> None:
+    """Only components of one unit are compared; a number alone, which may be anything, has none."""
+    w, c = kinds("w", "c")
+    values = Values({w: (WATER, [[280.0, 35.0]]), c: (R(1), [1.0])})
+    graph = FactorGraph([Prior(w[0], [280.0, 35.0], Diagonal([0.5, 0.1])), Prior(c[0], [1.0], Isotropic(0.2))])
+    of_water, alone = (observability(graph, values, key[0], gauge="none") for key in (w, c))
+    assert [line.split()[:3] for line in str(of_water).splitlines()[2:4]] == [
+        ["temperature", "0.5", "K"],
+        ["salinity", "0.1", "g/kg"],
+    ]
+    assert of_water.compared.tolist() == [1.0, 1.0]
+    assert of_water.to_dict()["units"] == ["K", "g/kg"]
+    assert str(alone).splitlines()[2].split() == ["x", "0.2", "0.2"]
 
 
 def test_what_cannot_be_asked() -> None:

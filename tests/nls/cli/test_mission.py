@@ -177,8 +177,8 @@ def test_a_landmark_seen_once_costs_no_sigmas_but_its_own(shell: Shell, undrawn:
     *seen, free = maps["with"][1:]
     expected = np.array(maps["without"][1:], dtype=float)
     assert np.array(seen, dtype=float) == pytest.approx(expected, rel=1e-4, abs=1e-7)
-    assert (free[0], free[4:10], free[10:12], free[-2:]) == ("20", [""] * 6, ["1", "0"], ["", "0"])
-    assert float(free[-3]) == pytest.approx(0.0, abs=1e-3)  # where it began
+    assert (free[0], free[4:10], free[10:12], free[-3:]) == ("20", [""] * 6, ["1", "0"], ["", "0", ""])
+    assert float(free[-4]) == pytest.approx(0.0, abs=1e-3)  # where it began
 
     (head, *estimated, free), (head_without, *without) = covariances["with"], covariances["without"]
     assert free == ["l", "20", "free", *[""] * (len(head) - 3)]

@@ -92,7 +92,9 @@ convert kinds.pyfg out.g2o => or let `nls convert` rename them, which takes one 
 convert empty out.tum => empty:1: is empty
 convert bad out.g2o => is no graph
 
-{solve|explain} square.g2o --robust {dcs|huber:|geman-mcclure|magic:1} => robust: '.*' is not possible; expected
+{solve|explain} square.g2o --robust {dcs|huber:|geman-mcclure} => robust: '.*' is not possible; expected \w*-?\w+:NUMBER
+{solve|explain} square.g2o --robust {magic:1|none} => one of huber, cauchy, .*, dcs; or none, of a mission: all c
+solve square.g2o --robust {magic:1|none} => or gnc-tls\[:PROBABILITY\] or gnc-gm\[:PROBABILITY\]$
 solve square.g2o --robust huber:-1 => Huber\(c\): -1.0 is not possible
 solve square.g2o --robust huber:1 --robust cauchy:1 => --robust is given twice; expected one
 solve square.g2o --robust hubre:1 => ; did you mean 'huber'\?
@@ -101,7 +103,7 @@ solve square.g2o --robust gnc-tsl => ; did you mean 'gnc-tls'\?
 solve square.g2o --robust {gnc|gnc-tsl|Between=gnc-tls} => gnc-tls\[:PROBABILITY\] or gnc-gm
 solve square.g2o --robust gnc-tls:{2|x|} => such as gnc-tls:0\.99
 solve square.g2o --robust gnc-tls --init chordal => begins with odometry
-explain square.g2o --robust gnc-tls => a kernel, such as cauchy:1; nls solve has gnc-tls
+explain square.g2o --robust gnc-tls => one of huber, .*; nls solve has gnc-tls and gnc-gm
 solve chain.g2o --robust gnc-tls => no loop closures, (.|\n)*-> use a robust kernel: --robust cauchy:1$
 solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certify: .
 solve ray.g2o --certify => ^nls: certify: Bearing\(x0, l20\)

@@ -6,6 +6,8 @@ import csv
 import tomllib
 from pathlib import Path
 
+import numpy as np
+
 from nls.io.importing import Mapping, draft, import_logs
 from nls.io.importing.templates import templates
 
@@ -33,6 +35,16 @@ def test_whole_poses_are_a_truth_unless_their_name_says_odometry(tmp_path: Path)
         text = draft([log])
         assert f"\n[{table}]\n" in text
         assert ("[ahrs]\ntime_s" in text) == (table == "truth")
+
+
+def test_a_heading_alone_is_the_attitude_of_a_level_vehicle(tmp_path: Path) -> None:
+    """Unless another log has a whole attitude."""
+    compass, ahrs = tmp_path / "compass.csv", tmp_path / "ahrs.csv"
+    compass.write_text("time,Heading [deg]\n0,90\n1,90\n")
+    ahrs.write_text("time,roll [deg],pitch [deg],yaw [deg]\n0,1,2,90\n1,1,2,90\n")
+    imported = import_logs([compass], Mapping(draft([compass]), "mapping.toml"))
+    assert imported.files["ahrs.csv"].decode().splitlines()[1] == f"0.0,0.0,0.0,{np.pi / 2!r}"
+    assert tomllib.loads(draft([compass, ahrs]))["ahrs"]["file"] == "ahrs.csv"
 
 
 def test_the_sonar_of_a_draft_is_that_of_its_template(tmp_path: Path) -> None:

@@ -41,6 +41,22 @@ from tests.combinations import for_all
         ('[dvl]\nframe = "ENV"\n', "m.toml:2: frame is 'ENV'; expected one of NED, ENU"),
         ("[dvl]\nskip = -1\n", "skip is -1; expected a whole number"),
         ("[ahrs]\nquaternion = [1, 2]\n", "expected a list of 4 columns, or of 4 numbers: x, y, z, w"),
+        (
+            '[fixes]\nx_m = "x"\nsigma_x_m = -2\n',
+            "m.toml:3: sigma_x_m: -2 is not possible; expected a standard deviation above 0, 1e-12 to 1e12; write one, "
+            "such as sigma_x_m = 2.0",
+        ),
+        ("[noise]\nsigma_z_m = 0.0\n", "m.toml:2: sigma_z_m: 0.0 is not possible"),
+        ("[noise]\nscale = -0.1\n", "m.toml:2: scale: -0.1 is not possible; expected 0 or above"),
+        ("[noise]\nsigma_z_m = inf\n", "m.toml:2: sigma_z_m: inf is not possible; expected a finite number"),
+        (f"[noise]\nsigma_z_m = 1{'0' * 400}\n", "is not possible; expected a finite number"),
+        ("[path]\nx_m = 1\nsigma_position = [1, 0, 1]\n", "m.toml:3: sigma_y_m: 0 is not possible"),
+        ('[dvl]\nvx_m_s = { column = "a", scale = nan }\n', "m.toml:2: vx_m_s: scale is nan; expected a finite number"),
+        ('[[fixes]]\nx_m = "x"\n[[fixes]]\nx_m = 1\nsigma_x_m = 0\n', "m.toml:5: sigma_x_m: 0 is not possible"),
+        ('[dvl]\nvx_m_s = { column = "a", scale = 0 }\n', "scale is 0; expected a finite number other than 0"),
+        (f"[poses]\ni = {{ row = 1{'0' * 40} }}\n", "m.toml:2: i: row is 1000"),
+        ("[poses]\ni = { row = true }\n", "row is True; expected the number of the first row, such as { row = 0 }"),
+        ('[sonar]\nname = "a\\nb"\n', "m.toml:2: name: 'a\\nb' is not possible; expected one line"),
         ("[dvl]\nvx_m_s = [1]\n", "vx_m_s: [1] is not possible; expected the name of a column"),
     ]
 )

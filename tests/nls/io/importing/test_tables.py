@@ -113,7 +113,13 @@ def test_order_of_time(tmp_path: Path) -> None:
         ('time_s = "t"\nz_m = "Altitude [m]"', 'write z_m = { column = "Altitude [m]", up = true }, or up = false'),
         ('time_s = "t"\nz_m = "p [dbar]"', "'p [dbar]' is in dbar, pressure; z_m is a length, m; scale and offset"),
         ('time_s = "t"\nz_m = { column = "depth", unit = "dbar" }', "; of a pressure give scale"),
-        ('time_s = "t"\nz_m = "word"', "log.csv:2: word: 'deep' is not a number [0,5,deep"),
+        ('time_s = "t"\nz_m = "depth"\njoin = 3', "mapping.toml:4: "),
+        (
+            'time_s = "t"\nz_m = "depth"\nskip = 9',
+            "has no row; expected a line of names and rows of values; correct skip",
+        ),
+        ('time_s = "t"\nz_m = "depth"\nwhere = { column = "x", equals = 1 }', "mapping.toml:4: "),
+        ('time_s = "t"\nz_m = "word"', "'deep' is not a number; correct it, or name another column [0,5,deep"),
         ('time_s = "word"\nz_m = "depth"', "log.csv:2: word: 'deep' is not a number"),
         ('time_s = 3\nz_m = "depth"', "time_s is a constant, and times rise"),
         ('time_s = "Altitude [m]"\nz_m = "depth"', "'Altitude [m]' is in m, which is no unit of time"),
@@ -139,6 +145,18 @@ def test_degrees_that_nobody_names_are_refused(tmp_path: Path) -> None:
     mapping = 'ahrs = { time_s = "t", roll_rad = 0, pitch_rad = 0, yaw_rad = "heading" }'
     with pytest.raises(GraphFileError, match=r'no radians; write yaw_rad = { column = "heading", unit = "deg" }'):
         imported(tmp_path, mapping, log="t,heading\n0,270\n")
+
+
+def test_sigmas_of_a_log(tmp_path: Path) -> None:
+    """One that cannot be has its line, unless it stands for none; a DVL without bottom lock may say anything."""
+    fixes, log = "fixes = {{ time_s = 't', x_m = 0, y_m = 0, sigma_x_m = {}, sigma_y_m = 1 }}", "t,acc [m]\n0,2\n1,-1\n"
+    with pytest.raises(GraphFileError, match=r"log\.csv:3: 'acc \[m\]' makes sigma_x_m -1.0; expected .* above 0"):
+        imported(tmp_path, fixes.format("'acc [m]'"), log=log)
+    result = imported(tmp_path, fixes.format("{ column = 'acc [m]', missing = -1 }"), log=log)
+    assert table(result, "fixes")["sigma_x_m"].tolist() == [2]
+    dvl = "dvl = { time_s = 't', velocity = [1, 0, 0], sigma_v_m_s = 's', valid = 'lock' }"
+    result = imported(tmp_path, dvl, log="t,s,lock\n0,1,1\n1,-1,0\n")
+    assert table(result, "dvl")["valid"].tolist() == [1, 0]
 
 
 def test_dates(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -98,7 +99,9 @@ def test_the_command_line_solves_it(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert len((tmp_path / "out/map.csv").read_text().splitlines()) > 20
 
 
-def test_contacts_that_nothing_joins_leave_the_track(tmp_path: Path, undrawn: None) -> None:
+def test_contacts_that_nothing_joins_leave_the_track(
+    tmp_path: Path, undrawn: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two of one pose: no landmark has three."""
     rows = "".join(line + "\n" for line in without_names(TINY["contacts"]).splitlines()[:3])
     graph, values, report = nls.load(folder(tmp_path / "m", contacts=rows, landmarks=None))
@@ -107,6 +110,10 @@ def test_contacts_that_nothing_joins_leave_the_track(tmp_path: Path, undrawn: No
     assert len(report.sources) == len(graph.factors)
     assert graph.optimize(values).converged
     assert main(["solve", str(tmp_path / "m"), "-o", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main(["info", str(tmp_path / "m")]) == 0
+    assert "2 contacts without names" in capsys.readouterr().err
 
 
 def test_dives_need_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

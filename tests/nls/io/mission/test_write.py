@@ -122,6 +122,28 @@ def test_a_prior_is_an_anchor_too(tmp_path: Path) -> None:
     assert [float(cell) for cell in row] == pytest.approx([0, 1.0, 2.0, 0.5, 0.1, 0.2, 0.01])
 
 
+@for_all(anchored=[True, False])
+def test_headings_of_a_compass_come_back(anchored: bool, tmp_path: Path) -> None:
+    """In the rows of their poses; the heading of an anchor is another one, also where it is of all poses."""
+    first_folder, second_folder = tmp_path / f"m{anchored}", tmp_path / f"n{anchored}"
+    rng = np.random.default_rng(7)
+    yaw, sigma, poses = rng.uniform(-3, 3, 4), rng.uniform(0.1, 1, 4), x[[-5, 0, 7, 2**60]]
+    compass = [Heading(poses[rows], yaw[rows], Diagonal(sigma[rows, None])) for rows in ([2, 0], [3, 1])]
+    anchor = [
+        Position(poses, rng.normal(size=(4, 2)), Isotropic(1e-3), components=("x", "y")),
+        Heading(poses, rng.uniform(-3, 3, 4), Isotropic(1e-4)),
+    ]
+    write_mission(first_folder, FactorGraph([*track(rng), *compass, *anchor[: 2 * anchored]]))
+    graph, _, _ = read_mission(first_folder)
+    first, *others = (factor for factor in graph.factors if isinstance(factor, Heading))
+    assert first.keys == (poses,)
+    assert (first.z.ravel().tolist(), first.noise.sigmas.ravel().tolist()) == (yaw.tolist(), sigma.tolist())  # type: ignore[attr-defined]
+    assert [h.z.ravel().tolist() for h in others] == [anchor[1].z.ravel().tolist()] * anchored
+    write_mission(second_folder, graph)
+    for name in ("zpr", "anchor")[: 1 + anchored]:
+        assert (second_folder / f"{name}.csv").read_text() == (first_folder / f"{name}.csv").read_text()
+
+
 def test_numbers_of_every_size_come_back(tmp_path: Path) -> None:
     file = tmp_path / "depth.csv"
     file.write_bytes(csv_text(["time_s", "z_m"], np.array([AWKWARD, AWKWARD[::-1]]).T))
@@ -149,7 +171,12 @@ REFUSED: list[tuple[list[Any], str]] = [
     ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("y",))], "a Position of x and y, and a Heading of"),
     ([STEP, TILT, ZPR(x[2], [0, 0, 0], Isotropic(1))], r"x2 is in zpr\.csv, but no XYH says where it is in the track"),
     ([STEP, TILT, TILT], r"x0 is measured twice in zpr\.csv; expected once"),
-    ([STEP, TILT, Heading(x[0], 0.0, Isotropic(1))], r"Heading\(x0\) has no file"),
+    (
+        [STEP, TILT, Heading(x[0], 0.0, Isotropic(1))],
+        r"Heading\(x0\) has no file .* for every pose, once: not for x1; one",
+    ),
+    ([STEP, TILT, Heading(x[[0, 1, 1]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x1"),
+    ([STEP, TILT, Heading(x[[0, 1, 2]], [0, 0, 0], Isotropic(1))], r"for every pose, once: not for x2"),
     ([STEP, TILT, Position(x[0], 0, Isotropic(1), ("z",)), Heading(x[0], 0, Isotropic(1))], r"Position\(x0\) has no"),
 ]
 
