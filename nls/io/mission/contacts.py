@@ -60,13 +60,7 @@ def add_unnamed_contacts(
     assert report.sonar is not None
     with stage("associate"):
         announce(f"{len(contacts):,} contacts without names")
-        associated = associate(
-            graph,
-            start,
-            contacts,
-            report.sonar.aperture,
-            callback=lambda decided: announce(f"{decided:,} of {len(contacts):,} contacts are of landmarks"),
-        )
+        associated = associate(graph, start, contacts, report.sonar.aperture)
     rows = rows[associated.numbers >= 0]
     report.notes.append(f"contacts.csv names no landmarks: {associated}")
     report.truth = Values.of(stack for name, stack in report.truth.stacks.items() if name != l.name)

@@ -14,15 +14,16 @@ well beside each other. Then they are twice as wide, until no pair that fits is 
 poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
 (`nls.sonar.contacts.compatibility`).
 
-How narrow is right depends on how far apart targets are. So all of it is done for each of `NARROW`, and the answer of
-least cost is taken. The cost is chi2, a price for every number of a landmark, and one for every undecided sighting.
+A mission of many pings is halved before, and each half again (`nls.sonar.contacts.halves`). The rounds of the whole
+begin with the tracks of both. So dead reckoning has drifted little where most sightings are joined.
+
+The cost of an answer is chi2, a price for every number of a landmark, and one for every undecided sighting.
 
 Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 1978, for the price of a number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,18 +38,22 @@ from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.compatibility import resolved, supported
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
+from nls.sonar.contacts.halves import halves
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.splitting import split
+from nls.stages import announce
 from nls.values import Values
 
 __all__ = ["Associated", "associate"]
 
-NARROW = (8.0, 4.0, 2.0)  # the widest innovations of the first rounds, in sigmas of the sensor
+PINGS = 150  # more are halved first
+NARROW = 2.0  # the widest innovations of the first rounds, in sigmas of the sensor
 WIDER = 2.0  # times as wide are those of the next rounds
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
-FEW = 0.01  # part of the sightings; a round that moves no more is the last with its gates
+SOME = 0.05  # part of the sightings; a round that moves no more is the last with its gates
+FEW = 0.01  # a round that moves no more is the last
 ROUNDS = 40
 SURE = 0.98  # pieces of one target stay together with this probability
 OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
@@ -65,7 +70,7 @@ class Associated:
     numbers : (n,) landmark of each sighting, from 0 in the order of their first ones; -1 where it is undecided.
     sightings : the decided ones, as measurements of these landmarks.
     values : poses and landmarks, by all decided sightings.
-    rounds : after each round how many sightings were decided.
+    rounds : after each round of the whole how many sightings were decided.
     settled : whether the last round changed next to nothing.
     cost : chi2 with its robust kernel, and log N for each number of a landmark where N numbers are measured. Each
         undecided sighting adds the kernel's charge at the gate.
@@ -120,7 +125,6 @@ def associate(
     least: int = 3,
     probability: float = 0.999,
     rounds: int = ROUNDS,
-    callback: Callable[[int], object] | None = None,
 ) -> Associated:
     """Landmarks of sightings without names.
 
@@ -132,8 +136,7 @@ def associate(
     kind : of the landmarks.
     least : sightings that make a landmark; fewer stay undecided.
     probability : with which a right pairing is within its gate.
-    rounds : at most.
-    callback : called after every round with the number of sightings that landmarks explain.
+    rounds : at most, of the whole and of each half.
 
     Returns
     -------
@@ -168,32 +171,40 @@ def associate(
     check_whole("rounds", rounds, 1)
     check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
     pings = Pings.of(sightings, values, kind, aperture)
-    pieces = _linked(pings, graph, values, chi2_gate(measured_numbers(pings), probability))
-    poses = without(estimated(pings, graph, values, pieces, FIRST).values, kind)
-    first = estimated(pings, graph, poses, pieces)
-    answers = [_rounds(pings, graph, first, narrow, least, probability, rounds, callback) for narrow in NARROW]
-    return min(answers, key=lambda answer: answer.cost)
+    gate = chi2_gate(measured_numbers(pings), probability)
+    pieces = _linked(pings, graph, values, gate)
+    reckoned = graph.optimize(values).values
+    history, poses, settled = _rounds(pings, graph, reckoned, pieces, least, probability, rounds)
+    return _associated(pings, graph, poses, history, least, gate, settled)
 
 
 def _rounds(
     pings: Pings,
     graph: FactorGraph,
-    first: Estimate,
-    narrow: float,
+    values: Values,
+    pieces: Index,
     least: int,
     probability: float,
     rounds: int,
-    callback: Callable[[int], object] | None,
-) -> Associated:
-    """The answer of rounds that begin with the tracks of an estimate, the pieces, and with gates as narrow as that."""
+    half: bool = False,
+) -> tuple[list[Index], Values, bool]:
+    """Tracks (n,) after every round, poses by them, and whether the last round changed next to nothing.
+
+    Rounds begin with the tracks of both halves, and with the pieces (n,) where there are few pings. In a half of more
+    pings sightings that are still open stay so.
+    """
+    tracks = pieces.copy()
+    if len(pings.poses) > PINGS:
+        for rows, *part in halves(pings, graph, values):
+            of_half, *_ = _rounds(*part, of.renamed(pieces[rows]), least, probability, rounds, half=True)
+            tracks[rows] = rows[of_half[-1]]
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
-    pieces, estimate, expelled = first.tracks, first, np.zeros(len(pings), dtype=np.intp)
-    widest, complete, last, settled = narrow, False, False, False
+    poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
+    widest, complete, last, settled = NARROW, False, False, False
     history: list[Index] = []
     while len(history) < rounds and not settled:
-        if history:
-            estimate = estimated(pings, graph, without(estimate.values, pings.kind), history[-1])
-        tracks, open_ = estimate.tracks, expelled < TWICE
+        estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
+        poses, open_ = estimate.values, expelled < TWICE
         if last:
             joined = resolved(pings, estimate, open_, least, probability)
         else:
@@ -201,19 +212,19 @@ def _rounds(
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         alone = misfit | (estimate.d2 > OUTSIDE * gate)
         leaving = split(pings, graph, estimate, pieces, apart)
-        few = np.count_nonzero(joined != tracks) <= FEW * len(tracks)
+        few = np.mean(joined != tracks) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), alone)
         expelled += alone | leaving
-        settled = bool(last and few)
+        settled = bool(few and complete and (last or half))
         if few and not complete:
             widest *= WIDER
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
             last = True
             expelled[:] = 0
         history.append(tracks)
-        if callback is not None:
-            callback(int(np.count_nonzero(of.sizes(tracks) >= least)))
-    return _associated(pings, graph, without(estimate.values, pings.kind), history, least, gate, settled)
+        decided = np.count_nonzero(of.sizes(tracks) >= least)
+        announce(f"{decided:,} of {len(tracks):,} contacts are of landmarks" + " in a part of the mission" * half)
+    return history, without(poses, pings.kind), settled
 
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
