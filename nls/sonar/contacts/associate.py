@@ -195,8 +195,9 @@ def _rounds(
     """
     tracks = pieces.copy()
     if len(pings.poses) > PINGS:
-        for rows, *part in halves(pings, graph, values):
-            of_half, *_ = _rounds(*part, of.renamed(pieces[rows]), least, probability, rounds, half=True)
+        for rows, part, between, start in halves(pings, graph, values):
+            linked_there = of.renamed(pieces[rows])
+            of_half, *_ = _rounds(part, between, start, linked_there, least, probability, rounds, half=True)
             tracks[rows] = rows[of_half[-1]]
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)

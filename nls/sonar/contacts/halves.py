@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from factors.keys import Keys, Kind
+from factors.sighting import Sighting
 from models.algebra import Index
 from nls.gauge import component_labels
 from nls.graph import FactorGraph
@@ -42,11 +43,16 @@ def halves(pings: Pings, graph: FactorGraph, values: Values) -> Iterator[tuple[I
         measurements = [parts.any(k, within) & ~parts.any(k, across) for k in range(len(graph.factors))]
         held = {kind: np.full(len(stack), kind != poses.kind) for kind, stack in values.stacks.items()}
         part, touched = parts.take(measurements, held, values)
-        own = Stack(poses.kind, poses.manifold, poses.X[inside], poses.numbers[inside])
+        mine = inside.copy()
+        if poses.kind in touched.stacks:  # an opaque factor comes with all of its poses
+            mine[poses.index(Keys(poses.kind, touched.stack(poses.kind).numbers))] = True
+        own = Stack(poses.kind, poses.manifold, poses.X[mine], poses.numbers[mine])
         start = Values.of([own, *without(touched, Kind(poses.kind)).stacks.values()])
         part.fix(_first_poses(part, start, own))
         rows = np.flatnonzero(of_half[pings.ping])
-        yield rows, Pings.of(pings.sightings[rows], start, pings.kind, 2 * pings.limit or None), part, start
+        sightings = pings.sightings[rows]
+        assert isinstance(sightings, Sighting)
+        yield rows, Pings.of(sightings, start, pings.kind, 2 * pings.limit or None), part, start
 
 
 def _first_poses(graph: FactorGraph, values: Values, poses: Stack) -> Keys:
