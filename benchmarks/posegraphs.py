@@ -80,7 +80,7 @@ def child(contender: str, variant: str, files: Files, out: Path, marginals: bool
 
 def launch(runner: str, contender: str, variant: str, files: Files, out: Path, marginals: bool) -> dict[str, Any]:
     """Run a child or a program; what went wrong is in its `failed`."""
-    command = [runner, __file__, "--child", contender, variant, *map(str, (files.graph, files.complete, files.arrays))]
+    command = [runner, __file__, "--child", contender, variant, *map(str, (files.graph, files.complete))]
     command += [str(int(files.space)), str(files.most), str(out), str(int(marginals))]
     if contender in PROGRAMS:
         command = programs.command(runner, variant, files, out)
@@ -102,16 +102,13 @@ def launch(runner: str, contender: str, variant: str, files: Files, out: Path, m
 def compare(problem: Problem, runners: dict[str, str], rounds: int, staged: bool, folder: Path) -> dict[str, Any]:
     """Interleaved rounds of every contender and variant on one set; medians, chi2, and who is fastest."""
     modules = {name: import_module(f"peers.{name}") for name in runners}
-    runs: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for name, module in modules.items():
-        if module.MAX_EDGES is None or problem.edges <= module.MAX_EDGES:
-            runs[name] = {variant: [] for variant in module.VARIANTS}
+    runs: dict[str, dict[str, list[dict[str, Any]]]] = {
+        name: {variant: [] for variant in module.VARIANTS} for name, module in modules.items()
+    }
     found: dict[str, Any] = {"edges": problem.edges, "poses": problem.poses, "dof": problem.dof}
     found |= {"dimension": 3 if problem.files.space else 2, "optimum": {}, "runs": {}}
     for k in range(rounds):
-        first = {
-            n: {v: total(r[0], modules[n].READS) for v, r in variants.items() if r} for n, variants in runs.items()
-        }
+        first = {n: {v: total(r[0]) for v, r in variants.items() if r} for n, variants in runs.items()}
         for name, variants in runs.items():
             limit = NEAR * min(first[name].values(), default=np.inf)
             if k > 0 and name != "leadline":
@@ -129,7 +126,7 @@ def compare(problem: Problem, runners: dict[str, str], rounds: int, staged: bool
                 if name == "leadline":
                     found["optimum"] = {c: problem.optimum(*solution(out), c) for c in problem.graphs}
     for name, variants in runs.items():
-        found["runs"][name] = {variant: summary(done, modules[name].READS) for variant, done in variants.items()}
+        found["runs"][name] = {variant: summary(done) for variant, done in variants.items()}
     judge(found, modules, problem.dof)
     found["matched"] = matched(problem, runners, found["fastest"], runs["leadline"]["auto"][0]["iterations"], folder)
     if staged:
@@ -166,12 +163,12 @@ def matched(
     return found
 
 
-def total(run: dict[str, Any], reads: bool) -> float:
-    """Processor time of a run, ms: without the loading, where that was done by a Python loop."""
-    return np.inf if "failed" in run else sum(run["cpu"][stage] for stage in STAGES if reads or stage != "load")
+def total(run: dict[str, Any]) -> float:
+    """Processor time of a run, ms."""
+    return np.inf if "failed" in run else sum(run["cpu"][stage] for stage in STAGES)
 
 
-def summary(done: list[dict[str, Any]], reads: bool) -> dict[str, Any]:
+def summary(done: list[dict[str, Any]]) -> dict[str, Any]:
     """Medians over the rounds of one variant."""
     if "failed" in done[0]:
         return {"failed": done[0]["failed"]}
@@ -179,7 +176,7 @@ def summary(done: list[dict[str, Any]], reads: bool) -> dict[str, Any]:
     out = {k: done[0][k] for k in ("iterations", "cost", "chi2", "said")} | {"rounds": len(good)}
     for clock in ("cpu", "wall"):
         out[clock] = {stage: float(np.median([run[clock][stage] for run in good])) for stage in STAGES}
-    out["total"] = float(np.median([total(run, reads) for run in good]))
+    out["total"] = float(np.median([total(run) for run in good]))
     out["peak"] = float(np.median([run["peak"] for run in good]))
     if "timings" in done[0]["said"]:
         parts = done[0]["said"]["timings"]
@@ -211,9 +208,7 @@ def judge(found: dict[str, Any], modules: dict[str, Any], dof: int) -> None:
             continue
         fastest = found["fastest"][name] = min(best, key=lambda v: best[v])
         if name != "leadline":
-            ours = found["runs"]["leadline"]["auto"]["cpu"]
-            mine = sum(ours[stage] for stage in STAGES if modules[name].READS or stage != "load")
-            found["ratio"][name] = mine / best[fastest]
+            found["ratio"][name] = found["runs"]["leadline"]["auto"]["total"] / best[fastest]
             if found["optimum"][cost] > 1.01 * lowest + slack:
                 found["theirs_is_lower"].append(name)
 
@@ -262,8 +257,6 @@ def installed(pythons: dict[str, str], folder: Path) -> tuple[dict[str, str], li
                 can[name] = str(programs.compiled(source, module.LIBRARIES, folder))
             except programs.NotCompiledError as error:
                 notes.append(f"{name}: not run; {error}; the head of benchmarks/posegraphs.py says what it needs")
-        elif name == "g2o":
-            notes.append("g2o: not run; its wheel needs NumPy 1, see benchmarks/requirements-g2o.txt and --python g2o=")
         elif importlib.util.find_spec(module.PACKAGE) is None:
             notes.append(f"{name}: not installed; pip install -r benchmarks/requirements.txt")
         else:
@@ -287,8 +280,8 @@ def count(text: str) -> int:
 
 def main() -> int:
     if sys.argv[1:2] == ["--child"]:
-        contender, variant, graph, complete, arrays, space, most, out, wanted = sys.argv[2:]
-        files = Files(Path(graph), Path(complete), Path(arrays), space == "1", int(most))
+        contender, variant, graph, complete, space, most, out, wanted = sys.argv[2:]
+        files = Files(Path(graph), Path(complete), space == "1", int(most))
         child(contender, variant, files, Path(out), wanted == "1")
         return 0
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])

@@ -63,7 +63,7 @@ class Problem:
 
 
 def prepare(name: str, folder: Path, data: str | None) -> Problem:
-    """Write a set as one plain g2o file, and its arrays."""
+    """Write a set as one plain g2o file."""
     import nls
     import sim
     from nls.io.files import read_bytes
@@ -90,16 +90,7 @@ def prepare(name: str, folder: Path, data: str | None) -> Problem:
     complete = path
     if b"VERTEX" not in path.read_bytes():
         nls.save(complete := folder / f"{path.stem}-complete.g2o", graph, values)
-    stack, edges = values.stack("x"), graph.factors
+    stack = values.stack("x")
     d = stack.manifold.dim
-    np.savez(
-        folder / f"{path.stem}.npz",
-        ids=stack.numbers,
-        X=stack.X,
-        i=np.concatenate([f.keys[0].numbers for f in edges]),
-        j=np.concatenate([f.keys[1].numbers for f in edges]),
-        z=np.concatenate([f.z for f in edges]),
-        information=np.concatenate([np.broadcast_to(f.noise.matrix, (len(f), d, d)) for f in edges]),
-    )
-    files = Files(path, complete, folder / f"{path.stem}.npz", d == 6)
+    files = Files(path, complete, d == 6)
     return Problem(name, files, len(graph), len(stack), d * (len(graph) - len(stack) + 1), graphs, values)

@@ -3,8 +3,6 @@
 PACKAGE           the import name; imported when a Run is made, before the clock starts
 VARIANTS          how it can be run, in words separated by commas
 COST              the residual convention of its chi2, `g2o` or `gtsam`
-READS             whether it reads the file itself; otherwise it builds its graph in Python from arrays
-MAX_EDGES         larger sets are left out
 Run(files, variant)
     load(), start(), optimize()   each timed
     poses()       ids (n,) and poses (n, 3) or (n, 7), as in a g2o file
@@ -24,30 +22,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 __all__ = ["CONTENDERS", "PROGRAMS", "TOLERANCE", "Files", "combined"]
 
-CONTENDERS = ("leadline", "gtsam", "g2o_cpp", "ceres_cpp", "g2o", "pyceres", "symforce")
+CONTENDERS = ("leadline", "gtsam", "g2o_cpp", "ceres_cpp")
 PROGRAMS = ("g2o_cpp", "ceres_cpp")
 TOLERANCE = 1e-6  # relative decrease of the cost that ends an optimization
 
 
 @dataclass(frozen=True)
 class Files:
-    """A set as files: the g2o text, and arrays for those that cannot read it."""
+    """A set as g2o files."""
 
     graph: Path
     complete: Path  # the same with a start for every pose, for those that need one
-    arrays: Path  # npz: ids, X, i, j, z, information (n, d, d); poses in g2o's order
     space: bool
     most: int = 100  # iterations
-
-    def read_arrays(self) -> dict[str, Any]:
-        with np.load(self.arrays) as arrays:
-            return dict(arrays)
 
 
 def combined(*parts: tuple[str, ...]) -> tuple[str, ...]:

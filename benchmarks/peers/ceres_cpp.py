@@ -5,5 +5,5 @@ from __future__ import annotations
 from peers import combined
 
 SOURCE, LIBRARIES = "ceres_driver.cpp", ("blas", "ceres", "glog")  # BLAS first: CHOLMOD takes the one all others use
-COST, READS, MAX_EDGES = "g2o", True, None
+COST = "g2o"
 VARIANTS = combined(("file",), ("LM", "dogleg"))

@@ -11,7 +11,7 @@ import numpy as np
 
 from peers import TOLERANCE, Files, combined
 
-PACKAGE, COST, READS, MAX_EDGES = "gtsam", "gtsam", True, None
+PACKAGE, COST = "gtsam", "gtsam"
 ORDERINGS = ("COLAMD", "METIS")
 VARIANTS = combined(("file", "chordal"), ("GN", "LM"), ORDERINGS)
 VARIANTS += combined(("fastSync",), ("GN",), ORDERINGS)

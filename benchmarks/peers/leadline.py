@@ -7,7 +7,7 @@ from typing import Any
 
 from peers import Files
 
-PACKAGE, VARIANTS, COST, READS, MAX_EDGES = "nls", ("auto",), "g2o", True, None
+PACKAGE, VARIANTS, COST = "nls", ("auto",), "g2o"
 
 
 class Run:

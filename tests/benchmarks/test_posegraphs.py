@@ -57,7 +57,7 @@ def test_quick_on_simulated_worlds_and_a_peer_that_fails(tmp_path: Path) -> None
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho 'no such library here' >&2\nexit 3\n")
     broken.chmod(0o755)
-    results = run(tmp_path, "--quick", "--python", f"g2o={broken}")
+    results = run(tmp_path, "--quick", "--python", f"gtsam={broken}")
     assert results["simulated"]
     assert list(results["sets"]) == ["ring", "smallGrid3D"]
     text = (tmp_path / "posegraphs.md").read_text()
@@ -67,8 +67,8 @@ def test_quick_on_simulated_worlds_and_a_peer_that_fails(tmp_path: Path) -> None
         ours = check(found)
         assert 0.8 < ours["chi2"]["g2o"] / found["dof"] < 1.25  # the noise of the file is the noise of the world
         assert f"| {name} | {found['edges']:,} | leadline |" in text
-        assert {run["failed"] for run in found["runs"]["g2o"].values()} == {"no such library here"}
-        assert "g2o" not in found["ratio"]
+        assert {run["failed"] for run in found["runs"]["gtsam"].values()} == {"no such library here"}
+        assert "gtsam" not in found["ratio"]
 
 
 def test_quick_on_public_sets(tmp_path: Path, data: Path) -> None:
@@ -83,7 +83,7 @@ def test_quick_on_public_sets(tmp_path: Path, data: Path) -> None:
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
-    for words in ("--rounds 0", "--sets nowhere", "--python nobody=/bin/sh", "--python g2o=/no"):
+    for words in ("--rounds 0", "--sets nowhere", "--python nobody=/bin/sh", "--python gtsam=/no"):
         options = words.split()
         command = [sys.executable, str(SCRIPT), "--out", str(tmp_path), *options]
         done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)

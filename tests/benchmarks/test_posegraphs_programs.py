@@ -40,7 +40,7 @@ def source(folder: Path, text: str) -> Path:
 def test_a_program_leaves_its_clocks_and_poses_to_the_last_digit(part: Callable[[str], Any], tmp_path: Path) -> None:
     program = part("peers.programs").compiled(source(tmp_path, ECHO), (), tmp_path)
     peers = part("peers")
-    files = peers.Files(tmp_path / "a.g2o", tmp_path / "b.g2o", tmp_path / "a.npz", True)
+    files = peers.Files(tmp_path / "a.g2o", tmp_path / "b.g2o", True)
     out = tmp_path / "g2o_cpp-file, GN.npz"
     record = part("posegraphs").launch(str(program), "g2o_cpp", "file, GN", files, out, False)
     assert (record["iterations"], record["cost"], record["said"]) == (7, 0.1, {})
