@@ -7,7 +7,7 @@ without it says by how much chi2 would fall,
 
 the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948). With J the columns of c it is
 
-    g'H^-1 g + r'S^-1 r,    r = J'b - B'H^-1 g,    S = J'J + I / WIDE^2 - B'H^-1 B,    B = A'J,    g = A'b
+    g'H^-1 g + r'S^-1 r,    r = J'b - B'H^-1 g,    S = J'J + I / sigma^2 - B'H^-1 B,    B = A'J,    g = A'b
 
 so that H = A'A is factorized once, without c. The J of odometry is that of the estimated steps. The measured ones share
 their noise with b: scaled down they always fit better. Where the fall is no chance the graph is solved with c.
@@ -53,7 +53,8 @@ __all__ = ["Calibration", "calibrations"]
 
 UNLIKELY = 1e-6  # chance of a false alarm: no noise is exactly as stated; the public smallGrid3D has 4e-5
 CAUSE = 0.9  # of the chi2 beyond its expectation, which a calibration must explain; odometry without use has 0.75
-WIDE = 1.0  # m, rad, or a fraction: sigma of the prior of a calibration
+WIDE = 1.0  # of the scale and turn of odometry, rad: sigma of the prior
+MOUNTED = 0.1  # m, rad: that of a mounting; wider, a direction that is hardly seen leads to another optimum
 LARGEST = 1.6  # m, rad, or a fraction: beyond a quarter turn it is another mistake
 CLEAR = 3.0  # sigmas of a component that is named
 MANY = 6  # measurements
@@ -96,6 +97,7 @@ class Source:
     factors : all of the graph, with the variable in those that depend on it.
     changed : the latter, for the score test.
     group, X : space and start of the variable.
+    sigma : of its prior.
     """
 
     kind: str
@@ -105,6 +107,7 @@ class Source:
     changed: tuple[Factor, ...]
     group: LieGroup
     X: Array
+    sigma: float
 
 
 class Standing(NamedTuple):
@@ -140,7 +143,7 @@ def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = N
     >>> for wrong in calibrations(turned, turned.optimize(world.start).values):
     ...     print(wrong.kind, wrong.quantity, wrong.components, wrong.correction.round(2))
     Between odometry ('yaw',) [-0.1]
-    BearingRange mounting ('yaw',) [-0.12]
+    BearingRange mounting ('yaw',) [-0.1]
     """
     key = _unused(values)
     pattern = graph.pattern(values)
@@ -156,11 +159,11 @@ def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = N
         return ()
     fits: list[Calibration] = []
     for source in sources:
-        other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(WIDE))], held)
+        other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(source.sigma))], held)
         start = Values.of(values.stacks.values())
         start.add(Kind(key.kind), source.group, source.X)
         try:
-            fall = _fall(FactorGraph(list(source.changed), held).linearize(start), standing)
+            fall = _fall(FactorGraph(list(source.changed), held).linearize(start), standing, source.sigma)
         except np.linalg.LinAlgError:  # the optimum is at numbers beside which the calibration has no digits left
             continue
         variance, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
@@ -182,19 +185,20 @@ def _standing(system: LinearSystem) -> Standing:
     return Standing(factorization, dx, system.promised(dx))
 
 
-def _fall(system: LinearSystem, standing: Checked | Standing) -> float:
+def _fall(system: LinearSystem, standing: Checked | Standing, sigma: float) -> float:
     """By how much chi2 falls with a calibration.
 
     Parameters
     ----------
     system : of the measurements that depend on it; its columns are the last ones.
     standing : of all measurements without it.
+    sigma : of its prior.
     """
     A, n, x = system.A, len(standing.dx), standing.dx
     J = A @ np.eye(A.shape[1], A.shape[1] - n, -n)
     B, M = np.split(A.T @ J, [n])
     r = J.T @ system.b - B.T @ x
-    S = M + np.eye(len(r)) / WIDE**2 - B.T @ standing.factorization.solve(B)
+    S = M + np.eye(len(r)) / sigma**2 - B.T @ standing.factorization.solve(B)
     return standing.promised + float(np.square(np.linalg.solve(np.linalg.cholesky(S), r)).sum())
 
 
@@ -229,7 +233,7 @@ def _mountings(graph: FactorGraph, pattern: Pattern, key: Keys) -> list[Source]:
             factors[k] = sighting.mounted(key)
         kind = " and ".join(dict.fromkeys(factor.name for factor in measuring))
         changed = tuple(factors[k] for k in numbers)
-        sources.append(Source(kind, "mounting", group.components, tuple(factors), changed, group, O))
+        sources.append(Source(kind, "mounting", group.components, tuple(factors), changed, group, O, MOUNTED))
     return sources
 
 
@@ -255,7 +259,7 @@ def _odometry(graph: FactorGraph, pattern: Pattern, values: Values, key: Keys) -
         kind = " and ".join(dict.fromkeys(graph.factors[k].name for k, _ in places))
         group = R(1 + len(turns))
         begin = np.zeros((1, group.dim))
-        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), tuple(changed), group, begin))
+        sources.append(Source(kind, "odometry", ("scale", *turns), tuple(factors), tuple(changed), group, begin, WIDE))
     return sources
 
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import nls
+import sim
 from factors import Bearing, Between, Diagonal, Factor, Isotropic, Landmark, Prior, Range, RangeAzimuth
+from factors.replaced import replaced
 from models import SE2, SE3, R
 from models.algebra import Array
 from nls import FactorGraph, Values
@@ -116,3 +118,20 @@ def test_more_free_directions_than_are_found_at_once() -> None:
     explanation = nls.explain(graph, values)
     assert (explanation.nullity, explanation.rank, explanation.capped) == (40, 40, False)
     assert {f"{c} of all 2 variables joined to l{n}" for c in "xy" for n in k} == set(explanation.free)
+
+
+def test_a_calibration_is_named_beside_a_landmark_that_is_free() -> None:
+    """Bearings are off by 0.1 rad. One landmark has a single bearing, and its distance is free."""
+    world = sim.subsea(np.random.default_rng(1), laps=1, known_start=True)
+    first, odometry, sightings = world.graph.factors
+    turned = FactorGraph([first, odometry, replaced(sightings, z=sightings.z + np.array([0.1, 0]))])
+    values = turned.optimize(world.start).values.extended(l[[99]], np.array([[30.0, 4.0]]))
+    X, P = values[x[0]], values[l[99]]
+    bearing = np.arctan2(P[1] - X[1], P[0] - X[0]) - X[2]
+    explanation = nls.explain(FactorGraph([*turned.factors, Bearing(x[0], l[99], bearing, Isotropic(0.01))]), values)
+    assert list(explanation.free) == ["l99: range as seen from x0"]
+    (finding,) = (finding for finding in explanation.findings if finding.kind == "calibration")
+    ways = {(way["kind"], way["quantity"]): way for way in finding.numbers["calibrations"]}
+    assert set(ways) == {("Between", "odometry"), ("BearingRange", "mounting")}
+    for way in ways.values():
+        np.testing.assert_allclose(way["correction"], [-0.1], atol=0.01)
