@@ -12,7 +12,7 @@ import nls
 from models.geodesy import LocalPlane
 from nls import GraphFileError, OptionError
 from nls.cli import main
-from nls.io.importing import Imported, write_imported
+from nls.io.importing import Imported, Mapping, import_logs, write_imported
 from tests.combinations import for_all
 from tests.nls.io.importing.logs import imported, table
 
@@ -130,6 +130,17 @@ def test_holoocean_with_its_axes_up(data: Path, tmp_path: Path, capsys: pytest.C
     notes, reckoned = solved("holoocean", [log], tmp_path / "m", capsys)
     assert "NWU and FLU axes" in notes
     assert reckoned["end_error_m"] < 0.8
+
+
+def test_contacts_without_their_sonar_are_named(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("t,range,bearing\n0,4,0.1\n1,5,0.2\n")
+    contacts = (
+        'contacts = { time_s = "t", range_m = "range", azimuth_rad = "bearing", sigma_range_m = 0.1, '
+        "sigma_azimuth_rad = 0.01 }"
+    )
+    notes = import_logs([log], Mapping(contacts, "mapping.toml")).notes
+    assert any("nls solve needs dvl.csv, ahrs.csv, depth.csv, noise.csv, sonar.csv besides" in note for note in notes)
 
 
 def test_what_the_other_sets_lack_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
