@@ -223,8 +223,8 @@ def _missing(tables: set[str]) -> str:
     """The note on what a mission still needs."""
     log_files = [name for name in LOG if name != "depth" or "pressure" not in tables]
     needed = [] if tables & set(ALONE) else TRACK if tables & set(TRACK) else log_files
-    seen = ("contacts", "sonar") if tables & {"contacts", "sonar"} else ()
-    absent = [f"{name}.csv" for name in (*needed, *seen) if name not in tables]
+    of_sonar = ("contacts", "sonar") if tables & {"contacts", "sonar"} else ()
+    absent = [f"{name}.csv" for name in (*needed, *of_sonar) if name not in tables]
     if not absent:
         return ""
     return f"nls solve needs {', '.join(absent)} besides: give the sections, or the files (nls new writes templates)"
