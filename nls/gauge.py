@@ -31,6 +31,7 @@ from nls.values import Values
 __all__ = [
     "GAUGES",
     "Gauge",
+    "by_number",
     "choose_gauge",
     "component_labels",
     "fixed_variables",
@@ -69,6 +70,11 @@ def component_labels(pattern: Pattern) -> Index:
     pairs = [(slots[0], variables) for slots in map(_moved, pattern.batches) for variables in slots[1:]]
     i, j = np.concatenate([np.zeros((2, 0), dtype=np.intp), *pairs], axis=1)
     return connected(i, j, len(pattern.dims))
+
+
+def by_number(pattern: Pattern, kind: str) -> Index:
+    """The variables (n,) of a kind, by rising number."""
+    return np.asarray(pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable"))
 
 
 def calibrations(pattern: Pattern) -> Mask:
@@ -168,8 +174,7 @@ def _named(pattern: Pattern, variables: Index) -> str:
 def _first_of_components(label: Index, pattern: Pattern, moving: Mask, anchored: Mask) -> Index:
     """Per unanchored component the variable of most degrees of freedom, first kind, lowest number."""
     kinds = sorted(pattern.numbers, key=lambda kind: -pattern.manifolds[kind].dim)
-    by_number = [pattern.offsets[kind] + np.argsort(pattern.numbers[kind], kind="stable") for kind in kinds]
-    order = np.concatenate([*by_number, np.zeros(0, dtype=np.intp)])
+    order = np.concatenate([*(by_number(pattern, kind) for kind in kinds), np.zeros(0, dtype=np.intp)])
     return firsts(label, order[(moving & ~anchored[label])[order]])
 
 

@@ -190,8 +190,8 @@ def _rounds(
 ) -> tuple[list[Index], Values, bool]:
     """Tracks (n,) after every round, poses by them, and whether the last round changed next to nothing.
 
-    Rounds begin with the tracks of both halves, and with the pieces (n,) where there are few pings. In a half of more
-    pings sightings that are still open stay so.
+    Rounds begin with the tracks of both halves, and with the pieces (n,) where there are few pings. Sightings that are
+    still open in the end are decided in the whole alone, not in a `half`.
     """
     tracks = pieces.copy()
     if len(pings.poses) > PINGS:

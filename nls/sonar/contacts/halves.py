@@ -12,7 +12,7 @@ import numpy as np
 from factors.keys import Keys, Kind
 from factors.sighting import Sighting
 from models.algebra import Index
-from nls.gauge import component_labels
+from nls.gauge import by_number, component_labels
 from nls.graph import FactorGraph
 from nls.sonar.contacts.estimate import without
 from nls.sonar.contacts.places import Pings
@@ -58,5 +58,5 @@ def halves(pings: Pings, graph: FactorGraph, values: Values) -> Iterator[tuple[I
 def _first_poses(graph: FactorGraph, values: Values, poses: Stack) -> Keys:
     """The pose of lowest number in every component of a graph."""
     pattern = graph.pattern(values)
-    rows = firsts(component_labels(pattern), pattern.offsets[poses.kind] + np.argsort(poses.numbers, kind="stable"))
+    rows = firsts(component_labels(pattern), by_number(pattern, poses.kind))
     return Keys(poses.kind, poses.numbers[rows - pattern.offsets[poses.kind]])
