@@ -30,12 +30,17 @@ TABLES = {  # what must be there, what may be
     "fixes": (("time_s", "lat_deg", "lon_deg"), ()),
     "truth": (("time_s", *ANGLES, *PLACE), ()),
     "contacts": (("time_s", "range_m", "azimuth_rad"), ("landmark",)),
+    "ranges": (("time_s", "range_m"), ("beacon",)),
 }
+AXES = {"vy_m_s": "y is to starboard", "vz_m_s": "z is down"}
+BY_SIZE = "by the size of its angles"
+NO_UNIT = "its header names no unit"
 LEVEL = "no column looks like it: level, as far as its sigma in [noise] says"
 NUMBERS = {  # columns that no log has
     "fixes": ("sigma_x_m", "sigma_y_m"),
     "path": ("sigma_x_m", "sigma_y_m", "sigma_yaw_rad"),
     "contacts": ("sigma_range_m", "sigma_azimuth_rad"),
+    "ranges": ("sigma_range_m",),
 }
 NOISE = """\
 [noise]                          # one sigma each, from the data sheets
@@ -135,14 +140,18 @@ def _of_text(log: TextLog, named: bool, tables: list[str], tilted: bool) -> list
             continue  # a whole pose: it is a truth
         if table == "path" and ("dvl" in tables or ({*ANGLES, *PLACE} <= set(chosen) and not _is_odometry(chosen))):
             continue  # sensors measure the way; a whole pose is a truth
+        if table == "ranges" and ("contacts" in tables or not _is_acoustic(chosen)):
+            continue  # a range alone may be one of an echo sounder, or a setting of the sonar
         if "path" in (tables[drafted:] if table == "truth" else tables) and table in ("ahrs", "depth", "truth"):
             continue  # the path has these columns
         tables.append(table)
         used |= set(chosen.values())
         lines += [f"[{table}]", *([f"file = {json.dumps(log.title)}"] if named else [])]
-        lines += [_line(column, name, log) for column, name in chosen.items()]
+        lines += [_line(column, chosen, log) for column in chosen]
         if table == "ahrs":
             lines += [f"{angle} = 0.0   # {LEVEL}" for angle in ANGLES if angle not in chosen]
+        if table == "ranges" and "beacon" not in chosen:
+            lines.append("beacon = 1   # no column looks like it: the number of the one beacon")
         lines += [*_numbers(table), ""]
         if table == "contacts":
             lines += ["[sonar]   # from its data sheet, and where it is on the vehicle", *_sonar(), ""]
@@ -170,24 +179,39 @@ def _is_odometry(chosen: dict[str, str]) -> bool:
     return "odo" in plain(chosen["x_m"])
 
 
+def _is_acoustic(chosen: dict[str, str]) -> bool:
+    """Whether a range is one to a beacon by the names of its columns."""
+    return "beacon" in chosen or "slant" in plain(chosen["range_m"]).split()
+
+
 def _places(log: Log) -> dict[str, str]:
     """The latitude and longitude of a log."""
     chosen = {column: guess(column, log.names) for column in ("lat_deg", "lon_deg")}
     return {column: name for column, name in chosen.items() if name is not None}
 
 
-def _line(column: str, name: str, log: Log) -> str:
+def _line(column: str, chosen: dict[str, str], log: Log) -> str:
     """A line of a mapping; says which unit is taken where the log names none."""
-    quoted = json.dumps(name, ensure_ascii=False)
+    name = chosen[column]
+    quoted, words = json.dumps(name, ensure_ascii=False), set(plain(name).split())
     kind, own = mission_unit(column)
-    if column == "z_m" and {"altitude", "height", "alt"} & set(plain(name).split()):
+    if column == "z_m" and {"altitude", "height", "alt"} & words:
         return f"z_m = {{ column = {quoted}, up = true }}   # z is down; up = false if it is depth"
+    keys, remarks = f"column = {quoted}", ""
     if kind and kind != "time" and not dimension(header_unit(name)[0]):
-        unit, why = own, "its header names no unit"
-        if own == "rad" and float(np.nanmax(np.abs(log.numbers(name)), initial=0.0)) > 2 * np.pi:
-            unit, why = "deg", "by its size"
-        return f'{column} = {{ column = {quoted}, unit = "{unit}" }}   # {why}{_constant(log, name)}'
-    return f"{column} = {quoted}{_constant(log, name)}"
+        unit, why = ("deg", BY_SIZE) if own == "rad" and _in_degrees(chosen, log) else (own, NO_UNIT)
+        keys, remarks = f'{keys}, unit = "{unit}"', f"   # {why}"
+    if kind == "velocity" and {"port", "up"} & words:
+        keys, remarks = f"{keys}, sign = -1", f"{remarks}   # {AXES[column]}"
+    value = f"{{ {keys} }}" if remarks else quoted
+    return f"{column} = {value}{remarks}{_constant(log, name)}"
+
+
+def _in_degrees(chosen: dict[str, str], log: Log) -> bool:
+    """Whether an angle without a unit is too large for radians: then all of the table are in degrees."""
+    names = [name for column, name in chosen.items() if mission_unit(column)[1] == "rad"]
+    sizes = [np.abs(log.numbers(name)) for name in names if not header_unit(name)[0]]
+    return any(float(np.nanmax(size, initial=0.0)) > 2 * np.pi for size in sizes)
 
 
 def _constant(log: Log, name: str) -> str:

@@ -10,6 +10,7 @@ from nls.io.importing.units import BRACKET, dimension, header_unit, mission_unit
 
 __all__ = ["PATTERNS", "guess", "nearest", "plain"]
 
+ABBREVIATIONS = {"fwd": "forward", "stbd": "starboard", "hdg": "heading", "bt": "bottom", "wt": "water"}
 AXIS = r"(?:dvl|vel(?:ocity)?|v|speed|bottom|body|inst(?:rument)?|linear)"
 PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; of names as `plain` makes them
     "time_s": (
@@ -20,24 +21,47 @@ PATTERNS: dict[str, tuple[str, ...]] = {  # by mission column, the best first; o
         r"(?:utc|date ?time|epoch|t)",
         r".*\btime\b.*",
     ),
-    "vx_m_s": (rf".*\b{AXIS} ?(?:x|0)", r"(?:surge|forward)\b.*", r".*\bu", rf".*{AXIS}.*\bx", r".*\blinear x"),
-    "vy_m_s": (rf".*\b{AXIS} ?(?:y|1)", r"(?:sway|starboard)\b.*", rf".*{AXIS}.*\by", r".*\blinear y"),
-    "vz_m_s": (rf".*\b{AXIS} ?(?:z|2)", r"(?:heave|down)\b.*", rf".*{AXIS}.*\bz", r".*\blinear z"),
+    "vx_m_s": (
+        rf".*\b{AXIS} ?(?:x|0)",
+        r"(?:surge|forward)\b.*",
+        rf".*\b{AXIS} (?:surge|forward)",
+        r".*\bu",
+        rf".*{AXIS}.*\bx",
+        r".*\blinear x",
+    ),
+    "vy_m_s": (
+        rf".*\b{AXIS} ?(?:y|1)",
+        r"(?:sway|starboard)\b.*",
+        rf".*\b{AXIS} (?:sway|starboard|port)",
+        rf"port {AXIS}",
+        rf".*{AXIS}.*\by",
+        r".*\blinear y",
+    ),
+    "vz_m_s": (
+        rf".*\b{AXIS} ?(?:z|2)",
+        r"heave\b.*",
+        rf".*\b{AXIS} (?:heave|down|up)",
+        rf"(?:down|up) {AXIS}",
+        rf".*{AXIS}.*\bz",
+        r".*\blinear z",
+    ),
     "valid": (r".*\b(?:valid|lock|flag)",),
     "roll_rad": (r"roll", r".*\broll"),
     "pitch_rad": (r"pitch", r".*\bpitch"),
-    "yaw_rad": (r"yaw", r"heading", r".*\b(?:yaw|heading)"),
+    "yaw_rad": (r"yaw", r"heading", r".*\b(?:true heading|heading true)", r".*\b(?:yaw|heading)"),
     "z_m": (r"depth", r".*\bdepth", r"altitude", r"height", r"z", r".*\bposition z"),
     "x_m": (r"x", r"north(?:ing)?", r".*\bposition x", r".*\bx", r"x odo\w*"),
     "y_m": (r"y", r"east(?:ing)?", r".*\bposition y", r".*\by", r"y odo\w*"),
     "lat_deg": (r"lat(?:itude)?", r".*\blat(?:itude)?"),
     "lon_deg": (r"lon(?:gitude)?|lng", r".*\b(?:lon(?:gitude)?|lng)"),
-    "range_m": (r"range", r"distance", r".*\b(?:range|distance).*"),
+    "range_m": (r"(?:slant )?range", r"distance", r".*\b(?:range|distance).*"),
     "azimuth_rad": (r"azimuth", r"bearing", r".*\b(?:azimuth|bearing)"),
     "landmark": (r"(?:landmark|target|feature)(?: id)?",),
+    "beacon": (r"(?:beacon|transponder)(?: id)?",),
     "sound_speed_m_s": (r".*sound.*(?:speed|velocity).*", r".*\bsvp?\b.*"),
 }
-HEADINGS = re.compile(r"\b(north|east|down|earth|imu|acc\w*|gyro|angular|water|air)\b")  # no velocity along own axes
+OTHER = re.compile(r"\b(north|east|earth|imu|acc\w*|gyro|angular|water|air)\b")  # no velocity along own axes
+WORLD = re.compile(rf"\b{AXIS} (?:north|east)|\b(?:north|east) {AXIS}")  # then down and up are of the world, too
 
 
 def plain(name: str) -> str:
@@ -45,15 +69,16 @@ def plain(name: str) -> str:
 
     Examples
     --------
-    >>> plain("DVL X [m/s]"), plain("field.velocityInst0"), plain("v_mm_s")
-    ('dvl x', 'field velocity inst 0', 'v')
+    >>> plain("DVL X [m/s]"), plain("field.velocityInst0"), plain("v_mm_s"), plain("BT_Vel_Fwd")
+    ('dvl x', 'field velocity inst 0', 'v', 'bottom vel forward')
     """
     unit, bracket = header_unit(name)
     text = BRACKET.sub("", name) if bracket else name
     if unit and not bracket:
         text = text[: -len(unit) - 1]
     text = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", " ", text)
-    return re.sub(r"[^a-z0-9]+", " ", text.lower()).strip()
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    return " ".join(ABBREVIATIONS.get(word, word) for word in words)
 
 
 def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str | None:
@@ -65,13 +90,11 @@ def guess(column: str, names: Sequence[str], taken: Sequence[str] = ()) -> str |
     ('DVL X [m/s]', None)
     """
     kind = mission_unit(column)[0]
-    fitting = []
-    for name in names:
-        unit = header_unit(name)[0]
-        other = dimension(unit) not in ("", kind)
-        if name in taken or other or (kind == "velocity" and HEADINGS.search(plain(name))):
-            continue
-        fitting.append(name)
+    fitting = [name for name in names if name not in taken and dimension(header_unit(name)[0]) in ("", kind)]
+    if kind == "velocity":
+        fitting = [name for name in fitting if not OTHER.search(plain(name))]
+        if any(WORLD.search(plain(name)) for name in names):
+            fitting = [name for name in fitting if not {"down", "up"} & set(plain(name).split())]
     if column in fitting:
         return column
     for pattern in PATTERNS.get(column, ()):

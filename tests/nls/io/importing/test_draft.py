@@ -47,6 +47,38 @@ def test_a_heading_alone_is_the_attitude_of_a_level_vehicle(tmp_path: Path) -> N
     assert tomllib.loads(draft([compass, ahrs]))["ahrs"]["file"] == "ahrs.csv"
 
 
+def test_velocities_along_the_axes_of_the_vehicle_have_their_signs(tmp_path: Path) -> None:
+    """Also where names are short; those over ground by north, east and down are none."""
+    log = tmp_path / "log.csv"
+    for header, cells, row in (
+        ("BT_Vel_Fwd,BT_Vel_Stbd,BT_Vel_Down", "1,2,3", "0.0,1.0,2.0,3.0,1"),
+        ("BT_Vel_Up,BT_Vel_Port,WT_Vel_Fwd,BT_Vel_Fwd", "1,2,3,4", "0.0,4.0,-2.0,-1.0,1"),
+        ("V North,V East,V Down", "1,2,3", ""),
+        ("V North,V East,Vel_Fwd,Vel_Stbd,Vel_Down", "1,2,3,4,5", ""),
+    ):
+        log.write_text(f"time,{header}\n0,{cells}\n")
+        text = draft([log])
+        assert ("\n[dvl]" in text) == bool(row)
+        if row:
+            assert import_logs([log], Mapping(text, "mapping.toml")).files["dvl.csv"].decode().splitlines()[1] == row
+
+
+def test_small_angles_are_in_degrees_where_the_heading_is(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,HDG_mag,HDG_true,Pitch,Roll\n0,85,90,2,0\n1,85,90,2,0\n")
+    imported = import_logs([log], Mapping(draft([log]), "mapping.toml"))
+    assert imported.files["ahrs.csv"].decode().splitlines()[1] == f"0.0,0.0,{float(np.radians(2))!r},{np.pi / 2!r}"
+
+
+def test_a_range_is_one_to_a_beacon_where_its_name_says_so(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    for header, line in (("Slant range", "beacon = 1"), ("slant_range,Beacon", 'beacon = "Beacon"'), ("range", "")):
+        log.write_text(f"time,{header}\n0,12.5{',3' * header.count(',')}\n")
+        text = draft([log])
+        assert ("[ranges]" in text) == bool(line)
+        assert line in text
+
+
 def test_the_sonar_of_a_draft_is_that_of_its_template(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text(
