@@ -11,7 +11,7 @@ import numpy as np
 from factors.base import Factor, Model
 from factors.differences import EPS, FIRST, SAFE, derivative, sizes
 from factors.noise import square, whiten
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import GraphError, GraphWarning, JacobianError
 from models.listing import several
 
@@ -21,6 +21,13 @@ VAGUE = 1e-3  # uncertainty of a column, relative to its largest entry, that is 
 ROUNDING = 16 * EPS  # of A, relative to the largest column of its measurement, each times the size of its variable
 DUST = 1e-6  # a difference below this part of the same, and of the residual, may be noise where A is 0
 OTHER = 0.6 * FIRST  # step of a second difference: what rounding of the first happens to hide, it shows
+RTOL, ATOL = 1e-4, 1e-6  # of entries that are those of a cause
+RATIOS = {  # of analytic to numeric, without its sign
+    np.pi / 180: "it is in degrees, or radians are taken for degrees",
+    180 / np.pi: "degrees are taken for radians",
+    0.5: "a factor 2 is missing (half angles?)",
+    2.0: "there is a factor 2 too many (half angles?)",
+}
 
 
 class Gatherer(Protocol):
@@ -54,8 +61,8 @@ def check_jacobians(factor: Factor | Graph, values: Gatherer, rtol: float = 1e-6
     Raises
     ------
     JacobianError
-        With the worst entry, both values, and the likely cause (sign, transpose, transposed rotation, degrees, factor
-        of 2); of a graph that of the factor that disagrees most.
+        With the worst entry, both values, and the likely cause (ratio of analytic to difference: sign, degrees,
+        factor of 2; transpose, transposed rotation); of a graph that of the factor that disagrees most.
     GraphError
         Neither a factor nor a graph.
 
@@ -158,21 +165,20 @@ def _check_factor(factor: Factor, values: Gatherer, rtol: float) -> float:
 
 
 def _likely_cause(A: Array, numeric: Array, W: Array) -> str:
-    """The mistake students most often make that explains the whole Jacobian or one of its columns.
+    """The mistake students most often make that explains the whole Jacobian or its wrong columns.
 
     Parameters
     ----------
     A, numeric : (n, m, d) whitened Jacobians, analytic and by differences.
     W : the whitener.
     """
-    causes = {
-        "the sign is flipped": -numeric,
-        "it is in degrees, or radians are taken for degrees": np.deg2rad(numeric),
-        "degrees are taken for radians": np.rad2deg(numeric),
-        "a factor 2 is missing (half angles?)": numeric / 2,
-        "there is a factor 2 too many (half angles?)": numeric * 2,
-    }
-    d = A.shape[-1]
+    wrong = ~_close(A, numeric).all(axis=(0, 1))
+    if not wrong.any():
+        return ""
+    columns = "" if wrong.all() else f", in column(s) {np.flatnonzero(wrong).tolist()}"
+    if ratio := _ratio(A[..., wrong], numeric[..., wrong]):
+        return f"; likely{columns}: {ratio}"
+    d, causes = A.shape[-1], {}
     if d == A.shape[-2]:
         causes["it is transposed"] = numeric.mT
     if d in (3, 6):  # SE(2), SE(3)
@@ -180,13 +186,35 @@ def _likely_cause(A: Array, numeric: Array, W: Array) -> str:
     if (turned := _rotations_transposed(numeric, W)) is not None:
         causes["a rotation in it is transposed"] = turned
     for cause, candidate in causes.items():
-        if np.allclose(A, candidate, rtol=1e-4, atol=1e-6):
+        if _close(A, candidate).all():
             return f"; likely: {cause}"
-        columns = np.isclose(A, candidate, rtol=1e-4, atol=1e-6).all(axis=(0, 1))
-        wrong = ~np.isclose(A, numeric, rtol=1e-4, atol=1e-6).all(axis=(0, 1))
-        if wrong.any() and columns[wrong].all():
-            return f"; likely, in column(s) {np.flatnonzero(wrong).tolist()}: {cause}"
+        if _close(A, candidate)[..., wrong].all():
+            return f"; likely{columns}: {cause}"
     return ""
+
+
+def _close(A: Array, candidate: Array) -> Mask:
+    """Whether entries (n, m, d) are those of a candidate."""
+    return np.isclose(A, candidate, rtol=RTOL, atol=ATOL)
+
+
+def _ratio(A: Array, numeric: Array) -> str:
+    """The ratio of analytic to numeric entries where all have the same, and its cause where it has one; else empty.
+
+    One entry has a ratio by itself, so another than those of `RATIOS` needs two.
+    """
+    if not numeric.any():
+        return ""
+    ratio = float((A * numeric).sum() / (numeric * numeric).sum())
+    if not _close(A, ratio * numeric).all():
+        return ""
+    if abs(ratio) < RTOL:
+        return "a derivative is left out; the ratio is 0 for all entries"
+    causes = ["the sign is flipped"] if ratio < 0 else []
+    causes += [cause for size, cause in RATIOS.items() if abs(abs(ratio) / size - 1) < RTOL]
+    if not causes and np.count_nonzero(np.abs(numeric) > ATOL) < 2:
+        return ""
+    return f"{' and '.join(causes) or 'a constant factor'}; the ratio is {ratio:.5g} for all entries"
 
 
 def _rotations_transposed(numeric: Array, W: Array) -> Array | None:

@@ -196,7 +196,10 @@ def one_column(J: Array, factor: float) -> Array:
 
 @for_all(
     case=[
-        (lambda J: -J, "; likely: the sign"),
+        (lambda J: -J, "; likely: the sign is flipped; the ratio is -1 for all entries$"),
+        (lambda J: -2 * J, r"; likely: the sign .* and .* factor 2 too many .*; the ratio is -2 for all entries$"),
+        (lambda J: 3.1 * J, "; likely: a constant factor; the ratio is 3.1 for all entries$"),
+        (lambda J: J * [1.0, 0.0], r"; likely, in column\(s\) \[1\]: a derivative is left out; the ratio is 0 "),
         (lambda J: J.mT, "; likely: it is transposed"),
         (lambda J: np.deg2rad(J), "; likely: it is in degrees"),
         (lambda J: np.rad2deg(J), "; likely: degrees"),
