@@ -39,11 +39,10 @@ def _checked(options: argparse.Namespace) -> Job:
     from nls.cli.job import Job
     from nls.cli.sigmas import refuse
     from nls.cli.timing import Clock
+    from nls.io.unreadable import refuse_absent
     from nls.linear import SOLVERS, default_solver
 
-    for file in (options.file, *options.dives):
-        if file != "-" and not os.path.exists(file):
-            raise nls.GraphFileError("cannot be read: No such file or directory", file)
+    refuse_absent(file for file in (options.file, *options.dives) if file != "-")
     clock = Clock(options.began, options.startup)
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)

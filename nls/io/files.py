@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 from models.errors import GraphFileError, OptionError
 from nls.io.bounded_text import BoundedText
+from nls.io.unreadable import unreadable
 
 __all__ = [
     "descriptor",
@@ -66,7 +67,7 @@ def read_bytes(path: str | Path, limit: float | None = None, archive: bool = Fal
     except IsADirectoryError as error:
         raise GraphFileError("is a folder; expected a file", name) from error
     except OSError as error:
-        raise GraphFileError(f"cannot be read: {error.strerror or error}", name) from error
+        raise unreadable(name, error) from error
 
 
 def read_text(path: str | Path) -> str:

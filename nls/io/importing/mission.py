@@ -16,12 +16,13 @@ from models.listing import several
 from nls.io.files import write_folder
 from nls.io.importing.mapping import WHOLE as LARGEST
 from nls.io.importing.mapping import Mapping, Section
-from nls.io.importing.sources import Logs, refuse_absent
+from nls.io.importing.sources import Logs
 from nls.io.importing.tables import TIMES, WHOLE, Rows, rows_of
 from nls.io.importing.times import NANOSECONDS, iso, parse_zero
 from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
+from nls.io.unreadable import refuse_absent
 
 __all__ = ["Imported", "import_logs", "write_imported"]
 

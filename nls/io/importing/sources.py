@@ -122,15 +122,3 @@ class Logs:
                     raise
                 raise section.error(option, f"{error}; correct {option}") from error
         return self._read[key]
-
-
-def refuse_absent(paths: Sequence[str | Path]) -> None:
-    """Refuse a log that is not there.
-
-    Raises
-    ------
-    GraphFileError
-    """
-    for path in paths:
-        if not Path(path).exists():
-            raise GraphFileError("cannot be read: No such file or directory", str(path))

@@ -13,6 +13,7 @@ from nls.io.dialects import SUFFIXES
 from nls.io.mission.columns import ALONE, BESIDE, COLUMNS, LOG, OPTIONAL, TRACK
 from nls.io.mission.report import MissionReport
 from nls.io.mission.table import Table
+from nls.io.unreadable import unreadable
 from nls.io.unused_lines import note_comments
 
 NOT_MISSED = (
@@ -41,7 +42,7 @@ def read_tables(folder: str | Path) -> tuple[dict[str, Table], MissionReport]:
     try:
         names = sorted(os.listdir(path))
     except OSError as error:
-        raise GraphFileError(f"cannot be read: {error.strerror or error}", str(folder)) from error
+        raise unreadable(folder, error) from error
     files: dict[str, Path] = {}
     other_files = []
     for name in names:

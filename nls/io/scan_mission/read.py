@@ -16,6 +16,7 @@ from nls.io.report import Source
 from nls.io.scan_mission.columns import COLUMNS, NEEDED, OPTIONAL, SETTINGS, file_of
 from nls.io.scan_mission.report import ScanReport, Truth
 from nls.io.scan_mission.settings import Settings, read_settings
+from nls.io.unreadable import unreadable
 from nls.io.unused_lines import note_comments
 from nls.sonar.scans import Scans, dead_reckoning
 from nls.values import Values
@@ -80,7 +81,7 @@ def _read_folder(folder: str | Path) -> tuple[dict[str, Table], Settings, ScanRe
     try:
         names = sorted(os.listdir(folder))
     except OSError as error:
-        raise GraphFileError(f"cannot be read: {error.strerror or error}", str(folder)) from error
+        raise unreadable(folder, error) from error
     for name in NEEDED:
         if file_of(folder, name) is None:
             message = f"has no {name}.csv; a scan mission is keyframes.csv and scans.csv"

@@ -51,7 +51,11 @@ solve graph.g2o --update-tol {nan|-1} => --update-tol: (nan|-1.0) is not possibl
 solve graph.g2o --quiet --verbose => not allowed with argument
 {solve|explain} graph.g2o --hold q => --hold: 'q' is not possible; expected one of the kinds x
 
-{solve|info|explain} none.g2o => ^nls: none.g2o: cannot be read: No such file or directory$
+{solve|info|explain} none.g2o => ^nls: none.g2o: cannot be read: No such file or directory; its folder has .*\.g2o
+{solve|info|explain|stream} grahp.g2o => ^nls: grahp.g2o: cannot be read: .*; did you mean 'graph.g2o'\?$
+{solve alnoe|solve graph.g2o alnoe|import alnoe} => ^nls: alnoe: cannot be read: .*; did you mean 'alone'\?$
+import log.csv --map alone/mapping.toml -o m => mapping.toml: cannot be read: No such file or directory$
+import log.csv --map nowhere/mapping.toml -o m => cannot be read: .*; there is no folder 'nowhere'$
 plot none.g2o out.png => none.g2o: cannot be read
 {solve|info} wrong.g2o => wrong.g2o:9: 3 numbers after the tag, expected 11
 explain nan.g2o => nan.g2o:6: .*nan
