@@ -176,7 +176,7 @@ def kernel_from_text(text: str) -> Kernel:
     Raises
     ------
     OptionError
-        No such kernel, or no number.
+        No such kernel, or a number that it cannot have.
 
     Examples
     --------
@@ -191,7 +191,10 @@ def kernel_from_text(text: str) -> Kernel:
         c = float(number) if colon or name not in EFFICIENT else EFFICIENT[name]
     except ValueError as error:
         raise OptionError("robust", text, f"{name}:NUMBER, the number in sigmas") from error
-    return KERNELS[name](c)
+    try:
+        return KERNELS[name](c)
+    except OptionError as error:
+        raise OptionError("robust", text, error.allowed) from error
 
 
 class Robust(Noise):

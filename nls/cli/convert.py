@@ -14,8 +14,8 @@ def convert(options: argparse.Namespace) -> int:
     from nls.io.files import write_bytes
     from nls.io.renumbering import check_renumber
 
-    refuse_unwritable(options.output)
-    form = output_format(options.output, options.to)
+    refuse_unwritable({"OUT": options.output})
+    form = output_format("OUT", options.output, options.to)
     if options.renumber:
         check_renumber(form)
     graph, values, report = read(options)

@@ -30,7 +30,7 @@ def explain(options: argparse.Namespace) -> int:
     from nls.cli.progress import Progress
 
     for file in (options.file, *options.dives):
-        refuse_unwritable(json=options.json, read=file)
+        refuse_unwritable({"--json": options.json}, file)
     if outliers.is_gnc(options.robust):
         raise nls.OptionError("--robust", options.robust, f"{ROBUST}; nls solve has {' and '.join(GNC)}")
     for file in (options.file, *options.dives):

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["refuse_unwritable_graph", "rendered"]
 
 
-def output_format(path: str, named: str | None) -> str:
-    """The format of an output: as named, else by the suffix, as for `nls.save`.
+def output_format(option: str, path: str, named: str | None) -> str:
+    """The format of an output, the value of an option: as named, else by the suffix, as for `nls.save`.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def output_format(path: str, named: str | None) -> str:
     """
     from nls.io.dialects import SUFFIXES, format_of
 
-    return format_of(path, named, SUFFIXES, "--to FORMAT")
+    return format_of(path, named, SUFFIXES, "--to FORMAT", option)
 
 
 def read(options: argparse.Namespace) -> tuple[FactorGraph, Values, LoadReport]:

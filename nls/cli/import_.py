@@ -22,7 +22,10 @@ def import_logs(options: argparse.Namespace) -> int:
         raise OptionError("-o is missing; expected a folder for the mission: -o mission")
     imported = import_logs(options.logs, read_mapping(options.map))
     options.phase.now(f"while writing {options.output}")
-    options.phase.written += write_imported(options.output, imported, [*options.logs, options.map])
+    try:
+        options.phase.written += write_imported(options.output, imported, [*options.logs, options.map])
+    except OptionError as error:
+        raise OptionError("-o", error.value, error.allowed) from error
     print(f"input       {', '.join(options.logs)}")
     print(f"written     {options.output}: " + ", ".join(f"{name} {count}" for name, count in imported.rows.items()))
     for note in imported.notes:

@@ -28,7 +28,7 @@ def info(options: argparse.Namespace) -> int:
     from nls.analysis.inspection import inspect
     from nls.cli.formats import read
 
-    refuse_unwritable(json=options.json, read=options.file)
+    refuse_unwritable({"--json": options.json}, options.file)
     graph, values, report = read(options)
     options.phase.doing = f"while inspecting {options.file}"
     facts = report.counts | inspect(graph, values)

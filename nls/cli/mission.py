@@ -47,15 +47,15 @@ def refuse_unwritable_folder(folder: str | None, mission: str, form: str | None)
     if folder is None:
         return
     if Path(folder).suffix in SUFFIXES and not os.path.isdir(folder):
-        raise OptionError("output folder", folder, "a folder: the solution of a mission is several files")
+        raise OptionError("-o", folder, "a folder: the solution of a mission is several files")
     path = Path(folder)
     existing = next((p for p in (path, *path.absolute().parents) if os.path.exists(p)), path)
     if not folder or folder == "-" or not os.path.isdir(existing):
-        raise OptionError("output folder", folder, "a folder, or the name of one to be made: the input is a mission")
+        raise OptionError("-o", folder, "a folder, or the name of one to be made: the input is a mission")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise OptionError("output folder", folder, "a folder you may write to")
+        raise OptionError("-o", folder, "a folder you may write to")
     if os.path.exists(path) and os.path.samefile(path, mission):
-        raise OptionError("output folder", folder, "another folder than that of the mission")
+        raise OptionError("-o", folder, "another folder than that of the mission")
 
 
 def chosen_projection(name: str, output: str | None, report: LoadReport) -> Projection:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +28,13 @@ def complain(problem: object) -> None:
     print("\n".join([f"nls: {' '.join(message.split())}", *advice]), file=sys.stderr)
 
 
-def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | None = None, read: str = "") -> None:
+def refuse_unwritable(names: Mapping[str, str | None], read: str = "") -> None:
     """Find out before the work, not after it, that an output cannot be written.
 
     Parameters
     ----------
-    names : of files; None for one that is not asked for.
-    json : the report for programs, which may also be ``-``: standard output.
-    graph : the graph that is written, which alone may replace what is read.
+    names : of files by option; None for one that is not asked for. That of ``--json`` may be ``-``: standard output.
+        That of ``-o`` comes first; it alone may replace what is read.
     read : the input, a file, the folder of a mission or ``-``.
 
     Raises
@@ -46,35 +45,33 @@ def refuse_unwritable(*names: str | None, json: str | None = None, graph: str | 
     from nls.io.files import descriptor, names_folder
 
     identities: set[object] = set()
-    for name in [graph, *names, None if json == "-" else json]:
-        if name is not graph and read:
+    for option, name in names.items():
+        if option != "-o" and read:
             identities |= _inputs(read)
-        if name is None:
+        if name is None or (option == "--json" and name == "-"):
             continue
         if name == "-":
-            raise OptionError("output file", name, "a file; only --json writes to standard output")
+            raise OptionError(option, name, "a file; only --json writes to standard output")
         if not name:
-            raise OptionError("output file", name, "the name of a file")
+            raise OptionError(option, name, "the name of a file")
         if os.path.isdir(name) or names_folder(name):
-            raise OptionError(
-                "output file", name, f"a file, and this {'is' if os.path.isdir(name) else 'names'} a folder"
-            )
+            raise OptionError(option, name, f"a file, and this {'is' if os.path.isdir(name) else 'names'} a folder")
         number = descriptor(name)
         folder = os.path.dirname(os.path.realpath(name)) if number is None else "/"
         if not os.path.isdir(folder):  # unlike that of `Path` this raises nothing
-            raise OptionError("output file", name, "a file in a folder that exists, and that you may look into")
+            raise OptionError(option, name, "a file in a folder that exists, and that you may look into")
         if _identity(name) in identities:
             same = "this is the input" if read and _identity(name) in _inputs(read) else "another output has this one"
-            raise OptionError("output file", name, f"another name: {same}")
+            raise OptionError(option, name, f"another name: {same}")
         special = number is not None or (os.path.exists(name) and not os.path.isfile(name))
         if number is not None:
             if not _writable(number):
-                raise OptionError("output file", name, "a number that is open for writing")
+                raise OptionError(option, name, "a number that is open for writing")
         elif os.path.exists(name) and not os.access(name, os.W_OK):  # special files are written to, others replaced
             allowed = "a file that is not write-protected; --overwrite does not help: allow it with chmod, or give "
-            raise OptionError("output file", name, allowed + "another name")
+            raise OptionError(option, name, allowed + "another name")
         elif not special and not os.access(folder, os.W_OK | os.X_OK):
-            raise OptionError("output file", name, "a file in a folder you may write to")
+            raise OptionError(option, name, "a file in a folder you may write to")
         if not special:
             identities.add(_identity(name))
 
@@ -105,7 +102,7 @@ def refuse_loss(options: argparse.Namespace, why: str) -> None:
 
     if options.output and not options.overwrite and _identity(options.output) in _inputs(options.file):
         allowed = f"another file than the input, or --overwrite, which replaces the input: {why}"
-        raise OptionError("output file", options.output, allowed)
+        raise OptionError("-o" if options.command == "solve" else "OUT", options.output, allowed)
 
 
 def _identity(name: str) -> object:

@@ -18,8 +18,8 @@ def plot(options: argparse.Namespace) -> int:
     from nls.plot.mission import plan
     from nls.plot.picture import write_picture
 
-    refuse_unwritable(options.output, read=options.file)
-    refuse_name("output file", options.output, PICTURES)
+    refuse_unwritable({"OUT": options.output}, options.file)
+    refuse_name("OUT", options.output, PICTURES)
     graph, values, report = read(options)
     options.phase.now(f"while writing {options.output}")
     figure = (plan if isinstance(report, MissionReport) else trajectory)(graph, values)

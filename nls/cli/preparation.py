@@ -42,7 +42,7 @@ def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: a
             input_name(options.file),
         )
     graph = nls.FactorGraph(as_read.factors, as_read.fixed)
-    if options.robust and not outliers.is_gnc(options.robust):
+    if options.robust is not None and not outliers.is_gnc(options.robust):
         name, separator, kernel = options.robust.rpartition("=")
         names = list(dict.fromkeys(factor.name for factor in graph.factors))
         if separator and name not in names:

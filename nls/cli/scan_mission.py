@@ -59,7 +59,7 @@ def selection_of(options: argparse.Namespace) -> str | None:
     for name, (default, reason) in REFUSED.items():
         if (value := getattr(options, name)) != default:
             raise OptionError(f"--{name.replace('_', '-')}", value, f"nothing: {reason}")
-    select = options.robust or SELECTIONS[0]
+    select = SELECTIONS[0] if options.robust is None else options.robust
     if select not in SELECTIONS:
         allowed = f"for a scan mission one of {', '.join(SELECTIONS)}: how its matches are selected"
         raise OptionError("--robust", select, allowed + did_you_mean(select.partition(":")[0], SELECTIONS))

@@ -47,9 +47,10 @@ def _checked(options: argparse.Namespace) -> Job:
     solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
-    output_files = options.covariance, options.plot, options.report
+    output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}
+    output_files |= {"--plot": options.plot, "--report": options.report, "--json": options.json}
     for file in (options.file, *options.dives):
-        refuse_unwritable(*output_files, json=options.json, graph=None if mission else options.output, read=file)
+        refuse_unwritable(output_files, file)
     if mission:
         from nls.cli.scan_mission import selection_of
 
@@ -64,7 +65,7 @@ def _checked(options: argparse.Namespace) -> Job:
         for folder in (options.file, *options.dives):
             refuse_unwritable_folder(options.output, folder, options.to)
     elif options.output:
-        job.form = output_format(options.output, options.to)
+        job.form = output_format("-o", options.output, options.to)
         _refuse_output(job)
     if options.renumber:
         from nls.io.renumbering import check_renumber
@@ -86,7 +87,7 @@ def _refuse_output(job: Job) -> None:
     options, form = job.options, job.form
     if form in FORMATS and not FORMATS[form].holds_values:
         allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
-        raise OptionError("output file", options.output, allowed)
+        raise OptionError("-o", options.output, allowed)
     if options.sigmas != "stated":
         refuse_loss(options, f"--sigmas {options.sigmas} replaces the stated sigmas")
     if outliers.is_gnc(options.robust):

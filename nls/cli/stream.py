@@ -65,7 +65,7 @@ class Session:
 def stream(options: argparse.Namespace) -> int:
     """Read, settle and print, step by step; returns the exit status."""
     if options.checkpoint is not None:
-        refuse_unwritable(options.checkpoint, read=options.file)
+        refuse_unwritable({"--checkpoint": options.checkpoint}, options.file)
     session, name = _begun(options), input_name(options.file)
     options.phase.now(f"while streaming {name}")
     reader = _Reader(options)
@@ -190,7 +190,7 @@ class _Reader:
         """The measurements of a graph that was read, step by step."""
         for note in report.warnings:
             warnings.warn(f"{self.name}: {note}", nls.GraphWarning, stacklevel=2)
-        if self.options.robust:
+        if self.options.robust is not None:
             graph = graph.robust(kernel_from_text(self.options.robust))
         kind = next((kind for kind, stack in values.stacks.items() if isinstance(stack.manifold, LieGroup)), "x")
         lines = [source.lines for source in report.sources] if report.has_lines else None
@@ -233,7 +233,7 @@ def _begun(options: argparse.Namespace) -> Session:
     with open(path, "rb") as file:
         data = file.read()
     if not data.startswith(HEAD):
-        raise nls.GraphFileError("is no checkpoint of this version of nls stream; give another name", path)
+        raise nls.GraphFileError("is no checkpoint of this version of nls stream; give --checkpoint another name", path)
     try:
         session = pickle.loads(data[len(HEAD) :])
     except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError) as error:

@@ -35,9 +35,9 @@ class Window:
 
     def __init__(self, lag: int | None, landmarks: Literal["leave", "stay"]) -> None:
         if lag is not None:
-            check_whole("Incremental: lag", lag, 1, "a whole number of poses of at least 1, or None for all")
+            check_whole("lag", lag, 1, "a whole number of poses of at least 1")
         if landmarks not in ("leave", "stay"):
-            raise OptionError("Incremental: landmarks", landmarks, "leave or stay")
+            raise OptionError("landmarks", landmarks, "leave or stay")
         self.lag, self.landmarks = lag, landmarks
         self.behind: list[Factor] = []
         self._tracks: set[str] = set()  # kinds that odometry joins

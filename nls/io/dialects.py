@@ -105,7 +105,9 @@ def check_dialect(name: str, allowed: tuple[str, ...]) -> str:
     return name
 
 
-def format_of(path: str | Path, named: str | None, suffixes: dict[str, str], how: str) -> str:
+def format_of(
+    path: str | Path, named: str | None, suffixes: dict[str, str], how: str, option: str = "output file"
+) -> str:
     """The format of a file to write: the one that was named, else the one its suffix stands for.
 
     Raises
@@ -118,7 +120,7 @@ def format_of(path: str | Path, named: str | None, suffixes: dict[str, str], how
     suffix = Path(str(path).lower().removesuffix(".gz")).suffix
     if suffix not in suffixes:
         several = "; *.graph may be toro or graph, information or covariance" if suffix == ".graph" else ""
-        raise OptionError("output file", str(path), f"a name ending in {', '.join(suffixes)}, or {how}{several}")
+        raise OptionError(option, str(path), f"a name ending in {', '.join(suffixes)}, or {how}{several}")
     return suffixes[suffix]
 
 

@@ -79,6 +79,8 @@ class Stop:
                 continue
             if not isinstance(value, Real) or value != value or value < 0:
                 raise OptionError(f.name, value, "a number of at least 0")
+            if value == math.inf and f.name in Thresholds._fields:
+                raise OptionError(f.name, value, "a finite number: every step is below an infinite one")
         if not isinstance(self.max_iterations, Integral):
             raise OptionError("max_iterations", self.max_iterations, "a whole number")
 

@@ -34,7 +34,7 @@ def test_measurements_are_not_deleted_without_a_word(shell: Shell) -> None:
         (shell / "soft.g2o").symlink_to(shell / file)
         for output in (file, f"../{shell.folder.name}/{file}", "soft.g2o", "hard.g2o"):
             err = shell.refused(f"solve {file} -o {output} --quiet --robust gnc-tls")
-            assert f"output file: {output!r} is not possible; expected another file than the input, or --over" in err
+            assert f"-o: {output!r} is not possible; expected another file than the input, or --over" in err
             assert "gnc-tls leaves out the measurements it rejects" in err
     assert "--overwrite" in shell.refused(f"solve {file} -o {file} --robust gnc-gm:0.999 --json -")
     shell(f"solve {file} -o out.g2o --quiet --robust gnc-tls")

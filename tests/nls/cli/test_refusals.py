@@ -47,7 +47,12 @@ solve graph.g2o --gauge frist => ; did you mean 'first'\?
 solve graph.g2o --method gauss => ; did you mean 'gauss-newton'\?
 solve graph.g2o --max-iterations many => invalid int value: 'many'
 solve graph.g2o --max-iterations -1 => --max-iterations: -1 is not possible
-solve graph.g2o --update-tol {nan|-1} => --update-tol: (nan|-1.0) is not possible
+solve graph.g2o {--update-tol|--chi2-rtol} {nan|-1|inf} => --(update-tol|chi2-rtol): (nan|-1.0|inf) is not possible
+stream graph.g2o --lag {-1|0} => --lag: (-1|0) is not possible; expected a whole number of poses of at least 1$
+{solve|explain|info} graph.g2o {--json ''|--json alone} => --json: '(|alone)' is not possible; expected
+solve graph.g2o {-o|--covariance|--plot|--report} '' => (-o|--covariance|--plot|--report): '' is not possible
+{plot|convert} graph.g2o '' => OUT: '' is not possible
+stream graph.g2o --checkpoint '' => --checkpoint: '' is not possible
 solve graph.g2o --quiet --verbose => not allowed with argument
 {solve|explain} graph.g2o --hold q => --hold: 'q' is not possible; expected one of the kinds x
 
@@ -99,7 +104,7 @@ convert bad out.g2o => is no graph
 {solve|explain} square.g2o --robust {dcs|huber:|geman-mcclure} => robust: '.*' is not possible; expected \w*-?\w+:NUMBER
 {solve|explain} square.g2o --robust {magic:1|none} => one of huber, cauchy, .*, dcs; or none, of a mission: all c
 solve square.g2o --robust {magic:1|none} => or gnc-tls\[:PROBABILITY\] or gnc-gm\[:PROBABILITY\]$
-solve square.g2o --robust huber:-1 => Huber\(c\): -1.0 is not possible
+{solve|explain|stream} square.g2o --robust {huber:-1|huber:0|cauchy:nan|''} => --robust: '.*' is not possible; expected
 solve square.g2o --robust huber:1 --robust cauchy:1 => --robust is given twice; expected one
 solve square.g2o --robust hubre:1 => ; did you mean 'huber'\?
 solve square.g2o --robust Betwen=huber => ; did you mean 'Between'\?
@@ -112,8 +117,8 @@ solve chain.g2o --robust gnc-tls => no loop closures, (.|\n)*-> use a robust ker
 solve graph.g2o --certify -o out.g2o {--robust huber:1|--hold x} => ^nls: certify: .
 solve ray.g2o --certify => ^nls: certify: Bearing\(x0, l20\)
 
-solve m -o m => output folder: 'm' is not possible; expected another folder than that of the mission
-solve m -o {m/zpr.csv|m/zpr.csv/in|-|''} => output folder: '.*' is not possible; expected a folder
+solve m -o m => -o: 'm' is not possible; expected another folder than that of the mission
+solve m -o {m/zpr.csv|m/zpr.csv/in|-|''} => -o: '.*' is not possible; expected a folder
 solve m -o out.g2o => a folder: the solution of a mission is several files
 solve m --to g2o => --to: 'g2o' is not possible; expected nothing
 solve m --dialect g2o => dialect: 'g2o' is not possible; expected auto: m is a folder
