@@ -22,18 +22,19 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Stack, Values
 
-__all__ = ["before_after", "closures", "trajectory"]
+__all__ = ["before_after", "closures", "one_scale", "trajectory"]
 
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
 PAD = 9.0  # points between the numbers of an axis of space and its name
 LEAST = 1e-3  # m, of the widest side
 FLAT, TICKS = 0.15, 5  # of the widest side of a box in space: the least of the others; ticks of the widest
+SHARED = 3.0  # times the width of the optimum: so wide the values before may be to be drawn at one scale with it
 MOST = 20_000  # edges drawn as lines; beyond this an evenly spaced part of them is drawn, and the title says so
 
 
 def before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
-    """What was there before, the optimum and the convergence, side by side.
+    """What was there before, the optimum and the convergence, side by side; the maps have one scale, or say theirs.
 
     Parameters
     ----------
@@ -48,6 +49,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     """
     from matplotlib.figure import Figure
 
+    from nls.explanation.findings import number
     from nls.plot.convergence import convergence
 
     figure = Figure(figsize=(11.5, 4.2), layout="constrained")
@@ -58,9 +60,10 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     right = figure.add_subplot(1, 3, 3)
     trajectory(graph, before, left)
     chi2 = graph.chi2(before)
-    left.set_title(f"before: chi2 = {chi2:.4g}")
     trajectory(graph, result.values, middle)
-    middle.set_title(f"after: chi2 = {result.chi2_final:.4g}")
+    times = one_scale(graph, (left, before), (middle, result.values))
+    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
+    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
     legends = [axes.get_legend() for axes in (left, middle)]
     if drawn := next((legend for legend in legends if legend is not None), None):  # once for both
         names = [text.get_text() for text in drawn.get_texts()]
@@ -71,7 +74,7 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
             legend.remove()
     convergence(result, right)
     if not np.isclose(chi2, result.chi2_initial):
-        right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
+        right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {number(result.chi2_initial)}")
     if title:
         figure.suptitle(title)
     return figure
@@ -128,8 +131,7 @@ def trajectory(
     if marginals is not None:
         ellipses(marginals, axes, every=every)
     if dim == 3:
-        down = any(isinstance(factor, DOWN) for factor in graph.factors)
-        space_box(axes, np.concatenate([_positions(stack) for stack in stacks if _dimension([stack]) == dim]), down)
+        space_box(axes, _points(graph, values), _is_down(graph))
     else:
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="datalim")
@@ -143,6 +145,28 @@ def trajectory(
         else:
             axes.legend(handles, labels, loc="best", fontsize=8)
     return figure_of(axes)
+
+
+def one_scale(graph: FactorGraph, before: tuple[Axes, Values], after: tuple[Axes, Values]) -> float:
+    """Give two maps that `trajectory` has drawn the same limits, unless the second would be too small to be seen.
+
+    Returns
+    -------
+    float
+        By how much the first is drawn smaller; 1 where the limits are the same.
+    """
+    points = [_points(graph, values) for _, values in (before, after)]
+    first, second = (float(np.ptp(X, axis=0).max(initial=0.0)) if len(X) else 0.0 for X in points)
+    if first > SHARED * second > 0:
+        return first / second
+    together = np.concatenate(points)
+    for axes, _ in (before, after) if len(together) else ():
+        if together.shape[1] == 3:
+            space_box(axes, together, _is_down(graph))
+            continue
+        axes.update_datalim(together)
+        axes.autoscale_view()
+    return 1.0
 
 
 def space_box(axes: Axes, points: Array, down: bool) -> None:
@@ -181,6 +205,18 @@ def _places(graph: FactorGraph, values: Values) -> list[Stack]:
     """Variables that have a position on the map."""
     without = placeless_kinds(graph.pattern(values))
     return [stack for kind, stack in values.stacks.items() if kind not in without and _positions(stack).shape[1]]
+
+
+def _points(graph: FactorGraph, values: Values) -> Array:
+    """Positions (n, 2 or 3) of all that `trajectory` draws."""
+    stacks = _places(graph, values)
+    dim = _dimension(stacks)
+    return np.concatenate([np.zeros((0, dim)), *(_positions(stack) for stack in stacks if _dimension([stack]) == dim)])
+
+
+def _is_down(graph: FactorGraph) -> bool:
+    """Whether the graph knows where down is, and z is down."""
+    return any(isinstance(factor, DOWN) for factor in graph.factors)
 
 
 def closures(graph: FactorGraph, values: Values, kinds: set[str]) -> tuple[Array, int]:

@@ -33,7 +33,7 @@ DRAWN = 60  # ellipses
 
 def maps(data: ReportData) -> Html | None:
     """Before and after; or the pictures that were given."""
-    from nls.plot.trajectory import trajectory
+    from nls.plot.trajectory import one_scale, trajectory
 
     if data.pictures:
         shown = [picture(figure, name, name, data.size) for name, figure in data.pictures.items()]
@@ -45,13 +45,16 @@ def maps(data: ReportData) -> Html | None:
         snapshots.append(("After" if data.result is not None else "Where it stopped", data.values))
     wrong = data.explanation.suspects
     shown = []
-    for name, values in snapshots:
+    figures = [trajectory(data.graph, values) for _, values in snapshots]
+    drawn = [(figure.axes[0], values) for figure, (_, values) in zip(figures, snapshots, strict=True)]
+    times = one_scale(data.graph, drawn[0], drawn[-1])
+    for k, (figure, (name, values)) in enumerate(zip(figures, snapshots, strict=True)):
         chi2 = number(data.graph.chi2(values))
-        figure = trajectory(data.graph, values)
         _marked(figure.axes[0], values, wrong)
         alt = f"{name}: positions of {len(values):,} variables and the measurements between them, chi2 {chi2}"
         red = "; red: measurements that do not fit the others" if wrong else ""
-        shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{red}", data.size, MAP))
+        scale = f"; drawn {times:.2g} times smaller" if times > 1 and k == 0 else ""
+        shown.append(picture(figure, alt, f"{name}: chi2 is {chi2}{scale}{red}", data.size, MAP))
     return section("maps", "Before and after", tag("div", *shown, class_="pictures"))
 
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from factors import ZPR, Between, Isotropic
 from models import SE2, SE3, SO3, LieGroup, R
 from nls import FactorGraph, Marginals, Values
+from nls.explanation.findings import number
 from nls.plot import before_after, convergence, spy, trajectory
 from nls.sonar.scans import dead_reckoning
 from tests.nls.graphs import ODD, Seen, in_frame, l, mixed, pose_graph, x
@@ -92,18 +93,38 @@ def test_before_after_and_convergence(group: LieGroup) -> None:
     figure = before_after(sample.graph, sample.values, result, title="a survey")
     drawn(figure)
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles[0] == f"before: chi2 = {result.chi2_initial:.4g}"
-    assert titles[1] == f"after: chi2 = {result.chi2_final:.4g}"
+    assert titles[0] == f"before: chi2 = {number(result.chi2_initial)}"
+    assert titles[1] == f"after: chi2 = {number(result.chi2_final)}"
     assert titles[2] == f"converged after {result.iterations} iterations"
     assert figure.get_suptitle() == "a survey"
     names = [text.get_text() for text in figure.legends[0].get_texts()]
     assert names == ["loop closures", "trajectory"]  # once for both maps
     assert [axes.get_legend() for axes in figure.axes[:2]] == [None, None]
     titles = [axes.get_title() for axes in before_after(sample.graph, pose_graph(group, start=0.4).values, result).axes]
-    assert titles[2].endswith(f",\nfrom a better start: chi2 = {result.chi2_initial:.4g}")
+    assert titles[2].endswith(f",\nfrom a better start: chi2 = {number(result.chi2_initial)}")
     alone = convergence(result)
     np.testing.assert_array_equal(alone.axes[0].get_lines()[0].get_ydata(), [it.chi2 for it in result.history])
     np.testing.assert_array_equal(alone.axes[1].get_lines()[0].get_ydata(), [it.update for it in result.history[1:]])
+
+
+@pytest.mark.parametrize("group", [SE2, SE3], ids=str)
+def test_before_and_after_have_one_scale_unless_the_optimum_would_be_too_small(group: LieGroup) -> None:
+    sample = pose_graph(group)
+    result = sample.graph.optimize(sample.values)
+    for factor, title in (
+        (0.1, "before: chi2 = [0-9.,]+$"),
+        (2.0, "before: chi2 = [0-9.,]+$"),
+        (8.0, "\ndrawn 8 times "),
+    ):
+        X = result.values[x].copy()
+        X[:, : -1 if group is SE2 else 3] *= factor
+        figure = before_after(sample.graph, Values({x: (group, X)}), result)
+        figure.draw_without_rendering()
+        left, right = (
+            np.array([axis.get_view_interval() for axis in axes._axis_map.values()]) for axes in figure.axes[:2]
+        )
+        assert re.search(title, figure.axes[0].get_title())
+        assert np.allclose(left, right) == (factor < 8)
 
 
 def test_a_flat_graph_in_space_has_one_scale_and_no_slit_for_a_box() -> None:
