@@ -63,6 +63,9 @@ def test_it_is_short() -> None:
 def test_the_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     lines = [line[2:] for block in blocks("console", "sh") for line in block.splitlines() if line.startswith("$ ")]
+    caption = re.search(r"^\*(.*)\*$", README.read_text(encoding="utf-8"), re.M)
+    assert caption is not None
+    assert set(re.findall("`(.+?)`", caption[1])) <= set(lines)  # commands that made the first picture
     words = [shlex.split(line, comments=True) for line in lines]
     ran = 0
     for command, *arguments in words:
