@@ -38,7 +38,7 @@ def asking(options: argparse.Namespace, written: Sequence[str] = ()) -> str:
         "--convention": options.convention if options.convention != "g2o" else None,
         "--elevation": options.elevation,
         "--init": options.init if options.init != "auto" else None,
-        "--robust": None if wrong else options.robust,
+        "--robust": "none" if options.all_contacts else None if wrong else options.robust,
     }
     words += [word for name, value in options_of_solve.items() if value is not None for word in (name, value)]
     words += ["--repair-information"] * options.repair_information
@@ -78,17 +78,15 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
 def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:
     """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known."""
     dof = result.dof
+    cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
     if result.doubt:
-        return [
-            "; ".join(
-                [f"implausible: {result.doubt}", *listed(result.advice, shell=True), f"see: {asking(options, written)}"]
-            )
-        ]
-    if result.robust or not result.chi2_final > dof > 0:  # most graphs: SciPy is not imported for these
+        problem, cure = result.doubt, [*cure, *listed(result.advice, shell=True)]
+    elif result.robust or not result.chi2_final > dof > 0:  # most graphs: SciPy is not imported for these
         return []
-    from nls.analysis.chi_squared import chi2_interval
+    else:
+        from nls.analysis.chi_squared import chi2_interval
 
-    if not result.chi2_final > chi2_interval(dof)[1]:
-        return []
-    ratio = f"chi2 is {result.chi2_final / dof:.3g} times its expectation"
-    return [f"implausible: {ratio}, more than noise explains; see: {asking(options, written)}"]
+        if not result.chi2_final > chi2_interval(dof)[1]:
+            return []
+        problem = f"chi2 is {result.chi2_final / dof:.3g} times its expectation, more than noise explains"
+    return ["; ".join([f"implausible: {problem}", *cure, f"see: {asking(options, written)}"])]

@@ -320,6 +320,7 @@ def _problem(command: argparse.ArgumentParser, more: str = "") -> None:
         f"one of {', '.join(KERNELS)}; of a mission none: believe all contacts (default: without wrong ones where chi2 "
         "and residuals say that there are some)" + more,
     )
+    command.set_defaults(all_contacts=False)  # see `nls.cli.preparation.believes_all`
     command.add_argument("--hold", action="append", default=[], metavar="KIND", help="hold all variables of a kind")
 
 

@@ -71,7 +71,7 @@ def prepare(as_read: FactorGraph, values: Values, report: LoadReport, options: a
 
 def believes_all(options: argparse.Namespace, report: LoadReport) -> bool:
     """Whether ``--robust none`` is given for a mission; without a kernel then, as if it were not."""
-    none = options.robust == "none" and report.format == "mission"
-    if none:
+    options.all_contacts = options.robust == "none" and report.format == "mission"
+    if options.all_contacts:
         options.robust = None
-    return none
+    return bool(options.all_contacts)

@@ -71,6 +71,9 @@ def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
     assert report["mission"]["contacts"] == len(mission(outliers=0.1).contacts)
     assert report["chi2_final"] > 100 * report["dof"]
     assert "robust kernel none" not in out
+    note = row(out, "note")
+    assert "; without --robust none, wrong contacts are found and left out; " in note
+    assert note.endswith("; see: nls explain m --robust none")  # which explains the same graph
 
 
 def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
