@@ -39,18 +39,13 @@ def convergence(result: Result, axes: Axes | None = None) -> Figure:
     chi2 = np.array([iteration.chi2 for iteration in result.history])
     falls = bool((chi2 > 0).all()) and chi2.max() > DECADE * chi2.min()  # a smaller range has no ticks to be read
     last = chi2[-1] if np.ptp(chi2) < SLIGHT * chi2.max() else 0.0
-    (first,) = (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0], label="chi2")
+    (axes.semilogy if falls else axes.plot)(number, chi2 - last, "o-", color=SERIES[0])
     axes.set_xlabel("iteration")
-    axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])
+    axes.set_ylabel(f"chi2 - {last:.6g}" if last else "chi2", color=SERIES[0])  # a legend would cover the curves
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    lines = [first]
     if len(number) > 1:
         twin = axes.twinx()
-        (second,) = twin.semilogy(
-            number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=SERIES[1], label="max |dx|"
-        )
+        twin.semilogy(number[1:], [iteration.update for iteration in result.history[1:]], "s--", color=SERIES[1])
         twin.set_ylabel("max |dx|", color=SERIES[1])
-        lines.append(second)
-    axes.legend(handles=lines, loc="upper right")
     axes.set_title(f"{result.status.name.lower().replace('_', ' ')} after {result.iterations} iterations")
     return figure_of(axes)
