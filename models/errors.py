@@ -220,7 +220,7 @@ class OptionError(LeadlineError, ValueError):
 
     def lines(self, shell: bool = False) -> list[str]:
         """The message; on the command line with the name of its option there."""
-        as_option = shell and self.option.isidentifier()
+        as_option = shell and self.option.isidentifier() and not self.option.isupper()  # OUT is no option but a place
         return [self._sentence(f"--{self.option.replace('_', '-')}" if as_option else self.option)]
 
 

@@ -50,7 +50,7 @@ def record_of(job: Job) -> dict[str, Any]:
         "reason": f"{result.status.value}: {result.ending}",
         "rule": result.rule,
         "reused": result.reused,
-        "attempts": [vars(attempt) | {"status": attempt.status.name} for attempt in result.attempts],
+        "attempts": [attempt._asdict() | {"status": attempt.status.name} for attempt in result.attempts],
         **additions,
         "history": [_record(iteration) for iteration in result.history],
         "timings": job.timings,

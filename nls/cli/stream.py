@@ -8,6 +8,7 @@ import json
 import os
 import pickle
 import re
+import shlex
 import sys
 import warnings
 from collections.abc import Iterator
@@ -66,6 +67,10 @@ def stream(options: argparse.Namespace) -> int:
     """Read, settle and print, step by step; returns the exit status."""
     if options.checkpoint is not None:
         refuse_unwritable({"--checkpoint": options.checkpoint}, options.file)
+    if os.path.isdir(options.file):
+        file = f"{os.path.basename(os.path.abspath(options.file))}.npz"
+        cure = f"nls convert {shlex.join([options.file, file])} writes one"
+        raise nls.GraphFileError(f"is a folder; expected a file or a pipe: {cure}", options.file)
     session, name = _begun(options), input_name(options.file)
     options.phase.now(f"while streaming {name}")
     reader = _Reader(options)

@@ -270,7 +270,7 @@ def save(
         raise OptionError("path", path, "the name of a file first, then the graph and its values")
     data, notes = rendered(path, graph, values, report, dialect, renumber)
     write_bytes(path, data)
-    if format_of(path, dialect, SUFFIXES, "the dialect named") in POSES_ONLY:
+    if format_of(path, dialect, SUFFIXES, "dialect=FORMAT") in POSES_ONLY:
         return  # nobody expects more of them
     for note in notes:
         warnings.warn(f"{path}: {note}", GraphWarning, stacklevel=2)
@@ -286,7 +286,7 @@ def rendered(
 ) -> tuple[bytes, list[str]]:
     """The bytes `save` writes, and what they leave out, in words; parameters and errors as there."""
     refuse_other("save", graph, values)
-    dialect = check_dialect(format_of(path, dialect, SUFFIXES, "the dialect named"), (*DIALECTS[1:], *POSES_ONLY))
+    dialect = check_dialect(format_of(path, dialect, SUFFIXES, "dialect=FORMAT"), (*DIALECTS[1:], *POSES_ONLY))
     notes = left_out(report, dialect)
     if renumber:
         from nls.io.renumbering import check_renumber, renumbered

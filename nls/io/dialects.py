@@ -178,7 +178,8 @@ def _listed(names: set[str]) -> str:
 def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) -> GraphFileError:
     """The error for a file without any line of a graph."""
     unknown, advice = [tag for tag in tags if tag != b"FIX"], []
-    table = [Advice("import", (text.path,)), Advice("template")]
+    log = "LOG" if text.path == "<stdin>" else text.path
+    table = [Advice("import", (log,)), Advice("template")]
     if unknown:
         line, word = int(tags[unknown[0]][0]), unknown[0]
         if b"," in text.line(line):

@@ -195,8 +195,8 @@ class TextLog(Log):
                     return line
                 break
         raise GraphFileError(
-            "the first line has numbers and names no columns; header = false calls them 1, 2, ..., skip = N leaves out "
-            "lines before the names",
+            "the first line has numbers and names no columns; in a mapping, header = false calls them 1, 2, ..., and "
+            "skip = N leaves out lines before the names",
             self.path,
             kept[0] + 1,
             first.strip(),

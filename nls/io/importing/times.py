@@ -60,7 +60,7 @@ def stamps(log: Log, cell: Cell, column: str, notes: list[str]) -> Stamps:
     (name,) = cell.columns
     words = log.words(name) if not log.units.get(name) else []
     first = next((word for word in words if word.lower() not in MISSING), "")
-    if ISO.fullmatch(first):
+    if ISO.fullmatch(first) or ":" in first:
         return _iso(log, words, cell, notes)
     whole = log.whole(name)
     numbers = log.numbers(name) if whole is None else whole.astype(float)
@@ -115,7 +115,11 @@ def _iso(log: Log, words: list[str], cell: Cell, notes: list[str]) -> Stamps:
         None if word.strip(" T").lower() in MISSING else ISO.fullmatch(word) or k for k, word in enumerate(words)
     ]
     if (bad := next((match for match in matches if isinstance(match, int)), None)) is not None:
-        raise log.error(bad, f"{words[bad][:40]!r} is no time of ISO 8601; expected such as 2024-12-05T22:12:34.25Z")
+        raise log.error(
+            bad,
+            f"{words[bad][:40]!r} is no time of ISO 8601; expected such as 2024-12-05T22:12:34.25Z, year first; a date "
+            'and a time of two columns are { column = ["DATE", "TIME"] }',
+        )
     good = [match for match in matches if isinstance(match, re.Match)]
     if any(match[3] is None for match in good):
         notes.append(f"{log.title}: {cell.columns[-1]!r} names no zone; its times are taken to be UTC")

@@ -50,6 +50,14 @@ def test_a_robust_kernel_on_every_factor(shell: Shell) -> None:
     assert rows(short, "result") == rows(long, "result")
 
 
+def test_a_method_that_failed_is_in_the_report(shell: Shell) -> None:
+    """Gauss-Newton cycles where one measurement contradicts all others; another method goes on."""
+    report = shell.report(f"solve {shell.file(PLANE + f'EDGE_SE2 1 3 30 5 0.5 {INFORMATION_2}')} --init file")
+    (attempt,) = report["attempts"]
+    assert (report["status"], attempt["method"], attempt["status"]) == ("CONVERGED", "gauss-newton", "CYCLING")
+    assert set(attempt) == {"method", "status", "reason", "iterations"}
+
+
 def test_a_kernel_on_one_type_of_factor(shell: Shell) -> None:
     folder(shell / "m", contacts=TINY["contacts"].replace("2,12,4.2289", "2,12,4.4289"))
     report = shell.report("solve m --robust RangeAzimuth=cauchy:1 --init odometry")
