@@ -213,7 +213,7 @@ def test_what_a_dialect_has_no_line_for(tmp_path: Path) -> None:
 
 def test_suffixes(tmp_path: Path) -> None:
     graph, values, _ = read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
-    with pytest.raises(OptionError, match=r"or the dialect named; \*\.graph may be toro or graph"):
+    with pytest.raises(OptionError, match=r"or dialect=FORMAT; \*\.graph may be toro or graph"):
         save(tmp_path / "out.graph", graph, values)
     for name in ("out", "out.txt", "out.unknown.gz"):
         with pytest.raises(OptionError, match=r"\.g2o, \.toro, \.isam, \.pyfg, \.bal"):
