@@ -20,6 +20,7 @@ and the loader of its example program; for the covariance readings the noise for
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from factors.between import Between
@@ -178,7 +179,7 @@ def _listed(names: set[str]) -> str:
 def _no_graph(text: Text, tags: Tags, comments: Index, formats: list[Format]) -> GraphFileError:
     """The error for a file without any line of a graph."""
     unknown, advice = [tag for tag in tags if tag != b"FIX"], []
-    log = "LOG" if text.path == "<stdin>" else text.path
+    log = "LOG" if text.path == "<stdin>" else shlex.quote(text.path)
     table = [Advice("import", (log,)), Advice("template")]
     if unknown:
         line, word = int(tags[unknown[0]][0]), unknown[0]

@@ -8,7 +8,8 @@ message was recorded. Needs the package `rosbags`, in the extra ``ros``.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ import numpy as np
 from models.algebra import Array, Index
 from models.errors import GraphFileError
 from nls.io.importing.text_log import Log
+from nls.io.unreadable import refuse_absent
 
-__all__ = ["Bag", "BagLog", "is_bag"]
+__all__ = ["Bag", "BagLog", "is_bag", "refuse_no_log"]
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 LONGEST = 36  # entries of an array that are columns: a covariance, but no scan and no picture
@@ -34,6 +36,20 @@ def is_bag(path: str | Path) -> bool:
     (True, False)
     """
     return Path(path).suffix.lower() in SUFFIXES or os.path.isfile(os.path.join(path, "metadata.yaml"))
+
+
+def refuse_no_log(paths: Sequence[str | Path]) -> None:
+    """Refuse paths of nothing, and folders that are no bags.
+
+    Raises
+    ------
+    GraphFileError
+    """
+    refuse_absent(paths)
+    for path in paths:
+        if os.path.isdir(path) and not is_bag(path):
+            cure = f"give its files: nls import {shlex.quote(os.fspath(path))}/*"
+            raise GraphFileError(f"is a folder and no bag; expected a log; {cure}", os.fspath(path))
 
 
 class BagLog(Log):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nls.io.importing.bags import Bag, is_bag
+from nls.io.importing.bags import Bag, is_bag, refuse_no_log
 from nls.io.importing.examples import example
 from nls.io.importing.guess import guess, plain
 from nls.io.importing.text_log import Log, TextLog
@@ -105,6 +105,7 @@ def draft(paths: Sequence[str | Path]) -> str:
     # not used: 'temperature'
     <BLANKLINE>
     """
+    refuse_no_log(paths)
     lines = ["# a draft: each line is a guess by the name of a column; read it, correct it", ""]
     tables: list[str] = []
     logs = [Bag(path) if is_bag(path) else TextLog(path) for path in paths]

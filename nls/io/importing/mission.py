@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from models.algebra import Array
-from models.errors import GraphFileError, OptionError
+from models.errors import OptionError
 from models.geodesy import LocalPlane
 from models.listing import several
 from nls.io.files import write_folder
+from nls.io.importing.bags import refuse_no_log
 from nls.io.importing.mapping import WHOLE as LARGEST
 from nls.io.importing.mapping import Mapping, Section
 from nls.io.importing.sources import Logs
@@ -22,7 +23,6 @@ from nls.io.importing.times import NANOSECONDS, iso, parse_zero
 from nls.io.mission.columns import ALONE, COLUMNS, LOG, TRACK
 from nls.io.mission.table import csv_text
 from nls.io.mission.write import refuse_mixed
-from nls.io.unreadable import refuse_absent
 
 __all__ = ["Imported", "import_logs", "write_imported"]
 
@@ -70,7 +70,7 @@ def import_logs(logs: Sequence[str | Path], mapping: Mapping) -> Imported:
     0.0,2.5
     0.5,2.6
     """
-    refuse_absent(logs)
+    refuse_no_log(logs)
     sources = Logs(logs)
     parts = [rows_of(section, sources.of(section)) for section in mapping.sections]
     notes = [*sources.notes, *dict.fromkeys(note for log in sources.used for note in log.notes)]
@@ -247,15 +247,3 @@ def _readme(sources: Logs, mapping: Mapping, rows: dict[str, int], notes: Sequen
         mapping.text.rstrip("\n"),
     ]
     return ("\n".join(lines) + "\n").encode()
-
-
-def refuse_no_log(paths: Sequence[str | Path]) -> None:
-    """Refuse a folder that is no bag where a log is expected.
-
-    Raises
-    ------
-    GraphFileError
-    """
-    for path in paths:
-        if Path(path).is_dir() and not Path(path, "metadata.yaml").is_file():
-            raise GraphFileError("is a folder and no bag; expected a log", str(path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def _refuse_parts(folder: str, files: set[str], other_files: list[str]) -> None:
         advice = [Advice("read file", (os.path.join(folder, name),)) for name in graphs[:1]]
         logs = [name for name, suffix in suffixes.items() if suffix in (".csv", ".txt", ".bag", ".mcap")]
         if logs and not advice:
-            advice = [Advice("import", (os.path.join(folder, logs[0]),)), Advice("template")]
+            advice = [Advice("import", (shlex.quote(os.path.join(folder, logs[0])),)), Advice("template")]
         raise GraphFileError(f"is a folder, but no mission: {EXPECTED}; {contents}", folder, advice=advice)
     if (track := files & set(TRACK)) and (log := files & {*LOG, *BESIDE}):
         compass = (

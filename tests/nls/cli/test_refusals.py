@@ -32,6 +32,7 @@ FILES = {
     "empty": "",
     "b.bal": "1 1 1\n0 0 10.5 -3\n0 0 0 0 0 0 500 0 0\n0.1 0.2 -5\n",
     "log.csv": "a,b\n1,2\n",
+    "a log.csv": "a,b\n1,2\n",
     "clock.csv": "when,d\n01.06.2025 08:00:00,3\n",
     "clock.toml": '[depth]\ntime_s = "when"\nz_m = "d"\n',
     "alone/survey.g2o": PLANE,
@@ -63,6 +64,8 @@ solve graph.g2o --quiet --verbose => not allowed with argument
 {solve|info|explain|stream} grahp.g2o => ^nls: grahp.g2o: cannot be read: .*; did you mean 'graph.g2o'\?$
 {solve alnoe|solve graph.g2o alnoe|import alnoe} => ^nls: alnoe: cannot be read: .*; did you mean 'alone'\?$
 import clock.csv --map clock.toml -o out => clock.csv:2: '01.06.2025 08:00:00' is no time of ISO 8601; expected such as
+{import alone|import alone --map clock.toml -o out} => ^nls: alone: is a folder .*; give its files: nls import alone/\*$
+info 'a log.csv' => -> make a mission of a log: nls import 'a log.csv' prints
 import log.csv --map alone/mapping.toml -o m => mapping.toml: cannot be read: No such file or directory$
 import log.csv --map nowhere/mapping.toml -o m => cannot be read: .*; there is no folder 'nowhere'$
 plot none.g2o out.png => none.g2o: cannot be read
