@@ -4,9 +4,9 @@
 
 The reference missions `sim.hauv_floor` and `sim.hauv_hull` with false contacts anywhere in the image, contacts that are
 exchanged with that of a neighbor, and contacts that are lost. Each is solved as ``nls solve`` does by default: with all
-contacts; where some are wrong and no calibration explains them, by `nls.gnc` from dead reckoning. Here the solution with
-all contacts begins at dead reckoning and ends after 20 steps where it has not converged; ``nls solve`` tries several
-starts and goes on to the optimum.
+contacts; where some are wrong and no calibration explains the misfit, by `nls.gnc` from dead reckoning. Here the
+solution with all contacts begins at dead reckoning and ends after 20 steps where it has not converged; ``nls solve``
+tries several starts and goes on to the optimum.
 """
 
 from __future__ import annotations
