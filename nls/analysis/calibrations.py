@@ -125,6 +125,11 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
         The lowest chi2 first. Where there are several, nothing tells them apart. None where a free direction moves
         several variables.
 
+    Raises
+    ------
+    ResourceLimitError
+        The covariances of what is determined would need more than 4 GB.
+
     Examples
     --------
     >>> import numpy as np
