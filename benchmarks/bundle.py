@@ -19,7 +19,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from pinv import ONE_THREAD, RESULTS, machine, peak_memory, write_page  # the script beside this one
+from pinv import RESULTS, child, machine, peak_memory, write_page  # the script beside this one
 
 BAL = "bal/problem-49-7776-pre.txt.gz"
 SOLVERS = ("cholesky", "schur", "pcg", "pcg, tol 0.1")  # of the rig
@@ -101,9 +101,9 @@ def against_ceres(source: Path, rounds: int, ceres: str) -> list[str]:
             for (solver, who, threads), done in runs.items():
                 if who == "Ceres":
                     script = Path(__file__).with_name("bundle_ceres.py")
-                    done.append(child([ceres, str(script), str(path), solver, str(threads)]))
+                    done.append(child(ceres, script, path, solver, threads))
                 else:
-                    done.append(child([sys.executable, __file__, "--child", "bundle", str(path), solver]))
+                    done.append(child(sys.executable, __file__, "--child", "bundle", path, solver))
                 print(f"  {who:9s}{solver:16s}{threads}  {done[-1]['seconds'][1]:8.2f} s", flush=True)
     ends = [one["trace"][-1][2] for done in runs.values() for one in done]
     common, lowest = SAME * max(ends), SAME * min(ends)
@@ -199,7 +199,7 @@ def rigs(names: list[str]) -> list[str]:
             reference: dict[str, Any] = {}
             for solver in SOLVERS:
                 path = Path(folder) / "estimate.npz"
-                one = child([sys.executable, __file__, "--child", "rig", name, solver, str(path)])
+                one = child(sys.executable, __file__, "--child", "rig", name, solver, path)
                 with np.load(path) as arrays:
                     X = dict(arrays)
                 reference = reference or X
@@ -213,15 +213,6 @@ def rigs(names: list[str]) -> list[str]:
                 lines.append("| " + " | ".join(cells) + " |")
                 print(f"  {name:9s}{solver:14s}{one['solve']:8.2f} s a solve", flush=True)
     return lines
-
-
-def child(command: list[str]) -> dict[str, Any]:
-    """JSON that a process of its own prints last."""
-    done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
-    if done.returncode:
-        print(done.stderr, file=sys.stderr)
-        raise SystemExit(f"{' '.join(command[1:])}: {(done.stderr.strip() or 'killed').splitlines()[-1]}")
-    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def main() -> int:

@@ -65,22 +65,19 @@ class Series:
 def measure(name: str, n: int, folder: Path) -> None:
     """Solve the system of n unknowns; print seconds and bytes as JSON, leave the update in the folder."""
     import sim
-    from nls.gauge import fixed_variables
     from nls.linear import SOLVERS
-    from nls.sparse.pattern import Pattern
     from nls.system import LinearSystem
 
     def system(poses: int) -> LinearSystem:
         world = sim.manhattan(np.random.default_rng(1), n_poses=poses)
         world.graph.fix(next(iter(world.truth)))
-        held = fixed_variables(world.graph.fixed, world.truth)
-        return Pattern(world.graph.factors, world.truth, held).linearize(world.truth)
+        return world.graph.linearize(world.truth)
 
     def solve(given: LinearSystem) -> tuple[float, npt.NDArray[np.float64]]:
-        fresh = LinearSystem(given.pattern, given.blocks, given.b)  # remembers nothing of an earlier solve
-        fresh.A  # noqa: B018 - A and b are given; everything made from them is timed
+        copy = LinearSystem(given.pattern, given.blocks, given.b)  # remembers nothing of an earlier solve
+        copy.A  # noqa: B018 - A and b are given; everything made from them is timed
         began = process_time()
-        dx = solver.analyze(fresh.pattern).solve(fresh).dx
+        dx = solver.analyze(copy.pattern).solve(copy).dx
         return process_time() - began, dx
 
     kind: Any = SOLVERS[name]
@@ -126,10 +123,11 @@ def run(name: str, sizes: list[int], cells: dict[int, float], seconds: float, gi
             series.stopped = f"{name} stops at {series.n[-1] if series.n else 0:,} unknowns: {n:,} would need {need}"
             break
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, __file__, "--child", name, str(n), folder]
-            done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True)
+            done = fresh(sys.executable, __file__, "--child", name, n, folder)
+            if done.returncode and not series.n:
+                raise SystemExit(f"{name} fails at {n:,} unknowns: {last_words(done)}")
             if done.returncode:
-                series.stopped = f"{name} stops at {n:,} unknowns: {(done.stderr.strip() or 'killed').splitlines()[-1]}"
+                series.stopped = f"{name} stops at {n:,} unknowns: {last_words(done)}"
                 break
             found = json.loads(done.stdout)
             series.n.append(n)
@@ -260,6 +258,25 @@ def draw(found: list[Series], path: Path, seconds: float, gigabytes: float) -> N
     right.set(ylabel="memory added by the solve [MB]", ylim=(SMALL / 1e6, None))
     right.legend(loc="upper left", framealpha=1.0)
     figure.savefig(path, dpi=130)
+
+
+def fresh(*command: object) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, with one thread."""
+    return subprocess.run([*map(str, command)], env=os.environ | ONE_THREAD, capture_output=True, text=True)
+
+
+def last_words(failed: subprocess.CompletedProcess[str]) -> str:
+    """Why a process failed."""
+    return (failed.stderr.strip() or "killed").splitlines()[-1]
+
+
+def child(*command: object) -> dict[str, Any]:
+    """JSON that a process of its own prints last; where it fails the benchmark ends."""
+    done = fresh(*command)
+    if done.returncode:
+        print(done.stderr, file=sys.stderr)
+        raise SystemExit(f"{' '.join(map(str, command[1:]))}: {last_words(done)}")
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 def write_page(lines: list[str], path: Path) -> None:

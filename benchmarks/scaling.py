@@ -13,7 +13,6 @@ import argparse
 import json
 import math
 import os
-import subprocess
 import sys
 import tempfile
 import threading
@@ -26,7 +25,7 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
-from pinv import ONE_THREAD, RESULTS, exponent, machine, peak_memory, positive, write_page  # the script beside this one
+from pinv import RESULTS, exponent, fresh, last_words, machine, peak_memory, positive, write_page  # beside this script
 
 LARGEST, QUICK = 1_000_000, 10_000
 WORLDS = {
@@ -190,15 +189,9 @@ def measure(world: str, file: Path, seconds: float, gigabytes: float) -> None:
 # --- the series of one world ------------------------------------------------------------------------------------------
 
 
-def child(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """This script in a fresh process."""
-    command = [sys.executable, __file__, "--child", *map(str, arguments)]
-    return subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True)
-
-
 def run(world: str, sizes: list[int], seconds: float, gigabytes: float) -> Series:
     """Measure a world size by size, up to the one predicted to pass a limit."""
-    series = Series(world)
+    series, child = Series(world), (sys.executable, __file__, "--child")
     for size in sizes:
         time, memory = predict(series, size)
         if time > seconds or memory > gigabytes * 1e9:
@@ -207,11 +200,11 @@ def run(world: str, sizes: list[int], seconds: float, gigabytes: float) -> Serie
             break
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "graph.g2o"
-            made = child("write", world, size, file)
-            done = made if made.returncode else child("measure", world, file, seconds, gigabytes)
+            made = fresh(*child, "write", world, size, file)
+            done = made if made.returncode else fresh(*child, "measure", world, file, seconds, gigabytes)
         if done.returncode:
-            ended = f"ended after {ENOUGH * seconds:,.0f} s" if done.returncode == TOO_LONG else "killed"
-            series.stopped = f"{size:,} edges: {(done.stderr.strip() or ended).splitlines()[-1]}"
+            ended = f"ended after {ENOUGH * seconds:,.0f} s" if done.returncode == TOO_LONG else last_words(done)
+            series.stopped = f"{size:,} edges: {ended}"
             break
         found = json.loads(done.stdout)
         if "refused" in found:

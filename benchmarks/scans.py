@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pinv import ONE_THREAD, RESULTS, exponent, machine, peak_memory, positive, write_page  # the script beside this one
+from pinv import RESULTS, child, exponent, machine, peak_memory, positive, write_page  # the script beside this one
 
 SIZES = (250, 500, 1000, 2000, 4000)
 POINTS = 100  # of a keyframe
@@ -161,16 +160,6 @@ def rmse(poses: Array, truth: Array) -> float:
     return float(np.sqrt(np.square(poses[:, :2] - truth[:, :2]).sum(axis=1).mean()))
 
 
-def child(what: str, count: int) -> dict[str, Any]:
-    """A measurement in a fresh process."""
-    command = [sys.executable, __file__, "--child", what, str(count)]
-    done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    result: dict[str, Any] = json.loads(done.stdout)
-    return result
-
-
 # --- the report -------------------------------------------------------------------------------------------------------
 
 
@@ -217,7 +206,8 @@ def main() -> int:
         return 0
     head = machine()
     sizes = [size for size in SIZES if size <= (SIZES[0] if options.quick else options.largest)]
-    whole, online = ([child(what, size) for size in sizes] for what in ("whole", "online"))
+    run = partial(child, sys.executable, __file__, "--child")
+    whole, online = ([run(what, size) for size in sizes] for what in ("whole", "online"))
     lines = [
         "# Scans to a map: time and memory",
         "",

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 from math import radians
 from pathlib import Path
@@ -24,9 +23,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pinv import (  # the script beside this one
-    ONE_THREAD,
     PROCESSOR_TIME,
     RESULTS,
+    child,
     machine,
     peak_memory,
     positive,
@@ -135,12 +134,8 @@ def rows(names: list[str], gigabytes: float, flops: float) -> list[dict[str, Any
     found = []
     for name in names:
         for solver in SOLVERS:
-            command = [sys.executable, __file__, "--child", name, solver, str(gigabytes), str(flops)]
-            done = subprocess.run(command, env=os.environ | ONE_THREAD, capture_output=True, text=True)
-            if done.returncode:
-                print(done.stderr, file=sys.stderr)
-                raise SystemExit(f"{name}, {solver}: {(done.stderr.strip() or 'killed').splitlines()[-1]}")
-            one = {"name": name, "solver": solver, **json.loads(done.stdout)}
+            measured = child(sys.executable, __file__, "--child", name, solver, gigabytes, flops)
+            one = {"name": name, "solver": solver, **measured}
             print(f"  {name:18s}{solver:10s}{one.get('solve', float('nan')):10.3f} s", flush=True)
             found.append(one)
     return found

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
+from factors.constants import constant
 from factors.keys import Keys
 from factors.noise import Noise
 from models import SE2, Manifold, Measured, R
@@ -71,17 +72,13 @@ class DriftingStep(Factor):
             )
         ways = np.linalg.norm(np.atleast_2d(self._z)[:, :2], axis=1)
         ways = np.repeat(ways, len(self)) if len(ways) == 1 else ways  # one step that all measured
-        try:
-            self.length = np.array(ways if length is None else length, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise GraphError(f"{self!r}: lengths are no numbers: {error}", self.keys, self.name) from error
+        self.length = constant(self, "length", ways if length is None else length)
         if self.length.shape != (len(self),) or not (np.isfinite(self.length) & (self.length >= 0)).all():
             raise GraphError(
                 f"{self!r}: lengths of shape {self.length.shape}, expected ({len(self)},), numbers from 0",
                 self.keys,
                 self.name,
             )
-        self.length.setflags(write=False)
 
     def sizes(self) -> tuple[int, ...]:
         return (3,)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Jacobians, Model
+from factors.constants import constant
 from factors.keys import Keys
 from factors.mount import named_singularity
 from factors.noise import Noise
@@ -91,14 +92,13 @@ class DvlLeg(Factor):
         self.scale, self.yaw = (None if key is None else next(own) for key in (scale, yaw))
         self.slots = (SE3, SE3, *[R(1)] * len(calibrations))
         self.unmoved = tuple(range(2, len(self.slots)))
-        self.ways, self.at = np.array(ways, dtype=float), (float(at[0]), float(at[1]))
+        self.ways, self.at = constant(self, "ways", ways), (float(at[0]), float(at[1]))
         if self.ways.shape != (len(self), 3, 2) or not np.isfinite(self.ways).all():
             raise GraphError(
                 f"{self!r}: its ways have shape {self.ways.shape}, expected finite numbers ({len(self)}, 3, 2)",
                 self.keys,
                 self.name,
             )
-        self.ways.setflags(write=False)
 
     def sizes(self) -> tuple[int, ...]:
         return (3,)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor
+from factors.constants import constant
 from factors.keys import Keys
 from models import SE2, SE3, LieGroup, Manifold
 from models.algebra import Array
@@ -26,17 +27,7 @@ def fixed_offset(factor: Factor, offset: npt.ArrayLike) -> Array:
     GraphError
         No array of numbers.
     """
-    try:
-        if isinstance(offset, Keys):
-            raise TypeError("a variable; here it must be known")
-        array = np.array(offset, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise GraphError(
-            f"{factor!r}: its offset is not an array of numbers: {error}", factor.keys, factor.name
-        ) from error
-    array = np.atleast_2d(array)
-    array.setflags(write=False)
-    return array
+    return np.atleast_2d(constant(factor, "offset", offset))
 
 
 def check_offset(

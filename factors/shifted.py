@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.base import Factor, Jacobians
+from factors.constants import constant
 from factors.keys import Keys
 from models import LieGroup, Manifold, R
 from models.algebra import Array, Index, apply
@@ -68,11 +69,8 @@ class Shifted(Factor):
         if not isinstance(factor, Factor) or factor.opaque or factor.limit_only or factor.eliminated:
             raise GraphError(f"Shifted: expected a factor that measures, such as a Heading, got {factor!r:.80}")
         super().__init__([*factor.keys, key], factor.z, factor.noise, factor.convention)
-        try:
-            self.G = np.array(G, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise GraphError(f"{self!r}: its rates G are not an array of numbers: {error}", self.keys) from error
-        self.G = self.G[None] if self.G.ndim == 2 else self.G
+        rates = constant(self, "G", G)
+        self.G = rates[None] if rates.ndim == 2 else rates
         if self.G.ndim != 3 or len(self.G) not in (1, len(self)) or not np.isfinite(self.G).all():
             raise GraphError(
                 f"{self!r}: its rates G have shape {np.shape(G)}, expected finite numbers, (m, k) or "
@@ -80,7 +78,6 @@ class Shifted(Factor):
                 self.keys,
                 self.name,
             )
-        self.G.setflags(write=False)
         self.factor, self.key = factor, self.keys[-1]
         self.slots = (*factor.slots, None)
         self.relative, self.damped = factor.relative, factor.damped

@@ -22,6 +22,7 @@ __all__ = [
     "arrangement",
     "components",
     "congruence",
+    "distance_along",
     "dot",
     "gram",
     "matrix",
@@ -147,6 +148,17 @@ def apply(A: Array, x: Array) -> Array:
 def dot(a: Array, b: Array) -> Array:
     """Inner product of two stacks of vectors, (..., k) and (..., k) to (...)."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def distance_along(p: npt.ArrayLike) -> Array:
+    """Distance (n,) travelled along positions (n, d), one at least, up to each of them.
+
+    Examples
+    --------
+    >>> distance_along([[0, 0], [3, 4], [3, 5]])
+    array([0., 5., 6.])
+    """
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1)))
 
 
 _skew = arrangement([[0, -3, 2], [3, 0, -1], [-2, 1, 0]])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, distance_along
 from sim.scene import Scene
 
 __all__ = ["GEOMETRIES", "sides", "way"]
@@ -34,7 +34,7 @@ def way(rng: np.random.Generator, keyframes: int, loop: float) -> Array:
     wave, phase = rng.uniform(15.0, 40.0, 6), rng.uniform(0.0, 2 * np.pi, 6)
     beside = WANDER * np.sqrt(2 / 6) * np.sin(2 * np.pi * s[:, None] / wave + phase).sum(axis=1)
     p = p + np.clip(beside, -2 * WANDER, 2 * WANDER)[:, None] * normal
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1)))
+    along = distance_along(p)
     at = np.arange(keyframes)
     xy = np.column_stack([np.interp(at, along, p[:, k]) for k in range(2)])
     ahead = np.column_stack([np.interp(at + 0.5, along, p[:, k]) for k in range(2)]) - xy

@@ -19,7 +19,7 @@ import numpy as np
 from factors import XYH, ZPR, Diagonal, Heading, Isotropic, Position, RangeAzimuth, sonar_factors
 from factors.sonar import refuse_search
 from models import SE3, R, euler
-from models.algebra import Array, Index, Mask, wrap
+from models.algebra import Array, Index, Mask, distance_along, wrap
 from models.errors import GraphError
 from models.sensors import ImagingSonar, levelled, range_azimuth, zpr
 from nls import FactorGraph, Keys, Values, kinds
@@ -100,8 +100,7 @@ class Mission:
     @property
     def distance(self) -> float:
         """Length of the true path, m."""
-        steps = np.diff(SE3.position(self.truth.stack("x").X), axis=0)
-        return float(np.linalg.norm(steps, axis=1).sum())
+        return float(distance_along(SE3.position(self.truth.stack("x").X))[-1])
 
     @property
     def sensed(self) -> FactorGraph:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.algebra import Array, Mask
+from models.algebra import Array, Mask, distance_along
 from models.geodesy import LocalPlane
 from sim.survey_track import Track
 
@@ -55,4 +55,4 @@ class SurveyLog:
     def distance(self) -> float:
         """Length of the true way between them, m."""
         p = self.track.position(np.linspace(0.0, self.duration, 10 * self.duration + 1))
-        return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+        return float(distance_along(p)[-1])

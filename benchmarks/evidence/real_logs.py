@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from factors import Between, Covariance, Diagonal, Position, Prior
 from models import SE3, wrap
+from models.algebra import distance_along
 from models.dead_reckoning import Legs, integrate
 from models.manifolds.euler import quaternion_from_angles, to_se3
 from nls import FactorGraph, LevenbergMarquardt, Values, kinds
@@ -41,7 +42,7 @@ class Track:
     @property
     def distance(self) -> float:
         """Length of the true path, m."""
-        return float(np.linalg.norm(np.diff(self.truth[:, :3], axis=0), axis=1).sum())
+        return float(distance_along(self.truth[:, :3])[-1])
 
     @property
     def drift(self) -> float:

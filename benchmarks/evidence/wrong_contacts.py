@@ -4,9 +4,9 @@
 
 The reference missions `sim.hauv_floor` and `sim.hauv_hull` with false contacts anywhere in the image, contacts that are
 exchanged with that of a neighbor, and contacts that are lost. Each is solved as ``nls solve`` does by default: with all
-contacts; where `nls.robust.misfit` says that some are wrong, by `nls.gnc` from dead reckoning. Here the solution with
-all contacts begins at dead reckoning and ends after 20 steps where it has not converged; ``nls solve`` tries several
-starts and goes on to the optimum.
+contacts; where some are wrong and no calibration explains the misfit, by `nls.gnc` from dead reckoning. Here the
+solution with all contacts begins at dead reckoning and ends after 20 steps where it has not converged; ``nls solve``
+tries several starts and goes on to the optimum.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ import numpy as np
 import nls
 import sim
 from nls.analysis.exchanged_contacts import exchanged_contacts
-from nls.robust.misfit import misfit
+from nls.cli.wrong_contacts import choice_of
+from nls.io import LoadReport
 
 BENCHMARKS = Path(__file__).parents[1]
 STEPS = 20  # of the solution with all contacts
@@ -79,10 +80,9 @@ def solved(mission: sim.Mission) -> Run:
     judged = process_time()
     values, left = plain.values, 0
     out = [np.zeros(len(factor), dtype=bool) for factor in mission.graph.factors]
-    if misfit(plain, [mission.contacts]):
-        choice = nls.gnc(mission.graph, mission.start, doubted=[mission.contacts])
-        if not choice.doubts:
-            values, out, left = choice.result.values, [w == 0 for w in choice.weights], len(choice.left)
+    report = LoadReport("", "mission", "3-D", "log")
+    if (choice := choice_of(mission.graph, mission.start, plain, report)) is not None:
+        values, out, left = choice.result.values, [w == 0 for w in choice.weights], len(choice.left)
     seconds = judged - began, process_time() - judged
     wrong, rejected = mission.wrong, out[4]
     named = [i for pair in exchanged_contacts(mission.graph, values, out) for _, i in pair.places]

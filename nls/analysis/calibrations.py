@@ -9,9 +9,10 @@ the score test (C. R. Rao, "Large sample tests of statistical hypotheses", 1948)
 
     g'H^-1 g + r'S^-1 r,    r = J'b - B'H^-1 g,    S = J'J + I / sigma^2 - B'H^-1 B,    B = A'J,    g = A'b
 
-so that H = A'A is factorized once, without c. The J of odometry is that of the estimated steps. The measured ones share
-their noise with b: scaled down they always fit better. Where the fall is no chance the graph is solved with c.
-Calibrations whose chi2 differ by no more than chance cannot be told apart.
+so that H = A'A is factorized once, without c. A variable with a free direction says nothing about c and is left out,
+with its measurements. The J of odometry is that of the estimated steps. The measured ones share their noise with b:
+scaled down they always fit better. Where the fall is no chance the graph is solved with c. Calibrations whose chi2
+differ by no more than chance cannot be told apart.
 
 The step of odometry z is h o Exp(G c) with c its scale error and the turn of its axes,
 
@@ -22,7 +23,7 @@ The step of odometry z is h o Exp(G c) with c its scale error and the turn of it
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,19 +36,18 @@ from models import SE2, SE3, LieGroup, R
 from models.algebra import Array, Index
 from nls.analysis.alternatives import EQUAL, Fit, expected, nearest, scale, solved
 from nls.analysis.chi_squared import chi2_tail
+from nls.analysis.freedom import Freedom, freedom
 from nls.covariance import Marginals
 from nls.gauge import choose_gauge, fixed_variables
 from nls.graph import FactorGraph
-from nls.linear import factorize
-from nls.linear.singular import SingularSystemError
 from nls.posegraph import odometry
 from nls.sparse.pattern import Pattern, measured_rows
-from nls.system import LinearSystem
+from nls.starts.parts import Parts
 from nls.values import Values
 
 if TYPE_CHECKING:
     from nls.analysis.linearization import Checked
-    from nls.linear.factorization import Factorization
+    from nls.system import LinearSystem
 
 __all__ = ["Calibration", "calibrations"]
 
@@ -110,27 +110,25 @@ class Source:
     sigma: float
 
 
-class Standing(NamedTuple):
-    """The linear problem without a calibration: its factorization, its step, and by how much chi2 falls in that."""
-
-    factorization: Factorization
-    dx: Array
-    promised: float
-
-
-def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = None) -> tuple[Calibration, ...]:
+def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None) -> tuple[Calibration, ...]:
     """Calibrations that explain chi2: noise explains the rest, or nine tenths of its excess are gone.
 
     Parameters
     ----------
-    graph : not changed.
-    values : its optimum, of full rank.
-    checked : its linearization there, where that is at hand.
+    graph : not changed. Variables with a free direction are left out, with their measurements.
+    values : its optimum.
+    free : the free directions there, where these are at hand.
 
     Returns
     -------
     tuple of Calibration
-        The lowest chi2 first. Where there are several, nothing tells them apart.
+        The lowest chi2 first. Where there are several, nothing tells them apart. None where a free direction moves
+        several variables.
+
+    Raises
+    ------
+    ResourceLimitError
+        The covariances of what is determined would need more than 4 GB.
 
     Examples
     --------
@@ -145,25 +143,26 @@ def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = N
     Between odometry ('yaw',) [-0.1]
     BearingRange mounting ('yaw',) [-0.1]
     """
-    key = _unused(values)
-    pattern = graph.pattern(values)
-    gauge = choose_gauge("first", pattern, values, fixed_variables(graph.fixed, values))
-    held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
-    chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.holding(gauge.held).n
+    whole = graph.pattern(values)
+    gauge = choose_gauge("first", whole, values, fixed_variables(graph.fixed, values))
+    pattern, key = whole.holding(gauge.held), _unused(values)
     sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, values, key)]
     if not sources:
         return ()
-    try:
-        standing = checked or _standing(LinearSystem.at(pattern.holding(gauge.held), values))
-    except SingularSystemError:
+    free = free or freedom(pattern, values)
+    if free.checked is None or free.combinations.size:
         return ()
+    if free.count:
+        return calibrations(*_determined(graph, pattern, values, free))
+    held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
+    chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.n
     fits: list[Calibration] = []
     for source in sources:
         other = FactorGraph([*source.factors, Prior(key, source.X, Isotropic(source.sigma))], held)
         start = Values.of(values.stacks.values())
         start.add(Kind(key.kind), source.group, source.X)
         try:
-            fall = _fall(FactorGraph(list(source.changed), held).linearize(start), standing, source.sigma)
+            fall = _fall(FactorGraph(list(source.changed), held).linearize(start), free.checked, source.sigma)
         except np.linalg.LinAlgError:  # the optimum is at numbers beside which the calibration has no digits left
             continue
         variance, d = max(1.0, (chi2 - fall) / max(dof, 1)), source.group.dim
@@ -179,13 +178,19 @@ def calibrations(graph: FactorGraph, values: Values, checked: Checked | None = N
     return nearest(fits)
 
 
-def _standing(system: LinearSystem) -> Standing:
-    factorization = factorize(system)
-    dx = factorization.solve(system.gradient)
-    return Standing(factorization, dx, system.promised(dx))
+def _determined(graph: FactorGraph, pattern: Pattern, values: Values, free: Freedom) -> tuple[FactorGraph, Values]:
+    """The measurements of no variable that has a free direction, and the variables they touch.
+
+    A factor from a function is one measurement.
+    """
+    loose = np.zeros(len(pattern.dims), dtype=bool)
+    loose[pattern.column_owner()[0][free.singles.indices]] = True
+    kept = [~np.any([loose[variables] for variables in batch.variables], axis=0) for batch in pattern.batches]
+    kept = [rows & (rows.all() or not f.opaque) for rows, f in zip(kept, graph.factors, strict=True)]
+    return Parts(graph, values).take(kept, {}, values)
 
 
-def _fall(system: LinearSystem, standing: Checked | Standing, sigma: float) -> float:
+def _fall(system: LinearSystem, standing: Checked, sigma: float) -> float:
     """By how much chi2 falls with a calibration.
 
     Parameters

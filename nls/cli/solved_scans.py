@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from factors.keys import kinds
+from models.algebra import distance_along
 from models.errors import SingularGeometryError
 from nls.cli.covariances import covariances
 from nls.io.scan_mission import ScanReport
@@ -95,7 +96,7 @@ class SolvedScans:
             "keyframes": len(self.poses),
             "with_points": int(scans.with_points.sum()),
             "points": len(scans.points),
-            "distance_m": float(np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1).sum()),
+            "distance_m": float(distance_along(self.poses[:, :2])[-1]),
             "select": self.select,
             "rounds": [
                 {"candidates": len(r.matches), "accepted": int(r.matches.accepted.sum())}

@@ -13,7 +13,7 @@ from models.advice import Advice
 from models.algebra import Array, Mask
 from models.errors import EvaluationError, GraphError, SingularGeometryError
 from nls.analysis.alternatives import expected
-from nls.analysis.calibrations import Calibration, calibrations
+from nls.analysis.calibrations import calibrations
 from nls.analysis.chi_squared import chi2_interval, chi2_tail
 from nls.analysis.freedom import Freedom, freedom
 from nls.analysis.leave_one_out import Tested, checks, kinds_of, spoiled
@@ -28,7 +28,6 @@ from nls.gauge import choose_gauge, component_labels, fixed_variables, moving_va
 from nls.graph import FactorGraph
 from nls.sparse.pattern import measured_rows
 from nls.sparse.threads import single_thread
-from nls.starts.parts import Parts
 from nls.values import Values, refuse_other
 
 if TYPE_CHECKING:
@@ -181,7 +180,7 @@ def _disagreement(
     """
     assert free.checked is not None
     findings = [] if free.count else duplicate_points(free.checked, pattern, values)
-    wrong = _calibrations(graph, pattern, values, free)
+    wrong = calibrations(graph, values, free)
     calibrated = causes.calibrated(wrong)
     if wrong and expected(wrong[0]):
         return findings + calibrated, None
@@ -197,25 +196,6 @@ def _disagreement(
     if not (free.count or alike or outliers.many):
         findings += doubts.unverified(graph, values)
     return findings, outliers
-
-
-def _calibrations(graph: FactorGraph, pattern: Pattern, values: Values, free: Freedom) -> tuple[Calibration, ...]:
-    """Calibrations that explain chi2, by what is determined: without variables that have a free direction.
-
-    None where such a direction moves several variables.
-    """
-    assert free.checked is not None
-    if not free.count:
-        return calibrations(graph, values, free.checked)
-    if free.combinations.size:
-        return ()
-    loose = {kind: np.zeros(len(stack), dtype=bool) for kind, stack in values.stacks.items()}
-    for variable in np.unique(pattern.column_owner()[0][free.singles.indices]):
-        key = pattern.key(int(variable))
-        loose[key.kind][values.stack(key.kind).index(key)] = True
-    parts = Parts(graph, values)
-    measurements = [~parts.any(k, loose) for k in range(len(graph.factors))]
-    return calibrations(*parts.take(measurements, {}, values))
 
 
 def _causes(

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models import SE3, SO3
-from models.algebra import Array
+from models.algebra import Array, distance_along
 from models.errors import GraphError, OptionError
 from models.finite import finite
 from nls.metrics.absolute import group_of
@@ -95,7 +95,7 @@ def rpe(
     if lengths.ndim != 1 or not len(lengths) or not (lengths > 0).all():
         raise OptionError("distances", list(lengths.tolist()), "distances above 0, in meters")
     with np.errstate(over="ignore", invalid="ignore"):
-        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(group.position(Q), axis=0), axis=1)))
+        way = distance_along(group.position(Q))
     if not np.isfinite(way[-1]):
         raise GraphError("rpe: the way along the truth is beyond the largest number; expected positions in meters")
     out = []

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.keys import kinds
+from models.algebra import distance_along
 from nls.plot.ellipses import ellipses, visible_scale
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
 from nls.plot.trajectory import closures
@@ -88,18 +89,16 @@ def _along(axes: Axes, values: Values, errors: Mapping[str, Track], marginals: M
     ends = ", ".join(f"{name} {round(error.end, 4):.2g} m" for name, error in errors.items())
     words = "" if on is None else f"{ends} from the {on.against}"
     most = max([LEAST, *(float(error.error.max()) for error in errors.values())])
-    steps = np.linalg.norm(np.diff(_positions(values), axis=0), axis=1)
-    distance = float(steps.sum()) if on is None else on.distance
+    along = distance_along(_positions(values)) if on is None else on.along
     if marginals is not None:
         numbers = np.sort(values.stack(x).numbers) if on is None else on.numbers
         sigma = np.sqrt(np.trace(marginals.covariance(x[numbers], view="position"), axis1=1, axis2=2))
-        along = np.append(0.0, np.cumsum(steps)) if on is None else on.along
         axes.plot(along, sigma, color=ELLIPSE, linestyle=":", label="solution, by its covariance")
         if on is None:
             most, words = max(LEAST, float(sigma.max())), f"the solution is expected to be {sigma[-1]:.2g} m off"
     axes.set_ylim(-0.02 * most, 1.05 * most)  # a line at 0 is seen
     axes.legend(loc="best", fontsize=8)
-    travelled = f"{distance:,.0f}" if distance >= THOUSAND else f"{distance:.3g}"
+    travelled = f"{along[-1]:,.0f}" if along[-1] >= THOUSAND else f"{along[-1]:.3g}"
     return f"After {travelled} m: {words}"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from factors.keys import Keys, Kind
 from models import R
-from models.algebra import Array, Index, Numbers
+from models.algebra import Array, Index, Numbers, distance_along
 from models.geodesy import LocalPlane
 from nls.covariance import Marginals
 from nls.covariance.ellipse import outlines
@@ -77,8 +77,7 @@ class Chart:
     @property
     def way(self) -> Array:
         """(n,) distance travelled up to every pose, m."""
-        steps = np.linalg.norm(np.diff(self.track.p, axis=0), axis=1)
-        return np.append(0.0, np.cumsum(steps))
+        return distance_along(self.track.p)
 
     @property
     def intervals(self) -> Index:

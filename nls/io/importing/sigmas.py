@@ -6,7 +6,7 @@ import numpy as np
 
 from models.algebra import Array, Mask
 from nls.io.mission.columns import MAY_BE_0
-from nls.io.mission.table import LARGEST, SMALLEST
+from nls.io.mission.table import BOUNDS, LARGEST, SMALLEST
 
 __all__ = ["sigma_words", "sigmas_out"]
 
@@ -21,7 +21,10 @@ def sigma_words(column: str) -> str:
     >>> sigma_words("sigma_x_m"), sigma_words("scale")
     ('a standard deviation above 0, 1e-12 to 1e12', '0 or above, up to 1e12')
     """
-    return "0 or above, up to 1e12" if column in ZERO else "a standard deviation above 0, 1e-12 to 1e12"
+    smallest, largest = BOUNDS
+    if column in ZERO:
+        return f"0 or above, up to {largest}"
+    return f"a standard deviation above 0, {smallest} to {largest}"
 
 
 def sigmas_out(column: str, numbers: Array | float) -> Mask:

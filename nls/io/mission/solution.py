@@ -29,7 +29,7 @@ from factors.keys import Keys, kinds
 from factors.noise import square
 from factors.sonar import first_contacts
 from models import SE3, R
-from models.algebra import Array, Index, Mask, Numbers, dot
+from models.algebra import Array, Index, Mask, Numbers, distance_along, dot
 from models.errors import GraphError
 from models.sensors import cartesian, spherical
 from nls.covariance import Marginals
@@ -103,8 +103,7 @@ def track_of(estimate: Values, judge: Values, report: MissionReport, against: st
         raise GraphError(f"the {against} has none of the poses of the mission")
     P, Q = estimate[x[numbers]], judge[x[numbers]]
     error = ate(P, Q)
-    steps = np.linalg.norm(np.diff(SE3.position(Q), axis=0), axis=1)
-    return Track(against, numbers, np.append(0.0, np.cumsum(steps)), error.distances, error)
+    return Track(against, numbers, distance_along(SE3.position(Q)), error.distances, error)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ from nls.io.text import NUMBER, Text, printable
 
 __all__ = ["Table", "csv_text"]
 LONGEST = 100  # characters of a name that is compared with the names of columns
-SMALLEST, LARGEST = 1e-12, 1e12  # of a standard deviation: its inverse square, times another, is a number still
+BOUNDS = "1e-12", "1e12"  # of a standard deviation: its inverse square, times another, is a number still
+SMALLEST, LARGEST = map(float, BOUNDS)
 TURNS, UPRIGHT = 2 * np.pi, np.pi / 2 - 2 * GIMBAL_LOCK  # rad; a vehicle nearer to vertical has no heading
 LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they are
     ("time_s", 1e15, "seconds, within 1e15"),
@@ -35,7 +36,7 @@ LIMITS = (  # the end of a name, how far from 0 its numbers may be, what they ar
     ("_rad", TURNS, "radians, -2 pi to 2 pi"),
     ("_deg", 360.0, "degrees, -360 to 360"),
     ("_m", 1e9, "meters, within 1e9"),  # the Moon is 4e8 m away
-    ("", LARGEST, "a number within 1e12"),
+    ("", LARGEST, f"a number within {BOUNDS[1]}"),
 )
 
 
@@ -217,7 +218,7 @@ class Table(Text):
         """
         numbers = self.floats(*names)
         self._refuse(~(numbers > 0), numbers, names, ["a number above 0"] * len(names))
-        self._refuse((numbers < SMALLEST) | (numbers > LARGEST), numbers, names, ["1e-12 to 1e12"] * len(names))
+        self._refuse((numbers < SMALLEST) | (numbers > LARGEST), numbers, names, [" to ".join(BOUNDS)] * len(names))
         return numbers
 
     def _refuse(self, bad: Mask, numbers: Array, names: Sequence[str], expected: Sequence[str]) -> None:

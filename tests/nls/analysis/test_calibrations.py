@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sim
-from factors import XYH, Between, Diagonal, Isotropic, Prior
+from factors import XYH, Between, Diagonal, Factor, Isotropic, Prior
 from factors.replaced import replaced
 from factors.rescaled import rescaled
 from factors.sighting import Sighting
@@ -21,7 +21,7 @@ OFF = {  # x, y, z, roll, pitch, yaw of the mounting
     "x": [0.5, 0, 0, 0, 0, 0],
     "pitch": [0, 0, 0, 0, 0.1, 0],
 }
-x = kinds("x")[0]
+x, l = kinds("x", "l")
 PLAIN = sim.hauv_floor(np.random.default_rng(4), legs=2, per_leg=12)
 
 
@@ -69,6 +69,18 @@ def test_a_turned_sensor_and_turned_odometry_are_named_together() -> None:
     mounting, steps = sorted(calibrations(other, optimum(other, start)), key=lambda wrong: wrong.quantity)
     assert (mounting.components, steps.components) == (("yaw",), ("yaw",))
     np.testing.assert_allclose([mounting.correction[0], steps.correction[0]], [-0.1, -0.1], atol=0.02)
+
+
+def test_a_function_of_a_free_landmark_is_left_out_as_a_whole() -> None:
+    """It has the ranges of two landmarks; one of them has no other measurement."""
+    graph, start, _ = clean("subsea", 0)
+    first, odometry, sightings = graph.factors
+    factors = [first, odometry, replaced(sightings, z=sightings.z + np.array([0.1, 0]))]
+    values = optimum(FactorGraph(factors), start).extended(l[[99]], np.array([[30.0, 4.0]]))
+    ranges = Factor.from_function(
+        lambda X, L: np.linalg.norm(L - X[:, :2], axis=1)[:, None] - 30, [x[[0, 1]], l[[0, 99]]], 1, Isotropic(10.0)
+    )
+    assert len(calibrations(FactorGraph([*factors, ranges]), values)) == 2
 
 
 def test_steps_no_longer_than_their_noise_are_not_too_long() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 import sim
+from factors.sighting import Sighting
+from nls import FactorGraph
 from nls.io.mission.write import mission_files
 from tests.nls.cli.shell import Shell, row
 
@@ -91,6 +94,25 @@ def test_a_doubtful_choice_is_not_taken_and_a_note_says_so(shell: Shell, monkeyp
     out = shell("solve m")
     assert "all contacts are kept, though some do not fit: the choice among them is doubtful; " in out
     assert "rejected  " not in out
+
+
+def test_a_misplaced_sonar_is_no_wrong_contact(shell: Shell) -> None:
+    """Its mounting is off by 0.3 m, and three landmarks with one contact each have a free elevation."""
+    given = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
+    offset = given.offset + np.array([0, 0.3, 0, 0, 0, 0, 0])
+    factors = [f.mounted(offset) if isinstance(f, Sighting) else f for f in given.graph.factors]
+    written(shell / "m", replace(given, graph=FactorGraph(factors), offset=offset))
+    contacts = shell / "m" / "contacts.csv"
+    lines = contacts.read_text().splitlines()
+    once = [line.split(",") for line in lines[1::200]]
+    lines += [",".join([cells[0], str(900 + k), *cells[2:]]) for k, cells in enumerate(once)]
+    contacts.write_text("\n".join(lines) + "\n")
+    solved, explained = (shell.report(f"{command} m --init odometry") for command in ("solve", "explain"))
+    assert "rejected" not in solved
+    assert explained["nullity"] == len(once) == 3
+    (words,) = (finding["sentence"] for finding in explained["findings"] if finding["kind"] == "calibration")
+    assert "the sensor of RangeAzimuth is off by y -0.308 m" in words
+    assert f"all contacts are kept, though some do not fit: {words}" in solved["notes"]
 
 
 def test_explain_names_exchanged_landmarks_and_wrong_contacts(shell: Shell) -> None:

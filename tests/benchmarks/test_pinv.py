@@ -1,0 +1,26 @@
+"""A measurement of the pseudo-inverse benchmark: the update of a small city, by a solver that is always there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sim
+
+
+def test_a_measurement_leaves_the_update(
+    part: Callable[[str], Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pinv = part("pinv")
+    monkeypatch.setattr(pinv, "RUNS", 1)
+    pinv.measure("lu", 30, tmp_path)
+    assert json.loads(capsys.readouterr().out)["seconds"] > 0
+    world = sim.manhattan(np.random.default_rng(1), n_poses=11)
+    world.graph.fix(next(iter(world.truth)))
+    A, b = world.graph.linearize(world.truth)
+    np.testing.assert_allclose(np.load(tmp_path / "dx.npy"), np.linalg.lstsq(A.toarray(), b)[0], atol=1e-9)
