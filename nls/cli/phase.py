@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["INTERRUPTED", "Phase"]
 
 INTERRUPTED = 130  # exit status, 128 + SIGINT as shells have it
-# New objects before a search for garbage. Imports make 60,000 that stay. Python's searches, one every 700, take 28 of the
-# 880 million instructions of a start.
+# New objects before a search for garbage. Imports make 60,000 that stay. Python's searches, one every 700, take 28 of
+# the 880 million instructions of a start.
 LIVING = 100_000
 
 
