@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["INTERRUPTED", "Phase"]
 
 INTERRUPTED = 130  # exit status, 128 + SIGINT as shells have it
-# New objects before a search for garbage. Imports make 60,000 that stay. Python's searches, one every 700, take 28 of
-# the 880 million instructions of a start.
-LIVING = 100_000
 
 
 class Phase:
@@ -67,7 +64,7 @@ class Phase:
         Ctrl-C between its phases, or a second time, ends it as any other. It goes on where nobody reads its standard
         output any more (``nls explain graph.g2o | head -1``): files are written, and the status is that of the command.
         """
-        gc.set_threshold(LIVING)
+        gc.set_threshold(100_000)  # 60,000 of imports stay; to search them takes 28 of 880 million instructions
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout = _patient(sys.stdout)
         try:

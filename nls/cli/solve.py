@@ -301,13 +301,12 @@ def _status(job: Job) -> int:
     """The exit status; reasons for another than 0 on standard error."""
     import nls
     from nls.cli import outliers, sigmas
+    from nls.cli.hint import asking
+    from nls.cli.solve_report import advice
 
     options, result = job.options, job.result
     allowed = options.allow_unconverged and result.status in (nls.Status.MAX_ITERATIONS, nls.Status.MAX_TIME)
     if not result.converged and not (allowed and options.quiet):
-        from nls.cli.hint import asking
-        from nls.cli.solve_report import advice
-
         reason = f"{result.status.value}: {result.ending}; {advice(result, allowed)}"
         print(f"nls: {reason}; see: {asking(options, options.phase.written)}", file=sys.stderr)
     refuted = job.certificate is not None and job.certificate.verdict == "refuted"

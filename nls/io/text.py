@@ -24,8 +24,7 @@ from nls.linear.limits import default_limit, gigabytes
 __all__ = ["Text"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-# Patterns for errors are compiled where they are used.
-INTEGER = rb"[+-]?[0-9]+"
+INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither
 STRANGE = "[\x85\xa0\u1680\u180e\u2000-\u200f\u2028-\u202f\u205f-\u2064\u3000\ufeff\udca0]"
 NAMES = {
     "\x85": "next-line character (U+0085)",
