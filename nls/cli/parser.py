@@ -75,7 +75,7 @@ exit status:
   2    bad input or usage, or an output that could not be written (the others are)
   130  ended by Ctrl-C
 
-threads: one, unless the environment sets OPENBLAS_NUM_THREADS, OMP_THREAD_LIMIT, MKL_NUM_THREADS or BLIS_NUM_THREADS
+threads: one while a graph is solved; elsewhere one, unless the environment says more, as by OPENBLAS_NUM_THREADS=2
 """
 
 

@@ -265,10 +265,10 @@ def _certify(job: Job) -> None:
 
 def _draw(job: Job) -> None:
     """The page to look at."""
-    from nls.cli.report import write_report
-    from nls.cli.solve_outputs import attempt
-
     if job.options.report:
+        from nls.cli.report import write_report
+        from nls.cli.solve_outputs import attempt
+
         attempt(job, [(lambda path: write_report(job, job.result, path), job.options.report)])
         job.clock.lap("report")
 

@@ -36,7 +36,7 @@ GRAPH_FILES = ("graph.npz", "graph.g2o")  # of a folder, the first one counts
 CHUNK = 1 << 20
 GZIP = b"\x1f\x8b"
 ZIP = b"PK\x03\x04"
-CARRIAGE_RETURN = re.compile(rb"\r(?!\n)")  # alone
+CARRIAGE_RETURN = rb"\r(?!\n)"  # alone
 OPEN_FILES = r"/dev/fd|/proc/{}(/task/[0-9]+)?/fd"  # of a process, by number
 
 
@@ -156,7 +156,7 @@ def _content(chunks: Iterator[bytes], text: BoundedText, name: str, archive: boo
         text.add(chunk)
     data = b"".join(text.chunks)
     text.chunks.clear()
-    if b"\r" in data and CARRIAGE_RETURN.search(data):
+    if b"\r" in data and re.search(CARRIAGE_RETURN, data):
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return data
 

@@ -140,8 +140,8 @@ def read_pyfg(data: bytes, path: str, convention: str = "g2o") -> tuple[FactorGr
     report = LoadReport(path, "pyfg", "2-D" if dialect is PLANE else "3-D", convention)
     report.tags = {tag: len(lines) for tag, lines in tags.items()}
     known = {name.encode(): tag.words for name, tag in dialect.items()}
-    unknown = {tag: lines for tag, lines in words.items() if tag not in known}
-    refuse_misspelt(text, unknown, known, FIRST)
+    if unknown := {tag: lines for tag, lines in words.items() if tag not in known}:
+        refuse_misspelt(text, unknown, known, FIRST)
     keep_unknown(text, unknown, report)
     note_comments(report, comments)
 

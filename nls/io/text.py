@@ -24,8 +24,8 @@ from nls.linear.limits import default_limit, gigabytes
 __all__ = ["Text"]
 
 NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-INTEGER = re.compile(rb"[+-]?[0-9]+")
-STRANGE = re.compile("[\x85\xa0\u1680\u180e\u2000-\u200f\u2028-\u202f\u205f-\u2064\u3000\ufeff\udca0]")
+INTEGER = rb"[+-]?[0-9]+"  # this and the next are compiled where they are used: most files need neither
+STRANGE = "[\x85\xa0\u1680\u180e\u2000-\u200f\u2028-\u202f\u205f-\u2064\u3000\ufeff\udca0]"
 NAMES = {
     "\x85": "next-line character (U+0085)",
     "\ufeff": "byte-order mark (U+FEFF)",
@@ -33,7 +33,7 @@ NAMES = {
 }
 READ = 1000  # bytes of a line that are looked at for an error
 QUOTED = 80  # characters of a line in an error
-WORDS = re.compile(rf".{{{QUOTED // 2},{QUOTED - 4}}}(?=[\s,])")
+WORDS = rf".{{{QUOTED // 2},{QUOTED - 4}}}(?=[\s,])"
 BLOCK = 1 << 15  # bytes at a time, within the cache and without fresh memory: 2.2 ms for sphere2500, not 4
 FEW, SHORT = 16, 64  # first words of a format: how many, how long
 PER_TAG = 700  # bytes of memory for every line of a first word of its own
@@ -52,7 +52,7 @@ def strange(line: bytes) -> str:
     >>> strange("EDGE_SE2\\u00a00 1".encode()), strange(b"EDGE_SE2 0 1")
     ('no-break space (U+00A0)', '')
     """
-    match = None if line.isascii() else STRANGE.search(line.decode("utf-8", "surrogateescape"))
+    match = None if line.isascii() else re.search(STRANGE, line.decode("utf-8", "surrogateescape"))
     if match is None:
         return ""
     character = match[0]
@@ -72,7 +72,7 @@ def _quoted(line: str) -> str:
     """A line as it is quoted in an error: if it is long up to the end of a word, where one ends in its second half."""
     if len(line) <= QUOTED:
         return line
-    whole = WORDS.match(line)
+    whole = re.match(WORDS, line)
     return f"{whole[0] if whole else line[: QUOTED - 4]} ..."
 
 
@@ -209,7 +209,7 @@ class Text:
             value: Numbers = number.astype(np.int64)
         for place in zip(*(form != WHOLE).nonzero(), strict=True):
             word = self.token(int(tokens[place]))
-            exact = int(word) if INTEGER.fullmatch(word) and len(word) < 30 else 2**63
+            exact = int(word) if re.fullmatch(INTEGER, word) and len(word) < 30 else 2**63
             if not -(2**63) <= exact < 2**63:
                 raise self.error(f"id {printable(word, 40)!r} is not a whole number below 2^63", int(lines[place[-1]]))
             value[place] = exact

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -84,7 +83,7 @@ class Record:
 
     def take(self, new: Iteration, values: Values) -> None:
         """Record a step, and whether it led to the best point; its number follows from the record."""
-        self.history.append(replace(new, number=self.step_count + 1))
+        self.history.append(new._replace(number=self.step_count + 1))
         self.since_best += 1
         if new.chi2 < self.lowest:
             self.best, self.lowest, self.since_best = values, new.chi2, 0

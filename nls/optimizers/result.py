@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple
 
 from models.advice import Advice, listed
@@ -17,8 +19,7 @@ __all__ = ["Attempt", "Iteration", "Result"]
 HEADS = ("iteration", "chi2", "max|dx|", "seconds")
 
 
-@dataclass(frozen=True)
-class Iteration:
+class Iteration(NamedTuple):
     """One iteration: the state after its step, and the seconds its parts took.
 
     Attributes
@@ -37,7 +38,7 @@ class Iteration:
     update: float = float("nan")
     gradient: float = float("nan")
     damping: float = 0.0
-    seconds: dict[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float] = MappingProxyType({})
     reused: bool = False
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class Watch(Record):
     def flat(self, values: Values, system: LinearSystem, dx: Array) -> bool:
         """Whether it is over at the current point, without the step dx."""
         step = Step(self, values, system, dx)
-        self.history[-1] = replace(self.history[-1], gradient=step.slope)
+        self.history[-1] = self.history[-1]._replace(gradient=step.slope)
         return self._ask(stop.BEFORE_A_STEP, step)
 
     def step(

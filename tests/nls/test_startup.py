@@ -90,7 +90,7 @@ def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -
     """And without the modules of NumPy that only ``from numpy import *`` asks for, until they are used."""
     graph = str(written(tmp_path, PLANE))
     rest = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.io.mission", "nls.io.scan_mission", "nls.robust")
-    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles")
+    rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.report")
     program = (
         f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"
         f"print([m for m in {rest} if m in sys.modules])\nimport numpy\n"
@@ -113,6 +113,7 @@ def test_the_command_line_has_one_thread_unless_told_otherwise(given: str | None
     program = (
         "import gc, os, sys\nfrom nls.cli import command\nassert 'numpy' not in sys.modules\n"
         "sys.argv = ['nls', '--version']\ncommand()\nassert gc.get_freeze_count() > 1000\n"
+        "assert gc.get_stats()[0]['collections'] < 30\n"
         f"print([os.environ[name] for name in {THREADS}])"
     )
     expected = str([given or "1"] * len(THREADS))
