@@ -4,10 +4,9 @@ r"""Which sightings are of one target, where nothing names them: tracks of near 
    same must hold backwards. Links that hang together are tracks.
 2. Tracks are landmarks of a graph with a robust kernel. Its optimum says how well poses and landmarks are known.
 3. A track whose sightings fit the landmark of another is joined with it (`nls.sonar.contacts.merging`), and sightings
-   alone with one another. Only pairings that most of their ping agree with count, and a track with two answers waits. A
-   sighting that its landmark does not explain is alone again. Pieces without which chi2 is much less are a landmark of
-   their own again (`nls.sonar.contacts.splitting`). Of a track in one piece, whose chi2 no noise explains, the worst
-   sighting is alone.
+   alone with one another. A track with two answers waits. A sighting that its landmark does not explain is alone again.
+   Pieces without which chi2 is much less are a landmark of their own again (`nls.sonar.contacts.splitting`). Of a track
+   in one piece, whose chi2 no noise explains, the worst sighting is alone.
 
 2 and 3 again, from the better estimate, until next to nothing changes. First gates are narrow, where poses are known
 well beside each other. Then they are twice as wide, until no pair that fits is wider. The narrow ones correct the
@@ -35,7 +34,7 @@ from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.compatibility import resolved, supported
+from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.halves import halves
@@ -245,8 +244,6 @@ def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: 
     d, landmarks = near_landmarks(pings, estimate, np.flatnonzero(open_), gate, widest)
     c, e = near_sightings(pings, estimate, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
     d2, width = landmark_distances(pings, estimate, d, landmarks, gate, widest)
-    near = np.flatnonzero((d2 < gate) & (width < widest))
-    d2[near[~supported(pings, estimate, d[near], landmarks[near], gate)]] = np.inf
     of_one = sighting_distances(pings, estimate.graph, estimate.values, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest

@@ -5,31 +5,28 @@ one ping share the error of its pose, and their landmarks are correlated:
 
     nu = (b_1, ..., b_k),   S_pq = A_p P A_q' + [p = q] I,      a set is compatible with  nu' S^-1 nu  within its gate
 
-with P the joint covariance. A pairing q agrees with p where it is within its gate if p is right:
-
-    nu_q|p = b_q - S_qp S_pp^-1 b_p,    S_q|p = S_qq - S_qp S_pp^-1 S_pq
+with P the joint covariance.
 
 Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE
-Transactions on Robotics and Automation 17, 2001; one pairing that proposes, and the others that vote: J. Civera,
-O. Grasa, A. Davison, J. Montiel, "1-point RANSAC for EKF filtering", Journal of Field Robotics 27, 2010.
+Transactions on Robotics and Automation 17, 2001.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from models.algebra import Array, Index, Mask
+from models.algebra import Index, Mask
 from models.errors import ResourceLimitError
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
-from nls.sonar.contacts.gates import bounds, landmark_distances, ping_innovations
+from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
 from nls.sonar.contacts.pairs import near_landmarks
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["resolved", "supported"]
+__all__ = ["resolved"]
 
 
 def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
@@ -59,28 +56,3 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
             continue
         groups[sightings[at >= 0]] = numbers[at[at >= 0]]
     return of.renamed(groups)
-
-
-def supported(pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float) -> Mask:
-    """Which pairings (k,) of sightings and landmarks agree with the one of their ping that most others agree with."""
-    mask = np.zeros(len(d), dtype=bool)
-    for rows, nu, S in ping_innovations(pings, estimate, d, landmarks):
-        agree = _agreement(nu, S, gate)
-        one_answer = (d[rows][:, None] != d[rows]) & (landmarks[rows][:, None] != landmarks[rows])
-        agree &= one_answer | np.eye(len(rows), dtype=bool)
-        votes = np.logical_or.reduceat(agree, bounds(d[rows])[:-1])  # of each sighting of the ping, for each pairing
-        count = votes.sum(axis=0)
-        mask[rows] = agree[:, count == count.max()].any(axis=1)
-    return mask
-
-
-def _agreement(nu: Array, S: Array, gate: float) -> Mask:
-    """Whether pairing q (row) is within its gate if pairing p (column) is right (k, k)."""
-    k, m = nu.shape
-    B = S.reshape(k, m, k, m).swapaxes(1, 2)
-    own = np.arange(k)
-    gain = B @ np.linalg.inv(B[own, own])
-    left = nu[:, None] - (gain @ nu[..., None])[..., 0]
-    C = B[own, own][:, None] - gain @ B.mT
-    left[own, own], C[own, own] = 0.0, np.eye(m)
-    return mahalanobis(left, C) < gate

@@ -10,12 +10,11 @@ from models import SE2, R
 from models.algebra import Index
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters import association
-from nls.sonar.contacts.compatibility import resolved, supported
+from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import estimated
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.tracks import renamed, single, sizes
-from tests.nls.sonar.contacts.scenes import GATE
 
 x, l = kinds("x", "l")
 NOISE = Diagonal(bearing=0.002, range=0.02)
@@ -64,26 +63,6 @@ def test_all_of_a_ping_decide_where_the_nearest_is_wrong() -> None:
     assert answer(0.6, [4, 2, 0, 1, 3]) == [4, 2, 0, 1, 3]
     assert answer(0.6, [1]) == [2]  # one alone goes to the nearest
     assert answer(0.0, [1, 3]) == [1, 3]
-
-
-def test_pairings_that_most_of_a_ping_agree_with() -> None:
-    """0.6 m off, three right pairings outvote two wrong ones; two of one sighting, or of one landmark, never agree."""
-    trees = [0, 1, 3, 4]
-    pings, graph, values = row(0.6, trees)
-    estimate = estimated(pings, graph, values, known_trees(trees))
-
-    def kept(pairings: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        place, landmarks = np.array(pairings).T
-        mask = supported(pings, estimate, 20 + place, landmarks, GATE)
-        return [pair for pair, one in zip(pairings, mask, strict=True) if one]
-
-    right, shifted = [(0, 0), (1, 1), (2, 3)], [(0, 1), (1, 2)]
-    assert kept([*shifted, *right]) == right
-    assert kept([*right[:1], *shifted]) == shifted
-    assert kept([(0, 0), (0, 1)]) == [(0, 0), (0, 1)]  # one vote for either
-    assert kept([(0, 1), (1, 1), (1, 2)]) == [(0, 1), (1, 2)]
-    assert kept([(0, 0)]) == [(0, 0)]
-    assert not supported(pings, estimate, np.zeros(0, dtype=int), np.zeros(0, dtype=int), GATE).size
 
 
 def test_a_landmark_has_one_sighting_in_a_ping() -> None:
