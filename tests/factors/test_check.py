@@ -72,7 +72,9 @@ def test_check_jacobians_of_a_graph_names_the_worst_factor() -> None:
     assert check_jacobians(FactorGraph([right, right]), PLANE) == max(check_jacobians(right, PLANE), 0.0) < 1e-6
     assert check_jacobians(FactorGraph([right, slightly]), PLANE, rtol=0.1) == check_jacobians(slightly, PLANE, 0.1) > 0
     assert check_jacobians(FactorGraph(), PLANE) == 0.0
-    one = refused(lambda: check_jacobians(FactorGraph([right, slightly]), PLANE), JacobianError, "^array.* 1.01 for all entries$")
+    one = refused(
+        lambda: check_jacobians(FactorGraph([right, slightly]), PLANE), JacobianError, "^array.* 1.01 for all entries$"
+    )
     graph = FactorGraph([slightly, badly, right])
     caught = refused(lambda: check_jacobians(graph, PLANE), JacobianError, "; the worst of 2 factors .*, of 3$")
     alone = refused(lambda: check_jacobians(badly, PLANE), JacobianError, "analytic")
