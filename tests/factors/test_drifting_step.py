@@ -114,5 +114,5 @@ def test_what_does_not_fit() -> None:
     for wrong in ([1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [], np.ones((2, 2, 3))):
         named = r"DriftingStep\(x0, x1, d0\): z has shape .*, expected \(n, 3\)"
         refused(lambda wrong=wrong: DriftingStep(x[0], x[1], d[0], wrong, NOISE), GraphError, named)
-    refused(lambda: DriftingStep(x[0], x[1], d[0], z[0], NOISE, "long"), GraphError, "length.*'long'")
+    refused(lambda: DriftingStep(x[0], x[1], d[0], z[0], NOISE, "long"), GraphError, "length is not an array.*'long'")
     refused(lambda: DriftingStep(x[0:3], x[3:6], d[0], z, NOISE), GraphError, r"lengths.*\(2,\).*\(3,\)")

@@ -29,7 +29,7 @@ from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["bounds", "landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
+__all__ = ["landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
 
 AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their number
 
@@ -119,7 +119,7 @@ def ping_innovations(
     ping = pings.ping[d]
     pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d, landmarks)
     members, column = np.unique(ping * n + landmarks, return_inverse=True)  # the landmarks of every ping
-    begin, first = bounds(ping), bounds(members // n)
+    begin, first = _bounds(ping), _bounds(members // n)
     after = first[1:].repeat(np.diff(first)) - np.arange(len(members)) - 1  # members of the same ping behind each
     pair = np.concatenate([[0], np.cumsum(after)])
     i = np.arange(len(members)).repeat(after)
@@ -141,14 +141,8 @@ def ping_innovations(
         yield order[rows], b[rows], S + np.eye(k * m)
 
 
-def bounds(groups: Index) -> Index:
-    """Where groups (k,), one behind the other, begin, and in the end k.
-
-    Examples
-    --------
-    >>> bounds(np.array([7, 7, 3]))
-    array([0, 2, 3])
-    """
+def _bounds(groups: Index) -> Index:
+    """Where groups (k,), one behind the other, begin, and in the end k."""
     return np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1], [True]]))
 
 
