@@ -24,26 +24,40 @@ from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["bounded", "of_sums"]
+__all__ = ["anchored", "bounded", "of_sums"]
 
 ANCHORS = 48
 AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
 
 
-def bounded(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, Array, Array]:
-    """Of the innovations of sightings d (k,) from landmarks (k,), bounds on their joint covariances.
+def anchored(pings: Pings, d: Index, landmarks: Index) -> tuple[tuple[Keys, Keys], Index, tuple[Keys, Keys], Index]:
+    """Pairs of variables that the bounds for sightings d (k,) and landmarks (k,) need.
 
     Returns
     -------
-    d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
+    anchors and poses, and which pair (k,) is whose; anchors and landmarks, and which pair (k,) is whose.
     """
     m, n = len(pings.poses), len(pings)
     numbers, point = np.unique(landmarks, return_inverse=True)
     stretch = -(-m // ANCHORS)
     anchor = np.minimum(pings.ping[numbers] // stretch * stretch + stretch // 2, m - 1)
     motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
-    i, j, a, l = pings.poses[motions % n], pings.poses[motions // n], pings.poses[anchor], pings.kind[numbers]
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[(i, j), (a, l)])
+    i, j = pings.poses[motions % n], pings.poses[motions // n]
+    return (i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point
+
+
+def bounded(
+    pings: Pings, estimate: Estimate, marginals: Marginals, d: Index, landmarks: Index
+) -> tuple[Array, Array, Array]:
+    """Of the innovations of sightings d (k,) from landmarks (k,), bounds on their joint covariances.
+
+    The marginals of the estimate have the pairs of `anchored`.
+
+    Returns
+    -------
+    d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
+    """
+    (i, j), motion, (a, l), point = anchored(pings, d, landmarks)
     C_u, C_v = marginals.relative(i, j), _of_points(pings.group, marginals, a, l)
     d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
     for begin in range(0, len(d), AT_ONCE):

@@ -32,11 +32,13 @@ from factors.sighting import Sighting
 from models.algebra import Array, Index, Mask
 from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
+from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.anchors import anchored
 from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
-from nls.sonar.contacts.gates import landmark_distances, sighting_distances
+from nls.sonar.contacts.gates import landmark_distances, sighting_distances, two_pings
 from nls.sonar.contacts.halves import halves
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
@@ -201,14 +203,14 @@ def _rounds(
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
     widest, complete, last, settled = NARROW, False, False, False
-    history: list[Index] = []
+    Sigma, history = Marginals(graph, values).all(Kind(pings.poses.kind), frame="body")[pings.row], list[Index]()
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
         poses, open_ = estimate.values, expelled < TWICE
         if last:
-            joined = resolved(pings, estimate, open_, least, probability)
+            joined = resolved(pings, estimate, Sigma, open_, least, probability)
         else:
-            joined, complete = _joined(pings, estimate, open_, gate, widest)
+            joined, complete, Sigma = _joined(pings, estimate, Sigma, open_, gate, widest)
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         alone = misfit | (estimate.d2 > OUTSIDE * gate)
         leaving = split(pings, graph, estimate, pieces, apart)
@@ -230,25 +232,31 @@ def _rounds(
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
     """Tracks (n,) of sightings in pings that follow one another."""
     c, d = near_pings(pings, graph, values, LAGS, gate)
-    d2, _ = sighting_distances(pings, graph, values, c, d)
+    d2, _ = sighting_distances(pings, Marginals(graph, values, pairs=[two_pings(pings, c, d)[0]]), c, d)
     tracks = linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
     return of.once_per_ping(tracks, pings.ping)
 
 
-def _joined(pings: Pings, estimate: Estimate, open_: Mask, gate: float, widest: float) -> tuple[Index, bool]:
+def _joined(
+    pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, gate: float, widest: float
+) -> tuple[Index, bool, Array]:
     """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that.
 
-    And whether no pair that fits was too wide.
+    And whether no pair that fits was too wide, and the covariances (m, d, d) of the poses. Those of the round before,
+    Sigma, say what is near.
     """
     tracks = estimate.tracks
-    d, landmarks = near_landmarks(pings, estimate, np.flatnonzero(open_), gate, widest)
-    c, e = near_sightings(pings, estimate, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
-    d2, width = landmark_distances(pings, estimate, d, landmarks, gate, widest)
-    of_one = sighting_distances(pings, estimate.graph, estimate.values, c, e)
+    d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
+    c, e = near_sightings(pings, estimate, Sigma, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
+    motions, _, points, _ = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[motions, points, two_pings(pings, c, e)[0]])
+    d2, width = landmark_distances(pings, estimate, marginals, d, landmarks, gate, widest)
+    of_one = sighting_distances(pings, marginals, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all())
+    of_poses = marginals.all(Kind(pings.poses.kind), frame="body")[pings.row]
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all()), of_poses
 
 
 def _associated(

@@ -15,11 +15,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.algebra import Index, Mask
+from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError
 from nls.analysis.chi_squared import chi2_gate
+from nls.covariance import Marginals
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.anchors import anchored
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
@@ -29,7 +31,9 @@ from nls.sonar.contacts.places import Pings
 __all__ = ["resolved"]
 
 
-def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
+def resolved(
+    pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least: int, probability: float
+) -> Index:
     """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
 
     Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
@@ -38,8 +42,10 @@ def resolved(pings: Pings, estimate: Estimate, open_: Mask, least: int, probabil
     tracks, m = estimate.tracks, measured_numbers(pings)
     gate = chi2_gate(m, probability)
     every = np.arange(len(tracks))
-    d, landmarks = near_landmarks(pings, estimate, every, gate)
-    d2, _ = landmark_distances(pings, estimate, d, landmarks, gate)
+    d, landmarks = near_landmarks(pings, estimate, Sigma, every, gate)
+    motions, _, points, _ = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[motions, points])
+    d2, _ = landmark_distances(pings, estimate, marginals, d, landmarks, gate)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from factors.robust import Kernel
 from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
-from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.optimizers import LevenbergMarquardt, Stop
 from nls.sonar.contacts import tracks as of
@@ -27,6 +25,7 @@ KERNEL = Cauchy(2.0)
 FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
 ROUGHLY = Stop(max_iterations=30, chi2_rtol=1e-3)
 WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
+STEPS = 7  # elevations on either side of the middle, from which the optimizer goes on
 DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
 
 
@@ -51,11 +50,6 @@ class Estimate:
     doubtful: Mask
     reduced_chi2: float
 
-    @cached_property
-    def marginals(self) -> Marginals:
-        """Covariances of its poses and landmarks."""
-        return Marginals(self.graph, self.values)
-
     def linearized(self, pings: Pings, d: Index, landmarks: Index) -> tuple[Keys, Keys, tuple[Array, ...], Array]:
         """Poses and landmarks of sightings d (k,), the Jacobians of both, and innovations (k, m)."""
         measured, values = pings.of_landmarks(landmarks, d), self.values
@@ -63,12 +57,6 @@ class Estimate:
         model = measured.bind(pings.group, values.stack(pings.kind).manifold)
         A, b = model.linearize(values[pose], values[landmark])
         return pose, landmark, A, b
-
-    def blocks(self, pose: Keys, landmark: Keys) -> tuple[Array, Array]:
-        """Covariances (k, d, d) of poses and of landmarks."""
-        of_poses, of_landmarks = (self.marginals.all(Kind(kind), frame="body") for kind in (pose.kind, landmark.kind))
-        values = self.values
-        return of_poses[values.stack(pose.kind).index(pose)], of_landmarks[values.stack(landmark.kind).index(landmark)]
 
 
 def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, kernel: Kernel = KERNEL) -> Estimate:
@@ -83,7 +71,7 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
     solved = FactorGraph([*factors, *weak], graph.fixed)
     start = Values.of([*poses.stacks.values()])
     start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
-    start = search_elevation(solved, start, pings.limit) if pings.limit else locate_points(solved, start)
+    start = search_elevation(solved, start, pings.limit, STEPS) if pings.limit else locate_points(solved, start)
     result = solved.optimize(start, LevenbergMarquardt(ROUGHLY))
     values = result.values
     d2[chosen] = measured.chi2(values)

@@ -19,25 +19,33 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from factors.keys import Keys
 from models.algebra import Array, Index, product
-from nls.analysis import motions
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
-from nls.graph import FactorGraph
 from nls.sonar.contacts.anchors import bounded, of_sums
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
-from nls.values import Values
 
-__all__ = ["landmark_distances", "motion_covariances", "ping_innovations", "sighting_distances"]
+__all__ = ["landmark_distances", "ping_innovations", "sighting_distances", "two_pings"]
 
 AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their number
 
 
-def sighting_distances(pings: Pings, graph: FactorGraph, values: Values, c: Index, d: Index) -> tuple[Array, Array]:
-    """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that."""
-    pairs, motion = np.unique(np.column_stack([pings.ping[c], pings.ping[d]]), axis=0, return_inverse=True)
-    Sigma, motion = motion_covariances(pings, graph, values, *pairs.T), motion.reshape(-1)
+def two_pings(pings: Pings, c: Index, d: Index) -> tuple[tuple[Keys, Keys], Index]:
+    """The pairs of poses of sightings c and d (k,), each pair once, and which one (k,) is whose."""
+    pairs, pair = np.unique(pings.ping[c] * len(pings.poses) + pings.ping[d], return_inverse=True)
+    i, j = np.divmod(pairs, len(pings.poses))
+    return (pings.poses[i], pings.poses[j]), pair
+
+
+def sighting_distances(pings: Pings, marginals: Marginals, c: Index, d: Index) -> tuple[Array, Array]:
+    """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that.
+
+    The marginals have the pairs of `two_pings`.
+    """
+    motions, motion = two_pings(pings, c, d)
+    Sigma, values = marginals.relative(*motions), marginals.values
     X, sensors = values[pings.poses][pings.ping], pings.sensors(values)
     d2, width = np.empty(len(c)), np.empty(len(c))
     for begin in range(0, len(c), AT_ONCE):
@@ -62,11 +70,6 @@ def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, S
     return d2, widths.reshape(len(c), K).max(axis=1)
 
 
-def motion_covariances(pings: Pings, graph: FactorGraph, values: Values, i: Index, j: Index) -> Array:
-    """Covariance (k, d, d) of the motions from pings i to pings j, in the axes of j."""
-    return motions.motion_covariances(graph, values, pings.poses[i], pings.poses[j])
-
-
 def _least(b: Array, M: Array) -> Array:
     """Least b' M b (k,) on the lines between neighbors of points b (k, K, m), by the M (k, K, m, m) of the best."""
     d2 = _quadratic(b, M)
@@ -82,23 +85,29 @@ def _least(b: Array, M: Array) -> Array:
 
 
 def landmark_distances(
-    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float, widest: float = np.inf
+    pings: Pings,
+    estimate: Estimate,
+    marginals: Marginals,
+    d: Index,
+    landmarks: Index,
+    gate: float,
+    widest: float = np.inf,
 ) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
 
-    Bounds on the covariance come first, see `nls.sonar.contacts.anchors`. A pair outside of the gate keeps the d2 of
+    The marginals of the estimate have the pairs of `nls.sonar.contacts.anchors.anchored`. Bounds on the covariance come first, see `nls.sonar.contacts.anchors`. A pair outside of the gate keeps the d2 of
     its bound. A pair wider than `widest` keeps the width of its bound. The others have the joint covariance.
     """
     if not len(d):
         return np.zeros(0), np.zeros(0)
-    d2, width, least = bounded(pings, estimate, d, landmarks)
+    d2, width, least = bounded(pings, estimate, marginals, d, landmarks)
     near = np.flatnonzero((d2 < gate) & (least < widest))
     width = np.where(least < widest, width, least)
     if len(near):
         pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d[near], landmarks[near])
-        P_X, P_l = estimate.blocks(pose, landmark)
-        C = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark)]).cross(pose, landmark, frame="body")
-        S = of_sums(A_X, P_X, C, A_l, P_l) + np.eye(b.shape[1])
+        both = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark)])
+        P_X, P_l = both.covariance(pose, frame="body"), both.covariance(landmark)
+        S = of_sums(A_X, P_X, both.cross(pose, landmark, frame="body"), A_l, P_l) + np.eye(b.shape[1])
         d2[near], width[near] = mahalanobis(b, S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
     return d2, width
 
@@ -127,7 +136,7 @@ def ping_innovations(
     twos, place = np.unique(members[i] % n * n + members[j] % n, return_inverse=True)
     u, v = pings.kind[twos // n], pings.kind[twos % n]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark), (u, v)])
-    (P_X, P_l), P_uv = estimate.blocks(pose, landmark), marginals.cross(u, v)
+    P_X, P_l, P_uv = marginals.covariance(pose, frame="body"), marginals.covariance(landmark), marginals.cross(u, v)
     D = product(marginals.cross(pose, landmark, frame="body"), A_l.mT)
     F, G = np.concatenate([product(A_X, P_X) + D.mT, A_X], axis=2), np.concatenate([A_X, D.mT], axis=2)
     for rows, own in zip(map(slice, begin[:-1], begin[1:]), map(slice, first[:-1], first[1:]), strict=True):

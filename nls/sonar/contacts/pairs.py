@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from factors.keys import Kind
 from models.algebra import Array, Index, Mask
+from nls.analysis.motions import motion_covariances
 from nls.graph import FactorGraph
 from nls.sonar.contacts.estimate import Estimate
-from nls.sonar.contacts.gates import motion_covariances
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
@@ -28,7 +27,7 @@ def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate
     pairs = [np.zeros((0, 2), dtype=np.intp)]
     for lag in range(1, min(lags, last) + 1):
         i = np.arange(last + 1 - lag)
-        sigma = motion_covariances(pings, graph, values, i, i + lag)
+        sigma = motion_covariances(graph, values, pings.poses[i], pings.poses[i + lag])
         early = pings.ping + lag <= last
         radius = np.zeros(len(pings))
         radius[early] = _radius(pings, sigma[pings.ping[early]], gate, early)
@@ -39,11 +38,11 @@ def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate
 
 
 def near_sightings(
-    pings: Pings, estimate: Estimate, which: Index, gate: float, widest: float = np.inf
+    pings: Pings, estimate: Estimate, Sigma: Array, which: Index, gate: float, widest: float = np.inf
 ) -> tuple[Index, Index]:
     """Pairs (k,) of some sightings in different pings, the first from the earlier one."""
     P = pings.group.act(pings.sensors(estimate.values), pings.middle)[which]
-    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, estimate, gate, widest)[which]).T
+    c, d = _within(P, P, pings.extent[which] + _pose_errors(pings, Sigma, gate, widest)[which]).T
     c, d = which[c], which[d]
     late = pings.ping[c] > pings.ping[d]  # the later pose may be the one with the larger error
     pairs = np.unique(np.where(late, [d, c], [c, d])[:, pings.ping[c] != pings.ping[d]], axis=1)
@@ -51,7 +50,7 @@ def near_sightings(
 
 
 def near_landmarks(
-    pings: Pings, estimate: Estimate, which: Index, gate: float, widest: float = np.inf
+    pings: Pings, estimate: Estimate, Sigma: Array, which: Index, gate: float, widest: float = np.inf
 ) -> tuple[Index, Index]:
     """Some of the sightings (k,), and landmarks (k,) by number that they may be of, not yet seen in their ping.
 
@@ -62,7 +61,7 @@ def near_landmarks(
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     S, stack = pings.sensors(values), values.stack(pings.kind)
     P = pings.group.act(S, pings.middle)
-    radius = pings.extent + _pose_errors(pings, estimate, gate, widest)
+    radius = pings.extent + _pose_errors(pings, Sigma, gate, widest)
     d, row = _within(P[which], stack.X, radius[which]).T
     d = which[d]
     n = len(pings.poses)
@@ -84,9 +83,8 @@ def _within(points: Array, others: Array, radius: Array) -> Index:
     return np.column_stack([rows, near[rows, columns]])
 
 
-def _pose_errors(pings: Pings, estimate: Estimate, gate: float, widest: float) -> Array:
+def _pose_errors(pings: Pings, Sigma: Array, gate: float, widest: float) -> Array:
     """How far (n,) errors of the poses move the targets of sightings, m, within the gate."""
-    Sigma = estimate.marginals.all(Kind(pings.poses.kind), frame="body")[pings.row]
     return _radius(pings, Sigma[pings.ping], gate, slice(None), widest) - pings.extent
 
 
