@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factors.base import Factor, Jacobians, Model
+from factors.base import Jacobians
 from factors.constants import constant
 from factors.keys import Keys
 from factors.mount import named_singularity
 from factors.noise import Noise
-from models import SE3, Manifold, Measured, R
+from factors.xyh import HorizontalStep
+from models import SE3, Manifold, R
 from models.algebra import Array
 from models.errors import GraphError
 from models.sensors import levelled
@@ -18,7 +19,7 @@ from models.sensors import levelled
 __all__ = ["DvlLeg"]
 
 
-class DvlLeg(Factor):
+class DvlLeg(HorizontalStep):
     r"""Horizontal step from pose i to pose j, as `XYH`, by a DVL with a scale error s, turned by an angle a.
 
     .. math:: h(X_i, X_j, s, a) = h_{XYH}(X_i, X_j) + \bigl(w(s_0, a_0) - w(s, a), \; 0\bigr), \quad
@@ -72,7 +73,6 @@ class DvlLeg(Factor):
     """
 
     slots: tuple[Manifold | None, ...] = (SE3, SE3)
-    frame = "first"
     per_measurement = ("ways", "scale", "yaw")
 
     def __init__(
@@ -99,15 +99,6 @@ class DvlLeg(Factor):
                 self.keys,
                 self.name,
             )
-
-    def sizes(self) -> tuple[int, ...]:
-        return (3,)
-
-    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        return Measured("x", "y", "yaw")
-
-    def level_steps(self, model: Model) -> Array:
-        return model.z
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         with named_singularity(self):

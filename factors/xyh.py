@@ -23,7 +23,22 @@ FORMS: dict[str, Callable[[Array, Array], tuple[Array, tuple[Array, Array]]]] = 
 }
 
 
-class XYH(Factor):
+class HorizontalStep(Factor):
+    """A measured step of a pose in the horizontal: x ahead and y to starboard, m, and yaw, rad."""
+
+    frame = "first"
+
+    def sizes(self) -> tuple[int, ...]:
+        return (3,)
+
+    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
+        return Measured("x", "y", "yaw")
+
+    def level_steps(self, model: Model) -> Array:
+        return model.z
+
+
+class XYH(HorizontalStep):
     r"""Step from pose i to pose j in the horizontal: the odometry of a vehicle with a depth sensor and a tilt sensor.
 
     .. math:: h(X_i, X_j) = \bigl( [R_z(\psi_i)^T (t_j - t_i)]_{xy}, \; \psi_j - \psi_i \bigr)
@@ -70,7 +85,6 @@ class XYH(Factor):
     """
 
     slots = (SE3, SE3)
-    frame = "first"
 
     def __init__(self, i: Keys, j: Keys, z: npt.ArrayLike, noise: Noise, form: str = "levelled") -> None:
         if not isinstance(form, str) or form not in FORMS:
@@ -78,15 +92,6 @@ class XYH(Factor):
         super().__init__([i, j], z, noise)
         self.form = form
         self.relative = form == "relative"  # a tilted world has another horizontal
-
-    def sizes(self) -> tuple[int, ...]:
-        return (3,)
-
-    def space(self, manifolds: tuple[Manifold, ...]) -> Manifold:
-        return Measured("x", "y", "yaw")
-
-    def level_steps(self, model: Model) -> Array:
-        return model.z
 
     def predict(self, manifolds: tuple[Manifold, ...], *X: Array) -> tuple[Array, Jacobians]:
         with named_singularity(self):

@@ -8,9 +8,6 @@ without scale. A closure is wrong where its position is 3 m off that of DGPS, wi
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, page_head, public_data, write_page
 
 import nls
 from nls.io.scan_mission import read_scan_mission
@@ -39,7 +37,6 @@ from nls.sonar.scans import (
 )
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 WRONG = 3.0  # m
 (x,) = nls.kinds("x")
 ROWS = "| round | candidates | accepted | wrong | kept | wrong | chi2/dof | moved, m | ATE, m |"
@@ -253,22 +250,14 @@ alone, this mission ended unsettled at 4.80 m.
 """
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "aracati.md")
     parser.add_argument("--quick", action="store_true", help="without the table of constants")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for aracati.md")
     options = parser.parse_args()
-    if not os.environ.get("LEADLINE_DATA"):
-        print("LEADLINE_DATA is not set: no data to read", file=sys.stderr)
-        return 1
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    mission, head = Mission.read(Path(os.environ["LEADLINE_DATA"], "aracati")), machine()
-    text = ["# Aracati 2017: from sonar pings to a map", "", *head, "", *page(mission, options.quick)]
-    write_page(text, options.out / "aracati.md")
-    return 0
+    mission = Mission.read(public_data(parser) / "aracati")
+    lines = [*page_head("Aracati 2017: from sonar pings to a map"), "", *page(mission, options.quick)]
+    write_page(lines, options.out / "aracati.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,13 +8,11 @@ local minimum.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from pathlib import Path
 from time import process_time
 
 import numpy as np
+from script import arguments, page_head, public_data, write_page
 
 import nls
 from nls import Certificate, FactorGraph, Values
@@ -23,7 +21,6 @@ from nls.certificate.problem import certifiable
 from nls.certificate.spectrum import spectrum
 from nls.certificate.staircase import staircase
 
-BENCHMARKS = Path(__file__).parents[1]
 PUBLISHED = {  # and the global optimum of SE-Sync, IJRR 38 (2019), tables 1 and 2, where it is there
     "pose-graphs-3d/sphere2500.g2o.gz": "1687",
     "pose-graphs-3d/torus3D.g2o.gz": "24230",
@@ -105,19 +102,12 @@ def report(data: Path) -> list[str]:
     return [*lines, "", climbed(graph, values)]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for certificate.md")
+def main() -> None:
+    parser = arguments(__doc__, "certificate.md")
     options = parser.parse_args()
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("certificate: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    write_page(["# Certified pose graphs", "", *machine(), *report(Path(name))], options.out / "certificate.md")
-    return 0
+    data = public_data(parser)
+    write_page([*page_head("Certified pose graphs"), *report(data)], options.out / "certificate.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

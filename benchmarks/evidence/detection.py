@@ -7,22 +7,19 @@ Every image has the size of an Oculus M750d, 512 beams of 1,000 bins; seeds 0, 1
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import ncx2
+from script import arguments, markdown, page_head, write_page
 
 import sim
 from models.sensors import ARIS_3000, DIDSON_HIGH, OCULUS_M750D, ImagingSonar
 from nls.sonar import detect
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 DETECTORS = ("ca", "soca", "goca", "os")
 RATES = (1e-2, 1e-3, 1e-4)
 SHAPES = (4.0, 1.0, 0.5)
@@ -110,15 +107,6 @@ def lost(sonar: ImagingSonar, edge: float) -> float:
     return 1 - len(np.unique(beam[taken] * sonar.bins + bin[taken])) / (sonar.beams * last)
 
 
-def table(head: list[str], rows: list[list[str]]) -> list[str]:
-    """In Markdown, numbers to the right."""
-    return [
-        f"| {' | '.join(head)} |",
-        "|:--" + "|--:" * (len(head) - 1) + "|",
-        *(f"| {' | '.join(row)} |" for row in rows),
-    ]
-
-
 def page(images: int) -> list[str]:
     """All but the head."""
     cells = images * SONAR.beams * SONAR.bins
@@ -128,8 +116,11 @@ def page(images: int) -> list[str]:
         for detector in DETECTORS
     ]
     columns = [f"{rate:g}{where}" for where in ("", ", cut") for rate in RATES]
-    lines = ["## False alarms in Rayleigh noise, measured over nominal", "", *table(["detector", *columns], ratios), ""]
-    lines += [
+    lines = [
+        "## False alarms in Rayleigh noise, measured over nominal",
+        "",
+        *markdown(["detector", *columns], ratios),
+        "",
         f"{cells / 1e6:.1f} million cells; {TRAIN} training and {GUARD} guard cells a side. *Cut*: the first and last "
         f"{REACH} bins, where one side of the window decides; there 1e-4 are {cells * 0.05 * 1e-4:.0f} false alarms, "
         f"known to {100 / np.sqrt(cells * 0.05 * 1e-4):.0f} % at best, as neighboring cells share their window.",
@@ -141,7 +132,7 @@ def page(images: int) -> list[str]:
     for nu in SHAPES:
         measured = rates(images // 4, nu)
         spiky += [[f"{nu:g}", d, *(f"{measured[d, rate][0]:.1e}" for rate in RATES)] for d in DETECTORS]
-    lines += table(["nu", "detector", *(f"nominal {rate:g}" for rate in RATES)], spiky)
+    lines += markdown(["nu", "detector", *(f"nominal {rate:g}" for rate in RATES)], spiky)
     lines += [
         "",
         "Rates, not ratios. The multipliers are those of Rayleigh noise; neighboring cells share no texture.",
@@ -154,7 +145,7 @@ def page(images: int) -> list[str]:
             measured = [f"{share(1e-3, echoes(signal, fluctuating), d):.3f}" for d in DETECTORS]
             rows.append([f"{signal}", *measured, f"{known:.3f}"])
         lines += ["", f"## Detected at 1e-3: {title}", ""]
-        lines += table(["signal to noise, dB", *DETECTORS, "noise level known"], rows)
+        lines += markdown(["signal to noise, dB", *DETECTORS, "noise level known"], rows)
     lines += ["", f"One cell an echo, {5 * SONAR.beams * SONAR.bins // APART:,} echoes a row.", ""]
     uneven = [
         [
@@ -165,7 +156,7 @@ def page(images: int) -> list[str]:
         for detector in DETECTORS
     ]
     lines += ["## Where the noise is not even, at 1e-3", ""]
-    lines += table(
+    lines += markdown(
         ["detector", f"15 dB detected {CLOSE} bins from {STRONG} dB", "false alarms before a shadow"], uneven
     )
     lines += [
@@ -181,22 +172,16 @@ def page(images: int) -> list[str]:
         length = (sonar.window[1] - sonar.window[0]) / sonar.bins
         shares = [f"{100 * lost(sonar, edge):.0f} %" for edge in (length, 0.1, 0.2)]
         rows.append([f"{sonar.name}, {sonar.window[0]:g}-{sonar.window[1]:g} m", f"{100 * length:.1f}", *shares])
-    lines += table(["sonar", "bin, cm", "squares of one bin", "squares of 0.1 m", "squares of 0.2 m"], rows)
+    lines += markdown(["sonar", "bin, cm", "squares of one bin", "squares of 0.1 m", "squares of 0.2 m"], rows)
     return [*lines, "", "Every square takes the cell that holds its center; the others are lost."]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "detection.md")
     parser.add_argument("--images", type=int, default=40, help="images of Rayleigh noise (default 40)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for detection.md")
     options = parser.parse_args()
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    head = machine()
-    write_page(["# Detections in sonar images", "", *head, "", *page(options.images)], options.out / "detection.md")
-    return 0
+    write_page([*page_head("Detections in sonar images"), "", *page(options.images)], options.out / "detection.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

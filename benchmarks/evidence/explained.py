@@ -8,19 +8,16 @@ counted as missed.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from script import arguments, markdown, page_head, public_data, write_page
 from wrong_closures import KINDS, SETS, solved, spoiled
 
 import nls
 from nls import FactorGraph, FindingKind
 
-BENCHMARKS = Path(__file__).parents[1]
 PLANTED = ("CSAIL", "FR079", "INTEL", "intel", "M3500")
 CLEAN = (*PLANTED, "kitti_00", "ring", "manhattan", "smallGrid3D", "sphere2500")
 NAMES = (FindingKind.WRONG_CLOSURE, FindingKind.OUTLIER)
@@ -54,31 +51,19 @@ def clean(data: Path) -> Iterator[list[str]]:
         yield [name, str(len(places)), f"{CHANCE:g}"]
 
 
-def table(head: tuple[str, ...], rows: list[list[str]]) -> list[str]:
-    """In Markdown."""
-    return ["| " + " | ".join(head) + " |", "|:--" * len(head) + "|", *("| " + " | ".join(row) + " |" for row in rows)]
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "explained.md")
     parser.add_argument("--wrong", type=int, default=5, help="closures that are planted (default 5)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for explained.md")
     options = parser.parse_args()
-    if not (folder := os.environ.get("LEADLINE_DATA")):
-        print("explained: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    head, data = machine(), Path(folder)
+    data = public_data(parser)
+    lines = [*page_head("Wrong closures that `nls.explain` names"), "", "## Planted", ""]
     rows = list(planted(data, options.wrong))
     sums = ["**all**", "", *(str(sum(int(row[k]) for row in rows)) for k in (2, 3, 4)), ""]
-    lines = ["# Wrong closures that `nls.explain` names", "", *head, "", "## Planted", ""]
-    lines += table(("graph", "wrong ones", "named", "missed", "falsely named", "other findings"), [*rows, sums])
-    lines += ["", "## Clean graphs", "", *table(("graph", "falsely named", "expected by chance"), list(clean(data)))]
+    titles = ("graph", "wrong ones", "named", "missed", "falsely named", "other findings")
+    lines += [*markdown(titles, [*rows, sums], names=6), "", "## Clean graphs", ""]
+    lines += markdown(("graph", "falsely named", "expected by chance"), clean(data), names=3)
     write_page(lines, options.out / "explained.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

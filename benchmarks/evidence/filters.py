@@ -8,8 +8,6 @@ same graph. Nothing is aligned.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, at_least_one, page_head, positive, write_page
 
 import sim
 from models import SE2
@@ -34,7 +33,6 @@ from sim.scaling import FITTED, SCALED, costs, panels, scaling_rows
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
-BENCHMARKS = Path(__file__).parents[1]
 PARTICLES, MANY = (10, 100), 1000
 x, l = kinds("x", "l")
 
@@ -238,26 +236,19 @@ def report(seeds: int, many: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, positive, write_page
-
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=200, metavar="N", help="of the tables (default 200)")
-    parser.add_argument("--many-seeds", type=int, default=30, metavar="N", help="of what takes long (default 30)")
-    parser.add_argument("--seconds", type=positive, default=300.0, help="of the cost: no run foreseen to take longer")
+def main() -> None:
+    parser = arguments(__doc__, "filters.md and .png")
+    parser.add_argument("--seeds", type=at_least_one, default=200, metavar="N", help="of the tables (default 200)")
     parser.add_argument(
-        "--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for filters.md and .png"
+        "--many-seeds", type=at_least_one, default=30, metavar="N", help="of what takes long (default 30)"
     )
+    parser.add_argument("--seconds", type=positive, default=300.0, help="of the cost: no run foreseen to take longer")
     options = parser.parse_args()
-    if min(options.seeds, options.many_seeds) < 1:
-        parser.error("give at least one seed")
     options.out.mkdir(parents=True, exist_ok=True)
-    lines = ["# Filters and graphs", "", *machine(), "", *report(options.seeds, options.many_seeds)]
+    lines = [*page_head("Filters and graphs"), "", *report(options.seeds, options.many_seeds)]
     lines += ["", "## Cost against landmarks", "", *cost(options.seconds, options.out / "filters.png")]
     write_page(lines, options.out / "filters.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

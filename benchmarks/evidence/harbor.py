@@ -7,16 +7,13 @@ Harbors are `sim.harbor` with 160 keyframes in two laps; seeds 0, 1, 2, ...
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
+from script import arguments, markdown, page_head, write_page
 
 import sim
 from models import SE2
@@ -29,7 +26,6 @@ from nls.sonar.scans.submaps import match_submap
 from nls.sonar.scans.verdicts import verdicts
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 GEOMETRIES = ("marina", "quay", "rocks")
 KEYFRAMES = 160  # of a harbor: twenty of each geometry in half an hour of one core
 AWAY, TURNED = 3.0, np.radians(5.0)  # m, rad: a closure beyond is wrong
@@ -211,12 +207,6 @@ def matcher(r: Array) -> list[str]:
     ]
 
 
-def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table, numbers to the right."""
-    rule = "|:--" + "|--:" * (len(head) - 1) + "|"
-    return [f"| {' | '.join(head)} |", rule, *(f"| {' | '.join(row)} |" for row in rows)]
-
-
 def matchers(results: dict[tuple[str, str, str], Array]) -> list[str]:
     """The tables of matches alone."""
     head = ["harbor, submaps, guess", "pairs", "accepted", "of them wrong", "rms m, d2/3", "wrong of all"]
@@ -345,22 +335,16 @@ def page(seeds: int, image_seeds: int, workers: int) -> list[str]:
     return [*lines, "", *images(image_seeds)] if image_seeds else lines
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "harbor.md")
     parser.add_argument("--seeds", type=int, default=20, help="harbors of every geometry (default 20)")
     parser.add_argument("--images", type=int, default=1, help="harbors whose scans come from images (default 1)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for harbor.md")
     options = parser.parse_args()
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    head = machine()
-    lines = page(options.seeds, options.images, options.workers)
-    title = f"# Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
-    write_page([title, "", *head, "", *lines], options.out / "harbor.md")
-    return 0
+    title = f"Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
+    lines = [*page_head(title), "", *page(options.seeds, options.images, options.workers)]
+    write_page(lines, options.out / "harbor.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

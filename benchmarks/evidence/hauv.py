@@ -9,17 +9,15 @@ pose is known.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import radians
-from pathlib import Path
 from time import process_time
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, at_least_one, page_head, write_page
 
 import sim
 from factors import RangeAzimuth, sonar_factors
@@ -32,7 +30,6 @@ from nls.optimizers import Optimizer
 from sim.mission import rebuilt
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 SCENES: dict[str, tuple[Callable[..., sim.Mission], float]] = {
     "floor, +-7 deg": (sim.hauv_floor, 14.0),
     "floor, +-14 deg": (sim.hauv_floor, 28.0),
@@ -236,28 +233,18 @@ def report(seeds: int, nees_seeds: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="of the table of drift (default 10)")
+def main() -> None:
+    parser = arguments(__doc__, "hauv.md")
     parser.add_argument(
-        "--nees-seeds", type=int, default=100, metavar="N", help="of a table of consistency (default 100)"
+        "--seeds", type=at_least_one, default=10, metavar="N", help="of the table of drift (default 10)"
     )
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for hauv.md")
+    parser.add_argument(
+        "--nees-seeds", type=at_least_one, default=100, metavar="N", help="of a table of consistency (default 100)"
+    )
     options = parser.parse_args()
-    if min(options.seeds, options.nees_seeds) < 1:
-        parser.error("give at least one seed")
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    lines = [
-        "# A hovering vehicle with an imaging sonar",
-        "",
-        *machine(),
-        *report(options.seeds, options.nees_seeds),
-    ]
+    lines = [*page_head("A hovering vehicle with an imaging sonar"), *report(options.seeds, options.nees_seeds)]
     write_page(lines, options.out / "hauv.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

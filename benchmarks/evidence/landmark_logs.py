@@ -8,9 +8,6 @@ factors of the same graph.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from mrclam import BEARING, DENSITY, RANGE, mrclam
 from mrclam import l as landmark
+from script import arguments, page_head, public_data, write_page
 from victoria_park import Park, victoria_park, x
 
 from factors import Cauchy
@@ -43,7 +41,6 @@ from sim.estimators import batch
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BENCHMARKS = Path(__file__).parents[1]
 KERNEL = Cauchy(2.0)
 WRONG = 0.1  # weight below which a sighting is taken for one of something else: 6 sigma of this kernel
 PARTICLES, LAG, SEEDS = 100, 20, (1, 2, 3)
@@ -338,24 +335,15 @@ def park_picture(park: Park, filtered: Any, values: Values, path: Path) -> None:
     write_picture(path, figure)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for landmark-logs.md")
+def main() -> None:
+    parser = arguments(__doc__, "landmark-logs.md")
     parser.add_argument("--images", type=Path, default=None, metavar="DIR", help="for mrclam.png and victoria-park.png")
     options = parser.parse_args()
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("landmark_logs: the public logs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    parts = [*robots(Path(name), options.images), *trees(Path(name), options.images)]
-    write_page(
-        ["# Filters and graphs on public logs with landmarks", "", *machine(), "", *parts],
-        options.out / "landmark-logs.md",
-    )
-    return 0
+    data = public_data(parser)
+    lines = [*page_head("Filters and graphs on public logs with landmarks"), ""]
+    lines += [*robots(data, options.images), *trees(data, options.images)]
+    write_page(lines, options.out / "landmark-logs.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,18 +8,17 @@ they are. What others published of the same set stands beside it.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from script import arguments, page_head, public_data, write_page
+
 Report = dict[str, Any]
-BENCHMARKS = Path(__file__).parents[1]
-MAPPINGS = BENCHMARKS.parent / "docs" / "missions"
+MAPPINGS = Path(__file__).parents[2] / "docs" / "missions"
 RIGID = "rigid, without scale"
 
 
@@ -126,19 +125,12 @@ def report(data: Path) -> list[str]:
         ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for missions.md")
+def main() -> None:
+    parser = arguments(__doc__, "missions.md")
     options = parser.parse_args()
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("missions: the public logs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    write_page(["# Real logs", "", *machine(), "", *report(Path(name))], options.out / "missions.md")
-    return 0
+    data = public_data(parser)
+    write_page([*page_head("Real logs"), "", *report(data)], options.out / "missions.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -7,14 +7,12 @@ Three public logs, see `nls.io.logs`. What stands in for a missing sensor is sai
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, page_head, public_data, write_page
 
 from factors import Between, Covariance, Diagonal, Position, Prior
 from models import SE3, wrap
@@ -26,7 +24,6 @@ from nls.io.logs import AuvDvl, Caves, HoloOcean, read_auv_dvl, read_caves, read
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 SEEDS = range(20)
 (x,) = kinds("x")
 
@@ -260,20 +257,12 @@ def report(data: Path) -> list[str]:
     return lines
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for real_logs.md")
+def main() -> None:
+    parser = arguments(__doc__, "real_logs.md")
     options = parser.parse_args()
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("real_logs: the public logs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    lines = ["# Dead reckoning on public logs", "", *machine(), "", *report(Path(name))]
-    write_page(lines, options.out / "real_logs.md")
-    return 0
+    data = public_data(parser)
+    write_page([*page_head("Dead reckoning on public logs"), "", *report(data)], options.out / "real_logs.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

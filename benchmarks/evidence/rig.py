@@ -8,15 +8,13 @@ alignment.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, at_least_one, page_head, write_page
 
 import sim
 from models import SE3
@@ -29,7 +27,6 @@ from sim.camera_sonar import Rig
 
 Array = npt.NDArray[np.float64]
 Start = Callable[[Rig, int], Values]
-BENCHMARKS = Path(__file__).parents[1]
 x, s = kinds("x", "s")
 
 
@@ -229,22 +226,16 @@ def report(seeds: int, sigma_seeds: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="scenes (default 20)")
-    parser.add_argument("--sigma-seeds", type=int, default=100, metavar="N", help="predicted, observed (default 100)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for rig.md")
+def main() -> None:
+    parser = arguments(__doc__, "rig.md")
+    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="scenes (default 20)")
+    parser.add_argument(
+        "--sigma-seeds", type=at_least_one, default=100, metavar="N", help="predicted, observed (default 100)"
+    )
     options = parser.parse_args()
-    if min(options.seeds, options.sigma_seeds) < 1:
-        parser.error("give at least one seed")
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    page = report(options.seeds, options.sigma_seeds)
-    lines = ["# A camera and a sonar, calibrated on the fly", "", *machine(), "", *page]
+    lines = [*page_head("A camera and a sonar, calibrated on the fly"), "", *report(options.seeds, options.sigma_seeds)]
     write_page(lines, options.out / "rig.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,10 +8,7 @@ file as it ends, and those that are there are not run again: results/robust_tria
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +29,13 @@ from robust_trials import (
     run,
     tasks,
 )
+from script import ONE_THREAD, arguments, markdown, page_head, public_data, write_page
 from wrong_closures import KINDS, SETS, Array, X
 
 import nls
 from nls.plot.picture import write_picture
 from nls.plot.style import ESTIMATE, HELD, REJECTED, TRUE
 
-BENCHMARKS = Path(__file__).parents[1]
 WORKERS = 2
 DRAWN = Task("kinds", "manhattan", "alias in groups", 0.5, 0)
 OUTCOMES = {"solved": ESTIMATE, "doubtful": HELD, "silent": REJECTED}
@@ -56,13 +53,6 @@ def counts(trials: list[Trial]) -> str:
     return " / ".join(str(outcomes.count(outcome)) for outcome in OUTCOMES) if trials else ""
 
 
-def lines_of(head: Iterable[str], rows: Iterable[list[str]], names: int = 1) -> list[str]:
-    """A table in Markdown; the first columns are names."""
-    titles = list(head)
-    align = ["|:--" * names + "|--:" * (len(titles) - names) + "|"]
-    return ["| " + " | ".join(titles) + " |", *align, *("| " + " | ".join(row) + " |" for row in rows)]
-
-
 def clean(trials: list[Trial]) -> list[str]:
     """Graphs without a wrong closure."""
     rows = [
@@ -76,7 +66,7 @@ def clean(trials: list[Trial]) -> list[str]:
         ]
         for t in of(trials, "clean")
     ]
-    return lines_of(("graph", "closures", "rejected", "expected", "doubtful", "s"), rows)
+    return markdown(("graph", "closures", "rejected", "expected", "doubtful", "s"), rows)
 
 
 def by_kind(trials: list[Trial]) -> list[str]:
@@ -89,7 +79,7 @@ def by_kind(trials: list[Trial]) -> list[str]:
                 seconds = np.median([t.seconds for trials_of in found for t in trials_of])
                 rows.append([name, kind, *map(counts, found), f"{seconds:.1f}"])
     sums = [counts(of(trials, "kinds", amount=share)) for share in SHARES]
-    return lines_of(
+    return markdown(
         ("graph", "wrong ones", *(f"{100 * s:.0f} %" for s in SHARES), "s"), [*rows, ["**all**", "", *sums, ""]], 2
     )
 
@@ -103,7 +93,7 @@ def protocol(trials: list[Trial]) -> list[str]:
     for title, names in (("**plane**", set(PROTOCOL) - set(SPACE)), ("**space**", set(SPACE))):
         found = [[t for t in of(trials, "protocol", amount=ratio) if t.task.name in names] for ratio in RATIOS]
         rows.append([title, *(rate(trials_of) for trials_of in found)])
-    return lines_of(("graph", *(f"{100 * ratio:.0f} %" for ratio in RATIOS)), rows)
+    return markdown(("graph", *(f"{100 * ratio:.0f} %" for ratio in RATIOS)), rows)
 
 
 def rate(trials: list[Trial]) -> str:
@@ -115,7 +105,7 @@ def twenty(trials: list[Trial]) -> list[str]:
     """Graphs with few closures."""
     rows = [[kind, *(counts(of(trials, "few", kind=kind, amount=count)) for count in COUNTS)] for kind in KINDS]
     sums = [counts(of(trials, "few", amount=count)) for count in COUNTS]
-    return lines_of(("wrong ones", *(f"{count} wrong" for count in COUNTS)), [*rows, ["**all**", *sums]])
+    return markdown(("wrong ones", *(f"{count} wrong" for count in COUNTS)), [*rows, ["**all**", *sums]])
 
 
 def maps(data: Path) -> dict[str, tuple[Array, float]]:
@@ -209,8 +199,8 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "robust.md and .png")
     parser.add_argument("--seeds", type=int, default=5, help="trials of every kind (default 5)")
     parser.add_argument(
         "--large", type=int, default=1, help="the same on large graphs, and with few closures (default 1)"
@@ -219,26 +209,16 @@ def main() -> int:
     parser.add_argument(
         "--trials", type=Path, default=None, metavar="FILE", help="keeps every trial; those in it stand"
     )
-    parser.add_argument(
-        "--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for robust.md and .png"
-    )
     options = parser.parse_args()
     if options.seeds < 1 or options.large < 0:
         parser.error(f"--seeds {options.seeds} --large {options.large}: expected 1 or more, and 0 or more")
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("robust: the public graphs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import ONE_THREAD, machine, write_page
-
+    data = public_data(parser)
     os.environ.update(ONE_THREAD)  # for the workers
-    data, head = Path(name), machine()
+    lines = page_head("Wrong loop closures")
     trials = run(data, tasks(options.seeds, options.large), options.trials, WORKERS, options.minutes)
-    lines = ["# Wrong loop closures", "", *head, *page(trials, real(data / "robust-real"))]
-    write_page(lines, options.out / "robust.md")
+    write_page([*lines, *page(trials, real(data / "robust-real"))], options.out / "robust.md")
     draw(maps(data), trials, options.out / "robust.png")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,9 +8,6 @@ nothing is written.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -18,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, page_head, public_data, write_page
 
 from factors.keys import kinds
 from nls.io.scan_mission import read_scan_mission
@@ -26,7 +24,6 @@ from nls.sonar.scans import Closing, Drift, Scans, SetupFinding, SetupKind, chec
 from nls.sonar.scans.setup.words import observable, sentence
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 (x,) = kinds("x")
 
 
@@ -205,23 +202,14 @@ def page(log: Log, rounds: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "scan_setup.md")
     parser.add_argument("--rounds", type=int, default=3, help="of closing (default 3)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for scan_setup.md")
     options = parser.parse_args()
-    folder = Path(os.environ.get("LEADLINE_DATA", "")) / "aracati"
-    if not (folder / "keyframes.csv.gz").exists():
-        print("LEADLINE_DATA names no folder with aracati/keyframes.csv.gz: nothing is written")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    head = machine()
-    lines = page(read(folder), options.rounds)
-    write_page(["# Wrong setups of a scan mission", "", *head, "", *lines], options.out / "scan_setup.md")
-    return 0
+    data = public_data(parser)
+    lines = [*page_head("Wrong setups of a scan mission"), "", *page(read(data / "aracati"), options.rounds)]
+    write_page(lines, options.out / "scan_setup.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

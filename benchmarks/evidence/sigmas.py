@@ -7,9 +7,6 @@ GOATS 14 and 15 state sigmas that explain neither sensor. plaza2 and Victoria Pa
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, page_head, public_data, write_page
 from victoria_park import victoria_park
 
 import nls
@@ -35,7 +33,6 @@ from nls.io.logs import read_victoria_park
 from nls.metrics import ate
 
 Array = npt.NDArray[np.float64]
-BENCHMARKS = Path(__file__).parents[1]
 HUBER, CAUCHY = Huber(EFFICIENT["huber"]), Cauchy(EFFICIENT["cauchy"])
 A, L, x = nls.kinds("A", "L", "x")
 BEACONS = ("held", "with priors", "unknown")
@@ -382,21 +379,14 @@ def page(data: Path, seeds: int) -> Sequence[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for sigmas.md")
+def main() -> None:
+    parser = arguments(__doc__, "sigmas.md")
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="simulated twins of a log (default 20)")
     options = parser.parse_args()
-    if not (name := os.environ.get("LEADLINE_DATA")):
-        print("sigmas: the public logs are not shipped: set LEADLINE_DATA to the folder that holds them")
-        return 0
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    lines = page(Path(name), options.seeds)
-    write_page(["# Sigmas that the residuals show", "", *machine(), "", *lines], options.out / "sigmas.md")
-    return 0
+    data = public_data(parser)
+    lines = [*page_head("Sigmas that the residuals show"), "", *page(data, options.seeds)]
+    write_page(lines, options.out / "sigmas.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

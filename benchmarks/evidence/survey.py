@@ -8,8 +8,6 @@ default options. Nothing is aligned.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from script import arguments, at_least_one, page_head, write_page
 
 import nls
 import sim
@@ -30,7 +29,6 @@ from sim.monte_carlo import runs
 
 Array = npt.NDArray[np.float64]
 Record = dict[str, Any]
-BENCHMARKS = Path(__file__).parents[1]
 UNITS = {  # of a calibration: how it is printed, its unit in that of the file, digits
     "sound_speed_scale": ("speed of sound too high by, %", 100.0, 3),
     "dvl_scale": ("scale of the DVL, %", 100.0, 3),
@@ -200,20 +198,12 @@ def report(seeds: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="of every table (default 100)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for survey.md")
+def main() -> None:
+    parser = arguments(__doc__, "survey.md")
+    parser.add_argument("--seeds", type=at_least_one, default=100, metavar="N", help="of every table (default 100)")
     options = parser.parse_args()
-    if options.seeds < 1:
-        parser.error("give at least one seed")
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    lines = ["# A survey from its raw log", "", *machine(), "", *report(options.seeds)]
-    write_page(lines, options.out / "survey.md")
-    return 0
+    write_page([*page_head("A survey from its raw log"), "", *report(options.seeds)], options.out / "survey.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

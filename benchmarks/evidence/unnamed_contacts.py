@@ -9,7 +9,6 @@ found is solved as `nls solve` does, and beside it that of the clean mission wit
 
 from __future__ import annotations
 
-import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from script import arguments, page_head, write_page
 
 import sim
 from factors import Cauchy, Robust, sonar_factors
@@ -28,7 +28,6 @@ from nls.plot.style import BEFORE, ECHO, ELLIPSE, ESTIMATE, LANDMARK, REJECTED, 
 from nls.sonar.contacts import associate
 from nls.starts import search_elevation
 
-BENCHMARKS = Path(__file__).parents[1]
 SCENES = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
 SPOILED: dict[str, dict[str, float]] = {  # parts of the contacts
     "clean": {},
@@ -145,16 +144,12 @@ def draw(trials: list[Trial], path: Path) -> None:
     write_picture(path, figure)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+def main() -> None:
+    parser = arguments(__doc__, "the page")
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="(default 20)")
     parser.add_argument("--processes", type=int, default=1, metavar="N", help="(default 1)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="of the page")
     options = parser.parse_args()
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    head = machine()
+    lines = [*page_head("Contacts without names"), ""]
     few = max(1, options.seeds // 5)
     cases = [
         (scene, spoiled, seed)
@@ -166,11 +161,7 @@ def main() -> int:
         for done in pool.map(trial, cases):
             trials.append(done)
             print(done, file=sys.stderr, flush=True)
-    lines = [
-        "# Contacts without names",
-        "",
-        *head,
-        "",
+    lines += [
         *rows(trials),
         "",
         "![precision, recall, explained share and error against false and lost contacts](unnamed_contacts.png)",
@@ -181,8 +172,7 @@ def main() -> int:
     ]
     write_page(lines, options.out / "unnamed_contacts.md")
     draw(trials, options.out / "unnamed_contacts.png")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,11 +8,11 @@ A failure is a map that is off by 1 % of the extent or more. A wrong group is ac
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from script import public_data
 from wrong_closures import KINDS, SETS, solved, spoiled
 
 import nls
@@ -58,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, help="of aliases on manhattan")
     options = parser.parse_args()
-    data = Path(os.environ["LEADLINE_DATA"])
+    data = public_data(parser)
     print("| graph | wrong ones | share | seed | off | | accepted | doubts | accepted, not verified |")
     print("|:--|:--|--:|--:|--:|:--|--:|:--|:--|")
     for task in tasks(options.seeds):

@@ -11,16 +11,14 @@ tries several starts and goes on to the optimum.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from time import process_time
 
 import numpy as np
+from script import arguments, at_least_one, page_head, write_page
 
 import nls
 import sim
@@ -28,7 +26,6 @@ from nls.analysis.exchanged_contacts import exchanged_contacts
 from nls.cli.wrong_contacts import choice_of
 from nls.io import LoadReport
 
-BENCHMARKS = Path(__file__).parents[1]
 STEPS = 20  # of the solution with all contacts
 SCENES: dict[str, Callable[..., sim.Mission]] = {"floor": sim.hauv_floor, "hull": sim.hauv_hull}
 SPOILED = {
@@ -147,21 +144,14 @@ def report(seeds: int, jobs: int) -> list[str]:
     ]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="(default 20)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default 2)")
-    parser.add_argument("--out", type=Path, default=BENCHMARKS / "results", metavar="DIR", help="for wrong_contacts.md")
+def main() -> None:
+    parser = arguments(__doc__, "wrong_contacts.md")
+    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="(default 20)")
+    parser.add_argument("--jobs", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
     options = parser.parse_args()
-    if min(options.seeds, options.jobs) < 1:
-        parser.error("give at least one seed and one process")
-    sys.path.insert(0, str(BENCHMARKS))
-    from pinv import machine, write_page
-
-    lines = ["# Wrong contacts of a sonar", "", *machine(), "", *report(options.seeds, options.jobs)]
+    lines = [*page_head("Wrong contacts of a sonar"), "", *report(options.seeds, options.jobs)]
     write_page(lines, options.out / "wrong_contacts.md")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

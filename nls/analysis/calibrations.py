@@ -145,15 +145,14 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
     """
     whole = graph.pattern(values)
     gauge = choose_gauge("first", whole, values, fixed_variables(graph.fixed, values))
-    pattern, key = whole.holding(gauge.held), _unused(values)
-    sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, values, key)]
-    if not sources:
-        return ()
+    pattern = whole.holding(gauge.held)
     free = free or freedom(pattern, values)
     if free.checked is None or free.combinations.size:
         return ()
     if free.count:
         return calibrations(*_determined(graph, pattern, values, free))
+    key = _unused(values)
+    sources = [*_mountings(graph, pattern, key), *_odometry(graph, pattern, values, key)]
     held = [*graph.fixed, *(pattern.key(int(v)) for v in np.flatnonzero(gauge.held & ~gauge.fixed))]
     chi2, dof = graph.chi2(values), measured_rows(pattern) - pattern.n
     fits: list[Calibration] = []

@@ -20,7 +20,7 @@ def convert(options: argparse.Namespace) -> int:
         check_renumber(form)
     graph, values, report = read(options)
     if form != report.format:
-        refuse_loss(options, f"{form} files do not hold all that {report.format} files do")
+        refuse_loss("OUT", options, f"{form} files do not hold all that {report.format} files do")
     options.phase.now(f"while writing {options.output}")
     data, notes = rendered(options.output, form, graph, values, report, options.renumber)
     write_bytes(options.output, data)

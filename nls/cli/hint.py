@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from models.advice import listed
+from models.advice import Advice, listed
 from nls.cli import outliers
 
 if TYPE_CHECKING:
@@ -75,8 +75,17 @@ def separate_parts(graph: FactorGraph, values: Values) -> list[str]:
     return ["; ".join([f.says, *listed(f.advice, shell=True)]) for f in separate_parts(pattern, gauge)]
 
 
-def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] = ()) -> list[str]:
-    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known."""
+def doubts(
+    result: Result, options: argparse.Namespace, written: Sequence[str] = (), fixes_jump: bool = False
+) -> list[str]:
+    """The note on a chi2 that is above what noise explains; of one without kernels, whose expectation is known.
+
+    Parameters
+    ----------
+    result : of the optimization.
+    options, written : as for `asking`.
+    fixes_jump : whether fixes of a mission jump: a kernel gives these little weight.
+    """
     dof = result.dof
     cure = ["without --robust none, wrong contacts are found and left out"] * options.all_contacts
     if result.doubt:
@@ -89,4 +98,5 @@ def doubts(result: Result, options: argparse.Namespace, written: Sequence[str] =
         if not result.chi2_final > chi2_interval(dof)[1]:
             return []
         problem = f"chi2 is {result.chi2_final / dof:.3g} times its expectation, more than noise explains"
+        cure += listed([Advice.robust("Cauchy", 1)] * fixes_jump, shell=True)
     return ["; ".join([f"implausible: {problem}", *cure, f"see: {asking(options, written)}"])]

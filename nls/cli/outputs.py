@@ -86,11 +86,12 @@ def _writable(number: int) -> bool:
         return False
 
 
-def refuse_loss(options: argparse.Namespace, why: str) -> None:
+def refuse_loss(option: str, options: argparse.Namespace, why: str) -> None:
     """Refuse to replace the input by a graph with less in it, unless ``--overwrite`` allows that.
 
     Parameters
     ----------
+    option : the name of the output on the command line, such as ``-o``.
     options : of a command that reads a graph and writes one.
     why : the cause of the loss.
 
@@ -102,7 +103,7 @@ def refuse_loss(options: argparse.Namespace, why: str) -> None:
 
     if options.output and not options.overwrite and _identity(options.output) in _inputs(options.file):
         allowed = f"another file than the input, or --overwrite, which replaces the input: {why}"
-        raise OptionError("-o" if options.command == "solve" else "OUT", options.output, allowed)
+        raise OptionError(option, options.output, allowed)
 
 
 def _identity(name: str) -> object:

@@ -89,9 +89,9 @@ def _refuse_output(job: Job) -> None:
         allowed = f"a format that holds the optimum, such as g2o: {form} files hold measurements only"
         raise OptionError("-o", options.output, allowed)
     if options.sigmas != "stated":
-        refuse_loss(options, f"--sigmas {options.sigmas} replaces the stated sigmas")
+        refuse_loss("-o", options, f"--sigmas {options.sigmas} replaces the stated sigmas")
     if outliers.is_gnc(options.robust):
-        refuse_loss(options, f"{options.robust} leaves out the measurements it rejects")
+        refuse_loss("-o", options, f"{options.robust} leaves out the measurements it rejects")
 
 
 def _read(job: Job) -> None:
@@ -106,7 +106,7 @@ def _read(job: Job) -> None:
         job.as_read, job.values, job.report = formats.read(options)
         job.judge_contacts = not believes_all(options, job.report)
         if job.form and job.form != job.report.format:
-            refuse_loss(options, f"{job.form} files do not hold all that {job.report.format} files do")
+            refuse_loss("-o", options, f"{job.form} files do not hold all that {job.report.format} files do")
         options.phase.doing = f"while searching for a start for {options.file}"
         job.graph = prepare(job.as_read, job.values, job.report, options)
         job.clock.lap("read")

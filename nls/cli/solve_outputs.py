@@ -64,14 +64,15 @@ def _covariance(job: Job, path: str) -> None:
 
 
 def _plot(job: Job, path: str) -> None:
+    from nls.cli.plot import drawings
     from nls.cli.solved_scans import SolvedScans
     from nls.io.files import title_of
-    from nls.plot import before_after
     from nls.plot.picture import write_picture
 
     if isinstance(job.solved, SolvedScans):
         job.solved.draw(path)
         return
+    _, before_after = drawings(job.report)
     write_picture(path, before_after(job.graph, job.before, job.result, title=title_of(job.report.path)))
 
 

@@ -24,7 +24,8 @@ def record_of(job: Job) -> dict[str, Any]:
     from nls.cli.timing import peak_rss_mb
 
     options, result, report, additions = job.options, job.result, job.report, job.additions()
-    parts = separate_parts(job.graph, result.values)
+    parts, findings = separate_parts(job.graph, result.values), _findings(report)
+    fixes_jump = any(finding["check"] == "jumps" for finding in findings.get("findings", ()))
     return {
         "schema": SCHEMA,
         "input": report.path,
@@ -57,8 +58,8 @@ def record_of(job: Job) -> dict[str, Any]:
         "underconstrained": list(result.underconstrained),
         "written": options.phase.written,
         "unwritten": [error.message for error in job.failed],
-        **_findings(report),
-        "notes": report.notes + parts + doubts(result, options, options.phase.written),
+        **findings,
+        "notes": report.notes + parts + doubts(result, options, options.phase.written, fixes_jump),
         "peak_rss_mb": peak_rss_mb(),
         "version": nls.__version__,
     }

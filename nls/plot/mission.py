@@ -14,7 +14,7 @@ from factors.keys import kinds
 from models.algebra import distance_along
 from nls.plot.ellipses import ellipses, visible_scale
 from nls.plot.style import BEFORE, ELLIPSE, ESTIMATE, LANDMARK, SIGHT, TRUE
-from nls.plot.trajectory import closures
+from nls.plot.trajectory import SHARED, annotate, closures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,17 +24,20 @@ if TYPE_CHECKING:
     from nls.covariance import Marginals
     from nls.graph import FactorGraph
     from nls.io.mission.solution import Elevations, Track
+    from nls.optimizers import Result
     from nls.values import Values
 
-__all__ = ["landmark_map", "plan", "track"]
+__all__ = ["landmark_map", "plan", "plan_before_after", "track"]
 
 HIDDEN = 0.003  # of the width of the map: what is nearer than this to another line is under it
 LEAST = 1e-3  # m; what is below is nothing to see
 THOUSAND = 1e3  # m, from which three digits would be written as a power of ten
 WIDEST, HIGHEST = 7.5, 7.5  # inches of the panels
+SIDE = 4.2  # inches of the widest of three panels side by side
 VIEWS = ([1, 0], [1, 2])  # from above, east and north; from the side, east and down
 MANY = 250  # lines; the more there are, the fainter
 SLIM = 0.4  # of the larger side of the map: the least its other side is drawn with
+POINTS = {"l": ("landmarks", "."), "b": ("beacons", "^")}  # kinds of points, with their names and markers
 x, l = kinds("x", "l")
 
 
@@ -181,36 +184,88 @@ def landmark_map(
 
 
 def plan(graph: FactorGraph, values: Values) -> Figure:
-    """A mission as it was read, from above and from the side: track, landmarks, and faintly what saw them.
+    """A mission as it was read, from above and from the side: track, landmarks, beacons and, faintly, lines of sight.
 
     Parameters
     ----------
-    graph : whose contacts are drawn, from pose to landmark.
-    values : poses ``x`` and landmarks ``l``, where there are any.
+    graph : whose contacts and ranges are drawn, from pose to landmark or beacon.
+    values : poses ``x``; landmarks ``l`` and beacons ``b``, where there are any.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
+    figure, panels = _views(_places(values))
+    _plan(panels, graph, values)
+    panels[0].set_title("From above")
+    _legend(figure, panels[1])
+    return figure
+
+
+def plan_before_after(graph: FactorGraph, before: Values, result: Result, title: str = "") -> Figure:
+    """`plan` before and after, and the convergence; the maps have one scale, or the first says its own.
+
+    Parameters
+    ----------
+    graph, before, result, title : as for `nls.plot.before_after`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    places = [_places(before), _places(result.values)]
+    first, second = map(_box, places)
+    times = float(np.max((first[1] - first[0]) / (second[1] - second[0])))
+    if times > SHARED:
+        half = times * (second[1] - second[0]) / 2
+        first = sum(first) / 2 - half, sum(first) / 2 + half
+    else:
+        times, first = 1.0, _box(np.concatenate(places))
+        second = first
+    north, east, down = second[1] - second[0]
+    inch = min(SIDE / east, HIGHEST / (north + down))
+    figure = Figure(figsize=(2 * inch * east + 2.6 + SIDE, inch * (north + down) + 2.4), layout="constrained")
+    grid = figure.add_gridspec(2, 3, height_ratios=[north, down], width_ratios=[inch * east, inch * east, SIDE])
+    columns = []
+    for k, (box, values) in enumerate(((first, before), (second, result.values))):
+        above = figure.add_subplot(grid[0, k])
+        columns.append((above, figure.add_subplot(grid[1, k], sharex=above)))
+        _chart(columns[k], *box)
+        _plan(columns[k], graph, values)
+    right = figure.add_subplot(grid[:, 2])
+    annotate((columns[0][0], columns[1][0], right), graph.chi2(before), result, times, title)
+    _legend(figure, columns[1][1])
+    return figure
+
+
+def _plan(panels: tuple[Axes, Axes], graph: FactorGraph, values: Values) -> None:
+    """Track, landmarks, beacons and lines of sight, in the panels from above and from the side."""
     from matplotlib.collections import LineCollection
 
     path = _positions(values)
-    points = values[l] if "l" in values.stacks else np.zeros((0, 3))
-    sights, _ = closures(graph, values, {"x", "l"})
-    figure, panels = _views(np.concatenate([path, points]))
+    sights, _ = closures(graph, values, {"x", *POINTS})
     sight = {"colors": SIGHT, "alpha": min(0.5, MANY / max(len(sights), 1))}
     for ax, rows in zip(panels, VIEWS, strict=True):
         ax.add_collection(LineCollection([ends[:, rows] for ends in sights], linewidths=0.4, zorder=1, **sight))
-        ax.plot(*points[:, rows].T, ".", color=LANDMARK, markersize=4, label=f"{len(points):,} landmarks")
+        for kind, (name, style) in POINTS.items():
+            if kind in values.stacks:
+                points = values.stack(kind).X
+                ax.plot(*points[:, rows].T, style, color=LANDMARK, markersize=4, label=f"{len(points):,} {name}")
         ax.plot(*path[:, rows].T, color=ESTIMATE, linewidth=1.6, label=f"track, {len(path):,} poses")
         ax.plot(*path[:1, rows].T, "o", color=ESTIMATE, markersize=5, label="first pose")
-    panels[0].set_title("From above")
-    handles, labels = panels[1].get_legend_handles_labels()
-    if len(sights):
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    """Below the figure: the lines of one panel of `_plan`, and those of sight, which are too faint for a legend."""
+    from matplotlib.collections import LineCollection
+
+    handles, labels = axes.get_legend_handles_labels()
+    if any(len(lines.get_paths()) for lines in axes.collections):
         handles.append(LineCollection([], colors=SIGHT))
         labels.append("lines of sight")
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
-    return figure
 
 
 def _views(points: Array) -> tuple[Figure, tuple[Axes, Axes]]:
@@ -222,11 +277,22 @@ def _views(points: Array) -> tuple[Figure, tuple[Axes, Axes]]:
     inch = min(WIDEST / east, HIGHEST / (north + down))
     figure = Figure(figsize=(inch * east + 2.4, inch * (north + down) + 2.2), layout="constrained")
     above, beside = figure.subplots(2, 1, sharex=True, height_ratios=[north, down])
+    _chart((above, beside), low, high)
+    return figure, (above, beside)
+
+
+def _chart(panels: tuple[Axes, Axes], low: Array, high: Array) -> None:
+    """Names, limits and directions of the axes of two panels for a box: from above, north up; from the side, z down."""
+    above, beside = panels
     above.set(ylabel="x, north [m]", xlim=(low[1], high[1]), ylim=(low[0], high[0]))
     beside.set(title="from the side, looking north", xlabel="y, east [m]", ylabel="z, down [m]", ylim=(high[2], low[2]))
-    for ax in (above, beside):
+    for ax in panels:
         ax.set_aspect("equal")
-    return figure, (above, beside)
+
+
+def _places(values: Values) -> Array:
+    """Positions (n, 3) of all that `plan` draws."""
+    return np.concatenate([_positions(values), *(values.stack(kind).X for kind in POINTS if kind in values.stacks)])
 
 
 def _positions(values: Values) -> Array:

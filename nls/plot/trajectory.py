@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nls.optimizers import Result
     from nls.values import Stack, Values
 
-__all__ = ["before_after", "closures", "one_scale", "trajectory"]
+__all__ = ["SHARED", "annotate", "before_after", "closures", "one_scale", "trajectory"]
 
 DOWN = (DvlLeg, XYH, ZPR)  # factors whose world has z down
 MANY, FAINT = 300, 0.06  # lines, from which they are fainter the more there are; the least opacity
@@ -49,21 +49,17 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     """
     from matplotlib.figure import Figure
 
-    from nls.explanation.findings import number
-    from nls.plot.convergence import convergence
-
     figure = Figure(figsize=(11.5, 4.2), layout="constrained")
     figure.set_layout_engine("constrained", wspace=0.12)
     space = {"projection": "3d"} if _dimension(_places(graph, result.values)) == 3 else {}
     left = figure.add_subplot(1, 3, 1, **space)
     middle = figure.add_subplot(1, 3, 2, **space)
     right = figure.add_subplot(1, 3, 3)
-    trajectory(graph, before, left)
     chi2 = graph.chi2(before)
+    trajectory(graph, before, left)
     trajectory(graph, result.values, middle)
     times = one_scale(graph, (left, before), (middle, result.values))
-    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
-    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
+    annotate((left, middle, right), chi2, result, times, title)
     legends = [axes.get_legend() for axes in (left, middle)]
     if drawn := next((legend for legend in legends if legend is not None), None):  # once for both
         names = [text.get_text() for text in drawn.get_texts()]
@@ -72,12 +68,31 @@ def before_after(graph: FactorGraph, before: Values, result: Result, title: str 
     for legend in legends:
         if legend is not None:
             legend.remove()
-    convergence(result, right)
+    return figure
+
+
+def annotate(axes: Sequence[Axes], chi2: float, result: Result, times: float, title: str) -> None:
+    """Draw the convergence into the last of three axes, and write the titles of all.
+
+    Parameters
+    ----------
+    axes : the map before, the map after, and where the convergence is drawn.
+    chi2 : before.
+    result : after.
+    times : by how much the map before is drawn smaller.
+    title : of the figure; none where it is empty.
+    """
+    from nls.explanation.findings import number
+    from nls.plot.convergence import convergence
+
+    left, middle, right = axes
+    left.set_title(f"before: chi2 = {number(chi2)}" + f",\ndrawn {times:.2g} times smaller" * (times > 1))
+    middle.set_title(f"after: chi2 = {number(result.chi2_final)}")
+    figure = convergence(result, right)
     if not np.isclose(chi2, result.chi2_initial):
         right.set_title(f"{right.get_title()},\nfrom a better start: chi2 = {number(result.chi2_initial)}")
     if title:
         figure.suptitle(title)
-    return figure
 
 
 def trajectory(

@@ -20,6 +20,7 @@ __all__ = ["survey"]
 
 ORIGIN = LocalPlane(54.1, 10.2)
 AROUND = 50.0  # m from the legs to the beacons and to the ship
+LOUDEST = 1e5  # factor on the noise: GPS fixes with more would leave the local plane of 1,000 km
 SHALLOWEST, DEEPEST = 5.0, 25.0  # m, of a survey over a bottom that is 31 to 45 m deep
 
 
@@ -67,7 +68,7 @@ def survey(
     sound_speed_error : the speed of sound is taken to be too high by this fraction.
     declination : of the compass, rad; calibration.csv says it where it is not 0.
     heading_drift : standard deviation of a slow error of the heading, over 5 minutes, rad; no file says it.
-    noise_scale : factor on the drawn noise; 0 gives exact measurements with the same weights.
+    noise_scale : factor on the drawn noise, at most 100,000; 0 gives exact measurements with the same weights.
 
     Returns
     -------
@@ -95,7 +96,7 @@ def survey(
     check_size("landmarks", landmarks, 0)
     check_positive(leg=leg)
     check_fraction(drop_outs=drop_outs, usbl_outliers=usbl_outliers)
-    check_not_negative(heading_drift=heading_drift, noise_scale=noise_scale)
+    check_not_negative(heading_drift=heading_drift)
     for option, value, least, most, unit in (
         ("spacing", spacing, 10.0, 1000.0, "m"),
         ("depth", depth, SHALLOWEST, DEEPEST, "m"),
@@ -106,6 +107,7 @@ def survey(
         ("ahrs_clock", ahrs_clock, -0.9, 0.9, "s"),
         ("sound_speed_error", sound_speed_error, -0.2, 0.2, "a fraction"),
         ("declination", declination, -radians(45), radians(45), "rad"),
+        ("noise_scale", noise_scale, 0.0, LOUDEST, "a factor"),
     ):
         if not (is_number(value) and least <= value <= most):
             raise OptionError(option, value, f"a number from {least:.4g} to {most:.4g}, {unit}")

@@ -179,6 +179,7 @@ def test_one_line_for_a_mistake(tmp_path: Path, capsys: pytest.CaptureFixture[st
         ("hauv-floor --aperture 180deg", "nls-sim: --aperture: 3.14159"),
         ("hauv-floor --per-leg 2 --legs 1 --passes 1", "none of 399 points is seen 3 times"),
         ("hauv-hull --noise-scale 1e300", "--noise-scale: 1e+300 is not possible"),
+        ("survey --noise-scale 1e20", "--noise-scale: 1e+20 is not possible; give a number from 0 to 1e+05, a factor"),
         ("rig --views 30", "--views: 30 is not possible"),
         ("rig --poses 6 --points 60 --views 1", "x"),
     ):

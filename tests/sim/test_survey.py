@@ -201,13 +201,20 @@ def test_a_seed_makes_the_same_files() -> None:
 @for_all(
     wrong=[
         *(("legs", 0), ("leg", 0.0), ("leg", 1e12), ("spacing", 1.0), ("depth", 40.0), ("speed", 0.1)),
-        *(("drop_outs", 1.0), ("usbl_outliers", 1.5), ("ahrs_clock", 1.0), ("dvl_yaw", 2.0), ("noise_scale", -1.0)),
+        *(("drop_outs", 1.0), ("usbl_outliers", 1.5), ("ahrs_clock", 1.0), ("dvl_yaw", 2.0)),
+        *(("noise_scale", value) for value in (-1.0, 2e5, 1e20)),
     ]
 )
 def test_impossible_options_are_named(wrong: tuple[str, float]) -> None:
     option, value = wrong
     with pytest.raises(OptionError, match=option):
         made(**{option: value})
+
+
+def test_fixes_of_the_loudest_noise_are_on_earth() -> None:
+    fixes = made(1, noise_scale=1e5).tables["fixes"]
+    assert np.ptp(fixes["lat_deg"]) > 2.0  # standard deviation of 150 km
+    assert (np.abs(fixes["lat_deg"] - 54.1) < 9.1).all()
 
 
 def test_a_survey_goes_to_another_process() -> None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import shlex
 
+import numpy as np
 import pytest
 
 import nls
 from nls.analysis.chi_squared import chi2_interval
 from nls.cli.hint import asking, doubts
 from nls.cli.parser import parser
+from nls.io import read_tum
+from nls.io.mission.table import csv_text
 from tests.nls.cli.shell import PART, RAY, Shell, row, rows
 from tests.nls.io.g2o_files import INFORMATION_2, PLANE
-from tests.nls.io.mission.mission_files import TINY, folder
+from tests.nls.io.mission.mission_files import TINY, folder, raw
 from tests.nls.plot.html_page import Page, undrawn
 
 
@@ -52,6 +55,25 @@ def test_what_is_found_below_the_doubt_is_named(shell: Shell) -> None:
         out = shell(f"solve graph.g2o {options}")
         assert rows(out, "note") == []
         assert ("1 expected)" in out) == (not options)
+
+
+@pytest.mark.filterwarnings("ignore::nls.GraphWarning")
+def test_fixes_that_jump_are_for_a_robust_kernel(shell: Shell) -> None:
+    """The note offers it, and it takes them as doubted measurements: the track is nearly that of good fixes."""
+    t = np.arange(0.5, 20.0, 0.5)
+    positions, tracks = np.outer(t, [np.cos(0.3), np.sin(0.3)]), []
+    for jump in (0.0, 50.0):
+        positions[[4, 17, 30], 0] += jump
+        fixes = csv_text(["time_s", "x_m", "y_m", "sigma_x_m", "sigma_y_m"], t, positions, np.full((len(t), 2), 1.5))
+        folder(shell / "m", raw() | {"fixes": fixes.decode()})
+        for options in ("", " --robust cauchy:1"):
+            out = shell(f"solve m{options} -o out")
+            (note,) = [note for note in rows(out, "note") if note.startswith("implausible: ")] or [""]
+            assert ("use a robust kernel: --robust cauchy:1; see: nls explain m" in note) == (jump > 0 and not options)
+            tracks.append(read_tum(shell / "out" / "trajectory.tum")[1][:, :2])
+    good, _, bent, robust = tracks
+    away, near = (np.linalg.norm(track - good, axis=1).max() for track in (bent, robust))
+    assert near < 0.5 < 2.0 < away
 
 
 def test_the_bound_is_that_of_explain() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import nls
 from models import SE3, euler
@@ -33,6 +34,21 @@ LOST = {  # nothing measures the depth of x2
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made, but not rendered: that is most of the time."""
     monkeypatch.setattr("nls.plot.picture.drawn", lambda path, figure: b"drawn")
+
+
+def test_both_commands_draw_a_mission_from_above_and_from_the_side(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr("nls.plot.picture.write_picture", lambda path, figure: figures.append(figure))
+    folder(shell / "m")
+    shell("plot m a.png")
+    shell("solve m --plot b.png")
+    as_read, solved = figures
+    views = [axes.get_ylabel() for axes in as_read.axes]
+    assert views == ["x, north [m]", "z, down [m]"]
+    assert [axes.get_ylabel() for axes in solved.axes[:4]] == 2 * views
+    assert as_read.get_suptitle() == solved.get_suptitle() == "m"
 
 
 def test_the_table_and_the_report(shell: Shell) -> None:

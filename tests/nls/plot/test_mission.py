@@ -11,12 +11,13 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 import nls
 from factors import Diagonal, Isotropic, Prior
-from models import SE3
+from models import SE3, R
+from nls.explanation.findings import number
 from nls.io.mission import MissionReport, elevations, track_of
-from nls.plot.mission import landmark_map, plan, track
+from nls.plot.mission import landmark_map, plan, plan_before_after, track
 from tests.nls.io.mission.mission_files import folder
 
-x, l = nls.kinds("x", "l")
+x, l, b = nls.kinds("x", "l", "b")
 Solved = tuple[nls.FactorGraph, nls.Values, nls.Values, MissionReport]
 
 
@@ -140,6 +141,53 @@ def test_a_mission_as_it_was_read(solved: Solved) -> None:
         assert {tuple(np.round(end, 9)) for end in ends} <= drawn
         assert ax.get_aspect() == 1.0
     assert legend_of(above) == [f"{len(points)} landmarks", f"track, {len(path)} poses", "first pose", "lines of sight"]
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0])
+def test_a_mission_before_and_after(solved: Solved, factor: float) -> None:
+    """Both maps are those of `plan`; they have one scale, unless the solution would be too small to be seen."""
+    graph, dead, _, _ = solved
+    result, poses = graph.optimize(dead), dead[x].copy()
+    poses[:, :3] *= factor
+    before = dead.replaced({x: poses})
+    figure = plan_before_after(graph, before, result, title="a mission")
+    assert figure.get_suptitle() == "a mission"
+    *maps, curve, _ = figure.axes
+    for panels, values in ((maps[:2], before), (maps[2:], result.values)):
+        for ax, alone in zip(panels, plan(graph, values).axes, strict=True):
+            for line, expected in zip(ax.lines, alone.lines, strict=True):
+                assert np.array_equal(line.get_xydata(), expected.get_xydata())
+                assert (line.get_marker(), line.get_label()) == (expected.get_marker(), expected.get_label())
+            points = np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines])
+            assert (limits(ax)[0] < points).all()  # nothing is cut off
+            assert (points < limits(ax)[1]).all()
+    before_size, size = (np.ptp(limits(ax), axis=0) for ax in maps[::2])
+    times = float((before_size / size)[0])
+    assert before_size == pytest.approx(times * size)
+    assert (times == 1.0) == (factor == 1.0)
+    assert maps[0].get_title().startswith(f"before: chi2 = {number(graph.chi2(before))}")
+    assert maps[0].get_title().endswith(f",\ndrawn {times:.2g} times smaller") == (factor > 1)
+    assert maps[2].get_title() == f"after: chi2 = {number(result.chi2_final)}"
+    assert curve.get_xlabel() == "iteration"
+    assert legend_of(maps[0]) == legend_of(plan(graph, dead).axes[0])  # once for both
+
+
+def limits(ax: Axes) -> np.ndarray:
+    """The lower left and the upper right corner (2, 2) of a panel, in its units."""
+    return np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
+
+
+def test_beacons_are_drawn(solved: Solved) -> None:
+    graph, dead, _, _ = solved
+    beacons = np.array([[30.0, -20.0, 5.0], [40.0, 10.0, 6.0]])
+    values = dead.copy()
+    values.add(b, R(3), beacons)
+    above, beside = plan(graph, values).axes
+    for ax, rows in ((above, [1, 0]), (beside, [1, 2])):
+        (drawn,) = [line for line in ax.lines if line.get_label() == "2 beacons"]
+        assert np.array_equal(drawn.get_xydata(), beacons[:, rows])
+        assert (limits(ax)[0] < beacons[:, rows]).all()
+        assert (beacons[:, rows] < limits(ax)[1]).all()
 
 
 def test_a_mission_without_landmarks(solved: Solved) -> None:
