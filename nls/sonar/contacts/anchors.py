@@ -13,6 +13,8 @@ V. Whatever their correlation, the two bound the covariance of the sum along eve
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from factors.keys import Keys
@@ -24,26 +26,30 @@ from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["anchored", "bounded", "of_sums"]
+__all__ = ["Anchored", "anchored", "bounded", "of_sums"]
 
 ANCHORS = 48
 AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
 
 
-def anchored(pings: Pings, d: Index, landmarks: Index) -> tuple[tuple[Keys, Keys], Index, tuple[Keys, Keys], Index]:
-    """Pairs of variables that the bounds for sightings d (k,) and landmarks (k,) need.
+class Anchored(NamedTuple):
+    """Anchors with poses and with landmarks, and which of these pairs is of which pairing (k,)."""
 
-    Returns
-    -------
-    anchors and poses, and which pair (k,) is whose; anchors and landmarks, and which pair (k,) is whose.
-    """
+    poses: tuple[Keys, Keys]
+    motion: Index
+    landmarks: tuple[Keys, Keys]
+    point: Index
+
+
+def anchored(pings: Pings, d: Index, landmarks: Index) -> Anchored:
+    """The anchors of pairings of sightings d (k,) with landmarks (k,)."""
     m, n = len(pings.poses), len(pings)
     numbers, point = np.unique(landmarks, return_inverse=True)
     stretch = -(-m // ANCHORS)
     anchor = np.minimum(pings.ping[numbers] // stretch * stretch + stretch // 2, m - 1)
     motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
     i, j = pings.poses[motions % n], pings.poses[motions // n]
-    return (i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point
+    return Anchored((i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point)
 
 
 def bounded(
@@ -51,7 +57,7 @@ def bounded(
 ) -> tuple[Array, Array, Array]:
     """Of the innovations of sightings d (k,) from landmarks (k,), bounds on their joint covariances.
 
-    The marginals of the estimate have the pairs of `anchored`.
+    The marginals of the estimate have the pairs of `Anchored`.
 
     Returns
     -------

@@ -203,7 +203,8 @@ def _rounds(
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
     widest, complete, last, settled = NARROW, False, False, False
-    Sigma, history = Marginals(graph, values).all(Kind(pings.poses.kind), frame="body")[pings.row], list[Index]()
+    history: list[Index] = []
+    Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
         poses, open_ = estimate.values, expelled < TWICE
@@ -248,15 +249,15 @@ def _joined(
     tracks = estimate.tracks
     d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
     c, e = near_sightings(pings, estimate, Sigma, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
-    motions, _, points, _ = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[motions, points, two_pings(pings, c, e)[0]])
+    anchors, (motions, _) = anchored(pings, d, landmarks), two_pings(pings, c, e)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks, motions])
     d2, width = landmark_distances(pings, estimate, marginals, d, landmarks, gate, widest)
     of_one = sighting_distances(pings, marginals, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    of_poses = marginals.all(Kind(pings.poses.kind), frame="body")[pings.row]
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all()), of_poses
+    complete = bool((narrow | (d2 >= gate)).all())
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate), complete, pings.covariances_of_poses(marginals)
 
 
 def _associated(

@@ -31,9 +31,7 @@ from nls.sonar.contacts.places import Pings
 __all__ = ["resolved"]
 
 
-def resolved(
-    pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least: int, probability: float
-) -> Index:
+def resolved(pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least: int, probability: float) -> Index:
     """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
 
     Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
@@ -43,8 +41,8 @@ def resolved(
     gate = chi2_gate(m, probability)
     every = np.arange(len(tracks))
     d, landmarks = near_landmarks(pings, estimate, Sigma, every, gate)
-    motions, _, points, _ = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[motions, points])
+    anchors = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks])
     d2, _ = landmark_distances(pings, estimate, marginals, d, landmarks, gate)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]

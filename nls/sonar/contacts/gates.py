@@ -95,8 +95,9 @@ def landmark_distances(
 ) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
 
-    The marginals of the estimate have the pairs of `nls.sonar.contacts.anchors.anchored`. Bounds on the covariance come first, see `nls.sonar.contacts.anchors`. A pair outside of the gate keeps the d2 of
-    its bound. A pair wider than `widest` keeps the width of its bound. The others have the joint covariance.
+    The marginals of the estimate have the pairs of `nls.sonar.contacts.anchors.Anchored`, for bounds on the covariance.
+    A pair outside of the gate keeps the d2 of its bound. A pair wider than `widest` keeps the width of its bound. The
+    others have the joint covariance.
     """
     if not len(d):
         return np.zeros(0), np.zeros(0)

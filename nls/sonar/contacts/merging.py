@@ -15,7 +15,7 @@ from nls.sonar.contacts.tracks import joined, share_a_ping, sizes
 
 __all__ = ["linked", "merged", "superfluous"]
 
-ALIKE = 2.0  # of d2: a link to a second sighting within it is as good as the first
+ALIKE = 4.0  # of d2: a link to a second sighting within it is as good as the first
 MOST = 0.7  # part of the sightings of a track that have to fit
 
 

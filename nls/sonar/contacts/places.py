@@ -25,6 +25,7 @@ from models.algebra import Array, Index, product
 from models.errors import GraphError
 from models.options import check_between
 from models.sensors import cartesian
+from nls.covariance import Marginals
 from nls.values import Values
 
 __all__ = ["Pings"]
@@ -109,6 +110,10 @@ class Pings:
     def model(self, which: Index) -> Model:
         """Some sightings (k,), to be linearized at any poses and points."""
         return self.of_landmarks(np.arange(len(which)), which).bind(self.group, R(self.group.point_dim))
+
+    def covariances_of_poses(self, marginals: Marginals) -> Array:
+        """Covariances (m, d, d) of the poses, in the axes of the body."""
+        return marginals.all(Kind(self.poses.kind), frame="body")[self.row]
 
     def sensors(self, values: Values) -> Array:
         """Pose of the sensor at every sighting (n, size)."""

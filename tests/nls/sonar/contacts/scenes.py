@@ -11,13 +11,28 @@ import sim
 from factors import BearingRange, Between, Diagonal, Isotropic, Prior
 from factors.sighting import Sighting
 from models import SE2
-from models.algebra import Index
-from nls import FactorGraph, Values, kinds
+from models.algebra import Array, Index
+from nls import FactorGraph, Marginals, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.sonar.contacts import gates
+from nls.sonar.contacts.anchors import anchored
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["GATE", "Scene", "estimate_of", "floor", "in_plane", "poor_ranges", "poses_of", "true_pairs", "unnamed"]
+__all__ = [
+    "GATE",
+    "Scene",
+    "covariances_of_poses",
+    "estimate_of",
+    "floor",
+    "in_plane",
+    "landmark_distances",
+    "poor_ranges",
+    "poses_of",
+    "sighting_distances",
+    "true_pairs",
+    "unnamed",
+]
 
 GATE = chi2_gate(2, 0.999)
 x, l = kinds("x", "l")
@@ -110,6 +125,26 @@ def poor_ranges() -> Scene:
 def estimate_of(tracks: Index, graph: FactorGraph, values: Values) -> Estimate:
     """An estimate whose residuals nobody asks for."""
     return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool), 1.0)
+
+
+def landmark_distances(
+    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float, widest: float = np.inf
+) -> tuple[Array, Array]:
+    """As in `nls.sonar.contacts.gates`, with marginals of their own."""
+    anchors = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks])
+    return gates.landmark_distances(pings, estimate, marginals, d, landmarks, gate, widest)
+
+
+def sighting_distances(scene: Scene, c: Index, d: Index) -> tuple[Array, Array]:
+    """As in `nls.sonar.contacts.gates`, by dead reckoning."""
+    motions, _ = gates.two_pings(scene.pings, c, d)
+    return gates.sighting_distances(scene.pings, Marginals(scene.graph, scene.values, pairs=[motions]), c, d)
+
+
+def covariances_of_poses(pings: Pings, estimate: Estimate) -> Array:
+    """Covariances (m, d, d) of the poses of an estimate."""
+    return pings.covariances_of_poses(Marginals(estimate.graph, estimate.values))
 
 
 def true_pairs(scene: Scene) -> tuple[Index, Index]:

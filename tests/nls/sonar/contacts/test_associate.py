@@ -105,13 +105,21 @@ def test_without_noise_all_pairs_are_found() -> None:
     assert np.nanmax(result.d2) < 1
 
 
-@pytest.mark.parametrize("seed", [1, 2])  # of the second dead reckoning happens to be as good as any solution
+def named(scene: Scene) -> Values:
+    """The solution with the true names and without false contacts."""
+    true = np.flatnonzero(scene.true >= 0)
+    measured = scene.pings.of_landmarks(scene.true[true], true)
+    graph = FactorGraph([*scene.graph.factors, measured, scene.pings.aperture_factor(measured)])
+    return graph.optimize(scene.truth_of(scene.true[true])).values
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])
 def test_false_contacts_stay_out(seed: int) -> None:
     scene, result = floor(seed, 0.1), answer(seed, 0.1)
     score = pair_precision_recall(result.numbers, scene.true)
     assert score.precision >= 0.9
     assert score.recall >= 0.9
-    assert error(scene, result.values) < 1.01 * error(scene, scene.values)
+    assert error(scene, result.values) < 1.1 * error(scene, named(scene))
     assert np.mean(result.numbers[scene.true < 0] < 0) > 0.7
 
 
@@ -152,7 +160,7 @@ def test_other_unknowns_of_the_graph_have_no_influence() -> None:
 
 def test_the_better_answer_costs_less() -> None:
     """Rounds that end early leave landmarks in pieces."""
-    scene = floor(1, 0.1)
+    scene = floor(5, 0.1)
     answers = [associate(scene.graph, scene.values, scene.sightings, scene.aperture, rounds=k) for k in (1, 3, 40)]
     cost = [answer.cost for answer in answers]
     recall = [pair_precision_recall(answer.numbers, scene.true).recall for answer in answers]

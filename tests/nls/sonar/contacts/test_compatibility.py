@@ -7,14 +7,15 @@ import pytest
 
 from factors import BearingRange, Between, Diagonal, Isotropic, Prior
 from models import SE2, R
-from models.algebra import Index
+from models.algebra import Index, Mask
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.filters import association
 from nls.sonar.contacts.compatibility import resolved
-from nls.sonar.contacts.estimate import estimated
-from nls.sonar.contacts.gates import landmark_distances, ping_innovations
+from nls.sonar.contacts.estimate import Estimate, estimated
+from nls.sonar.contacts.gates import ping_innovations
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.tracks import renamed, single, sizes
+from tests.nls.sonar.contacts.scenes import covariances_of_poses, landmark_distances
 
 x, l = kinds("x", "l")
 NOISE = Diagonal(bearing=0.002, range=0.02)
@@ -42,11 +43,16 @@ def known_trees(trees: list[int]) -> Index:
     return np.concatenate([np.tile(np.arange(5), 4), 20 + np.arange(len(trees))])
 
 
+def decided(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
+    """`resolved`, what is near by the covariances of the same estimate."""
+    return resolved(pings, estimate, covariances_of_poses(pings, estimate), open_, least, probability)
+
+
 def answer(shift: float, trees: list[int]) -> list[int]:
     """The tree that each sighting from the fifth pose is given to, -1 where it stays alone."""
     pings, graph, values = row(shift, trees)
     every = np.ones(len(pings), dtype=bool)
-    tracks = resolved(pings, estimated(pings, graph, values, known_trees(trees)), every, 3, 0.999)
+    tracks = decided(pings, estimated(pings, graph, values, known_trees(trees)), every, 3, 0.999)
     assert np.array_equal(tracks[:20], known_trees([]))
     return [int(track) if track < 5 else -1 for track in tracks[20:]]
 
@@ -74,13 +80,13 @@ def test_a_landmark_has_one_sighting_in_a_ping() -> None:
     tracks[20] = 2  # the first is decided
     every = np.ones(len(pings), dtype=bool)
     estimate = estimated(pings, graph, values, tracks)
-    assert resolved(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
+    assert decided(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
 
 
 def test_a_sighting_that_is_not_open_stays_alone() -> None:
     pings, graph, values = row(0.0, [1, 3])
     open_ = np.arange(len(pings)) != 21
-    tracks = resolved(pings, estimated(pings, graph, values, known_trees([1, 3])), open_, 3, 0.999)
+    tracks = decided(pings, estimated(pings, graph, values, known_trees([1, 3])), open_, 3, 0.999)
     assert tracks[20:].tolist() == [1, 21]
 
 
@@ -88,9 +94,9 @@ def test_a_ping_of_too_many_sets_stays_undecided(monkeypatch: pytest.MonkeyPatch
     pings, graph, values = row(0.0, [1, 3])
     tracks, every = known_trees([1, 3]), np.ones(len(pings), dtype=bool)
     estimate = estimated(pings, graph, values, tracks)
-    assert resolved(pings, estimate, every, 3, 0.999)[20:].tolist() == [1, 3]
+    assert decided(pings, estimate, every, 3, 0.999)[20:].tolist() == [1, 3]
     monkeypatch.setattr(association, "NODES", 1)
-    assert resolved(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
+    assert decided(pings, estimate, every, 3, 0.999).tolist() == tracks.tolist()
 
 
 def test_tracks_smaller_than_a_landmark_are_open() -> None:
@@ -103,7 +109,7 @@ def test_tracks_smaller_than_a_landmark_are_open() -> None:
         tracks = renamed(tracks)
         assert sizes(tracks)[20] == count + 1
         estimate = estimated(pings, graph, values, tracks)
-        assert resolved(pings, estimate, np.ones(21, dtype=bool), 3 if count == 1 else 2, 0.999).tolist() == [
+        assert decided(pings, estimate, np.ones(21, dtype=bool), 3 if count == 1 else 2, 0.999).tolist() == [
             *known_trees([]),
             1,
         ]
@@ -143,5 +149,5 @@ def test_only_a_decided_landmark_is_given_sightings() -> None:
     tree = np.flatnonzero(tracks == 1)
     tracks = single(tracks, tree[2:])
     every, estimate = np.ones(len(pings), dtype=bool), estimated(pings, graph, values, tracks)
-    assert resolved(pings, estimate, every, 3, 0.999)[tree].tolist() == tree.tolist()
-    assert resolved(pings, estimate, every, 2, 0.999)[tree].tolist() == [1, 1, 1, 1]
+    assert decided(pings, estimate, every, 3, 0.999)[tree].tolist() == tree.tolist()
+    assert decided(pings, estimate, every, 2, 0.999)[tree].tolist() == [1, 1, 1, 1]

@@ -1,25 +1,30 @@
-"""Distances in sigmas: those of true pairs are as chi2 has them, those of others are not; motions against samples."""
+"""Distances in sigmas: those of true pairs are as chi2 has them, those of others are not."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from factors import Between, Isotropic, Prior
-from models import SE3
 from models.algebra import Array, Index
-from nls import FactorGraph, Marginals, Values, kinds
-from nls.sonar.contacts.gates import landmark_distances, motion_covariances, sighting_distances
-from nls.sonar.contacts.places import Pings
-from tests.nls.sonar.contacts.scenes import GATE, Scene, estimate_of, floor, in_plane, true_pairs
+from nls import FactorGraph, Marginals, kinds
+from tests.nls.sonar.contacts.scenes import (
+    GATE,
+    Scene,
+    estimate_of,
+    floor,
+    in_plane,
+    landmark_distances,
+    sighting_distances,
+    true_pairs,
+)
 
-x, l = kinds("x", "l")
+l = kinds("l")[0]
 
 
 def pairs_of(scene: Scene) -> tuple[Array, Array, Index, Index]:
     """d2 and widths of all true pairs, by dead reckoning, and the pairs."""
     c, d = true_pairs(scene)
-    return *sighting_distances(scene.pings, scene.graph, scene.values, c, d), c, d
+    return *sighting_distances(scene, c, d), c, d
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -46,7 +51,7 @@ def test_pairs_of_different_landmarks_are_outside() -> None:
         pings = scene.pings
         c, d = np.nonzero((scene.true[:, None] != scene.true) & (pings.ping[:, None] + 1 == pings.ping))
         apart = np.linalg.norm(scene.truth[l[scene.true[c]]] - scene.truth[l[scene.true[d]]], axis=1) > 2
-        d2, _ = sighting_distances(pings, scene.graph, scene.values, c[apart], d[apart])
+        d2, _ = sighting_distances(scene, c[apart], d[apart])
         assert len(d2) > 100
         assert d2.min() > GATE
 
@@ -56,32 +61,6 @@ def test_a_point_between_two_of_the_arc_is_as_good() -> None:
     scene = floor(1, 0.0, 0.0)
     d2, _, _, _ = pairs_of(scene)
     assert d2.max() < 0.05
-
-
-def test_motions_against_samples() -> None:
-    """Poses after a chain of noisy steps: their motions scatter by these covariances, in the axes of the second."""
-    rng, n, N = np.random.default_rng(1), 5, 20_000
-    steps = SE3.exp(0.6 * rng.normal(size=(n - 1, 6)))
-    sigma = 0.02
-    graph = FactorGraph([Prior(x[0], SE3.identity(1)[0], Isotropic(0.01))])
-    graph.add(Between(x[np.arange(n - 1)], x[np.arange(1, n)], steps, Isotropic(sigma)))
-    X = [SE3.identity(1)]
-    for step in steps:
-        X.append(SE3.compose(X[-1], step[None]))
-    values = Values({x: (SE3, np.concatenate(X))})
-    scene = floor()
-    sightings = scene.sightings[np.arange(n)]
-    pings = Pings.of(type(sightings)(x[np.arange(n)], l[np.arange(n)], sightings.z, sightings.noise), values, l, 0.2)
-    i, j = np.array([0, 1, 3]), np.array([4, 3, 1])
-    Sigma = motion_covariances(pings, graph, values, i, j)
-    noisy = [np.broadcast_to(values[x[0]], (N, 7))]
-    for step in steps:
-        moved = SE3.compose(noisy[-1], np.broadcast_to(step, (N, 7)))
-        noisy.append(SE3.retract(moved, sigma * rng.normal(size=(N, 6))))
-    for k, (a, b) in enumerate(zip(i, j, strict=True)):
-        G = SE3.between(values[x[[a]]], values[x[[b]]])
-        delta = SE3.local(np.broadcast_to(G, (N, 7)), SE3.between(noisy[a], noisy[b]))
-        np.testing.assert_allclose(np.cov(delta.T), Sigma[k], atol=0.05 * Sigma[k].max())
 
 
 def test_a_landmark_known_from_elsewhere_against_the_dense_covariance() -> None:

@@ -119,10 +119,10 @@ def test_links_are_the_best_both_ways_and_clear() -> None:
         return linked(c, d, np.array([*pairs.values()]), lags, 5, GATE).tolist()
 
     assert links({(0, 2): 1.0, (1, 3): 8.9, (2, 4): 9.1}) == [0, 1, 0, 1, 4]
-    assert links({(0, 2): 1.0, (0, 3): 2.9}) == [0, 1, 2, 3, 4]  # two of the later ping
-    assert links({(0, 2): 1.0, (0, 3): 3.1}) == [0, 1, 0, 3, 4]
-    assert links({(0, 2): 1.0, (1, 2): 2.9}) == [0, 1, 2, 3, 4]  # two of the earlier one
-    assert links({(0, 2): 1.0, (0, 3): 3.1, (1, 3): 8.0}) == [0, 1, 0, 3, 4]  # 3 is nearer to 0
+    assert links({(0, 2): 1.0, (0, 3): 4.9}) == [0, 1, 2, 3, 4]  # two of the later ping
+    assert links({(0, 2): 1.0, (0, 3): 5.1}) == [0, 1, 0, 3, 4]
+    assert links({(0, 2): 1.0, (1, 2): 4.9}) == [0, 1, 2, 3, 4]  # two of the earlier one
+    assert links({(0, 2): 1.0, (0, 3): 5.1, (1, 3): 8.0}) == [0, 1, 0, 3, 4]  # 3 is nearer to 0
     assert links({(0, 2): 1.0, (0, 3): 1.5}, [1, 2]) == [0, 1, 0, 0, 4]  # every lag by itself
     assert links({(0, 2): 1.0, (2, 4): 1.0}, [1, 1]) == [0, 1, 0, 3, 0]
     assert links({(0, 2): 20.0, (0, 3): 8.0}) == [0, 1, 2, 0, 4]  # outside of the gate is no rival

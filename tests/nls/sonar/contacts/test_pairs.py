@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from factors import Isotropic, Prior
-from models.algebra import Index
+from models.algebra import Array, Index
 from nls import FactorGraph, Values, kinds
-from nls.sonar.contacts.gates import sighting_distances
+from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.pairs import MOST, near_landmarks, near_pings, near_sightings
-from tests.nls.sonar.contacts.scenes import GATE, Scene, estimate_of, floor, in_plane, poor_ranges, true_pairs
+from nls.sonar.contacts.places import Pings
+from tests.nls.sonar.contacts.scenes import (
+    GATE,
+    Scene,
+    covariances_of_poses,
+    estimate_of,
+    floor,
+    in_plane,
+    poor_ranges,
+    sighting_distances,
+    true_pairs,
+)
 
 l = kinds("l")[0]
+Near = Callable[[Pings, Estimate, Array, Index, float], tuple[Index, Index]]
 SCENES = {"floor": floor, "in_plane": in_plane, "poor_ranges": poor_ranges}
+
+
+def nearest(near: Near, pings: Pings, estimate: Estimate, which: Index, gate: float) -> tuple[Index, Index]:
+    """What is near by the covariances of this estimate."""
+    return near(pings, estimate, covariances_of_poses(pings, estimate), which, gate)
 
 
 def among(pairs: tuple[Index, Index], others: tuple[Index, Index]) -> list[bool]:
@@ -48,13 +67,13 @@ def test_sightings_from_anywhere(name: str) -> None:
     scene = SCENES[name]()
     pings = scene.pings
     which = np.sort(np.random.default_rng(0).choice(len(pings), MOST, replace=False))
-    c, d = near_sightings(pings, estimate_of(scene.true, scene.graph, scene.values), which, GATE)
+    c, d = nearest(near_sightings, pings, estimate_of(scene.true, scene.graph, scene.values), which, GATE)
     assert (pings.ping[c] < pings.ping[d]).all()
     assert np.isin([c, d], which).all()
     assert len(set(zip(c.tolist(), d.tolist(), strict=True))) == len(c)
     e, f = true_pairs(scene)
     chosen = np.isin(e, which) & np.isin(f, which)
-    d2, _ = sighting_distances(pings, scene.graph, scene.values, e[chosen], f[chosen])
+    d2, _ = sighting_distances(scene, e[chosen], f[chosen])
     inside = d2 < GATE
     assert inside.sum() > 20
     assert all(among((e[chosen][inside], f[chosen][inside]), (c, d)))
@@ -73,11 +92,11 @@ def test_landmarks_near_a_sighting(name: str) -> None:
     pings, which = scene.pings, np.arange(0, len(scene.true), 3)
     values, nothing = scene.truth_of(scene.true), np.full(len(scene.true), -7)
     graph = with_landmarks(scene, values)
-    d, landmarks = near_landmarks(pings, estimate_of(nothing, graph, values), which, GATE)
+    d, landmarks = nearest(near_landmarks, pings, estimate_of(nothing, graph, values), which, GATE)
     assert all(among((which, scene.true[which]), (d, landmarks)))
     assert set(d.tolist()) <= set(which.tolist())
     assert len(d) < 0.7 * len(which) * len(np.unique(scene.true))
-    d, landmarks = near_landmarks(pings, estimate_of(scene.true, graph, values), which, GATE)
+    d, landmarks = nearest(near_landmarks, pings, estimate_of(scene.true, graph, values), which, GATE)
     assert len(d) or name == "in_plane"  # where they are too far apart
     assert (scene.true[d] != landmarks).all()
 
@@ -93,7 +112,7 @@ def test_a_landmark_far_above_the_aperture_was_not_seen() -> None:
         values = Values.of([*scene.values.stacks.values()])
         values.add(l, scene.truth.stack("l").manifold, point, [900])
         graph = with_landmarks(scene, values)
-        d, landmarks = near_landmarks(pings, estimate_of(np.arange(len(pings)), graph, values), which, 1e3)
+        d, landmarks = nearest(near_landmarks, pings, estimate_of(np.arange(len(pings)), graph, values), which, 1e3)
         assert (d.tolist(), landmarks.tolist()) == ([5] * count, [900] * count)
 
 
@@ -101,5 +120,5 @@ def test_without_landmarks_none_is_near() -> None:
     scene = in_plane()
     every = np.arange(len(scene.true))
     estimate = estimate_of(every, scene.graph, scene.values)
-    assert [len(array) for array in near_landmarks(scene.pings, estimate, every, GATE)] == [0, 0]
-    assert [len(array) for array in near_sightings(scene.pings, estimate, every[:0], GATE)] == [0, 0]
+    assert [len(array) for array in nearest(near_landmarks, scene.pings, estimate, every, GATE)] == [0, 0]
+    assert [len(array) for array in nearest(near_sightings, scene.pings, estimate, every[:0], GATE)] == [0, 0]
