@@ -9,9 +9,9 @@ import numpy as np
 from models.errors import OptionError
 from models.geodesy import LocalPlane
 from models.options import check_positive, is_number
-from sim.checks import check_fraction, check_not_negative, check_poses, check_rng, check_size
+from sim.checks import check_fraction, check_not_negative, check_rng, check_size
 from sim.survey_log import SurveyLog, Tables
-from sim.survey_sensors import DVL_PERIOD, USBL_PERIOD, Errors, Sensors
+from sim.survey_sensors import USBL_PERIOD, Errors, Sensors
 from sim.survey_sonar import sonar_tables
 from sim.survey_track import Track, sounded
 from sim.world import seed_of
@@ -111,7 +111,6 @@ def survey(
     ):
         if not (is_number(value) and least <= value <= most):
             raise OptionError(option, value, f"a number from {least:.4g} to {most:.4g}, {unit}")
-    check_poses("legs * leg", round(min(legs * leg / speed / DVL_PERIOD, 1e18)))
 
     track = Track(rng, legs, leg, spacing, depth, speed)
     errors = Errors(dvl_scale, dvl_yaw, ahrs_clock, sound_speed_error, declination, heading_drift)

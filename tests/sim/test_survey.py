@@ -14,7 +14,7 @@ import sim
 from models.errors import GraphError, OptionError
 from sim.survey_files import survey_files
 from sim.survey_sensors import ANTENNA, DVL_ARM, TRANSDUCER
-from sim.survey_track import Track
+from sim.survey_track import Track, eased
 from tests.combinations import for_all
 
 Array = npt.NDArray[np.float64]
@@ -209,6 +209,28 @@ def test_impossible_options_are_named(wrong: tuple[str, float]) -> None:
     option, value = wrong
     with pytest.raises(OptionError, match=option):
         made(**{option: value})
+
+
+@for_all(sizes=[{"leg": 1.2e6}, {"legs": 10_000_000}, {"leg": 1.0, "legs": 200, "spacing": 1000.0, "speed": 0.5}])
+def test_a_survey_of_more_than_two_days_is_refused(sizes: dict[str, float]) -> None:
+    """Turns count as well: in the last one the legs are 200 m, the turns some 300 km."""
+    leg = sizes.get("leg", 60.0)
+    with pytest.raises(OptionError, match=rf"leg: {leg} is not possible; .* at most 48 h, not .* h, or fewer legs"):
+        made(**sizes)
+
+
+def test_every_turn_undoes_the_one_before() -> None:
+    """Course and depth after many legs: the sum over all turns, those before a way and those that are not yet made."""
+    legs, leg, depth = 13, 30.0, 12.0
+    track = Track(np.random.default_rng(0), legs, leg, 25.0, depth, 1.5)
+    first, s = 45.0 + 8.0 * depth, np.linspace(0.0, 1.5 * track.duration, 2000)
+    turn = 25.0 / np.trapezoid(np.sin(np.pi * eased(np.linspace(0, 1, 2001))), dx=1 / 2000)
+    sign = (-1.0) ** np.arange(legs - 1)
+    turned = eased((s[:, None] - first - leg - (leg + turn) * np.arange(legs - 1)) / turn) @ sign
+    np.testing.assert_allclose(track._course(s), np.pi * turned, atol=1e-12)
+    middle = s < first + legs * leg + (legs - 1) * turn
+    dived = 0.2 + depth * eased((s - 45.0) / (8.0 * depth)) + 2.5 * turned
+    np.testing.assert_allclose(track._down(s)[middle], dived[middle], atol=1e-12)
 
 
 def test_fixes_of_the_loudest_noise_are_on_earth() -> None:
