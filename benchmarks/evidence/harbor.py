@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
-from script import arguments, markdown, page_head, write_page
+from script import arguments, at_least_one, markdown, page_head, write_page
 
 import sim
 from models import SE2
@@ -337,9 +337,9 @@ def page(seeds: int, image_seeds: int, workers: int) -> list[str]:
 
 def main() -> None:
     parser = arguments(__doc__, "harbor.md")
-    parser.add_argument("--seeds", type=int, default=20, help="harbors of every geometry (default 20)")
+    parser.add_argument("--seeds", type=at_least_one, default=20, help="harbors of every geometry (default 20)")
     parser.add_argument("--images", type=int, default=1, help="harbors whose scans come from images (default 1)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--workers", type=at_least_one, default=2, help="processes (default 2)")
     options = parser.parse_args()
     title = f"Scan matching in simulated harbors, seeds 0 to {options.seeds - 1}"
     lines = [*page_head(title), "", *page(options.seeds, options.images, options.workers)]

@@ -29,7 +29,7 @@ from robust_trials import (
     run,
     tasks,
 )
-from script import ONE_THREAD, arguments, markdown, page_head, public_data, write_page
+from script import ONE_THREAD, arguments, at_least_one, markdown, page_head, public_data, write_page
 from wrong_closures import KINDS, SETS, Array, X
 
 import nls
@@ -201,7 +201,7 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
 
 def main() -> None:
     parser = arguments(__doc__, "robust.md and .png")
-    parser.add_argument("--seeds", type=int, default=5, help="trials of every kind (default 5)")
+    parser.add_argument("--seeds", type=at_least_one, default=5, help="trials of every kind (default 5)")
     parser.add_argument(
         "--large", type=int, default=1, help="the same on large graphs, and with few closures (default 1)"
     )
@@ -210,8 +210,8 @@ def main() -> None:
         "--trials", type=Path, default=None, metavar="FILE", help="keeps every trial; those in it stand"
     )
     options = parser.parse_args()
-    if options.seeds < 1 or options.large < 0:
-        parser.error(f"--seeds {options.seeds} --large {options.large}: expected 1 or more, and 0 or more")
+    if options.large < 0:
+        parser.error(f"--large {options.large}: expected 0 or more")
     data = public_data(parser)
     os.environ.update(ONE_THREAD)  # for the workers
     lines = page_head("Wrong loop closures")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, page_head, public_data, write_page
+from script import arguments, at_least_one, page_head, public_data, write_page
 
 from factors.keys import kinds
 from nls.io.scan_mission import read_scan_mission
@@ -204,7 +204,7 @@ def page(log: Log, rounds: int) -> list[str]:
 
 def main() -> None:
     parser = arguments(__doc__, "scan_setup.md")
-    parser.add_argument("--rounds", type=int, default=3, help="of closing (default 3)")
+    parser.add_argument("--rounds", type=at_least_one, default=3, help="of closing (default 3)")
     options = parser.parse_args()
     data = public_data(parser)
     lines = [*page_head("Wrong setups of a scan mission"), "", *page(read(data / "aracati"), options.rounds)]

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from script import arguments, page_head, public_data, write_page
+from script import arguments, at_least_one, page_head, public_data, write_page
 from victoria_park import victoria_park
 
 import nls
@@ -381,7 +381,9 @@ def page(data: Path, seeds: int) -> Sequence[str]:
 
 def main() -> None:
     parser = arguments(__doc__, "sigmas.md")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="simulated twins of a log (default 20)")
+    parser.add_argument(
+        "--seeds", type=at_least_one, default=20, metavar="N", help="simulated twins of a log (default 20)"
+    )
     options = parser.parse_args()
     data = public_data(parser)
     lines = [*page_head("Sigmas that the residuals show"), "", *page(data, options.seeds)]

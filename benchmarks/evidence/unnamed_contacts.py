@@ -17,7 +17,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from script import arguments, page_head, write_page
+from script import arguments, at_least_one, page_head, write_page
 
 import sim
 from factors import Cauchy, Robust, sonar_factors
@@ -146,8 +146,8 @@ def draw(trials: list[Trial], path: Path) -> None:
 
 def main() -> None:
     parser = arguments(__doc__, "the page")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="(default 20)")
-    parser.add_argument("--processes", type=int, default=1, metavar="N", help="(default 1)")
+    parser.add_argument("--seeds", type=at_least_one, default=20, metavar="N", help="(default 20)")
+    parser.add_argument("--processes", type=at_least_one, default=1, metavar="N", help="(default 1)")
     options = parser.parse_args()
     lines = [*page_head("Contacts without names"), ""]
     few = max(1, options.seeds // 5)

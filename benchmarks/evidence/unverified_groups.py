@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from script import public_data
+from script import at_least_one, public_data
 from wrong_closures import KINDS, SETS, solved, spoiled
 
 import nls
@@ -56,7 +56,7 @@ def row(data: Path, name: str, ends: str, size: int, share: float, seed: int) ->
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="of aliases on manhattan")
+    parser.add_argument("--seeds", type=at_least_one, default=SEEDS, help="of aliases on manhattan")
     options = parser.parse_args()
     data = public_data(parser)
     print("| graph | wrong ones | share | seed | off | | accepted | doubts | accepted, not verified |")
