@@ -33,7 +33,7 @@ AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their nu
 
 
 def two_pings(pings: Pings, c: Index, d: Index) -> tuple[tuple[Keys, Keys], Index]:
-    """The pairs of poses of sightings c and d (k,), each pair once, and which one (k,) is whose."""
+    """The pairs of poses of sightings c and d (k,), each pair once, and the place (k,) of their pair among these."""
     pairs, pair = np.unique(pings.ping[c] * len(pings.poses) + pings.ping[d], return_inverse=True)
     i, j = np.divmod(pairs, len(pings.poses))
     return (pings.poses[i], pings.poses[j]), pair
