@@ -3,21 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from models.algebra import Mask
 from nls.io.mission.plausible.findings import Cause, Implausible, Reading
 from nls.io.mission.plausible.log import Fixes, Log, middle
 
-__all__ = ["of_fixes"]
+__all__ = ["of_fixes", "without_jumps"]
 FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more
 FAR, SHARE, FEW_ROWS = 10.0, 0.02, 10
 DRIFT = 0.1  # of the way between three fixes
 
 
 def of_fixes(log: Log) -> list[Implausible]:
-    """Implausible fixes of a log; lines are rows of the table."""
-    return [] if log.fixes is None else [*_far(log.fixes), *_jumps(log)]
+    """Implausible fixes of a thinned log; lines are rows of the table."""
+    return [] if log.fixes is None else [*_far(log.fixes), *_jumps(log, log.fixes)]
+
+
+def without_jumps(log: Log) -> Log:
+    """A thinned log without the fixes that jump."""
+    if log.fixes is None:
+        return log
+    fixes, stay = log.fixes, ~_wild(log, log.fixes)
+    exchanged = None if fixes.exchanged is None else fixes.exchanged[stay]
+    steady = Fixes(fixes.t[stay], fixes.p[stay], fixes.sigma[stay], fixes.columns, fixes.rows[stay], exchanged)
+    return replace(log, fixes=steady)
 
 
 def _far(fixes: Fixes) -> Iterator[Implausible]:
@@ -33,22 +45,23 @@ def _far(fixes: Fixes) -> Iterator[Implausible]:
     yield Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, FARTHEST, "m", (reading,))
 
 
-def _jumps(log: Log) -> Iterator[Implausible]:
-    """Single fixes that leave those before and after, which the DVL joins."""
-    fixes = log.fixes
-    assert fixes is not None
-    thin = log.thinned()
+def _jumps(log: Log, fixes: Fixes) -> Iterator[Implausible]:
+    """So many single fixes leave those before and after that a robust kernel is needed."""
+    wild = _wild(log, fixes)
+    if wild.any() and wild.mean() > SHARE:
+        row = int(fixes.rows[np.argmax(wild)])
+        reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
+        yield Implausible("jumps", "fixes.csv", row, fixes.columns[0], wild.mean(), SHARE, "of the rows", (reading,))
+
+
+def _wild(log: Log, fixes: Fixes) -> Mask:
+    """Single fixes (n,) that leave those before and after, which the DVL joins; none of a few."""
     if len(fixes.t) < FEW_ROWS:
-        return
-    way = thin.way()[:, :2]
-    d = np.column_stack([np.interp(fixes.t, thin.t_v, column) for column in way.T])
+        return np.zeros(len(fixes.t), dtype=bool)
+    d = np.column_stack([np.interp(fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
     off = fixes.p - d
     away = np.linalg.norm(off - middle(off), axis=1)
     step = np.linalg.norm(np.diff(d, axis=0), axis=1)
     allowed = FAR * fixes.sigma + DRIFT * (np.append(step, 0.0) + np.append(0.0, step))
     wild = away > np.maximum(allowed, 3 * float(np.median(away)))
-    wild &= (fixes.t >= thin.t_v[0]) & (fixes.t <= thin.t_v[-1])
-    if wild.mean() > SHARE:
-        row = int(fixes.rows[np.argmax(wild)])
-        reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
-        yield Implausible("jumps", "fixes.csv", row, fixes.columns[0], wild.mean(), SHARE, "of the rows", (reading,))
+    return np.asarray(wild & (fixes.t >= log.t_v[0]) & (fixes.t <= log.t_v[-1]))

@@ -90,6 +90,21 @@ def test_a_misfit_that_no_reading_explains_says_so() -> None:
     assert finding.readings == (Reading(Cause.UNKNOWN, "fixes.csv", "x_m, y_m"),)
 
 
+def test_fixes_that_jump_are_no_disagreement_of_sensors() -> None:
+    """Few windows, several of them with a fix that jumps: its outliers are the cause, not another reading."""
+    log = clean(18, minutes=2.0)
+    fixes, rng = log.fixes, np.random.default_rng(18)
+    assert fixes is not None
+    t = np.linspace(log.t_v[0], log.t_v[-1], 60)
+    p = np.column_stack([np.interp(t, fixes.t, column) for column in fixes.p.T]) + rng.normal(0, 0.5, (60, 2))
+    rows = np.sort(rng.choice(np.arange(2, 58), 3, replace=False))
+    p[rows, 0] += 50.0
+    jumping = replace(fixes, t=t, p=p, sigma=np.full(60, 0.7), rows=np.arange(60))
+    (finding,) = of_log(replace(log, fixes=jumping))
+    assert (finding.check, finding.line) == ("jumps", rows[0])
+    assert finding.readings == (Reading(Cause.OUTLIERS, "fixes.csv", "x_m, y_m"),)
+
+
 def test_fixes_far_away_may_have_latitude_and_longitude_exchanged() -> None:
     log = clean(2)
     assert log.fixes is not None
