@@ -130,7 +130,7 @@ def page(images: int) -> list[str]:
     ]
     spiky = []
     for nu in SHAPES:
-        measured = rates(images // 4, nu)
+        measured = rates(max(1, images // 4), nu)
         spiky += [[f"{nu:g}", d, *(f"{measured[d, rate][0]:.1e}" for rate in RATES)] for d in DETECTORS]
     lines += markdown(["nu", "detector", *(f"nominal {rate:g}" for rate in RATES)], spiky)
     lines += [
