@@ -154,8 +154,8 @@ def associate(
 
     Notes
     -----
-    A round costs one solution with its covariances. Sightings are compared with what is near, found by trees, so that
-    the cost grows nearly with their number.
+    A round costs one solution with its covariances. Sightings are compared with what is near, found by trees. The cost
+    of covariances grows faster than the mission: three times the sightings over a floor take five times as long.
 
     Examples
     --------
