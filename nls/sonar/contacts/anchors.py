@@ -26,45 +26,50 @@ from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["Anchored", "anchored", "bounded", "of_sums"]
+__all__ = ["Pairings", "anchored", "bounded", "of_sums"]
 
 ANCHORS = 48
 AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
 
 
-class Anchored(NamedTuple):
-    """Anchors with poses and with landmarks, and which of these pairs is of which pairing (k,)."""
+class Pairings(NamedTuple):
+    """Sightings d (k,) with landmarks (k,) by number; anchors with poses and with points, and which (k,) is whose."""
 
+    d: Index
+    landmarks: Index
     poses: tuple[Keys, Keys]
     motion: Index
-    landmarks: tuple[Keys, Keys]
+    points: tuple[Keys, Keys]
     point: Index
 
+    @property
+    def pairs(self) -> list[tuple[Keys, Keys]]:
+        """The pairs of variables whose covariances `bounded` needs."""
+        return [self.poses, self.points]
 
-def anchored(pings: Pings, d: Index, landmarks: Index) -> Anchored:
-    """The anchors of pairings of sightings d (k,) with landmarks (k,)."""
+
+def anchored(pings: Pings, d: Index, landmarks: Index) -> Pairings:
+    """Pairings of sightings d (k,) with landmarks (k,), with their anchors."""
     m, n = len(pings.poses), len(pings)
     numbers, point = np.unique(landmarks, return_inverse=True)
     stretch = -(-m // ANCHORS)
     anchor = np.minimum(pings.ping[numbers] // stretch * stretch + stretch // 2, m - 1)
     motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
     i, j = pings.poses[motions % n], pings.poses[motions // n]
-    return Anchored((i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point)
+    return Pairings(d, landmarks, (i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point)
 
 
-def bounded(
-    pings: Pings, estimate: Estimate, marginals: Marginals, d: Index, landmarks: Index
-) -> tuple[Array, Array, Array]:
-    """Of the innovations of sightings d (k,) from landmarks (k,), bounds on their joint covariances.
+def bounded(pings: Pings, estimate: Estimate, marginals: Marginals, pairings: Pairings) -> tuple[Array, Array, Array]:
+    """Of the innovations of pairings (k,), bounds on their joint covariances.
 
-    The marginals of the estimate have the pairs of `Anchored`.
+    The marginals of the estimate have the pairs of the pairings.
 
     Returns
     -------
     d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
     """
-    (i, j), motion, (a, l), point = anchored(pings, d, landmarks)
-    C_u, C_v = marginals.relative(i, j), _of_points(pings.group, marginals, a, l)
+    d, landmarks, poses, motion, points, point = pairings
+    C_u, C_v = marginals.relative(*poses), _of_points(pings.group, marginals, *points)
     d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
     for begin in range(0, len(d), AT_ONCE):
         span = slice(begin, begin + AT_ONCE)

@@ -249,9 +249,9 @@ def _joined(
     tracks = estimate.tracks
     d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
     c, e = near_sightings(pings, estimate, Sigma, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
-    anchors, (motions, _) = anchored(pings, d, landmarks), two_pings(pings, c, e)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks, motions])
-    d2, width = landmark_distances(pings, estimate, marginals, d, landmarks, gate, widest)
+    pairings, (motions, _) = anchored(pings, d, landmarks), two_pings(pings, c, e)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[*pairings.pairs, motions])
+    d2, width = landmark_distances(pings, estimate, marginals, pairings, gate, widest)
     of_one = sighting_distances(pings, marginals, c, e)
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest

@@ -41,9 +41,9 @@ def resolved(pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least:
     gate = chi2_gate(m, probability)
     every = np.arange(len(tracks))
     d, landmarks = near_landmarks(pings, estimate, Sigma, every, gate)
-    anchors = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks])
-    d2, _ = landmark_distances(pings, estimate, marginals, d, landmarks, gate)
+    pairings = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=pairings.pairs)
+    d2, _ = landmark_distances(pings, estimate, marginals, pairings, gate)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)

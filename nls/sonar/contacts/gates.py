@@ -23,7 +23,7 @@ from factors.keys import Keys
 from models.algebra import Array, Index, product
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
-from nls.sonar.contacts.anchors import bounded, of_sums
+from nls.sonar.contacts.anchors import Pairings, bounded, of_sums
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
@@ -88,20 +88,20 @@ def landmark_distances(
     pings: Pings,
     estimate: Estimate,
     marginals: Marginals,
-    d: Index,
-    landmarks: Index,
+    pairings: Pairings,
     gate: float,
     widest: float = np.inf,
 ) -> tuple[Array, Array]:
-    """d2 (k,) of sightings d from landmarks (k,) by number, and the largest sigma (k,) of that.
+    """d2 (k,) of sightings from landmarks, paired, and the largest sigma (k,) of that.
 
-    The marginals of the estimate have the pairs of `nls.sonar.contacts.anchors.Anchored`, for bounds on the covariance.
-    A pair outside of the gate keeps the d2 of its bound. A pair wider than `widest` keeps the width of its bound. The
-    others have the joint covariance.
+    The marginals of the estimate have the pairs of the pairings, for bounds on the covariance. A pair outside of the
+    gate keeps the d2 of its bound. A pair wider than `widest` keeps the width of its bound. The others have the joint
+    covariance.
     """
+    d, landmarks = pairings.d, pairings.landmarks
     if not len(d):
         return np.zeros(0), np.zeros(0)
-    d2, width, least = bounded(pings, estimate, marginals, d, landmarks)
+    d2, width, least = bounded(pings, estimate, marginals, pairings)
     near = np.flatnonzero((d2 < gate) & (least < widest))
     width = np.where(least < widest, width, least)
     if len(near):

@@ -131,9 +131,9 @@ def landmark_distances(
     pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float, widest: float = np.inf
 ) -> tuple[Array, Array]:
     """As in `nls.sonar.contacts.gates`, with marginals of their own."""
-    anchors = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[anchors.poses, anchors.landmarks])
-    return gates.landmark_distances(pings, estimate, marginals, d, landmarks, gate, widest)
+    pairings = anchored(pings, d, landmarks)
+    marginals = Marginals(estimate.graph, estimate.values, pairs=pairings.pairs)
+    return gates.landmark_distances(pings, estimate, marginals, pairings, gate, widest)
 
 
 def sighting_distances(scene: Scene, c: Index, d: Index) -> tuple[Array, Array]:
