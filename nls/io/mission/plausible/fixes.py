@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,25 +10,15 @@ from models.algebra import Mask
 from nls.io.mission.plausible.findings import Cause, Implausible, Reading
 from nls.io.mission.plausible.log import Fixes, Log, middle
 
-__all__ = ["of_fixes", "without_jumps"]
+__all__ = ["jumping", "of_fixes"]
 FARTHEST = 1e5  # m from x = y = 0: where the plane is no map any more
 FAR, SHARE, FEW_ROWS = 10.0, 0.02, 10
 DRIFT = 0.1  # of the way between three fixes
 
 
-def of_fixes(log: Log) -> list[Implausible]:
-    """Implausible fixes of a thinned log; lines are rows of the table."""
-    return [] if log.fixes is None else [*_far(log.fixes), *_jumps(log, log.fixes)]
-
-
-def without_jumps(log: Log) -> Log:
-    """A thinned log without the fixes that jump."""
-    if log.fixes is None:
-        return log
-    fixes, stay = log.fixes, ~_wild(log, log.fixes)
-    exchanged = None if fixes.exchanged is None else fixes.exchanged[stay]
-    steady = Fixes(fixes.t[stay], fixes.p[stay], fixes.sigma[stay], fixes.columns, fixes.rows[stay], exchanged)
-    return replace(log, fixes=steady)
+def of_fixes(fixes: Fixes | None, wild: Mask) -> list[Implausible]:
+    """Implausible fixes, of which some (n,) are `jumping`; lines are rows of the table."""
+    return [] if fixes is None else [*_far(fixes), *_jumps(fixes, wild)]
 
 
 def _far(fixes: Fixes) -> Iterator[Implausible]:
@@ -45,19 +34,19 @@ def _far(fixes: Fixes) -> Iterator[Implausible]:
     yield Implausible("far away", "fixes.csv", row, fixes.columns[0], distance, FARTHEST, "m", (reading,))
 
 
-def _jumps(log: Log, fixes: Fixes) -> Iterator[Implausible]:
+def _jumps(fixes: Fixes, wild: Mask) -> Iterator[Implausible]:
     """So many single fixes leave those before and after that a robust kernel is needed."""
-    wild = _wild(log, fixes)
     if wild.any() and wild.mean() > SHARE:
         row = int(fixes.rows[np.argmax(wild)])
         reading = Reading(Cause.OUTLIERS, "fixes.csv", ", ".join(fixes.columns))
         yield Implausible("jumps", "fixes.csv", row, fixes.columns[0], wild.mean(), SHARE, "of the rows", (reading,))
 
 
-def _wild(log: Log, fixes: Fixes) -> Mask:
-    """Single fixes (n,) that leave those before and after, which the DVL joins; none of a few."""
-    if len(fixes.t) < FEW_ROWS:
-        return np.zeros(len(fixes.t), dtype=bool)
+def jumping(log: Log) -> Mask:
+    """Single fixes (n,) of a thinned log that leave those before and after, which the DVL joins; none of a few."""
+    fixes = log.fixes
+    if fixes is None or len(fixes.t) < FEW_ROWS:
+        return np.zeros(0 if fixes is None else len(fixes.t), dtype=bool)
     d = np.column_stack([np.interp(fixes.t, log.t_v, column) for column in log.way()[:, :2].T])
     off = fixes.p - d
     away = np.linalg.norm(off - middle(off), axis=1)

@@ -12,7 +12,7 @@ from nls.io.mission.plausible.acoustics import of_ranges, sound_speeds
 from nls.io.mission.plausible.agreement import WRONG, compared, doubtful, explained
 from nls.io.mission.plausible.checks import ALONE
 from nls.io.mission.plausible.findings import Cause, Implausible, Reading
-from nls.io.mission.plausible.fixes import of_fixes, without_jumps
+from nls.io.mission.plausible.fixes import jumping, of_fixes
 from nls.io.mission.plausible.log import Log, read_log
 from nls.io.mission.plausible.readings import alternatives
 from nls.io.mission.plausible.track import of_track
@@ -63,14 +63,15 @@ def of_log(log: Log) -> list[Implausible]:
     thin = log.thinned()
     if any(map(_breaks, alone)) or len(thin.t_v) < 2:
         return alone
-    together = _agreement(without_jumps(thin))
+    wild = jumping(thin)
+    together = _agreement(replace(thin, fixes=thin.fixes and thin.fixes.part(~wild)))
     explained_units = {r.file for entry in together for r in entry.readings if r.cause is Cause.UNIT}
     alone = [entry for entry in alone if entry.check != "scatter" or entry.file not in explained_units]
     readings = together[0].readings if together else ()
     named = {(r.cause, r.file) for r in readings}
     if any(_names(entry, named) for entry in alone):  # one sensor alone shows it, and the others say which unit it is
         return [_narrowed(entry, readings) if _names(entry, named) else entry for entry in alone]
-    return alone + (together or of_fixes(thin))
+    return alone + (together or of_fixes(thin.fixes, wild))
 
 
 def _names(entry: Implausible, causes: set[tuple[Cause, str]]) -> bool:

@@ -41,6 +41,11 @@ class Fixes:
     rows: Index
     exchanged: Array | None = None
 
+    def part(self, which: Mask) -> Fixes:
+        """Some of the fixes (n,)."""
+        exchanged = None if self.exchanged is None else self.exchanged[which]
+        return Fixes(self.t[which], self.p[which], self.sigma[which], self.columns, self.rows[which], exchanged)
+
 
 @dataclass(frozen=True)
 class Log:
