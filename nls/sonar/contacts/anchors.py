@@ -26,7 +26,7 @@ from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["Pairings", "anchored", "bounded", "of_sums"]
+__all__ = ["Pairings", "anchored", "bounded", "of_points", "of_sums"]
 
 ANCHORS = 48
 AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
@@ -69,7 +69,7 @@ def bounded(pings: Pings, estimate: Estimate, marginals: Marginals, pairings: Pa
     d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
     """
     d, landmarks, poses, motion, points, point = pairings
-    C_u, C_v = marginals.relative(*poses), _of_points(pings.group, marginals, *points)
+    C_u, C_v = marginals.relative(*poses), of_points(pings.group, marginals, *points)
     d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
     for begin in range(0, len(d), AT_ONCE):
         span = slice(begin, begin + AT_ONCE)
@@ -88,7 +88,7 @@ def of_sums(J: Array, C_ii: Array, C_ij: Array, K: Array, C_jj: Array) -> Array:
     return np.asarray(congruence(J, C_ii) + congruence(K, C_jj) + half + half.mT)
 
 
-def _of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
+def of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
     """Covariances (q, d, d) of landmarks l (q,) as their anchors a see them, in the axes of the world."""
     X = marginals.values[a]
     _, (H_a, H_l) = point_in_frame(group, X, marginals.values[l])

@@ -13,8 +13,9 @@ well beside each other. Then they are twice as wide, until no pair that fits is 
 poses, and wide gates become narrow. In the end the sightings of a ping that are still open are decided together
 (`nls.sonar.contacts.compatibility`).
 
-A mission of many pings is halved before, and each half again (`nls.sonar.contacts.halves`). The rounds of the whole
-begin with the tracks of both. So dead reckoning has drifted little where most sightings are joined.
+A mission of many pings has stretches of its own before (`nls.sonar.contacts.stretches`). Their rounds join sightings
+where dead reckoning has drifted little. Then all landmarks of a stretch together tell where it lies on another one
+(`nls.sonar.contacts.loops`), however far dead reckoning has gone. The rounds of the whole begin with what that joins.
 
 The cost of an answer is chi2, a price for every number of a landmark, and one for every undecided sighting.
 
@@ -39,17 +40,18 @@ from nls.sonar.contacts.anchors import anchored
 from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances, two_pings
-from nls.sonar.contacts.halves import halves
+from nls.sonar.contacts.loops import closed
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.splitting import split
+from nls.sonar.contacts.stretches import stretches
 from nls.stages import announce
 from nls.values import Values
 
 __all__ = ["Associated", "associate"]
 
-PINGS = 150  # more are halved first
+PINGS = 150  # of a stretch, at most
 NARROW = 2.0  # the widest innovations of the first rounds, in sigmas of the sensor
 WIDER = 2.0  # times as wide are those of the next rounds
 LAGS = 3  # pings after one in which its sightings are looked for before anything is solved
@@ -137,7 +139,7 @@ def associate(
     kind : of the landmarks.
     least : sightings that make a landmark; fewer stay undecided.
     probability : with which a right pairing is within its gate.
-    rounds : at most, of the whole and of each half.
+    rounds : at most, of the whole and of each stretch.
 
     Returns
     -------
@@ -174,8 +176,14 @@ def associate(
     pings = Pings.of(sightings, values, kind, aperture)
     gate = chi2_gate(measured_numbers(pings), probability)
     pieces = _linked(pings, graph, values, gate)
-    reckoned = graph.optimize(values).values
-    history, poses, settled = _rounds(pings, graph, reckoned, pieces, least, probability, rounds)
+    poses, tracks = graph.optimize(values).values, pieces.copy()
+    if len(pings.poses) > PINGS:
+        for rows, part, between, start in stretches(pings, graph, poses, PINGS):
+            linked_there = of.renamed(pieces[rows])
+            of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, least, probability, rounds, True)
+            tracks[rows] = rows[of_stretch[-1]]
+        tracks, poses = closed(pings, graph, poses, tracks, least, probability)
+    history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, least, probability, rounds)
     return _associated(pings, graph, poses, history, least, gate, settled)
 
 
@@ -183,23 +191,17 @@ def _rounds(
     pings: Pings,
     graph: FactorGraph,
     values: Values,
+    tracks: Index,
     pieces: Index,
     least: int,
     probability: float,
     rounds: int,
-    half: bool = False,
+    part: bool = False,
 ) -> tuple[list[Index], Values, bool]:
     """Tracks (n,) after every round, poses by them, and whether the last round changed next to nothing.
 
-    Rounds begin with the tracks of both halves, and with the pieces (n,) where there are few pings. Sightings that are
-    still open in the end are decided in the whole alone, not in a `half`.
+    Sightings that are still open in the end are decided in the whole alone, not in a `part` of it.
     """
-    tracks = pieces.copy()
-    if len(pings.poses) > PINGS:
-        for rows, part, between, start in halves(pings, graph, values):
-            linked_there = of.renamed(pieces[rows])
-            of_half, *_ = _rounds(part, between, start, linked_there, least, probability, rounds, half=True)
-            tracks[rows] = rows[of_half[-1]]
     gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
     widest, complete, last, settled = NARROW, False, False, False
@@ -218,7 +220,7 @@ def _rounds(
         few = np.mean(joined != tracks) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), alone)
         expelled += alone | leaving
-        settled = bool(few and complete and (last or half))
+        settled = bool(few and complete and (last or part))
         if few and not complete:
             widest *= WIDER
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
@@ -226,7 +228,7 @@ def _rounds(
             expelled[:] = 0
         history.append(tracks)
         decided = np.count_nonzero(of.sizes(tracks) >= least)
-        announce(f"{decided:,} of {len(tracks):,} contacts are of landmarks" + " in a part of the mission" * half)
+        announce(f"{decided:,} of {len(tracks):,} contacts are of landmarks" + " in a part of the mission" * part)
     return history, without(poses, pings.kind), settled
 
 

@@ -1,6 +1,6 @@
-"""Halves of a long mission: pings that follow one another, and the measurements between their poses alone.
+"""Stretches of a long mission: pings that follow one another, and the measurements between their poses alone.
 
-Dead reckoning drifts with the way. Within a half it has drifted less, and a target has fewer others beside it.
+Dead reckoning drifts with the way. Within a stretch it has drifted little, and a target has few others beside it.
 """
 
 from __future__ import annotations
@@ -20,25 +20,31 @@ from nls.sparse.components import firsts
 from nls.starts.parts import Parts
 from nls.values import Stack, Values
 
-__all__ = ["halves"]
+__all__ = ["stretches"]
 
 
-def halves(pings: Pings, graph: FactorGraph, values: Values) -> Iterator[tuple[Index, Pings, FactorGraph, Values]]:
-    """The first and the second half of the pings, each with the poses up to the other.
+def stretches(
+    pings: Pings, graph: FactorGraph, values: Values, longest: int
+) -> Iterator[tuple[Index, Pings, FactorGraph, Values]]:
+    """All stretches of the pings, as long as one another, each with the poses up to the next.
 
     Parameters
     ----------
     pings : of a mission.
     graph, values : its other measurements, and their optimum.
+    longest : pings of a stretch, at most.
 
     Yields
     ------
-    sightings (k,) of a half by their place among all, the same as pings, and a graph with values. Held are its first
+    sightings (k,) of a stretch by their place among all, the same as pings, and a graph with values. Held are its first
     pose, or the first of every component, and all that is no pose.
     """
     parts, poses, number = Parts(graph, values), values.stack(pings.poses.kind), pings.poses.numbers
-    middle = number[len(number) // 2]
-    for inside, of_half in ((poses.numbers < middle, number < middle), (poses.numbers >= middle, number >= middle)):
+    count = -(-len(number) // longest)
+    bounds = number[np.arange(1, count) * len(number) // count]
+    of_pose, of_ping = (np.searchsorted(bounds, numbers, side="right") for numbers in (poses.numbers, number))
+    for stretch in range(count):
+        inside = of_pose == stretch
         within, across = {poses.kind: inside}, {poses.kind: ~inside}
         measurements = [parts.any(k, within) & ~parts.any(k, across) for k in range(len(graph.factors))]
         held = {kind: np.full(len(stack), kind != poses.kind) for kind, stack in values.stacks.items()}
@@ -49,7 +55,7 @@ def halves(pings: Pings, graph: FactorGraph, values: Values) -> Iterator[tuple[I
         own = Stack(poses.kind, poses.manifold, poses.X[mine], poses.numbers[mine])
         start = Values.of([own, *without(touched, Kind(poses.kind)).stacks.values()])
         part.fix(_first_poses(part, start, own))
-        rows = np.flatnonzero(of_half[pings.ping])
+        rows = np.flatnonzero(of_ping[pings.ping] == stretch)
         sightings = pings.sightings[rows]
         assert isinstance(sightings, Sighting)
         yield rows, Pings.of(sightings, start, pings.kind, 2 * pings.limit or None), part, start

@@ -1,4 +1,4 @@
-"""Halves of a mission: all sightings once, and only measurements between the poses of each."""
+"""Stretches of a mission: all sightings once, and only measurements between the poses of each."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from models import R
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.sonar.contacts import associate
-from nls.sonar.contacts.halves import halves
+from nls.sonar.contacts.stretches import stretches
 from tests.nls.sonar.contacts.scenes import floor, in_plane
 
 x, l, m = kinds("x", "l", "m")
 
 
-def test_every_sighting_and_its_ping_is_in_one_half() -> None:
+def test_every_sighting_and_its_ping_is_in_one_stretch() -> None:
     scene = floor()
     pings = scene.pings
-    parts = list(halves(pings, scene.graph, scene.values))
+    parts = list(stretches(pings, scene.graph, scene.values, -(-len(pings.poses) // 3)))
     rows = [rows for rows, *_ in parts]
     np.testing.assert_array_equal(np.sort(np.concatenate(rows)), np.arange(len(pings)))
-    assert pings.ping[rows[0]].max() + 1 == pings.ping[rows[1]].min() == len(pings.poses) // 2
-    for of_half, part, _, values in parts:
-        np.testing.assert_array_equal(part.sightings.keys[0].numbers, scene.sightings.keys[0].numbers[of_half])
-        np.testing.assert_array_equal(part.points, pings.points[of_half])
+    assert len(parts) == 3
+    assert pings.ping[rows[0]].max() + 1 == pings.ping[rows[1]].min() == len(pings.poses) // 3
+    for of_stretch, part, _, values in parts:
+        np.testing.assert_array_equal(part.sightings.keys[0].numbers, scene.sightings.keys[0].numbers[of_stretch])
+        np.testing.assert_array_equal(part.points, pings.points[of_stretch])
         assert part.limit == pings.limit
         np.testing.assert_array_equal(values[x], scene.values[x[values.stack("x").numbers]])
 
 
-def test_measurements_between_halves_are_in_none() -> None:
+def test_measurements_between_stretches_are_in_none() -> None:
     scene = floor()
     pings = scene.pings
-    (*_, first, early), (*_, second, late) = halves(pings, scene.graph, scene.values)
+    (*_, first, early), (*_, second, late) = stretches(pings, scene.graph, scene.values, -(-len(pings.poses) // 2))
     assert len(scene.graph) - len(first) - len(second) == 1  # the odometry from the one to the other
     assert len(early.stack("x")) + len(late.stack("x")) == len(scene.values.stack("x"))
     for graph, values in ((first, early), (second, late)):
@@ -44,7 +45,7 @@ def test_measurements_between_halves_are_in_none() -> None:
 
 
 def test_the_first_pose_of_every_component_is_held_and_all_other_unknowns() -> None:
-    """Odometry is missing after the first pose of the second half; a scale is shared by both halves."""
+    """Odometry is missing after the first pose of the second stretch; a scale is shared by both."""
     scene = in_plane()
     pings = scene.pings
     gap = int(pings.poses.numbers[len(pings.poses) // 2])
@@ -52,7 +53,7 @@ def test_the_first_pose_of_every_component_is_held_and_all_other_unknowns() -> N
     rest = [factor for factor in scene.graph.factors if factor is not odometry]
     graph = FactorGraph([*rest, odometry[odometry.keys[0].numbers != gap], Prior(m[0], [0.5], Isotropic(0.1))])
     values = Values.of([*scene.values.stacks.values(), Values({m: (R(1), [0.0])}).stack("m")])
-    *_, (_, _, part, late) = halves(pings, graph, values)
+    *_, (_, _, part, late) = stretches(pings, graph, values, -(-len(pings.poses) // 2))
     held = {
         keys.kind: sorted(np.concatenate([k.numbers for k in part.fixed if k.kind == keys.kind])) for keys in part.fixed
     }
@@ -61,7 +62,7 @@ def test_the_first_pose_of_every_component_is_held_and_all_other_unknowns() -> N
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.1])
-def test_halves_of_halves_lead_to_the_same_pairs(monkeypatch: pytest.MonkeyPatch, outliers: float) -> None:
+def test_stretches_lead_to_the_same_pairs(monkeypatch: pytest.MonkeyPatch, outliers: float) -> None:
     scene = floor(1, outliers)
     whole = associate(scene.graph, scene.values, scene.sightings, scene.aperture)
     monkeypatch.setattr(import_module("nls.sonar.contacts.associate"), "PINGS", len(scene.values) // 4)

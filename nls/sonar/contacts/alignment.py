@@ -1,0 +1,219 @@
+r"""Where one local map lies on another: the motion that brings most of their landmarks together.
+
+Landmark i of map a and landmark j of map b are in the frame of the anchor of b. After a motion delta of that anchor
+they differ by r_ij, and J_j is its Jacobian:
+
+    r_ij = Exp(delta) p_j - p_i,    J_j = [I, -[p_j]x],    d^2_ij = r_ij' (C_i + C_j)^-1 r_ij
+
+delta has the covariance Sigma = S S' by all that is known. A grid of turns, and the shift that most pairs vote for,
+give motions to begin with. Least squares over matches moves each of them, and the one with most matches is best. A
+match is a pair within the gate, of two landmarks that are nearest to each other.
+
+Dense maps match by chance, wherever they lie. So the maps are shifted a little way off, and matched again. An alignment
+is sure where it has many more matches than any of these.
+
+Sources: E. Olson, "Real-time correlative scan matching", ICRA 2009, for the search by votes; J. Neira, J. D. Tardos,
+"Data association in stochastic mapping using the joint compatibility test", IEEE Transactions on Robotics and
+Automation 17, 2001, for matches that are right together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product as every
+from math import ceil, pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from models import LieGroup
+from models.algebra import Array, Index, Mask, product
+from models.sensors import point_in_frame
+from nls.analysis.chi_squared import mahalanobis
+from nls.sonar.contacts.estimate import KERNEL
+from nls.sonar.contacts.maps import Points
+
+__all__ = ["WIDE", "Alignment", "aligned"]
+
+LEAST = 10  # matches
+BEYOND = 4.0  # times the square root of the matches by chance: so many more make an alignment sure
+SIGMAS = 3.0  # of the turn that are searched
+WORK = 500_000  # pairs times turns; a motion that is known so poorly waits for that of other maps
+PEAKS = 6  # motions to begin with
+NEAREST = 8  # landmarks of the other map that are looked at for each
+WIDE = 4.0  # times the gate, for the first matches
+AWAY = 6.0, 9.0  # cells by which maps are shifted to see what matches by chance
+DIRECTIONS = 8
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A motion of map b, on the right of its anchor.
+
+    Attributes
+    ----------
+    delta : (d,) the motion.
+    Omega : (d, d) its information, by the matches.
+    matches : how many landmarks of one map match one of the other.
+    chance : the most that match after a shift.
+    i, j, d2 : (k,) landmarks of a and of b within the gate, and their squared distance.
+    """
+
+    delta: Array
+    Omega: Array
+    matches: int
+    chance: int
+    i: Index
+    j: Index
+    d2: Array
+
+    @property
+    def sure(self) -> bool:
+        """Whether no shift matches nearly as many."""
+        return self.matches >= LEAST and self.matches > self.chance + BEYOND * sqrt(self.chance)
+
+
+def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) -> Alignment | None:
+    """The alignment of map b with map a; None where too few landmarks may match, or the motion is known too poorly.
+
+    Parameters
+    ----------
+    group : of the motion.
+    a, b : landmarks of both, in the frame of the anchor of b.
+    Sigma : (m, m) covariance of the motion.
+    gate : bound on d^2.
+    """
+    if min(len(a.p), len(b.p)) < LEAST:
+        return None
+    maps = _Maps(group, a, b, gate)
+    w, V = np.linalg.eigh(Sigma)
+    S = V * np.sqrt(np.maximum(w, 0.0))
+    fits = [maps.fitted(start, S) for start in maps.starts(Sigma)]
+    if not fits or (best := max(fits, key=lambda fit: fit[2]))[2] < LEAST:
+        return None
+    i, j, _, _, d2 = maps.within(best[0], gate)
+    alignment = Alignment(*best, 0, i, j, d2)
+    for shift in maps.shifts():
+        fits.append(maps.fitted(best[0] + shift, S))
+        others = [n for delta, _, n in fits if np.linalg.norm(maps.J.mean(axis=0) @ (delta - best[0])) > 2 * maps.cell]
+        alignment = Alignment(*best, max(others, default=0), i, j, d2)
+        if not alignment.sure:
+            break
+    return alignment
+
+
+@dataclass(frozen=True)
+class _Maps:
+    """Maps a and b in one frame, the group of its motions, and the gate."""
+
+    group: LieGroup
+    a: Points
+    b: Points
+    gate: float
+
+    @cached_property
+    def J(self) -> Array:
+        """Jacobians (k, d, m) of the landmarks of b by a motion."""
+        return np.asarray(-point_in_frame(self.group, self.group.identity(len(self.b.p)), self.b.p)[1][0])
+
+    @cached_property
+    def tree(self) -> Any:
+        """Of the landmarks of a."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.a.p)
+
+    @cached_property
+    def cell(self) -> float:
+        """Two sigmas of the distance of two landmarks, along one axis, m."""
+        return 2 * sqrt(
+            sum(float(np.median(np.trace(C, axis1=1, axis2=2))) for _, C in (self.a, self.b)) / len(self.J[0])
+        )
+
+    def within(self, delta: Array, bound: float) -> tuple[Index, Index, Array, Array, Array]:
+        """Landmarks i (q,) of a and j (q,) of b with d^2 below a bound; r (q, d), its information (q, d, d), d^2."""
+        moved = self.group.act(self.group.exp(delta[None]), self.b.p)
+        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(WIDE * self.gate) * self.cell)
+        j, column = np.nonzero(np.isfinite(distance))
+        i = near[j, column]
+        r, W = moved[j] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
+        d2 = np.asarray((r * (W @ r[..., None])[..., 0]).sum(axis=1))
+        inside = d2 < bound
+        return i[inside], j[inside], r[inside], W[inside], d2[inside]
+
+    def fitted(self, start: Array, S: Array) -> tuple[Array, Array, int]:
+        """The motion near a start whose matches fit best, its information by them, and how many these are.
+
+        S S' is the covariance of the motion about the start.
+        """
+        delta, Omega, n = start, np.zeros((len(S), len(S))), 0
+        for bound in (WIDE * self.gate, WIDE * self.gate, self.gate, self.gate, self.gate):
+            i, j, r, W, d2 = self.within(delta, bound)
+            match = _least(i, d2) & _least(j, d2)
+            n, J = int(np.count_nonzero(match)), self.J[j[match]]
+            WJ = KERNEL.weight(d2[match])[:, None, None] * product(W[match], J)
+            r = r[match] - J @ (delta - start)
+            Omega, pull = product(J.mT, WJ).sum(axis=0), (WJ.mT @ r[..., None]).sum(axis=0)[:, 0]
+            delta = start - S @ np.linalg.solve(S.T @ Omega @ S + np.eye(len(S)), S.T @ pull)
+        return delta, Omega, n
+
+    def starts(self, Sigma: Array) -> list[Array]:
+        """Motions (m,) to begin with: turns, with the shifts most pairs vote for; none where that is much to try."""
+        a, b, J, k = self.a, self.b, self.J, self.a.p.shape[1]
+        extent = float(np.linalg.norm(b.p - b.p.mean(axis=0), axis=1).max())
+        turns = _turns(Sigma[k:, k:], self.cell / extent)
+        spread = J @ Sigma @ J.mT
+        reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
+        if self.tree.count_neighbors(type(self.tree)(b.p), reach) * len(turns) > WORK:
+            return []
+        pairs = self.tree.sparse_distance_matrix(type(self.tree)(b.p), reach, output_type="ndarray")
+        i, j = pairs["i"], pairs["j"]
+        e = b.p[j] - a.p[i]
+        possible = mahalanobis(e, spread[j] + a.C[i] + b.C[j]) < self.gate
+        e, J = e[possible], J[j[possible]]
+        gain = Sigma[:k, k:] @ np.linalg.pinv(Sigma[k:, k:], hermitian=True)
+        M = Sigma[:k, :k] - gain @ Sigma[k:, :k] + self.cell**2 * np.eye(k)
+        motions: list[Array] = []
+        votes: list[int] = []
+        for turn in turns:
+            delta = np.concatenate([gain @ turn, turn])
+            r = e + J @ delta
+            r = r[mahalanobis(r, M) < self.gate]
+            if not len(r):
+                continue
+            for aside in (0.0, 0.5):  # the cells of one grid lie over the corners of the other
+                cells = np.floor(r / (2 * self.cell) + aside).astype(np.intp)
+                low = cells.min(axis=0)
+                shape = cells.max(axis=0) - low + 1
+                cell, count = np.unique(np.ravel_multi_index(tuple((cells - low).T), shape), return_counts=True)
+                best = int(count.argmax())
+                shift = (np.array(np.unravel_index(cell[best], shape)) + low + 0.5 - aside) * 2 * self.cell
+                motions.append(np.concatenate([delta[:k] - shift, turn]))
+                votes.append(int(count[best]))
+        return [motions[n] for n in np.argsort(-np.array(votes), kind="stable")[:PEAKS]]
+
+    def shifts(self) -> list[Array]:
+        """Motions (m,) that shift map b a little way, along the two axes of its largest extent."""
+        b, (_, k, m) = self.b.p, self.J.shape
+        x, y = np.linalg.svd(b - b.mean(axis=0), full_matrices=False)[2][:2]
+        angles = np.arange(DIRECTIONS) * 2 * pi / DIRECTIONS
+        return [
+            np.pad(away * self.cell * (np.cos(angle) * x + np.sin(angle) * y), (0, m - k))
+            for angle, away in every(angles, AWAY)
+        ]
+
+
+def _least(landmark: Index, d2: Array) -> Mask:
+    """Which pairs (q,) are the nearest of their landmark (q,)."""
+    least = np.full(int(landmark.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(least, landmark, d2)
+    return np.asarray(d2 == least[landmark])
+
+
+def _turns(Sigma: Array, step: float) -> Array:
+    """Turns (n, r) within the covariance (r, r), in steps along the axes of it that are longer than one."""
+    w, V = np.linalg.eigh(Sigma)
+    most = SIGMAS * np.sqrt(np.maximum(w, 0.0))
+    axes = [np.linspace(-s, s, 2 * ceil(s / step) + 1) if s > step else np.zeros(1) for s in most]
+    return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(w)) @ V.T)

@@ -1,0 +1,79 @@
+"""Local maps: the landmarks of every stretch of pings, as its anchor sees them, the pose in its middle.
+
+Beside its anchor a landmark is known well, wherever dead reckoning has gone. How well two maps are known beside each
+other is the covariance of the motion between their anchors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from factors.keys import Keys
+from models import LieGroup
+from models.algebra import Array, Index, congruence
+from nls.covariance import Marginals
+from nls.covariance.frames import of_motions
+from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.anchors import of_points
+from nls.sonar.contacts.estimate import Estimate
+from nls.sonar.contacts.places import Pings
+
+__all__ = ["Maps", "Points", "local_maps"]
+
+
+class Points(NamedTuple):
+    """Points p (k, d) in one frame, m, and their covariances C (k, d, d) beside the anchor of their map, m^2."""
+
+    p: Array
+    C: Array
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Local maps of stretches.
+
+    Attributes
+    ----------
+    group : of the poses.
+    anchors, X : (s,) poses and (s, size) where they are.
+    Sigma : (s, s, d, d) their joint covariance, in the axes of the bodies.
+    tracks, stretch : (k,) name of each landmark, and its stretch.
+    points : (k,) landmarks in the world.
+    """
+
+    group: LieGroup
+    anchors: Keys
+    X: Array
+    Sigma: Array
+    tracks: Index
+    stretch: Index
+    points: Points
+
+    def seen_from(self, anchor: int, stretch: int) -> Points:
+        """The landmarks of a stretch in the frame of an anchor."""
+        which, X = self.stretch == stretch, self.X[[anchor]]
+        p, R = self.group.act(self.group.inverse(X), self.points.p[which]), self.group.rotation(X)
+        return Points(p, congruence(R.mT, self.points.C[which]))
+
+    def motions(self, a: Index, b: Index) -> Array:
+        """Covariances (n, d, d) of the motions from anchors a (n,) to b (n,), in the axes of b."""
+        Sigma = self.Sigma
+        return of_motions(self.group, self.group.between(self.X[a], self.X[b]), Sigma[a, a], Sigma[a, b], Sigma[b, b])
+
+
+def local_maps(pings: Pings, estimate: Estimate, longest: int, least: int) -> Maps:
+    """Maps of stretches of so many pings at most, with the landmarks of at least so many sightings."""
+    m, tracks = len(pings.poses), estimate.tracks
+    count = -(-m // longest)
+    bounds = np.arange(count + 1) * m // count
+    anchors = pings.poses[(bounds[:-1] + bounds[1:]) // 2]
+    landmarks = np.unique(tracks[of.sizes(tracks) >= least])
+    stretch = np.searchsorted(bounds, pings.ping[landmarks], side="right") - 1
+    keys = anchors[stretch], pings.kind[landmarks]
+    marginals = Marginals(estimate.graph, estimate.values, pairs=[keys])
+    Sigma = marginals.joint(anchors, frame="body").matrix.reshape(count, pings.group.dim, count, pings.group.dim)
+    points = Points(estimate.values[keys[1]], of_points(pings.group, marginals, *keys))
+    return Maps(pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), landmarks, stretch, points)
