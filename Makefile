@@ -16,7 +16,7 @@ demo: .venv/installed ## simulate a graph, solve it, draw it: see the folder dem
 	$(DEMO)
 
 test: lint ## lint, then all tests and the examples in the docstrings
-	.venv/bin/pytest -n auto
+	.venv/bin/pytest -n auto --dist worksteal # neighbors in one process, which share what a module computes once
 
 lint: .venv/installed ## formatting, ruff, mypy
 	.venv/bin/ruff format --check

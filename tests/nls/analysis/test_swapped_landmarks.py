@@ -79,8 +79,8 @@ def test_wholly_exchanged_where_they_are_known() -> None:
 
 def test_contacts_of_a_sonar_in_space() -> None:
     """Two pairs in two images, whose hinges go with them; a false contact is none."""
-    mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=6)
-    spoiled = sim.exchange_contacts(mission, 0.006, np.random.default_rng(1))
+    mission = sim.hauv_floor(np.random.default_rng(1), legs=2, per_leg=4)
+    spoiled = sim.exchange_contacts(mission, 0.008, np.random.default_rng(1))
     swaps = named(spoiled.graph, spoiled.start)
     target = mission.contacts.keys[1].numbers[spoiled.wrong]
     assert {int(key.numbers[0]) for swap in swaps for key in (swap.first, swap.second)} == set(target.tolist())

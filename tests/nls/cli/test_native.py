@@ -22,8 +22,7 @@ WORLDS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.mark.parametrize("form", ["npz", "json"])
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize(("name", "form"), [*zip(WORLDS, ["npz", "json"] * 2, strict=True)])
 def test_every_command_takes_it(name: str, form: str, shell: Shell) -> None:
     world = WORLDS[name]()
     file = f"world.{form}"

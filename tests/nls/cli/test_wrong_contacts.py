@@ -19,10 +19,10 @@ from tests.nls.cli.shell import Shell, row
 
 
 @cache
-def mission(outliers: float = 0.0, exchanged: float = 0.0) -> sim.Mission:
+def mission(outliers: float = 0.0, exchanged: float = 0.0, per_leg: int = 8) -> sim.Mission:
     """A small mission over the sea floor."""
     rng = np.random.default_rng(1)
-    return sim.hauv_floor(rng, legs=2, per_leg=12, outliers=outliers, wrong_associations=exchanged)
+    return sim.hauv_floor(rng, legs=2, per_leg=per_leg, outliers=outliers, wrong_associations=exchanged)
 
 
 def written(folder: Path, given: sim.Mission) -> None:
@@ -80,7 +80,7 @@ def test_all_contacts_are_believed_on_request(shell: Shell) -> None:
 
 
 def test_graduation_judges_the_contacts_of_a_mission(shell: Shell) -> None:
-    given = mission(outliers=0.1)
+    given = mission(outliers=0.1, per_leg=12)
     written(shell / "m", given)
     out, report = both(shell, "solve m --robust gnc-tls:0.999")
     assert (report["init"], report["doubted"], report["probability"]) == ("gnc-tls:0.999", len(given.contacts), 0.999)
