@@ -1,7 +1,6 @@
 """Configuration of the site; `make docs` builds it with every warning fatal."""
 
 import os
-import re
 import sys
 import tomllib
 from importlib.metadata import version as installed_version
@@ -12,7 +11,6 @@ from docutils.nodes import document
 from docutils.parsers.rst.states import Inliner
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
-from sphinx.util.parallel import make_chunks
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # nls in shell cells
@@ -96,15 +94,9 @@ mathjax3_config = {
 
 
 # --- pages are read in parallel: make docs passes -j ---
-CODE = re.compile(r'"cell_type": "code"|\{code-cell\}|\{made-figure\}|^\.\. auto\w+:: ', flags=re.MULTILINE)
-
-
 def spread(app: Sphinx, env: BuildEnvironment, docnames: list[str]) -> None:
-    """Pages with much code, which takes time, are dealt to the runs of pages that the processes read first."""
-    code = {name: len(CODE.findall(env.doc2path(name).read_text(encoding="utf-8"))) for name in docnames}
-    ordered, hands = sorted(docnames, key=lambda name: -code[name]), app.parallel
-    dealt = sum(map(len, make_chunks(ordered, hands)[:hands]))
-    docnames[:] = [name for hand in range(hands) for name in ordered[hand:dealt:hands]] + ordered[dealt:]
+    """Every fourth page together: a process is handed neighbors, and the slow ones, notebooks, are neighbors."""
+    docnames[:] = [name for first in range(4) for name in docnames[first::4]]
 
 
 # --- tables of measurements and the first page want the room that the contents of a page take ---
