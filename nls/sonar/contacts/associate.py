@@ -157,7 +157,7 @@ def associate(
     Notes
     -----
     A round costs one solution with its covariances. Sightings are compared with what is near, found by trees. The cost
-    of covariances grows faster than the mission: three times the sightings over a floor take five times as long.
+    of covariances grows faster than the mission: three times the sightings over a floor take four times as long.
 
     Examples
     --------
