@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product as every
-from math import ceil, pi, sqrt
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ NEAREST = 8  # landmarks of the other map that are looked at for each
 WIDE = 4.0  # times the gate, for the first matches
 AWAY = 6.0, 9.0  # cells by which maps are shifted to see what matches by chance
 DIRECTIONS = 8
+BITS = 1 << 21  # cells along an axis, so that the name of a cell is one whole number
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ class _Maps:
         turns = _turns(Sigma[k:, k:], self.cell / extent)
         spread = J @ Sigma @ J.mT
         reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
-        if self.tree.count_neighbors(type(self.tree)(b.p), reach) * len(turns) > WORK:
+        if not len(turns) or self.tree.count_neighbors(type(self.tree)(b.p), reach) * len(turns) > WORK:
             return []
         pairs = self.tree.sparse_distance_matrix(type(self.tree)(b.p), reach, output_type="ndarray")
         i, j = pairs["i"], pairs["j"]
@@ -184,11 +185,10 @@ class _Maps:
                 continue
             for aside in (0.0, 0.5):  # the cells of one grid lie over the corners of the other
                 cells = np.floor(r / (2 * self.cell) + aside).astype(np.intp)
-                low = cells.min(axis=0)
-                shape = cells.max(axis=0) - low + 1
-                cell, count = np.unique(np.ravel_multi_index(tuple((cells - low).T), shape), return_counts=True)
+                names = ((cells - cells.min(axis=0)) % BITS) @ (BITS ** np.arange(k)[::-1])
+                _, first, count = np.unique(names, return_index=True, return_counts=True)
                 best = int(count.argmax())
-                shift = (np.array(np.unravel_index(cell[best], shape)) + low + 0.5 - aside) * 2 * self.cell
+                shift = (cells[first[best]] + 0.5 - aside) * 2 * self.cell
                 motions.append(np.concatenate([delta[:k] - shift, turn]))
                 votes.append(int(count[best]))
         return [motions[n] for n in np.argsort(-np.array(votes), kind="stable")[:PEAKS]]
@@ -212,8 +212,11 @@ def _least(landmark: Index, d2: Array) -> Mask:
 
 
 def _turns(Sigma: Array, step: float) -> Array:
-    """Turns (n, r) within the covariance (r, r), in steps along the axes of it that are longer than one."""
+    """Turns (n, r) within the covariance (r, r), in steps along its axes that are longer; none where they are many."""
     w, V = np.linalg.eigh(Sigma)
     most = SIGMAS * np.sqrt(np.maximum(w, 0.0))
-    axes = [np.linspace(-s, s, 2 * ceil(s / step) + 1) if s > step else np.zeros(1) for s in most]
+    steps = np.where(most > step, np.ceil(most / step), 0.0)
+    if np.prod(2 * steps + 1) > WORK:
+        return np.zeros((0, len(w)))
+    axes = [np.linspace(-s, s, 2 * int(n) + 1) if n else np.zeros(1) for s, n in zip(most, steps, strict=True)]
     return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(w)) @ V.T)

@@ -71,6 +71,9 @@ def test_a_grid_of_landmarks_has_many_places() -> None:
 
 def test_a_motion_that_nobody_knows_waits() -> None:
     group, a, b, Sigma, gate = two_maps("plane", 80)
-    assert aligned(group, a, b, 1e4 * Sigma, gate) is None
+    for times in (1e4, 1e12):
+        assert aligned(group, a, b, times * Sigma, gate) is None
+    thin = [Points(points.p, 1e-20 * points.C) for points in (a, b)]  # cells are many, and nothing matches
+    assert aligned(group, *thin, Sigma, gate) is None
     few = [Points(points.p[:9], points.C[:9]) for points in (a, b)]
     assert aligned(group, *few, Sigma, gate) is None
