@@ -63,6 +63,7 @@ Inliner.dispatch["|"] = lambda self, match, lineno: (
 html_theme = "sphinx_book_theme"
 html_title = f"leadline {release}"
 html_static_path = ["_static"]
+html_favicon = "_static/favicon.svg"
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
