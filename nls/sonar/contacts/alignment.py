@@ -19,8 +19,9 @@ Automation 17, 2001, for matches that are right together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from itertools import product as every
 from math import pi, sqrt
 from typing import Any
@@ -32,6 +33,7 @@ from models.algebra import Array, Index, Mask, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
 from nls.sonar.contacts.estimate import KERNEL
+from nls.sonar.contacts.gates import quadratic
 from nls.sonar.contacts.maps import Points
 
 __all__ = ["WIDE", "Alignment", "aligned"]
@@ -94,11 +96,10 @@ def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) ->
     if not fits or (best := max(fits, key=lambda fit: fit[2]))[2] < LEAST:
         return None
     i, j, _, _, d2 = maps.within(best[0], gate)
-    alignment = Alignment(*best, 0, i, j, d2)
-    for shift in maps.shifts():
-        fits.append(maps.fitted(best[0] + shift, S))
-        others = [n for delta, _, n in fits if np.linalg.norm(maps.J.mean(axis=0) @ (delta - best[0])) > 2 * maps.cell]
-        alignment = Alignment(*best, max(others, default=0), i, j, d2)
+    alignment, middle = Alignment(*best, 0, i, j, d2), maps.J.mean(axis=0)
+    for delta, _, n in chain(fits, (maps.fitted(best[0] + shift, S) for shift in maps.shifts())):
+        if n > alignment.chance and np.linalg.norm(middle @ (delta - best[0])) > 2 * maps.cell:
+            alignment = replace(alignment, chance=n)
         if not alignment.sure:
             break
     return alignment
@@ -139,7 +140,7 @@ class _Maps:
         j, column = np.nonzero(np.isfinite(distance))
         i = near[j, column]
         r, W = moved[j] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
-        d2 = np.asarray((r * (W @ r[..., None])[..., 0]).sum(axis=1))
+        d2 = quadratic(r, W)
         inside = d2 < bound
         return i[inside], j[inside], r[inside], W[inside], d2[inside]
 
@@ -166,9 +167,10 @@ class _Maps:
         turns = _turns(Sigma[k:, k:], self.cell / extent)
         spread = J @ Sigma @ J.mT
         reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
-        if not len(turns) or self.tree.count_neighbors(type(self.tree)(b.p), reach) * len(turns) > WORK:
+        other = type(self.tree)(b.p)
+        if not len(turns) or self.tree.count_neighbors(other, reach) * len(turns) > WORK:
             return []
-        pairs = self.tree.sparse_distance_matrix(type(self.tree)(b.p), reach, output_type="ndarray")
+        pairs = self.tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = pairs["i"], pairs["j"]
         e = b.p[j] - a.p[i]
         possible = mahalanobis(e, spread[j] + a.C[i] + b.C[j]) < self.gate

@@ -72,7 +72,7 @@ def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, S
 
 def _least(b: Array, M: Array) -> Array:
     """Least b' M b (k,) on the lines between neighbors of points b (k, K, m), by the M (k, K, m, m) of the best."""
-    d2 = _quadratic(b, M)
+    d2 = quadratic(b, M)
     pair, best = np.arange(len(b)), d2.argmin(axis=1)
     least, a, M = d2[pair, best], b[pair, best], M[pair, best]
     for step in (-1, 1):
@@ -80,7 +80,7 @@ def _least(b: Array, M: Array) -> Array:
         Mu = (M @ u[..., None])[..., 0]
         length = (u * Mu).sum(axis=1)
         t = np.clip(-(a * Mu).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        least = np.minimum(least, _quadratic(a + t[:, None] * u, M))
+        least = np.minimum(least, quadratic(a + t[:, None] * u, M))
     return np.asarray(least)
 
 
@@ -156,7 +156,7 @@ def _bounds(groups: Index) -> Index:
     return np.flatnonzero(np.concatenate([[True], groups[1:] != groups[:-1], [True]]))
 
 
-def _quadratic(b: Array, M: Array) -> Array:
+def quadratic(b: Array, M: Array) -> Array:
     """b' M b of stacks."""
     return np.asarray((b * (M @ b[..., None])[..., 0]).sum(axis=-1))
 

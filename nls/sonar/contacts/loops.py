@@ -22,6 +22,7 @@ from nls.sonar.contacts.alignment import WIDE, aligned
 from nls.sonar.contacts.estimate import FIRST, KERNEL, estimated, without
 from nls.sonar.contacts.maps import Maps, local_maps
 from nls.sonar.contacts.merging import merged
+from nls.sonar.contacts.pairs import largest_variances
 from nls.sonar.contacts.places import Pings
 from nls.stages import announce
 from nls.values import Values
@@ -77,14 +78,15 @@ def closed(
         if settled or not loops:
             break
         a, b = np.array([*loops]).T
-        Z, Omega = (np.stack([getattr(loop, name) for loop in loops.values()]) for name in ("motion", "Omega"))
-        between = Between(maps.anchors[a], maps.anchors[b], Z, Robust(Information(Omega), KERNEL))
+        Z, Omega, *_ = zip(*loops.values(), strict=True)
+        noise = Robust(Information(np.stack(Omega)), KERNEL)
+        between = Between(maps.anchors[a], maps.anchors[b], np.stack(Z), noise)
         looped = FactorGraph([*graph.factors, between], graph.fixed)
         poses = looped.optimize(without(estimate.values, pings.kind)).values
         estimate = estimated(pings, looped, poses, tracks)
         announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
     if loops:
-        i, j, d2 = (np.concatenate([getattr(loop, name) for loop in loops.values()]) for name in ("i", "j", "d2"))
+        i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
         both = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([d2, d2])
         tracks = merged(tracks, pings.ping, *both, gate)
     return tracks, without(estimate.values, pings.kind)
@@ -123,7 +125,7 @@ def _near(maps: Maps, gate: float) -> Iterator[tuple[tuple[int, int], Array]]:
     np.maximum.at(radius, maps.stretch, np.linalg.norm(p - middle[maps.stretch], axis=1))
     a, b = np.triu_indices(count, 1)
     Sigma = maps.motions(a, b)
-    position, turn = (np.sqrt(np.linalg.eigvalsh(block)[:, -1]) for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
+    position, turn = map(np.sqrt, largest_variances(Sigma, k))
     reach = radius[a] + radius[b] + np.sqrt(gate) * (position + 2 * radius[b] * turn)
     for n in np.flatnonzero(np.linalg.norm(middle[a] - middle[b], axis=1) < reach):
         yield (int(a[n]), int(b[n])), Sigma[n]

@@ -20,6 +20,7 @@ from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.anchors import of_points
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
+from nls.sonar.contacts.stretches import bounds
 
 __all__ = ["Maps", "Points", "local_maps"]
 
@@ -66,14 +67,13 @@ class Maps:
 
 def local_maps(pings: Pings, estimate: Estimate, longest: int, least: int) -> Maps:
     """Maps of stretches of so many pings at most, with the landmarks of at least so many sightings."""
-    m, tracks = len(pings.poses), estimate.tracks
-    count = -(-m // longest)
-    bounds = np.arange(count + 1) * m // count
-    anchors = pings.poses[(bounds[:-1] + bounds[1:]) // 2]
+    tracks, begin = estimate.tracks, bounds(len(pings.poses), longest)
+    anchors = pings.poses[(begin[:-1] + begin[1:]) // 2]
     landmarks = np.unique(tracks[of.sizes(tracks) >= least])
-    stretch = np.searchsorted(bounds, pings.ping[landmarks], side="right") - 1
+    stretch = np.searchsorted(begin, pings.ping[landmarks], side="right") - 1
     keys = anchors[stretch], pings.kind[landmarks]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[keys])
-    Sigma = marginals.joint(anchors, frame="body").matrix.reshape(count, pings.group.dim, count, pings.group.dim)
+    shape = (len(anchors), pings.group.dim) * 2
+    Sigma = marginals.joint(anchors, frame="body").matrix.reshape(shape)
     points = Points(estimate.values[keys[1]], of_points(pings.group, marginals, *keys))
     return Maps(pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), landmarks, stretch, points)

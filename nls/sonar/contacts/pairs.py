@@ -14,7 +14,7 @@ from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
 
-__all__ = ["near_landmarks", "near_pings", "near_sightings"]
+__all__ = ["largest_variances", "near_landmarks", "near_pings", "near_sightings"]
 
 MOST = 32  # neighbors of a sighting that are looked at
 BEYOND = 1.5  # times half the aperture: a landmark farther above or below was not seen
@@ -92,7 +92,13 @@ def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice, widest
     """How far from the middle of their arcs targets (k,) may seem, m, for covariances (k, d, d) of the pose."""
     k = pings.group.point_dim
     far = np.linalg.norm(pings.middle[which], axis=1)
-    position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
+    position, turn = largest_variances(Sigma, k)
     noise = np.linalg.eigvalsh(pings.covariances[which][:, pings.points.shape[1] // 2])[:, -1]
-    sigma = np.sqrt(np.maximum(position, 0.0) + 2 * noise) + far * np.sqrt(np.maximum(turn, 0.0))  # of both sightings
+    sigma = np.sqrt(position + 2 * noise) + far * np.sqrt(turn)  # of both sightings
     return np.asarray(pings.extent[which] + np.sqrt(gate) * np.minimum(sigma, widest * np.sqrt(noise)))
+
+
+def largest_variances(Sigma: Array, k: int) -> tuple[Array, Array]:
+    """Of poses or motions, by covariances (n, d, d): along any axis of the k of position (n,), and of the turn (n,)."""
+    position, turn = (np.linalg.eigvalsh(block)[:, -1] for block in (Sigma[:, :k, :k], Sigma[:, k:, k:]))
+    return np.maximum(position, 0.0), np.maximum(turn, 0.0)

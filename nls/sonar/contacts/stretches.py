@@ -20,7 +20,19 @@ from nls.sparse.components import firsts
 from nls.starts.parts import Parts
 from nls.values import Stack, Values
 
-__all__ = ["stretches"]
+__all__ = ["bounds", "stretches"]
+
+
+def bounds(pings: int, longest: int) -> Index:
+    """Where stretches of so many pings at most begin (n,), as long as one another, and in the end how many pings.
+
+    Examples
+    --------
+    >>> bounds(7, longest=3)
+    array([0, 2, 4, 7])
+    """
+    count = -(-pings // longest)
+    return np.asarray(np.arange(count + 1) * pings // count)
 
 
 def stretches(
@@ -40,10 +52,9 @@ def stretches(
     pose, or the first of every component, and all that is no pose.
     """
     parts, poses, number = Parts(graph, values), values.stack(pings.poses.kind), pings.poses.numbers
-    count = -(-len(number) // longest)
-    bounds = number[np.arange(1, count) * len(number) // count]
-    of_pose, of_ping = (np.searchsorted(bounds, numbers, side="right") for numbers in (poses.numbers, number))
-    for stretch in range(count):
+    first = number[bounds(len(number), longest)[:-1]]
+    of_pose, of_ping = (np.searchsorted(first[1:], numbers, side="right") for numbers in (poses.numbers, number))
+    for stretch in range(len(first)):
         inside = of_pose == stretch
         within, across = {poses.kind: inside}, {poses.kind: ~inside}
         measurements = [parts.any(k, within) & ~parts.any(k, across) for k in range(len(graph.factors))]
