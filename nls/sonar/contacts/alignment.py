@@ -164,7 +164,7 @@ class _Maps:
         """Motions (m,) to begin with: turns, with the shifts most pairs vote for; none where that is much to try."""
         a, b, J, k = self.a, self.b, self.J, self.a.p.shape[1]
         extent = float(np.linalg.norm(b.p - b.p.mean(axis=0), axis=1).max())
-        turns = _turns(Sigma[k:, k:], self.cell / extent)
+        turns = _turns(Sigma[k:, k:], self.cell / max(extent, self.cell))
         spread = J @ Sigma @ J.mT
         reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
         other = type(self.tree)(b.p)

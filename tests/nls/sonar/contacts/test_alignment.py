@@ -77,3 +77,9 @@ def test_a_motion_that_nobody_knows_waits() -> None:
     assert aligned(group, *thin, Sigma, gate) is None
     few = [Points(points.p[:9], points.C[:9]) for points in (a, b)]
     assert aligned(group, *few, Sigma, gate) is None
+
+
+def test_landmarks_at_one_point_tell_no_place() -> None:
+    group, a, b, Sigma, gate = two_maps("plane", 80)
+    alignment = aligned(group, a, Points(0 * b.p, b.C), Sigma, gate)
+    assert alignment is None or not alignment.sure
