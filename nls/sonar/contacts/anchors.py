@@ -1,14 +1,12 @@
-r"""Bounds on how well a pose and a landmark are known beside each other, before their joint covariance.
+r"""How well poses and landmarks are known beside each other: the covariances of motions between any two pings.
 
-An anchor a is a pose in the middle of a stretch of pings. A ping of that stretch has seen the landmark. Beside a, an
-innovation has two errors:
+An anchor a is a pose in the middle of a stretch of pings. The motion between two pings goes by their anchors:
 
-    b = A_X u + A_l R_a v,      u that of the motion X_a^-1 X,    v that of the point X_a^-1 l
+    X_i^-1 X_j = (a_i^-1 X_i)^-1 (a_i^-1 a_j) (a_j^-1 X_j)
 
-They grow with the way between the two poses, not with the way from the start. A_X u has the covariance U, A_l R_a v has
-V. Whatever their correlation, the two bound the covariance of the sum along every axis:
-
-    (sqrt(U_ii) - sqrt(V_ii))^2 <= cov_ii,        cov <= 2 (U + V)
+Each of the three has a covariance from the graph; their errors count as independent. So only poses and landmarks beside
+their own anchors are asked for, and anchors beside near ones. They are about as many as the pings. The pairs of
+sightings are many times more, and would fill the factor of the graph.
 """
 
 from __future__ import annotations
@@ -21,81 +19,90 @@ from factors.keys import Keys
 from models import LieGroup
 from models.algebra import Array, Index, congruence, product
 from models.sensors import point_in_frame
-from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
+from nls.sonar.contacts.stretches import bounds
 
-__all__ = ["Pairings", "anchored", "bounded", "of_points", "of_sums"]
+__all__ = ["Anchored", "Motions", "of_points"]
 
-ANCHORS = 48
-AT_ONCE = 1 << 15  # pairings, so that memory does not grow with their number
-
-
-class Pairings(NamedTuple):
-    """Sightings d (k,) with landmarks (k,) by number; anchors with poses and with points, and which (k,) is whose."""
-
-    d: Index
-    landmarks: Index
-    poses: tuple[Keys, Keys]
-    motion: Index
-    points: tuple[Keys, Keys]
-    point: Index
-
-    @property
-    def pairs(self) -> list[tuple[Keys, Keys]]:
-        """The pairs of variables whose covariances `bounded` needs."""
-        return [self.poses, self.points]
+PINGS = 10  # of a stretch, at most
 
 
-def anchored(pings: Pings, d: Index, landmarks: Index) -> Pairings:
-    """Pairings of sightings d (k,) with landmarks (k,), with their anchors."""
-    m, n = len(pings.poses), len(pings)
-    numbers, point = np.unique(landmarks, return_inverse=True)
-    stretch = -(-m // ANCHORS)
-    anchor = np.minimum(pings.ping[numbers] // stretch * stretch + stretch // 2, m - 1)
-    motions, motion = np.unique(pings.ping[d] * n + anchor[point], return_inverse=True)
-    i, j = pings.poses[motions % n], pings.poses[motions // n]
-    return Pairings(d, landmarks, (i, j), motion, (pings.poses[anchor], pings.kind[numbers]), point)
+class Motions(NamedTuple):
+    """Covariances Sigma (q, d, d) of motions, in the axes of the later pose, and which (k,) is that of each pair."""
+
+    Sigma: Array
+    which: Index
 
 
-def bounded(pings: Pings, estimate: Estimate, marginals: Marginals, pairings: Pairings) -> tuple[Array, Array, Array]:
-    """Of the innovations of pairings (k,), bounds on their joint covariances.
+class Anchored:
+    """Covariances of motions between pings, and of landmarks beside their anchors, at an estimate.
 
-    The marginals of the estimate have the pairs of the pairings.
+    Parameters
+    ----------
+    pings, estimate : the sightings, and poses and landmarks by them.
+    pairs : (c, d) of sightings (k,), whose motions are asked for. A landmark has the number of its first sighting.
 
-    Returns
-    -------
-    d2 (k,) by the bound from above, the largest sigma (k,) of independent errors, and a bound (k,) from below on it.
+    Attributes
+    ----------
+    marginals : of the estimate, with what the motions need.
     """
-    d, landmarks, poses, motion, points, point = pairings
-    C_u, C_v = marginals.relative(*poses), of_points(pings.group, marginals, *points)
-    d2, width, least = np.empty(len(d)), np.empty(len(d)), np.empty(len(d))
-    for begin in range(0, len(d), AT_ONCE):
-        span = slice(begin, begin + AT_ONCE)
-        (A_X, A_l), b = estimate.linearized(pings, d[span], landmarks[span])[2:]
-        U, V = congruence(A_X, C_u[motion[span]]), congruence(A_l, C_v[point[span]])
-        I = np.eye(b.shape[1])
-        d2[span] = mahalanobis(b, I + 2 * (U + V))
-        width[span] = np.sqrt(np.linalg.eigvalsh(I + U + V)[:, -1])
-        least[span] = np.sqrt(1 + ((_deviations(U) - _deviations(V)) ** 2).max(axis=1))
-    return d2, width, least
+
+    def __init__(self, pings: Pings, estimate: Estimate, *pairs: tuple[Index, Index]) -> None:
+        self._pings, begin = pings, bounds(len(pings.poses), PINGS)
+        self._anchor = ((begin[:-1] + begin[1:]) // 2).repeat(np.diff(begin))  # (m,) place of that of every ping
+        poses, anchors = pings.poses, pings.poses[self._anchor]
+        moved = np.flatnonzero(poses.numbers != anchors.numbers)
+        near = [_once(len(poses), *(self._anchor[pings.ping[of]] for of in pair))[0] for pair in pairs]
+        apart = [(poses[a[a != b]], poses[b[a != b]]) for a, b in near]
+        values = estimate.values
+        numbers = values.stack(pings.kind).numbers if pings.kind.name in values.stacks else np.zeros(0, dtype=np.intp)
+        self._landmarks = anchors[pings.ping[numbers]], pings.kind[numbers]
+        beside = [(anchors[moved], poses[moved]), self._landmarks, *apart]
+        self.marginals = Marginals(estimate.graph, values, pairs=beside)
+        d = pings.group.dim
+        self._own = np.zeros((len(poses), d, d))  # of the motions from anchors to their pings
+        self._own[moved] = self.marginals.relative(*beside[0])
+
+    def of_sightings(self, c: Index, d: Index) -> Motions:
+        """From the pings of sightings c (k,) to those of d (k,), for `pairs`."""
+        return self._motions(self._pings.ping[c], self._pings.ping[d])
+
+    def of_landmarks(self, landmarks: Index, d: Index) -> Motions:
+        """From the anchors of landmarks (k,) to the pings of sightings d (k,), for `pairs`."""
+        return self._motions(self._anchor[self._pings.ping[landmarks]], self._pings.ping[d])
+
+    def _motions(self, i: Index, j: Index) -> Motions:
+        group, poses, values = self._pings.group, self._pings.poses, self.marginals.values
+        (i, j), which = _once(len(poses), i, j)
+        a, b = self._anchor[i], self._anchor[j]
+        X_j, apart = values[poses[j]], np.flatnonzero(a != b)
+        Sigma = self._own[j] + congruence(_adjoint(group, values[poses[i]], X_j), self._own[i])
+        between = self.marginals.relative(poses[a[apart]], poses[b[apart]])
+        Sigma[apart] += congruence(_adjoint(group, values[poses[b[apart]]], X_j[apart]), between)
+        return Motions(Sigma, which)
+
+    def landmarks(self) -> Array:
+        """Covariances (q, d, d) of all landmarks as their anchors see them, in the axes of the world."""
+        return of_points(self._pings.group, self.marginals, *self._landmarks)
 
 
-def of_sums(J: Array, C_ii: Array, C_ij: Array, K: Array, C_jj: Array) -> Array:
-    """Covariances (k, m, m) of J delta_i + K delta_j from the joint ones of two variables."""
-    half = product(product(J, C_ij), K.mT)
-    return np.asarray(congruence(J, C_ii) + congruence(K, C_jj) + half + half.mT)
+def _once(count: int, i: Index, j: Index) -> tuple[tuple[Index, Index], Index]:
+    """Pairs of pings i and j (k,), of so many, each pair once, and the place (k,) of each among these."""
+    pairs, which = np.unique(i * count + j, return_inverse=True)
+    return np.divmod(pairs, count), which
 
 
 def of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
     """Covariances (q, d, d) of landmarks l (q,) as their anchors a see them, in the axes of the world."""
     X = marginals.values[a]
     _, (H_a, H_l) = point_in_frame(group, X, marginals.values[l])
-    C_aa, C_al, C_ll = marginals.covariance(a, "body"), marginals.cross(a, l, "body"), marginals.covariance(l)
-    return congruence(group.rotation(X), of_sums(H_a, C_aa, C_al, H_l, C_ll))
+    half = product(product(H_a, marginals.cross(a, l, "body")), H_l.mT)
+    C = congruence(H_a, marginals.covariance(a, "body")) + congruence(H_l, marginals.covariance(l)) + half + half.mT
+    return congruence(group.rotation(X), C)
 
 
-def _deviations(C: Array) -> Array:
-    """Standard deviations (k, m) along the axes; a motion of nothing may have rounding errors below zero."""
-    return np.sqrt(np.maximum(np.diagonal(C, axis1=1, axis2=2), 0.0))
+def _adjoint(group: LieGroup, X: Array, Y: Array) -> Array:
+    """Ad (n, d, d) of the motions from Y to X: errors at X, as Y sees them."""
+    return group.adjoint_inverse(group.between(X, Y))

@@ -25,6 +25,7 @@ Source: G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,10 +37,10 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.anchors import anchored
+from nls.sonar.contacts.anchors import Anchored
 from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
-from nls.sonar.contacts.gates import landmark_distances, sighting_distances, two_pings
+from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.loops import closed
 from nls.sonar.contacts.merging import linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
@@ -126,7 +127,7 @@ def associate(
     aperture: float | None = None,
     kind: Kind = l,
     least: int = 3,
-    probability: float = 0.999,
+    probability: float = 0.995,
     rounds: int = ROUNDS,
 ) -> Associated:
     """Landmarks of sightings without names.
@@ -170,21 +171,35 @@ def associate(
     >>> associated.settled, associated.share > 0.9
     (True, True)
     """
-    check_whole("least", least, 2)
-    check_whole("rounds", rounds, 1)
-    check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.999")
+    asked = _Asked(
+        check_whole("least", least, 2),
+        check_between("probability", probability, 0, 1, "a number between 0 and 1, such as 0.995"),
+        check_whole("rounds", rounds, 1),
+    )
     pings = Pings.of(sightings, values, kind, aperture)
-    gate = chi2_gate(measured_numbers(pings), probability)
+    gate = asked.gate(pings)
     pieces = _linked(pings, graph, values, gate)
     poses, tracks = graph.optimize(values).values, pieces.copy()
     if len(pings.poses) > PINGS:
         for rows, part, between, start in stretches(pings, graph, poses, PINGS):
             linked_there = of.renamed(pieces[rows])
-            of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, least, probability, rounds, True)
+            of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
             tracks[rows] = rows[of_stretch[-1]]
         tracks, poses = closed(pings, graph, poses, tracks, least, probability)
-    history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, least, probability, rounds)
+    history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, asked)
     return _associated(pings, graph, poses, history, least, gate, settled)
+
+
+class _Asked(NamedTuple):
+    """What the user asks for, see `associate`."""
+
+    least: int
+    probability: float
+    rounds: int
+
+    def gate(self, pings: Pings) -> float:
+        """The bound on d2 of a sighting."""
+        return chi2_gate(measured_numbers(pings), self.probability)
 
 
 def _rounds(
@@ -193,16 +208,15 @@ def _rounds(
     values: Values,
     tracks: Index,
     pieces: Index,
-    least: int,
-    probability: float,
-    rounds: int,
+    asked: _Asked,
     part: bool = False,
 ) -> tuple[list[Index], Values, bool]:
     """Tracks (n,) after every round, poses by them, and whether the last round changed next to nothing.
 
     Sightings that are still open in the end are decided in the whole alone, not in a `part` of it.
     """
-    gate, apart = chi2_gate(measured_numbers(pings), probability), chi2_gate(pings.group.point_dim, SURE)
+    least, probability, rounds = asked
+    gate, apart = asked.gate(pings), chi2_gate(pings.group.point_dim, SURE)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
     widest, complete, last, settled = NARROW, False, False, False
     history: list[Index] = []
@@ -234,8 +248,8 @@ def _rounds(
 
 def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> Index:
     """Tracks (n,) of sightings in pings that follow one another."""
-    c, d = near_pings(pings, graph, values, LAGS, gate)
-    d2, _ = sighting_distances(pings, Marginals(graph, values, pairs=[two_pings(pings, c, d)[0]]), c, d)
+    c, d, motions = near_pings(pings, graph, values, LAGS, gate)
+    d2, _ = sighting_distances(pings, values, c, d, motions)
     tracks = linked(c, d, d2, pings.ping[d] - pings.ping[c], len(pings), gate)
     return of.once_per_ping(tracks, pings.ping)
 
@@ -251,15 +265,14 @@ def _joined(
     tracks = estimate.tracks
     d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
     c, e = near_sightings(pings, estimate, Sigma, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
-    pairings, (motions, _) = anchored(pings, d, landmarks), two_pings(pings, c, e)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=[*pairings.pairs, motions])
-    d2, width = landmark_distances(pings, estimate, marginals, pairings, gate, widest)
-    of_one = sighting_distances(pings, marginals, c, e)
+    anchored = Anchored(pings, estimate, (landmarks, d), (c, e))
+    d2, width = landmark_distances(pings, estimate, anchored, d, landmarks)
+    of_one = sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
     d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
     complete = bool((narrow | (d2 >= gate)).all())
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate), complete, pings.covariances_of_poses(marginals)
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate), complete, pings.covariances_of_poses(anchored.marginals)
 
 
 def _associated(

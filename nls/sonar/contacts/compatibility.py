@@ -18,10 +18,9 @@ import numpy as np
 from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError
 from nls.analysis.chi_squared import chi2_gate
-from nls.covariance import Marginals
 from nls.filters.association import jcbb
 from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.anchors import anchored
+from nls.sonar.contacts.anchors import Anchored
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
@@ -41,9 +40,7 @@ def resolved(pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least:
     gate = chi2_gate(m, probability)
     every = np.arange(len(tracks))
     d, landmarks = near_landmarks(pings, estimate, Sigma, every, gate)
-    pairings = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=pairings.pairs)
-    d2, _ = landmark_distances(pings, estimate, marginals, pairings, gate)
+    d2, _ = landmark_distances(pings, estimate, Anchored(pings, estimate, (landmarks, d)), d, landmarks)
     near = d2 < gate
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)

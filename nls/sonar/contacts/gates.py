@@ -5,9 +5,10 @@ A sighting d of ping j and the arc of a sighting c of ping i, point by point, wh
     b = W (z_d - h(X_j, p_k)),   S = I + A_X Sigma_G A_X' + A_l C_k A_l',      d2 = min over the arc of b' S^-1 b
 
 with Sigma_G the covariance of the motion X_i^-1 X_j and C_k that of the point by the noise of c. A sighting d and a
-landmark l, whose elevation other sightings determine, with the joint covariance of both:
+landmark l, whose elevation other sightings determine, with C_l its covariance beside its anchor a, in the axes of the
+world, and Sigma_G that of the motion a^-1 X_j (`nls.sonar.contacts.anchors`):
 
-    b = W (z_d - h(X_j, l)),     S = I + [A_X A_l] P [A_X A_l]',               d2 = b' S^-1 b
+    b = W (z_d - h(X_j, l)),     S = I + A_X Sigma_G A_X' + A_l C_l A_l',      d2 = b' S^-1 b
 
 Source: J. Neira, J. D. Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE
 Transactions on Robotics and Automation 17, 2001, for the gate; the arc is that of `models.sensors.arcs`.
@@ -19,38 +20,30 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from factors.keys import Keys
-from models.algebra import Array, Index, product
+from models.algebra import Array, Index, congruence, product
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
-from nls.sonar.contacts.anchors import Pairings, bounded, of_sums
+from nls.sonar.contacts.anchors import Anchored, Motions
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
+from nls.values import Values
 
-__all__ = ["landmark_distances", "ping_innovations", "sighting_distances", "two_pings"]
+__all__ = ["landmark_distances", "ping_innovations", "sighting_distances"]
 
 AT_ONCE = 4096  # pairs of sightings, so that memory does not grow with their number
 
 
-def two_pings(pings: Pings, c: Index, d: Index) -> tuple[tuple[Keys, Keys], Index]:
-    """The pairs of poses of sightings c and d (k,), each pair once, and the place (k,) of their pair among these."""
-    pairs, pair = np.unique(pings.ping[c] * len(pings.poses) + pings.ping[d], return_inverse=True)
-    i, j = np.divmod(pairs, len(pings.poses))
-    return (pings.poses[i], pings.poses[j]), pair
-
-
-def sighting_distances(pings: Pings, marginals: Marginals, c: Index, d: Index) -> tuple[Array, Array]:
+def sighting_distances(pings: Pings, values: Values, c: Index, d: Index, motions: Motions) -> tuple[Array, Array]:
     """d2 (k,) of sightings d from the arcs of sightings c in other pings, and the largest sigma (k,) of that.
 
-    The marginals have the pairs of `two_pings`.
+    The motions (k,) are those from the pings of c to the pings of d.
     """
-    motions, motion = two_pings(pings, c, d)
-    Sigma, values = marginals.relative(*motions), marginals.values
     X, sensors = values[pings.poses][pings.ping], pings.sensors(values)
     d2, width = np.empty(len(c)), np.empty(len(c))
     for begin in range(0, len(c), AT_ONCE):
         span = slice(begin, begin + AT_ONCE)
-        d2[span], width[span] = _arc_distances(pings, X, sensors, c[span], d[span], Sigma[motion[span]])
+        Sigma = motions.Sigma[motions.which[span]]
+        d2[span], width[span] = _arc_distances(pings, X, sensors, c[span], d[span], Sigma)
     return d2, width
 
 
@@ -85,31 +78,23 @@ def _least(b: Array, M: Array) -> Array:
 
 
 def landmark_distances(
-    pings: Pings,
-    estimate: Estimate,
-    marginals: Marginals,
-    pairings: Pairings,
-    gate: float,
-    widest: float = np.inf,
+    pings: Pings, estimate: Estimate, anchored: Anchored, d: Index, landmarks: Index
 ) -> tuple[Array, Array]:
-    """d2 (k,) of sightings from landmarks, paired, and the largest sigma (k,) of that.
+    """d2 (k,) of sightings d from landmarks by number, and the largest sigma (k,) of that.
 
-    The marginals of the estimate have the pairs of the pairings, for bounds on the covariance. A pair outside of the
-    gate keeps the d2 of its bound. A pair wider than `widest` keeps the width of its bound. The others have the joint
-    covariance.
+    The pairs (landmarks, d) are among those of the covariances.
     """
-    d, landmarks = pairings.d, pairings.landmarks
+    d2, width = np.empty(len(d)), np.empty(len(d))
     if not len(d):
-        return np.zeros(0), np.zeros(0)
-    d2, width, least = bounded(pings, estimate, marginals, pairings)
-    near = np.flatnonzero((d2 < gate) & (least < widest))
-    width = np.where(least < widest, width, least)
-    if len(near):
-        pose, landmark, (A_X, A_l), b = estimate.linearized(pings, d[near], landmarks[near])
-        both = Marginals(estimate.graph, estimate.values, pairs=[(pose, landmark)])
-        P_X, P_l = both.covariance(pose, frame="body"), both.covariance(landmark)
-        S = of_sums(A_X, P_X, both.cross(pose, landmark, frame="body"), A_l, P_l) + np.eye(b.shape[1])
-        d2[near], width[near] = mahalanobis(b, S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+        return d2, width
+    motions, C_l = anchored.of_landmarks(landmarks, d), anchored.landmarks()
+    row = estimate.values.stack(pings.kind).index(pings.kind[landmarks])
+    for begin in range(0, len(d), AT_ONCE):
+        span = slice(begin, begin + AT_ONCE)
+        _, _, (A_X, A_l), b = estimate.linearized(pings, d[span], landmarks[span])
+        of_motion, of_landmark = congruence(A_X, motions.Sigma[motions.which[span]]), congruence(A_l, C_l[row[span]])
+        S = np.eye(b.shape[1]) + of_motion + of_landmark
+        d2[span], width[span] = mahalanobis(b, S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
     return d2, width
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from models.algebra import Array, Index, Mask
 from nls.analysis.motions import motion_covariances
 from nls.graph import FactorGraph
+from nls.sonar.contacts.anchors import Motions
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.values import Values
@@ -21,20 +22,27 @@ BEYOND = 1.5  # times half the aperture: a landmark farther above or below was n
 APART = 1e6  # m between one ping and the next, so that one tree holds them all
 
 
-def near_pings(pings: Pings, graph: FactorGraph, values: Values, lags: int, gate: float) -> tuple[Index, Index]:
-    """Pairs (k,) of sightings, the second from one of so many pings after that of the first."""
-    P, last = pings.group.act(pings.sensors(values), pings.middle), len(pings.poses) - 1
-    pairs = [np.zeros((0, 2), dtype=np.intp)]
-    for lag in range(1, min(lags, last) + 1):
-        i = np.arange(last + 1 - lag)
-        sigma = motion_covariances(graph, values, pings.poses[i], pings.poses[i + lag])
-        early = pings.ping + lag <= last
+def near_pings(
+    pings: Pings, graph: FactorGraph, values: Values, lags: int, gate: float
+) -> tuple[Index, Index, Motions]:
+    """Pairs (k,) of sightings, the second from one of so many pings after that of the first, and their motions."""
+    P, m = pings.group.act(pings.sensors(values), pings.middle), len(pings.poses)
+    i, j = (
+        np.concatenate(of)
+        for of in zip(*((np.arange(m - k), np.arange(k, m)) for k in range(1, lags + 1)), strict=True)
+    )
+    Sigma = motion_covariances(graph, values, pings.poses[i], pings.poses[j])
+    pairs, which, begin = [], [], 0
+    for lag in range(1, lags + 1):
+        early = pings.ping + lag < m
         radius = np.zeros(len(pings))
-        radius[early] = _radius(pings, sigma[pings.ping[early]], gate, early)
+        radius[early] = _radius(pings, Sigma[begin + pings.ping[early]], gate, early)
         here, there = (np.column_stack([P, APART * ping]) for ping in (pings.ping, pings.ping + lag))
         pairs.append(_within(there, here, radius))
+        which.append(begin + pings.ping[pairs[-1][:, 0]])
+        begin += max(m - lag, 0)
     c, d = np.concatenate(pairs).T
-    return c, d
+    return c, d, Motions(Sigma, np.concatenate(which))
 
 
 def near_sightings(

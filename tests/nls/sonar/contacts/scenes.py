@@ -14,8 +14,9 @@ from models import SE2
 from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, Values, kinds
 from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.motions import motion_covariances
 from nls.sonar.contacts import gates
-from nls.sonar.contacts.anchors import anchored
+from nls.sonar.contacts.anchors import Anchored, Motions
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 
@@ -127,19 +128,17 @@ def estimate_of(tracks: Index, graph: FactorGraph, values: Values) -> Estimate:
     return Estimate(tracks, graph, values, np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool), 1.0)
 
 
-def landmark_distances(
-    pings: Pings, estimate: Estimate, d: Index, landmarks: Index, gate: float, widest: float = np.inf
-) -> tuple[Array, Array]:
-    """As in `nls.sonar.contacts.gates`, with marginals of their own."""
-    pairings = anchored(pings, d, landmarks)
-    marginals = Marginals(estimate.graph, estimate.values, pairs=pairings.pairs)
-    return gates.landmark_distances(pings, estimate, marginals, pairings, gate, widest)
+def landmark_distances(pings: Pings, estimate: Estimate, d: Index, landmarks: Index) -> tuple[Array, Array]:
+    """As in `nls.sonar.contacts.gates`, with covariances of their own."""
+    return gates.landmark_distances(pings, estimate, Anchored(pings, estimate, (landmarks, d)), d, landmarks)
 
 
 def sighting_distances(scene: Scene, c: Index, d: Index) -> tuple[Array, Array]:
     """As in `nls.sonar.contacts.gates`, by dead reckoning."""
-    motions, _ = gates.two_pings(scene.pings, c, d)
-    return gates.sighting_distances(scene.pings, Marginals(scene.graph, scene.values, pairs=[motions]), c, d)
+    pings = scene.pings
+    i, j = pings.poses[pings.ping[c]], pings.poses[pings.ping[d]]
+    motions = Motions(motion_covariances(scene.graph, scene.values, i, j), np.arange(len(c)))
+    return gates.sighting_distances(pings, scene.values, c, d, motions)
 
 
 def covariances_of_poses(pings: Pings, estimate: Estimate) -> Array:

@@ -10,6 +10,7 @@ import pytest
 from factors import Isotropic, Prior
 from models.algebra import Array, Index
 from nls import FactorGraph, Values, kinds
+from nls.analysis.motions import motion_covariances
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.pairs import MOST, near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
@@ -45,7 +46,9 @@ def among(pairs: tuple[Index, Index], others: tuple[Index, Index]) -> list[bool]
 def test_sightings_of_following_pings(name: str) -> None:
     scene = SCENES[name]()
     pings, lags = scene.pings, 2
-    c, d = near_pings(pings, scene.graph, scene.values, lags, GATE)
+    c, d, motions = near_pings(pings, scene.graph, scene.values, lags, GATE)
+    exact = motion_covariances(scene.graph, scene.values, *(pings.poses[pings.ping[of]] for of in (c, d)))
+    np.testing.assert_allclose(motions.Sigma[motions.which], exact, rtol=1e-9, atol=1e-15)
     lag = pings.ping[d] - pings.ping[c]
     assert (lag.min(), lag.max()) == (1, lags)
     assert len(set(zip(c.tolist(), d.tolist(), strict=True))) == len(c)
@@ -58,7 +61,8 @@ def test_sightings_of_following_pings(name: str) -> None:
 def test_one_ping_has_none_after_it() -> None:
     scene = floor()
     one = Scene(scene.graph, scene.values, scene.sightings[[0, 1]], scene.aperture, scene.true[:2], scene.truth)
-    assert [len(array) for array in near_pings(one.pings, one.graph, one.values, 3, GATE)] == [0, 0]
+    c, d, motions = near_pings(one.pings, one.graph, one.values, 3, GATE)
+    assert [len(array) for array in (c, d, *motions)] == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["in_plane", "poor_ranges"])
