@@ -23,7 +23,7 @@ __all__ = ["FIRST", "Estimate", "estimated", "without"]
 
 KERNEL = Cauchy(2.0)
 FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
-ROUGHLY = Stop(max_iterations=10, chi2_rtol=1e-3)
+ROUGHLY = Stop(max_iterations=30, chi2_rtol=1e-3)
 WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
 STEPS = 7  # elevations on either side of the middle, from which the optimizer goes on
 DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
