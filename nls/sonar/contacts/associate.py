@@ -157,8 +157,8 @@ def associate(
 
     Notes
     -----
-    A round costs one solution with its covariances. Sightings are compared with what is near, found by trees. The cost
-    of covariances grows faster than the mission: three times the sightings over a floor take four times as long.
+    A round costs one solution with its covariances. Sightings are compared with what is near, found by trees, and poses
+    and landmarks have covariances beside what is near. So the cost grows little faster than the mission.
 
     Examples
     --------
