@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 KERNEL = Cauchy(2.0)
-PROBABILITY = 0.999  # of the gate: the middle of a stem, seen from one side, has wider tails than a sonar's echo
+PROBABILITY = 0.999  # of the gate: 1.91 m off GPS, 1.98 m with the default of 0.995
 WRONG = 0.1  # weight below which a sighting is taken for one of something else: 6 sigma of this kernel
 PARTICLES, LAG, SEEDS = 100, 20, (1, 2, 3)
 

@@ -20,7 +20,7 @@ from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.anchors import of_points
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
-from nls.sonar.contacts.stretches import bounds
+from nls.sonar.contacts.stretches import bounds, middles
 
 __all__ = ["Maps", "Points", "local_maps"]
 
@@ -68,7 +68,7 @@ class Maps:
 def local_maps(pings: Pings, estimate: Estimate, longest: int, least: int) -> Maps:
     """Maps of stretches of so many pings at most, with the landmarks of at least so many sightings."""
     tracks, begin = estimate.tracks, bounds(len(pings.poses), longest)
-    anchors = pings.poses[(begin[:-1] + begin[1:]) // 2]
+    anchors = pings.poses[middles(begin)]
     landmarks = np.unique(tracks[of.sizes(tracks) >= least])
     stretch = np.searchsorted(begin, pings.ping[landmarks], side="right") - 1
     keys = anchors[stretch], pings.kind[landmarks]

@@ -27,20 +27,19 @@ def near_pings(
 ) -> tuple[Index, Index, Motions]:
     """Pairs (k,) of sightings, the second from one of so many pings after that of the first, and their motions."""
     P, m = pings.group.act(pings.sensors(values), pings.middle), len(pings.poses)
-    i, j = (
-        np.concatenate(of)
-        for of in zip(*((np.arange(m - k), np.arange(k, m)) for k in range(1, lags + 1)), strict=True)
-    )
-    Sigma = motion_covariances(graph, values, pings.poses[i], pings.poses[j])
-    pairs, which, begin = [], [], 0
+    i = [np.arange(m - lag) for lag in range(1, lags + 1)]  # pings that have another one so much later
+    begin = np.cumsum([0, *map(len, i)])
+    first, second = np.concatenate(i), np.concatenate([early + lag for lag, early in enumerate(i, 1)])
+    Sigma = motion_covariances(graph, values, pings.poses[first], pings.poses[second])
+    pairs, which = [], []
     for lag in range(1, lags + 1):
         early = pings.ping + lag < m
         radius = np.zeros(len(pings))
-        radius[early] = _radius(pings, Sigma[begin + pings.ping[early]], gate, early)
+        radius[early] = _radius(pings, Sigma[begin[lag - 1] + pings.ping[early]], gate, early)
         here, there = (np.column_stack([P, APART * ping]) for ping in (pings.ping, pings.ping + lag))
-        pairs.append(_within(there, here, radius))
-        which.append(begin + pings.ping[pairs[-1][:, 0]])
-        begin += max(m - lag, 0)
+        near = _within(there, here, radius)
+        pairs.append(near)
+        which.append(begin[lag - 1] + pings.ping[near[:, 0]])
     c, d = np.concatenate(pairs).T
     return c, d, Motions(Sigma, np.concatenate(which))
 

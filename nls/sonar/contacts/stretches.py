@@ -20,7 +20,7 @@ from nls.sparse.components import firsts
 from nls.starts.parts import Parts
 from nls.values import Stack, Values
 
-__all__ = ["bounds", "stretches"]
+__all__ = ["bounds", "middles", "stretches"]
 
 
 def bounds(pings: int, longest: int) -> Index:
@@ -33,6 +33,17 @@ def bounds(pings: int, longest: int) -> Index:
     """
     count = -(-pings // longest)
     return np.asarray(np.arange(count + 1) * pings // count)
+
+
+def middles(begin: Index) -> Index:
+    """The ping in the middle (n,) of every stretch, its anchor, by where they begin (n + 1,).
+
+    Examples
+    --------
+    >>> middles(bounds(7, longest=3))
+    array([1, 3, 5])
+    """
+    return (begin[:-1] + begin[1:]) // 2
 
 
 def stretches(

@@ -74,6 +74,12 @@ class Scene:
         values.add(l, self.truth.stack("l").manifold, self.truth[l[numbers]], numbers)
         return values
 
+    def truth_by(self, tracks: Index) -> Values:
+        """The true poses, and true landmarks by the names of their tracks, each the number of its first sighting."""
+        values, numbers = self.at_the_truth(), np.unique(tracks)
+        values.add(l, self.truth.stack("l").manifold, self.truth[l[self.true[numbers]]], numbers)
+        return values
+
 
 def poses_of(values: Values) -> Values:
     """The poses without the landmarks."""

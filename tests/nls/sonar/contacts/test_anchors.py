@@ -31,9 +31,7 @@ def with_landmarks(scene: Scene) -> Estimate:
     graph = FactorGraph([*scene.graph.factors, measured])
     if pings.limit:
         graph.add(pings.aperture_factor(measured))
-    values, numbers = scene.at_the_truth(), np.unique(tracks)
-    values.add(l, scene.truth.stack("l").manifold, scene.truth[l[scene.true[numbers]]], numbers)
-    return estimate_of(tracks, graph, graph.optimize(values).values)
+    return estimate_of(tracks, graph, graph.optimize(scene.truth_by(tracks)).values)
 
 
 def first_sightings(scene: Scene) -> Index:

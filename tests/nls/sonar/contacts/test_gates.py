@@ -80,9 +80,7 @@ def test_a_landmark_known_from_elsewhere(name: str) -> None:
     graph = FactorGraph([*scene.graph.factors, measured])
     if pings.limit:
         graph.add(pings.aperture_factor(measured))
-    start = scene.at_the_truth()
-    start.add(l, scene.truth.stack("l").manifold, scene.truth[l[scene.true[numbers]]], numbers)
-    values = graph.optimize(start).values
+    values = graph.optimize(scene.truth_by(tracks[early])).values
     estimate = estimate_of(tracks, graph, values)
     d2, widths = landmark_distances(pings, estimate, late, target)
     pose, landmark, A, b = estimate.linearized(pings, late, target)

@@ -16,10 +16,8 @@ def test_maps_are_known_as_the_graph_knows_them() -> None:
     scene = in_plane()
     pings, tracks = scene.pings, of.renamed(scene.true)
     graph = FactorGraph([*scene.graph.factors, pings.of_landmarks(tracks)])
-    start = scene.at_the_truth()
     numbers = np.unique(tracks)
-    start.add(l, scene.truth.stack("l").manifold, scene.truth[l[scene.true[numbers]]], numbers)
-    values = graph.optimize(start).values
+    values = graph.optimize(scene.truth_by(tracks)).values
     longest = -(-len(pings.poses) // 3)
     maps = local_maps(pings, estimate_of(tracks, graph, values), longest, 3)
     assert len(maps.anchors) == 3
