@@ -100,7 +100,6 @@ def takahashi(L: sp.csc_array, nodes: Supernodes) -> Iterator[tuple[int, Array, 
     from scipy.linalg.lapack import dtrtri
 
     columns = sp.csc_array(L[:, nodes.columns])
-    columns.eliminate_zeros()  # CHOLMOD pads its own supernodes, which are others
     data, rows, indptr = columns.data, columns.indices, columns.indptr
     local = np.repeat(nodes.local[nodes.columns], np.diff(indptr))
     where, waiting = np.empty(L.shape[0], dtype=np.intp), nodes.children.tolist()
