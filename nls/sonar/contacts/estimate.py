@@ -13,7 +13,7 @@ from models import R
 from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
 from nls.graph import FactorGraph
-from nls.optimizers import LevenbergMarquardt, Stop
+from nls.optimizers import Iteration, LevenbergMarquardt, Stop
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.places import Pings
 from nls.starts import locate_points, search_elevation
@@ -23,7 +23,7 @@ __all__ = ["FIRST", "Estimate", "estimated", "without"]
 
 KERNEL = Cauchy(2.0)
 FIRST = Huber(2.0)  # from dead reckoning, which may be so far away that a Cauchy kernel would believe nothing
-ROUGHLY = Stop(max_iterations=30, chi2_rtol=1e-3)
+ROUGHLY, LEVEL = 1e-3, 3  # an optimum to such a part of chi2; where so many steps bring no more, dead reckoning swings
 WEAK = 2.0  # times the spread of elevations: a landmark that is seen at one edge of the aperture alone bends less
 STEPS = 7  # elevations on either side of the middle, from which the optimizer goes on
 DOUBTFUL = 2e-3  # a track whose chi2 is as improbable may be two landmarks
@@ -72,7 +72,7 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
     start = Values.of([*poses.stacks.values()])
     start.add(pings.kind, R(d), np.zeros((len(numbers), d)), numbers)
     start = search_elevation(solved, start, pings.limit, STEPS) if pings.limit else locate_points(solved, start)
-    result = solved.optimize(start, LevenbergMarquardt(ROUGHLY))
+    result = solved.optimize(start, _roughly())
     values = result.values
     d2[chosen] = measured.chi2(values)
     chi2 = result.chi2_final + float((d2 - kernel.rho(d2)).sum())
@@ -81,6 +81,17 @@ def estimated(pings: Pings, graph: FactorGraph, poses: Values, tracks: Index, ke
     doubtful = chi2_tail(np.asarray(np.bincount(tracks, d2, n), dtype=np.float64)[tracks], dof) < DOUBTFUL
     whole = FactorGraph([*factors, *spread], graph.fixed)
     return Estimate(tracks, whole, values, d2, doubtful & (size > 1), chi2 / max(1, result.dof))
+
+
+def _roughly() -> LevenbergMarquardt:
+    """Ends where chi2 is level, though long chains of poses still swing: the next tracks hold them."""
+    chi2: list[float] = []
+
+    def level(iteration: Iteration) -> bool:
+        chi2.append(iteration.chi2)
+        return len(chi2) > LEVEL and chi2[-1 - LEVEL] - chi2[-1] < ROUGHLY * chi2[-1]
+
+    return LevenbergMarquardt(Stop(max_iterations=30, chi2_rtol=ROUGHLY), level)
 
 
 def measured_numbers(pings: Pings) -> int:
