@@ -42,7 +42,7 @@ from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.loops import closed
-from nls.sonar.contacts.merging import linked, merged
+from nls.sonar.contacts.merging import continued, linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.splitting import split
@@ -181,10 +181,12 @@ def associate(
     pieces = _linked(pings, graph, values, gate)
     poses, tracks = graph.optimize(values).values, pieces.copy()
     if len(pings.poses) > PINGS:
-        for rows, part, between, start in stretches(pings, graph, poses, PINGS):
+        stretch = np.empty(len(pings), dtype=np.intp)
+        for number, (rows, part, between, start) in enumerate(stretches(pings, graph, poses, PINGS)):
             linked_there = of.renamed(pieces[rows])
             of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
-            tracks[rows] = rows[of_stretch[-1]]
+            tracks[rows], stretch[rows] = rows[of_stretch[-1]], number
+        tracks = continued(tracks, pieces, pings.ping, stretch)
         tracks, poses = closed(pings, graph, poses, tracks, least, probability)
     history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, asked)
     return _associated(pings, graph, poses, history, least, gate, settled)

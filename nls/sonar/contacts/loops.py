@@ -1,9 +1,10 @@
 """Loops of a long mission: stretches whose landmarks are the same, by all of their landmarks together.
 
 A single landmark has several others in its gate after a long way. All landmarks of a stretch together have one place
-(`nls.sonar.contacts.alignment`). Each alignment that is sure is a measurement of the motion between two anchors. With
-these, the other motions are known better. So it goes on until no loop is new. A loop whose landmarks the other loops
-draw apart is taken back, and not tried again.
+(`nls.sonar.contacts.alignment`). Each alignment that is sure joins tracks, and measures the motion between two anchors.
+These motions bring the poses back. Then the joined tracks say how well the other motions are known: matches of two maps
+share the errors of these, so the alignment itself would promise too much. So it goes on until no loop is new. A loop
+whose landmarks the other ones draw apart is taken back, and not tried again.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from factors import Between, Information, Robust
+from factors.keys import Keys
 from models.algebra import Array, Index
-from nls.analysis.chi_squared import chi2_gate, mahalanobis
+from nls.analysis.chi_squared import chi2_gate
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.alignment import WIDE, aligned
-from nls.sonar.contacts.estimate import FIRST, KERNEL, estimated, without
+from nls.sonar.contacts.estimate import FIRST, estimated, without
 from nls.sonar.contacts.maps import Maps, local_maps
 from nls.sonar.contacts.merging import merged
 from nls.sonar.contacts.pairs import largest_variances
@@ -30,6 +32,7 @@ from nls.values import Values
 __all__ = ["closed"]
 
 PINGS = 100  # of a stretch, at most
+WIDER = 2.0  # times better known is a motion when it is tried again
 
 
 class Loop(NamedTuple):
@@ -39,7 +42,7 @@ class Loop(NamedTuple):
     ----------
     motion : (size,) from the anchor of the one to that of the other.
     Omega : (d, d) its information.
-    i, j, d2 : (k,) tracks of the one and of the other within the gate, and their squared distance.
+    i, j, d2 : (k,) sightings of the one and of the other whose landmarks match, and the squared distance of these.
     """
 
     motion: Array
@@ -58,65 +61,69 @@ def closed(
     ----------
     pings : the sightings.
     graph, values : the other measurements, and poses by them.
-    tracks : (n,) of sightings, stretch by stretch.
+    tracks : (n,) of sightings, by stretches alone.
     least : sightings of a landmark that is matched.
     probability : with which a right match is within its gate.
     """
     if of.sizes(tracks).max() < least:
         return tracks, values
     loops: dict[tuple[int, int], Loop] = {}
-    tried: set[tuple[int, int]] = set()
+    tried: dict[tuple[int, int], float] = {}
     gate = chi2_gate(pings.group.point_dim, probability)
-    estimate = estimated(pings, graph, values, tracks, FIRST)
+    joined, estimate = tracks, estimated(pings, graph, values, tracks, FIRST)
     while True:
+        misfit = np.bincount(tracks, estimate.d2) / np.maximum(np.bincount(tracks), 1)
+        held = {pair: loop for pair, loop in loops.items() if _holds(misfit[tracks], loop, gate)}
         maps = local_maps(pings, estimate, PINGS, least)
-        held = {pair: loop for pair, loop in loops.items() if _holds(maps, loop, gate)}
         new = _new_loops(maps, tried, gate)
         settled = not new and len(held) == len(loops)
         loops = held | new
-        tried |= new.keys()
         if settled or not loops:
-            break
-        a, b = np.array([*loops]).T
-        Z, Omega, *_ = zip(*loops.values(), strict=True)
-        noise = Robust(Information(np.stack(Omega)), KERNEL)
-        between = Between(maps.anchors[a], maps.anchors[b], np.stack(Z), noise)
-        looped = FactorGraph([*graph.factors, between], graph.fixed)
-        poses = looped.optimize(without(estimate.values, pings.kind)).values
-        estimate = estimated(pings, looped, poses, tracks)
-        announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
-    if loops:
+            return joined, without(estimate.values, pings.kind)
         i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
+        i, j = tracks[i], tracks[j]
         both = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([d2, d2])
-        tracks = merged(tracks, pings.ping, *both, gate)
-    return tracks, without(estimate.values, pings.kind)
+        joined = merged(tracks, pings.ping, *both, gate)
+        poses = _looped(graph, without(estimate.values, pings.kind), maps.anchors, loops)
+        estimate = estimated(pings, graph, poses, joined, FIRST)
+        announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
 
 
-def _holds(maps: Maps, loop: Loop, gate: float) -> bool:
-    """Whether landmarks of a loop are still together, with all other loops."""
-    p, C = maps.points
-    i, j = np.searchsorted(maps.tracks, loop.i), np.searchsorted(maps.tracks, loop.j)
-    return bool(np.median(mahalanobis(p[j] - p[i], C[i] + C[j])) < WIDE * gate)
+def _looped(graph: FactorGraph, poses: Values, anchors: Keys, loops: dict[tuple[int, int], Loop]) -> Values:
+    """Poses by the motions between anchors that loops measure."""
+    a, b = np.array([*loops]).T
+    Z, Omega, *_ = zip(*loops.values(), strict=True)
+    between = Between(anchors[a], anchors[b], np.stack(Z), Robust(Information(np.stack(Omega)), FIRST))
+    return FactorGraph([*graph.factors, between], graph.fixed).optimize(poses).values
 
 
-def _new_loops(maps: Maps, tried: set[tuple[int, int]], gate: float) -> dict[tuple[int, int], Loop]:
-    """Loops between pairs of stretches whose alignment is sure, without pairs that had one."""
-    group = maps.group
+def _holds(misfit: Array, loop: Loop, gate: float) -> bool:
+    """Whether the landmarks of a loop are together on either side, by the mean d2 of the track of every sighting."""
+    return all(float(np.median(misfit[side])) < WIDE * gate for side in (loop.i, loop.j))
+
+
+def _new_loops(maps: Maps, tried: dict[tuple[int, int], float], gate: float) -> dict[tuple[int, int], Loop]:
+    """Loops between pairs of stretches whose alignment is sure.
+
+    Pairs that were `tried` have the width of their motion then, and 0 where they had a loop. New ones are noted there.
+    """
+    group, X = maps.group, maps.X
     new = {}
-    for (a, b), Sigma in _near(maps, gate):
-        if (a, b) in tried:
+    for (a, b), Sigma, width in _near(maps, gate):
+        if WIDER * width > tried.get((a, b), np.inf):
             continue
         first, second = maps.seen_from(b, a), maps.seen_from(b, b)
         alignment = aligned(group, first, second, Sigma, gate)
+        tried[a, b] = width
         if alignment is not None and alignment.sure:
-            motion = group.between(maps.X[[a]], group.compose(maps.X[[b]], group.exp(alignment.delta[None])))[0]
-            i, j = maps.tracks[maps.stretch == a][alignment.i], maps.tracks[maps.stretch == b][alignment.j]
-            new[a, b] = Loop(motion, alignment.Omega, i, j, alignment.d2)
+            motion = group.between(X[[a]], group.compose(X[[b]], group.exp(alignment.delta[None])))[0]
+            i, j = maps.sightings[maps.stretch == a][alignment.i], maps.sightings[maps.stretch == b][alignment.j]
+            new[a, b], tried[a, b] = Loop(motion, alignment.Omega, i, j, alignment.d2), 0.0
     return new
 
 
-def _near(maps: Maps, gate: float) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Pairs of stretches that may have landmarks in common, and the covariance (d, d) of the motion between them."""
+def _near(maps: Maps, gate: float) -> Iterator[tuple[tuple[int, int], Array, float]]:
+    """Pairs of stretches that may have landmarks in common, the covariance (d, d) of their motion, its width in m."""
     p, count = maps.points.p, len(maps.anchors)
     k = p.shape[1]
     middle, radius = np.zeros((count, k)), np.zeros(count)
@@ -126,6 +133,7 @@ def _near(maps: Maps, gate: float) -> Iterator[tuple[tuple[int, int], Array]]:
     a, b = np.triu_indices(count, 1)
     Sigma = maps.motions(a, b)
     position, turn = map(np.sqrt, largest_variances(Sigma, k))
-    reach = radius[a] + radius[b] + np.sqrt(gate) * (position + 2 * radius[b] * turn)
+    width = position + 2 * radius[b] * turn
+    reach = radius[a] + radius[b] + np.sqrt(gate) * width
     for n in np.flatnonzero(np.linalg.norm(middle[a] - middle[b], axis=1) < reach):
-        yield (int(a[n]), int(b[n])), Sigma[n]
+        yield (int(a[n]), int(b[n])), Sigma[n], float(width[n])

@@ -16,7 +16,6 @@ from models import LieGroup
 from models.algebra import Array, Index, congruence
 from nls.covariance import Marginals
 from nls.covariance.frames import of_motions
-from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.anchors import of_points
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
@@ -41,7 +40,7 @@ class Maps:
     group : of the poses.
     anchors, X : (s,) poses and (s, size) where they are.
     Sigma : (s, s, d, d) their joint covariance, in the axes of the bodies.
-    tracks, stretch : (k,) name of each landmark, and its stretch.
+    sightings, stretch : (k,) the first sighting of each landmark in its stretch.
     points : (k,) landmarks in the world.
     """
 
@@ -49,7 +48,7 @@ class Maps:
     anchors: Keys
     X: Array
     Sigma: Array
-    tracks: Index
+    sightings: Index
     stretch: Index
     points: Points
 
@@ -66,14 +65,17 @@ class Maps:
 
 
 def local_maps(pings: Pings, estimate: Estimate, longest: int, least: int) -> Maps:
-    """Maps of stretches of so many pings at most, with the landmarks of at least so many sightings."""
-    tracks, begin = estimate.tracks, bounds(len(pings.poses), longest)
+    """Maps of stretches of so many pings at most: landmarks with at least so many sightings in the stretch."""
+    begin, n = bounds(len(pings.poses), longest), len(pings)
     anchors = pings.poses[middles(begin)]
-    landmarks = np.unique(tracks[of.sizes(tracks) >= least])
-    stretch = np.searchsorted(begin, pings.ping[landmarks], side="right") - 1
+    of_ping = np.arange(len(anchors)).repeat(np.diff(begin))
+    names, first, count = np.unique(of_ping[pings.ping] * n + estimate.tracks, return_index=True, return_counts=True)
+    stretch, landmarks = np.divmod(names[count >= least], n)
     keys = anchors[stretch], pings.kind[landmarks]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[keys])
     shape = (len(anchors), pings.group.dim) * 2
     Sigma = marginals.joint(anchors, frame="body").matrix.reshape(shape)
     points = Points(estimate.values[keys[1]], of_points(pings.group, marginals, *keys))
-    return Maps(pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), landmarks, stretch, points)
+    return Maps(
+        pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), first[count >= least], stretch, points
+    )

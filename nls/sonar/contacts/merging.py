@@ -13,7 +13,7 @@ from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
 from nls.sonar.contacts.tracks import joined, share_a_ping, sizes
 
-__all__ = ["linked", "merged", "superfluous"]
+__all__ = ["continued", "linked", "merged", "superfluous"]
 
 ALIKE = 4.0  # of d2: a link to a second sighting within it is as good as the first
 MOST = 0.7  # part of the sightings of a track that have to fit
@@ -75,6 +75,29 @@ def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: floa
         tracks = _merged_once(before, ping, before[b], before[a], d2, gate)
         if np.array_equal(tracks, before):
             return tracks
+
+
+def continued(tracks: Index, pieces: Index, ping: Index, stretch: Index) -> Index:
+    """Tracks (n,) of single stretches, joined where a piece goes on from one stretch to the next.
+
+    Parameters
+    ----------
+    tracks, pieces : (n,) tracks of stretches, and those of sightings that were linked.
+    ping, stretch : (n,) of the sightings.
+
+    Examples
+    --------
+    Sightings 0 to 3 were linked, and 4 is alone:
+
+    >>> continued(np.array([0, 0, 2, 2, 4]), np.zeros(5, dtype=int), np.arange(5), np.array([0, 0, 1, 1, 1]))
+    array([0, 0, 0, 0, 4])
+    """
+    several = np.flatnonzero(sizes(tracks) > 1)
+    order = several[np.lexsort((ping[several], pieces[several]))]
+    c, d = order[:-1], order[1:]
+    on = (pieces[c] == pieces[d]) & (stretch[c] != stretch[d])
+    c, d = c[on], d[on]
+    return merged(tracks, ping, np.concatenate([c, d]), np.concatenate([d, c]), np.zeros(2 * len(c)), np.inf)
 
 
 def _merged_once(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float) -> Index:

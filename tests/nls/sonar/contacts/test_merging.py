@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.algebra import Index
-from nls.sonar.contacts.merging import linked, merged, superfluous
+from nls.sonar.contacts.merging import continued, linked, merged, superfluous
 from nls.sonar.contacts.tracks import joined, renamed
 
 GATE = 9.0
@@ -151,3 +151,15 @@ def test_a_track_whose_sightings_all_fit_larger_ones_is_superfluous() -> None:
     # 0 itself goes to 8, and so nothing goes to 0 in this round
     assert needless({(3, 0): 1.0, (4, 0): 1.0} | {(k, 8): 1.0 for k in (0, 1, 2)}) == {0}
     assert needless({}) == set()
+
+
+def test_tracks_go_on_in_the_next_stretch() -> None:
+    ping, stretch = np.array([0, 1, 2, 3, 0, 3, 1]), np.array([0, 0, 1, 1, 0, 1, 0])
+
+    def goes_on(tracks: list[int], pieces: list[int]) -> list[int]:
+        return continued(np.array(tracks), np.array(pieces), ping, stretch).tolist()
+
+    assert goes_on([0, 0, 2, 2, 4, 5, 6], [0, 0, 0, 0, 4, 5, 6]) == [0, 0, 0, 0, 4, 5, 6]
+    assert goes_on([0, 0, 2, 2, 4, 5, 6], [0, 0, 2, 2, 4, 5, 6]) == [0, 0, 2, 2, 4, 5, 6]  # nothing was linked
+    assert goes_on([0, 1, 2, 2, 4, 5, 6], [0, 0, 0, 0, 4, 5, 6]) == [0, 1, 2, 2, 4, 5, 6]  # what is alone stays so
+    assert goes_on([0, 0, 2, 3, 4, 2, 4], [0, 0, 0, 3, 4, 4, 4]) == [0, 0, 2, 3, 4, 2, 4]  # two that share pings 0, 1
