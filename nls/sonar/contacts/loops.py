@@ -76,25 +76,25 @@ def closed(
         held = {pair: loop for pair, loop in loops.items() if _holds(misfit[tracks], loop, gate)}
         maps = local_maps(pings, estimate, PINGS, least)
         new = _new_loops(maps, tried, gate)
-        settled = not new and len(held) == len(loops)
-        loops = held | new
-        if settled or not loops:
+        if not new and len(held) == len(loops):
             return joined, without(estimate.values, pings.kind)
-        i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
-        i, j = tracks[i], tracks[j]
-        both = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([d2, d2])
-        joined = merged(tracks, pings.ping, *both, gate)
-        poses = _looped(graph, without(estimate.values, pings.kind), maps.anchors, loops)
+        loops = held | new
+        joined, poses = tracks, values
+        if loops:
+            i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
+            both = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([d2, d2])
+            joined = merged(tracks, pings.ping, tracks[both[0]], tracks[both[1]], both[2], gate)
+            poses = _looped(graph, values, maps.anchors, loops)
         estimate = estimated(pings, graph, poses, joined, FIRST)
         announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
 
 
-def _looped(graph: FactorGraph, poses: Values, anchors: Keys, loops: dict[tuple[int, int], Loop]) -> Values:
-    """Poses by the motions between anchors that loops measure."""
+def _looped(graph: FactorGraph, values: Values, anchors: Keys, loops: dict[tuple[int, int], Loop]) -> Values:
+    """Poses by the motions between anchors that loops measure, from those by all other measurements."""
     a, b = np.array([*loops]).T
     Z, Omega, *_ = zip(*loops.values(), strict=True)
     between = Between(anchors[a], anchors[b], np.stack(Z), Robust(Information(np.stack(Omega)), FIRST))
-    return FactorGraph([*graph.factors, between], graph.fixed).optimize(poses).values
+    return FactorGraph([*graph.factors, between], graph.fixed).optimize(values).values
 
 
 def _holds(misfit: Array, loop: Loop, gate: float) -> bool:

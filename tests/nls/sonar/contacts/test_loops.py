@@ -14,6 +14,7 @@ from models.algebra import Index
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.sonar.contacts import tracks as of
+from nls.sonar.contacts.alignment import Alignment
 from nls.sonar.contacts.loops import closed
 from nls.sonar.contacts.places import Pings
 from sim.mission import Mission
@@ -61,3 +62,18 @@ def test_without_landmarks_the_poses_stay() -> None:
     joined, poses = closed(pings, graph, values, alone, 3, 0.999)
     np.testing.assert_array_equal(joined, alone)
     assert ate(mission, poses) == ate(mission, values)
+
+
+def test_a_loop_that_nothing_holds_together_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission, pings, graph, values, tracks = drifted()
+    loops, k = import_module("nls.sonar.contacts.loops"), np.arange(20)
+    wrong = Alignment(np.array([2.0, 0, 0, 0, 0, 0]), 1e4 * np.eye(6), 40, 0, k, k[::-1], np.zeros(20))
+    monkeypatch.setattr(loops, "PINGS", -(-len(pings.poses) // 4))
+    answers = iter([wrong])
+    monkeypatch.setattr(loops, "aligned", lambda *_: next(answers, None))
+    said: list[str] = []
+    monkeypatch.setattr(loops, "announce", said.append)
+    joined, poses = closed(pings, graph, values, tracks, 3, 0.999)
+    assert [line.split()[0] for line in said] == ["1", "0"]
+    np.testing.assert_array_equal(joined, tracks)
+    assert ate(mission, poses) < 2 * ate(mission, values)
