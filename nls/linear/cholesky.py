@@ -124,9 +124,7 @@ class Cholmod(Decomposition):
             return np.asarray(self._chol.solve_A(g))
 
     def lower(self) -> tuple[sp.csc_array, Index]:
-        L = sp.csc_array(self._chol.L())
-        L.eliminate_zeros()  # CHOLMOD pads its supernodes
-        return L, np.arange(self._hessian.n)
+        return sp.csc_array(self._chol.L()), np.arange(self._hessian.n)
 
 
 class Cholesky(SparseSolver):

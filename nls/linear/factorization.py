@@ -119,6 +119,7 @@ class Factorization:
         if not len(i):
             return np.zeros(0)
         L, p = self.lower()
+        L.eliminate_zeros()  # CHOLMOD pads its supernodes
         if self._supernodes is None:
             self._supernodes = supernodes(self.hessian, p)
         return inverse_blocks(self._supernodes, self.hessian.dims, L, p, i, j, memory_limit)
