@@ -22,7 +22,7 @@ from models.sensors import point_in_frame
 from nls.covariance import Marginals
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
-from nls.sonar.contacts.stretches import bounds, middles
+from nls.sonar.contacts.stretches import bounds, middles, stretch_of_ping
 
 __all__ = ["Anchored", "Motions", "of_points"]
 
@@ -51,7 +51,7 @@ class Anchored:
 
     def __init__(self, pings: Pings, estimate: Estimate, *pairs: tuple[Index, Index]) -> None:
         self._pings, begin = pings, bounds(len(pings.poses), PINGS)
-        self._anchor = middles(begin).repeat(np.diff(begin))  # (m,) place of that of every ping
+        self._anchor = middles(begin)[stretch_of_ping(begin)]  # (m,) place of that of every ping
         poses, anchors = pings.poses, pings.poses[self._anchor]
         moved = np.flatnonzero(poses.numbers != anchors.numbers)
         near = [_once(len(poses), *(self._anchor[pings.ping[of]] for of in pair))[0] for pair in pairs]

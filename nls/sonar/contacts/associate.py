@@ -46,7 +46,7 @@ from nls.sonar.contacts.merging import continued, linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.splitting import split
-from nls.sonar.contacts.stretches import stretches
+from nls.sonar.contacts.stretches import bounds, stretch_of_ping, stretches
 from nls.stages import announce
 from nls.values import Values
 
@@ -181,11 +181,11 @@ def associate(
     pieces = _linked(pings, graph, values, gate)
     poses, tracks = graph.optimize(values).values, pieces.copy()
     if len(pings.poses) > PINGS:
-        stretch = np.empty(len(pings), dtype=np.intp)
-        for number, (rows, part, between, start) in enumerate(stretches(pings, graph, poses, PINGS)):
+        for rows, part, between, start in stretches(pings, graph, poses, PINGS):
             linked_there = of.renamed(pieces[rows])
             of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
-            tracks[rows], stretch[rows] = rows[of_stretch[-1]], number
+            tracks[rows] = rows[of_stretch[-1]]
+        stretch = stretch_of_ping(bounds(len(pings.poses), PINGS))[pings.ping]
         tracks = continued(tracks, pieces, pings.ping, stretch)
         tracks, poses = closed(pings, graph, poses, tracks, least, probability)
     history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, asked)

@@ -2,9 +2,9 @@
 
 A single landmark has several others in its gate after a long way. All landmarks of a stretch together have one place
 (`nls.sonar.contacts.alignment`). Each alignment that is sure joins tracks, and measures the motion between two anchors.
-These motions bring the poses back. Then the joined tracks say how well the other motions are known: matches of two maps
-share the errors of these, so the alignment itself would promise too much. So it goes on until no loop is new. A loop
-whose landmarks the other ones draw apart is taken back, and not tried again.
+These motions bring the poses back. Then the joined tracks say how well other motions are known. The alignment itself
+would promise too much, because its matches share the errors of both maps. It goes on until no loop is new. A loop whose
+landmarks the other ones draw apart is taken back, and not tried again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.alignment import WIDE, aligned
 from nls.sonar.contacts.estimate import FIRST, estimated, without
 from nls.sonar.contacts.maps import Maps, local_maps
-from nls.sonar.contacts.merging import merged
+from nls.sonar.contacts.merging import merged_both_ways
 from nls.sonar.contacts.pairs import largest_variances
 from nls.sonar.contacts.places import Pings
 from nls.stages import announce
@@ -32,7 +32,7 @@ from nls.values import Values
 __all__ = ["closed"]
 
 PINGS = 100  # of a stretch, at most
-WIDER = 2.0  # times better known is a motion when it is tried again
+BETTER = 2.0  # times; a motion that is known so much better is tried again
 
 
 class Loop(NamedTuple):
@@ -72,8 +72,8 @@ def closed(
     gate = chi2_gate(pings.group.point_dim, probability)
     joined, estimate = tracks, estimated(pings, graph, values, tracks, FIRST)
     while True:
-        misfit = np.bincount(tracks, estimate.d2) / np.maximum(np.bincount(tracks), 1)
-        held = {pair: loop for pair, loop in loops.items() if _holds(misfit[tracks], loop, gate)}
+        misfit = np.bincount(tracks, estimate.d2)[tracks] / of.sizes(tracks)
+        held = {pair: loop for pair, loop in loops.items() if _holds(misfit, loop, gate)}
         maps = local_maps(pings, estimate, PINGS, least)
         new = _new_loops(maps, tried, gate)
         if not new and len(held) == len(loops):
@@ -82,8 +82,7 @@ def closed(
         joined, poses = tracks, values
         if loops:
             i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
-            both = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([d2, d2])
-            joined = merged(tracks, pings.ping, tracks[both[0]], tracks[both[1]], both[2], gate)
+            joined = merged_both_ways(tracks, pings.ping, i, j, d2, gate)
             poses = _looped(graph, values, maps.anchors, loops)
         estimate = estimated(pings, graph, poses, joined, FIRST)
         announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
@@ -98,7 +97,7 @@ def _looped(graph: FactorGraph, values: Values, anchors: Keys, loops: dict[tuple
 
 
 def _holds(misfit: Array, loop: Loop, gate: float) -> bool:
-    """Whether the landmarks of a loop are together on either side, by the mean d2 of the track of every sighting."""
+    """Whether the landmarks of a loop fit on both sides, by the mean d2 of the track of every sighting (n,)."""
     return all(float(np.median(misfit[side])) < WIDE * gate for side in (loop.i, loop.j))
 
 
@@ -110,7 +109,7 @@ def _new_loops(maps: Maps, tried: dict[tuple[int, int], float], gate: float) -> 
     group, X = maps.group, maps.X
     new = {}
     for (a, b), Sigma, width in _near(maps, gate):
-        if WIDER * width > tried.get((a, b), np.inf):
+        if BETTER * width > tried.get((a, b), np.inf):
             continue
         first, second = maps.seen_from(b, a), maps.seen_from(b, b)
         alignment = aligned(group, first, second, Sigma, gate)

@@ -19,7 +19,7 @@ from nls.covariance.frames import of_motions
 from nls.sonar.contacts.anchors import of_points
 from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
-from nls.sonar.contacts.stretches import bounds, middles
+from nls.sonar.contacts.stretches import bounds, middles, stretch_of_ping
 
 __all__ = ["Maps", "Points", "local_maps"]
 
@@ -68,14 +68,13 @@ def local_maps(pings: Pings, estimate: Estimate, longest: int, least: int) -> Ma
     """Maps of stretches of so many pings at most: landmarks with at least so many sightings in the stretch."""
     begin, n = bounds(len(pings.poses), longest), len(pings)
     anchors = pings.poses[middles(begin)]
-    of_ping = np.arange(len(anchors)).repeat(np.diff(begin))
-    names, first, count = np.unique(of_ping[pings.ping] * n + estimate.tracks, return_index=True, return_counts=True)
-    stretch, landmarks = np.divmod(names[count >= least], n)
+    names = stretch_of_ping(begin)[pings.ping] * n + estimate.tracks
+    _, first, count = np.unique(names, return_index=True, return_counts=True)
+    sightings = first[count >= least]
+    stretch, landmarks = np.divmod(names[sightings], n)
     keys = anchors[stretch], pings.kind[landmarks]
     marginals = Marginals(estimate.graph, estimate.values, pairs=[keys])
     shape = (len(anchors), pings.group.dim) * 2
     Sigma = marginals.joint(anchors, frame="body").matrix.reshape(shape)
     points = Points(estimate.values[keys[1]], of_points(pings.group, marginals, *keys))
-    return Maps(
-        pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), first[count >= least], stretch, points
-    )
+    return Maps(pings.group, anchors, estimate.values[anchors], Sigma.swapaxes(1, 2), sightings, stretch, points)

@@ -13,7 +13,7 @@ from models.algebra import Array, Index, Mask
 from nls.analysis.chi_squared import chi2_tail
 from nls.sonar.contacts.tracks import joined, share_a_ping, sizes
 
-__all__ = ["continued", "linked", "merged", "superfluous"]
+__all__ = ["continued", "linked", "merged", "merged_both_ways", "superfluous"]
 
 ALIKE = 4.0  # of d2: a link to a second sighting within it is as good as the first
 MOST = 0.7  # part of the sightings of a track that have to fit
@@ -60,7 +60,8 @@ def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: floa
     ----------
     tracks : (n,), see `nls.sonar.contacts.tracks`.
     ping : (n,) of the sightings.
-    b, a, d2 : (k,) the track of a sighting, another track, and how far the sighting is from that one's target.
+    b, a, d2 : (k,) the track of a sighting, another track, and how far the sighting is from that one's target. Any
+        sighting names its track.
     gate : bound on d2.
 
     Examples
@@ -75,6 +76,11 @@ def merged(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: floa
         tracks = _merged_once(before, ping, before[b], before[a], d2, gate)
         if np.array_equal(tracks, before):
             return tracks
+
+
+def merged_both_ways(tracks: Index, ping: Index, c: Index, d: Index, d2: Array, gate: float) -> Index:
+    """As `merged`, where sighting c (k,) fits the target of sighting d (k,), and d fits that of c."""
+    return merged(tracks, ping, np.concatenate([c, d]), np.concatenate([d, c]), np.concatenate([d2, d2]), gate)
 
 
 def continued(tracks: Index, pieces: Index, ping: Index, stretch: Index) -> Index:
@@ -97,7 +103,7 @@ def continued(tracks: Index, pieces: Index, ping: Index, stretch: Index) -> Inde
     c, d = order[:-1], order[1:]
     on = (pieces[c] == pieces[d]) & (stretch[c] != stretch[d])
     c, d = c[on], d[on]
-    return merged(tracks, ping, np.concatenate([c, d]), np.concatenate([d, c]), np.zeros(2 * len(c)), np.inf)
+    return merged_both_ways(tracks, ping, c, d, np.zeros(len(c)), np.inf)
 
 
 def _merged_once(tracks: Index, ping: Index, b: Index, a: Index, d2: Array, gate: float) -> Index:

@@ -20,7 +20,7 @@ from nls.sparse.components import firsts
 from nls.starts.parts import Parts
 from nls.values import Stack, Values
 
-__all__ = ["bounds", "middles", "stretches"]
+__all__ = ["bounds", "middles", "stretch_of_ping", "stretches"]
 
 
 def bounds(pings: int, longest: int) -> Index:
@@ -46,6 +46,17 @@ def middles(begin: Index) -> Index:
     return (begin[:-1] + begin[1:]) // 2
 
 
+def stretch_of_ping(begin: Index) -> Index:
+    """The number of its stretch, for every ping (m,), by where stretches begin (n + 1,).
+
+    Examples
+    --------
+    >>> stretch_of_ping(bounds(7, longest=3))
+    array([0, 0, 1, 1, 2, 2, 2])
+    """
+    return np.arange(len(begin) - 1).repeat(np.diff(begin))
+
+
 def stretches(
     pings: Pings, graph: FactorGraph, values: Values, longest: int
 ) -> Iterator[tuple[Index, Pings, FactorGraph, Values]]:
@@ -63,8 +74,9 @@ def stretches(
     pose, or the first of every component, and all that is no pose.
     """
     parts, poses, number = Parts(graph, values), values.stack(pings.poses.kind), pings.poses.numbers
-    first = number[bounds(len(number), longest)[:-1]]
-    of_pose, of_ping = (np.searchsorted(first[1:], numbers, side="right") for numbers in (poses.numbers, number))
+    begin = bounds(len(number), longest)
+    first, of_sighting = number[begin[:-1]], stretch_of_ping(begin)[pings.ping]
+    of_pose = np.searchsorted(first[1:], poses.numbers, side="right")
     for stretch in range(len(first)):
         inside = of_pose == stretch
         within, across = {poses.kind: inside}, {poses.kind: ~inside}
@@ -77,7 +89,7 @@ def stretches(
         own = Stack(poses.kind, poses.manifold, poses.X[mine], poses.numbers[mine])
         start = Values.of([own, *without(touched, Kind(poses.kind)).stacks.values()])
         part.fix(_first_poses(part, start, own))
-        rows = np.flatnonzero(of_ping[pings.ping] == stretch)
+        rows = np.flatnonzero(of_sighting == stretch)
         sightings = pings.sightings[rows]
         assert isinstance(sightings, Sighting)
         yield rows, Pings.of(sightings, start, pings.kind, 2 * pings.limit or None), part, start
