@@ -191,17 +191,17 @@ class FactorGraph:
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
         method = default_optimizer(self.factors)() if optimizer is None else optimizer
-        solver = default_solver() if linear_solver is None else linear_solver
         if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
             raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
-        if not isinstance(solver, LinearSolver):
+        if linear_solver is not None and not isinstance(linear_solver, LinearSolver):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
         self.pattern(values).refuse_extreme()
         decided = choose_gauge(gauge, self.pattern(values), values, fixed)
         pattern = decided.pattern.holding(decided.held)
+        solver = default_solver(pattern.n) if linear_solver is None else linear_solver
         if decided.free:
             solver, pattern = FreeGauge(solver, pattern), decided.pattern.holding(decided.fixed)
         problem = Problem(pattern, solver)

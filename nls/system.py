@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.keys import Keys
 from factors.robust import reweighted

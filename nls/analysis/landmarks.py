@@ -202,7 +202,7 @@ def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
     blocks = system.H_blocks.copy()
     blocks[pattern.blocks.diagonal[place, None] + np.arange(d * d)] += W.reshape(-1, d * d)
     try:
-        factorization = default_solver().prepared(pattern).factorize(blocks)
+        factorization = default_solver(pattern.n).prepared(pattern).factorize(blocks)
     except SingularSystemError as error:
         raise underconstrained(system) from error
     Sigma = factorization.inverse_blocks(place, place, MEMORY_LIMIT).reshape(-1, d, d)

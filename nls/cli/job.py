@@ -59,7 +59,7 @@ class Job:
     solved: Solved | SolvedScans | None = None
     certificate: Certificate | None = None
 
-    def __init__(self, options: argparse.Namespace, clock: Clock, solver: LinearSolver, stop: Stop) -> None:
+    def __init__(self, options: argparse.Namespace, clock: Clock, solver: LinearSolver | None, stop: Stop) -> None:
         self.options, self.clock, self.solver, self.stop = options, clock, solver, stop
         self.starts: dict[str, float] = {}
         self.stages: dict[str, float] = {}

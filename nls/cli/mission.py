@@ -89,7 +89,7 @@ class Solved:
         dead: Values,
         result: Result,
         report: MissionReport,
-        solver: LinearSolver,
+        solver: LinearSolver | None,
         gauge: str,
         projection: Projection | None = None,
     ) -> None:

@@ -40,11 +40,11 @@ def _checked(options: argparse.Namespace) -> Job:
     from nls.cli.sigmas import refuse
     from nls.cli.timing import Clock
     from nls.io.unreadable import refuse_absent
-    from nls.linear import SOLVERS, default_solver
+    from nls.linear import SOLVERS
 
     refuse_absent(file for file in (options.file, *options.dives) if file != "-")
     clock = Clock(options.began, options.startup)
-    solver = default_solver() if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
+    solver = None if options.linear_solver == "auto" else SOLVERS[options.linear_solver]()
     stop = nls.Stop(options.update_tol, options.chi2_rtol, max_iterations=options.max_iterations)
     job, mission = Job(options, clock, solver, stop), os.path.isdir(options.file)
     output_files = {"-o": None if mission else options.output, "--covariance": options.covariance}

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.keys import Keys
 from models.algebra import Array, Index, Mask

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.base import Factor, Model
 from factors.joined import alike

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.base import Factor
 from factors.joined import joined

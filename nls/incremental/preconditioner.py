@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array
 from nls.linear.updatable import updatable_class

@@ -12,7 +12,7 @@ keeps its covariance, J S J' = J S_0 J'. S is a generalized inverse of A'A: resi
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.keys import Keys
 from factors.noise import Isotropic

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.abstract import Abstract
 from models.algebra import Array

@@ -22,7 +22,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.linear.base import INSTALL_SUITESPARSE

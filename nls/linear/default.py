@@ -7,19 +7,25 @@ from nls.linear.cholesky import Cholesky
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import LU
 from nls.linear.normal import SparseSolver
+from nls.linear.small import FEW, Small
 from nls.system import LinearSystem
 
 __all__ = ["best_decomposition", "default_solver", "factorize"]
 
 
-def default_solver() -> SparseSolver:
-    """The best linear solver installed: CHOLMOD, or SuperLU without SuiteSparse."""
+def default_solver(n: int | None = None) -> SparseSolver:
+    """The best linear solver installed, for n columns where that is known.
+
+    It is CHOLMOD, or SuperLU without SuiteSparse. Few columns need neither.
+    """
+    if n is not None and n <= FEW:
+        return Small()
     return Cholesky() if Cholesky.missing() is None else LU()
 
 
-def best_decomposition() -> type[Decomposition]:
-    """The decomposition of positive definite matrices behind the default solver."""
-    return default_solver().decomposition
+def best_decomposition(n: int | None = None) -> type[Decomposition]:
+    """The decomposition of positive definite matrices behind the default solver for n columns."""
+    return default_solver(n).decomposition
 
 
 def factorize(system: LinearSystem, linear_solver: LinearSolver | None = None) -> Factorization:
@@ -56,4 +62,4 @@ def factorize(system: LinearSystem, linear_solver: LinearSolver | None = None) -
     True
     """
     own = None if linear_solver is None else linear_solver.factorization(system)
-    return default_solver().factorization(system) if own is None else own
+    return default_solver(system.pattern.n).factorization(system) if own is None else own

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.abstract import Abstract
 from models.algebra import Array, Index

@@ -12,6 +12,8 @@ from nls.sparse.hessian import Hessian
 
 __all__ = ["Laplacian"]
 
+LARGEST = 3  # block of a start
+
 
 class Laplacian:
     """Symmetric matrices of blocks (k, k) at V nodes and at P pairs of them; all sizes k have one elimination order.
@@ -24,7 +26,7 @@ class Laplacian:
     """
 
     def __init__(self, u: Index, v: Index, V: int, eliminations: Eliminations | None = None) -> None:
-        self._decomposition = best_decomposition()
+        self._decomposition = best_decomposition(LARGEST * V)
         self._elimination = (eliminations or Eliminations()).of(u, v, V, self._decomposition.order)
         self._factorizations: dict[int, Factorization] = {}
 

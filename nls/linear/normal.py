@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array
 from models.errors import EvaluationError

@@ -13,7 +13,7 @@ belongs to separate parts of the graph comes apart.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index, gram
 from nls.linear.default import best_decomposition
@@ -67,7 +67,7 @@ def _shifted(system: LinearSystem, squares: Array) -> Factorization:
     BAL problem-49-7776, 23,757 unknowns: 1.0 s for all, 3.2 by SuperLU on scipy's A.T @ A. The least shift above the
     rounding of A'A is taken; 1e-12 may be too little for a large graph.
     """
-    decomposition = best_decomposition()
+    decomposition = best_decomposition(system.pattern.n)
     hessian, S = system.pattern.hessian(decomposition.order), system.H_blocks
     factorization = Factorization(hessian, decomposition(hessian))
     for shift in SHIFTS:

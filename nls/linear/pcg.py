@@ -31,7 +31,7 @@ from __future__ import annotations
 from time import perf_counter
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from models.listing import several

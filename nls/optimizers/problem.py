@@ -129,7 +129,7 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     >>> gauss_newton_step(graph.linearize(Values({x: (SE2, [0, 0, 0])}))).round(6)
     array([1., 2., 0.])
     """
-    solver = default_solver() if linear_solver is None else linear_solver
+    solver = default_solver(system.pattern.n) if linear_solver is None else linear_solver
     if not isinstance(solver, LinearSolver):
         raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
     try:

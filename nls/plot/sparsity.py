@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from nls.linear import default_solver, factorize
 from nls.linear.singular import SingularSystemError
@@ -82,7 +82,7 @@ def spy(system: LinearSystem) -> Figure:
 def _triangle(system: LinearSystem) -> tuple[sp.csc_array, Index, Array | None]:
     """R and its order p, H[p][:, p] = R'R, and None; those of H + diag(D) where H is singular, and D (n,)."""
     try:
-        return *factorize(system).upper(), None
+        return *factorize(system, default_solver()).upper(), None
     except SingularSystemError:
         squares = np.square(system.column_norms)
         D = np.where(squares > 0, squares, 1.0)

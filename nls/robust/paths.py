@@ -7,7 +7,7 @@ links add up, P_ij = Ad(T_j)^-1 (sum of Ad(T_k) C_k Ad(T_k)') Ad(T_j)^-T.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.covariance.frames import turned

@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from importlib import import_module
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
 from models.errors import ResourceLimitError

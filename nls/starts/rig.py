@@ -15,7 +15,7 @@ Source: B. Horn, "Closed-form solution of absolute orientation using unit quater
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from factors.keys import Keys
 from models import SE3

@@ -11,8 +11,9 @@ from nls.linear import SOLVERS, LinearSolver
 from nls.linear.cholesky import Cholmod
 from nls.linear.factorization import Decomposition, Factorization
 from nls.linear.lu import SuperLU
+from nls.linear.small import Dense
 
-DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU)
+DECOMPOSITIONS: tuple[type[Decomposition], ...] = (Cholmod, SuperLU, Dense)
 
 
 def make(name: str) -> LinearSolver:

@@ -87,10 +87,11 @@ def test_the_choices_of_the_command_line_are_those_of_the_library() -> None:
 
 
 def test_a_plain_graph_is_solved_without_the_rooms_of_missions(tmp_path: Path) -> None:
-    """And without the modules of NumPy that only ``from numpy import *`` asks for, until they are used."""
+    """Without modules of NumPy that only ``from numpy import *`` asks for; a small one without sparse matrices."""
     graph = str(written(tmp_path, PLANE))
     rest = ("scipy.linalg", "scipy.special", "numpy.f2py.f2py2e", "nls.io.mission", "nls.io.scan_mission", "nls.robust")
     rest += ("factors.wheels", "factors.dvl_leg", "models.vehicles", "nls.cli.report")
+    rest += ("scipy.sparse._base", "sksparse.cholmod")
     program = (
         f"import sys\nfrom nls.cli import main\nprint(main(['solve', {graph!r}, '--quiet']))\n"
         f"print([m for m in {rest} if m in sys.modules])\nimport numpy\n"

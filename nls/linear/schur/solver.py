@@ -19,7 +19,7 @@ A. Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.1.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
+from scipy import sparse as sp
 
 from models.algebra import Array, Index
 from nls.sonar.scans.scans import Scans, in_world

@@ -154,7 +154,7 @@ def test_a_missing_solver_says_how_it_is_installed(name: str, function: str, mon
 
 
 def test_the_default_is_cholesky_and_without_suitesparse_lu(monkeypatch: pytest.MonkeyPatch) -> None:
-    sample = pose_graph(SE3)
+    sample = pose_graph(SE3, n=30)
     if SOLVERS["cholesky"].missing() is None:
         assert default_solver().name == backends()["default"] == "cholesky"
         assert sample.graph.optimize(sample.values).linear_solver == "cholesky"
