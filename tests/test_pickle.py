@@ -30,7 +30,15 @@ from tests.factors.test_conformity import ELIMINATING_SAMPLES, SAMPLES, situatio
 from tests.sent import contents, distance, received, things
 
 (x,) = kinds("x")
-INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SparseSolver", "_Dense"}  # none leaves its call
+INTERNAL = {
+    "Automatic",
+    "Bending",
+    "FreeGauge",
+    "NoOptimumError",
+    "Small",
+    "SparseSolver",
+    "_Dense",
+}  # none leaves its call
 SPLINES = {"SurveyLog"}  # those of SciPy take protocol 2 and above: tests/sim/test_survey.py
 COPIES: dict[str, Callable[[Any], Any]] = {
     **{

@@ -62,4 +62,4 @@ def factorize(system: LinearSystem, linear_solver: LinearSolver | None = None) -
     True
     """
     own = None if linear_solver is None else linear_solver.factorization(system)
-    return default_solver(system.pattern.n).factorization(system) if own is None else own
+    return default_solver().factorization(system) if own is None else own

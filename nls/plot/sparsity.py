@@ -82,7 +82,7 @@ def spy(system: LinearSystem) -> Figure:
 def _triangle(system: LinearSystem) -> tuple[sp.csc_array, Index, Array | None]:
     """R and its order p, H[p][:, p] = R'R, and None; those of H + diag(D) where H is singular, and D (n,)."""
     try:
-        return *factorize(system, default_solver()).upper(), None
+        return *factorize(system).upper(), None
     except SingularSystemError:
         squares = np.square(system.column_norms)
         D = np.where(squares > 0, squares, 1.0)
