@@ -26,7 +26,7 @@ from nls.covariance.joint import Joint
 from nls.covariance.pairs import paired
 from nls.covariance.selected import SelectedInverse
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
-from nls.linear import LinearSolver, default_solver, factorize
+from nls.linear import LinearSolver, default_solver
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -139,7 +139,8 @@ class Marginals:
         system = LinearSystem.at(pattern, values)
         undetermined: Undetermined | None = None
         try:
-            self._factorization = factorize(system, linear_solver or default_solver(pattern.n))
+            own = None if linear_solver is None else linear_solver.factorization(system)
+            self._factorization = default_solver(pattern.n).factorization(system) if own is None else own
         except SingularSystemError:
             pattern, self._factorization, undetermined = anchored_factorization(pattern, values, linear_solver)
         self._pattern, self._undetermined = pattern, undetermined
