@@ -27,6 +27,7 @@ from nls.covariance.pairs import paired
 from nls.covariance.selected import SelectedInverse
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
+from nls.linear.default import factorized_by
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -137,23 +138,21 @@ class Marginals:
         decided = choose_gauge(gauge, pattern, values, fixed)
         pattern = decided.pattern.holding(decided.held)
         system = LinearSystem.at(pattern, values)
-        undetermined: Undetermined | None = None
+        self._undetermined: Undetermined | None = None
         try:
-            own = None if linear_solver is None else linear_solver.factorization(system)
-            self._factorization = default_solver(pattern.n).factorization(system) if own is None else own
+            self._factorization = factorized_by(linear_solver, default_solver(pattern.n), system)
         except SingularSystemError:
-            pattern, self._factorization, undetermined = anchored_factorization(pattern, values, linear_solver)
-        self._pattern, self._undetermined = pattern, undetermined
-        self.placeless, self.gauge = placeless_kinds(pattern), decided.description
+            pattern, self._factorization, self._undetermined = anchored_factorization(pattern, values, linear_solver)
+        self._pattern, self.placeless, self.gauge = pattern, placeless_kinds(pattern), decided.description
         self._free: FreePart | None = None
         if decided.free:
             unheld = decided.pattern.holding(decided.fixed)
-            others = None if undetermined is None else undetermined.N
+            others = None if self._undetermined is None else self._undetermined.N
             self._free = free_part(pattern, unheld, self._factorization, values, memory_limit, others)
         zero = decided.fixed if decided.free else decided.held
         moved = np.zeros(len(fixed), dtype=bool)
-        if undetermined is not None:
-            moved[pattern.column_owner()[0][undetermined.moved]] = True
+        if self._undetermined is not None:
+            moved[pattern.column_owner()[0][self._undetermined.moved]] = True
         self._status = np.select(
             [fixed, decided.fixed, zero, moved], ["fixed", "unmeasured", "gauge", "free"], "estimated"
         )  # the first that holds

@@ -10,7 +10,7 @@ from nls.linear.normal import SparseSolver
 from nls.linear.small import FEW, Small
 from nls.system import LinearSystem
 
-__all__ = ["best_decomposition", "default_solver", "factorize"]
+__all__ = ["best_decomposition", "default_solver", "factorize", "factorized_by"]
 
 
 def default_solver(n: int | None = None) -> SparseSolver:
@@ -61,5 +61,10 @@ def factorize(system: LinearSystem, linear_solver: LinearSolver | None = None) -
     >>> np.allclose((R.T @ R).toarray(), system.H.toarray()[p][:, p])
     True
     """
+    return factorized_by(linear_solver, default_solver(), system)
+
+
+def factorized_by(linear_solver: LinearSolver | None, default: SparseSolver, system: LinearSystem) -> Factorization:
+    """The factorization of a solver, or of the default where there is no solver or it does not factorize A'A."""
     own = None if linear_solver is None else linear_solver.factorization(system)
-    return default_solver().factorization(system) if own is None else own
+    return default.factorization(system) if own is None else own
