@@ -195,7 +195,7 @@ class FactorGraph:
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
             raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
-        if linear_solver is not None and not isinstance(linear_solver, LinearSolver):
+        if not isinstance(linear_solver, LinearSolver | None):
             raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
         self.pattern(values).refuse_extreme()

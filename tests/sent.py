@@ -19,6 +19,7 @@ from nls import filters
 from nls.analysis import Unverified, helpful_motions, landmark_information, observability
 from nls.covariance import Marginals
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
+from nls.linear.small import Small
 from nls.metrics import ate
 from nls.robust import kernels
 from tests.sim.scenes import thinned
@@ -74,7 +75,8 @@ def things(folder: Path) -> dict[str, Any]:
     pings = nls.FactorGraph([factors.Range(x[0:2], l[[0, 0]], [5.9, 5.2], Isotropic(0.1))], [x[0:2]])
     system = result_system(ring.graph, result.values)
     solvers: list[Callable[[], nls.LinearSolver]] = [
-        nls.Cholesky, nls.CholeskyPCG, nls.DenseCholesky, nls.DenseQR, nls.LU, nls.PCG, nls.Pinv, nls.QR, nls.Schur
+        nls.Cholesky, nls.CholeskyPCG, nls.DenseCholesky, nls.DenseQR, nls.LU, nls.PCG, nls.Pinv, nls.QR, nls.Schur,
+        Small,
     ]  # fmt: skip
     smoother = nls.Incremental()
     smoother.update(list(ring.graph.factors), nls.Values({x: (SE2, ring.start[x[:1]])}))
@@ -97,7 +99,8 @@ def things(folder: Path) -> dict[str, Any]:
         "graphs": [ring.graph, sea.graph, fixed],
         "system": system,
         "result": result,
-        "marginals": Marginals(ring.graph, result.values),
+        "marginals": Marginals(sea.graph, sea.truth),
+        "marginals of few variables": Marginals(ring.graph, result.values),
         "marginals, free gauge": Marginals(ring.graph, result.values, gauge="free"),
         "marginals by LU": Marginals(ring.graph, result.values, nls.LU()),
         "marginals by Schur": Marginals(sea.graph, sea.truth, nls.Schur()),

@@ -30,15 +30,7 @@ from tests.factors.test_conformity import ELIMINATING_SAMPLES, SAMPLES, situatio
 from tests.sent import contents, distance, received, things
 
 (x,) = kinds("x")
-INTERNAL = {
-    "Automatic",
-    "Bending",
-    "FreeGauge",
-    "NoOptimumError",
-    "Small",
-    "SparseSolver",
-    "_Dense",
-}  # none leaves its call
+INTERNAL = {"Automatic", "Bending", "FreeGauge", "NoOptimumError", "SparseSolver", "_Dense"}  # none leaves its call
 SPLINES = {"SurveyLog"}  # those of SciPy take protocol 2 and above: tests/sim/test_survey.py
 COPIES: dict[str, Callable[[Any], Any]] = {
     **{
@@ -139,7 +131,13 @@ def test_values_from_elsewhere_work_with_a_graph_from_here(way: str) -> None:
 
 @every_copy
 def test_covariances_from_elsewhere(objects: dict[str, Any], way: str) -> None:
-    for name in ("marginals", "marginals, free gauge", "marginals by LU", "marginals by Schur"):
+    for name in (
+        "marginals",
+        "marginals of few variables",
+        "marginals, free gauge",
+        "marginals by LU",
+        "marginals by Schur",
+    ):
         original = objects[name]
         copied = COPIES[way](original)
         assert np.array_equal(copied.covariance(x[[3, 5]], "world"), original.covariance(x[[3, 5]], "world")), name

@@ -69,7 +69,7 @@ def _main(argv: Sequence[str] | None, began: float, startup: float, phase: Phase
             parser().print_help()
             return 2
         postpone("numpy", UNUSED)
-        postpone("scipy", ["sparse"])  # few unknowns need none; modules take it from scipy, as an import would load it
+        postpone("scipy", ["sparse"])  # a small graph needs none; `import scipy.sparse` in a module would load it
         if options.version:
             return _version()
         if "file" in options:

@@ -12,7 +12,7 @@ from nls.sparse.hessian import Hessian
 
 __all__ = ["Laplacian"]
 
-LARGEST = 3  # block of a start
+LARGEST = 3  # columns of a node in a start, at most
 
 
 class Laplacian:
