@@ -28,6 +28,7 @@ from nls.covariance.selected import SelectedInverse
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
+from nls.linear.limits import checked_limit, default_limit
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -53,7 +54,7 @@ class Marginals:
         the best factorization installed. The covariance is the same. A `Schur` with a `block_inverse` is refused.
     gauge : as in `FactorGraph.optimize`. Held variables have covariance zero, and all others are relative to them;
         `gauge` below is the sentence that says which. ``free``: the pseudo-inverse, where nobody is held.
-    memory_limit : bytes; what would take more is refused beforehand.
+    memory_limit : bytes; what would take more is refused beforehand. Half of the memory when omitted.
     pairs : (i, j) batches of variables that share no factor and are asked for by `cross` or `relative` all the same.
 
     Attributes
@@ -120,7 +121,7 @@ class Marginals:
         values: Values,
         linear_solver: LinearSolver | None = None,
         gauge: str = "first",
-        memory_limit: float = 4e9,
+        memory_limit: float | None = None,
         pairs: Sequence[tuple[Keys, Keys]] = (),
     ) -> None:
         refuse_other("Marginals", graph, values)
@@ -131,7 +132,7 @@ class Marginals:
         if linear_solver is not None and not linear_solver.exact:
             allowed = "a solver that factorizes A'A itself, such as nls.Schur() without block_inverse"
             raise OptionError("linear_solver", linear_solver, f"{allowed}; no other has its inverse")
-        self.values, self.memory_limit = values.copy(), memory_limit
+        self.values, self.memory_limit = values.copy(), checked_limit(memory_limit) or default_limit()
         fixed, pattern = fixed_variables(graph.fixed, values), graph.pattern(values)
         if pairs:
             pattern = Pattern([*graph.factors, *paired(pairs)], values)
@@ -148,14 +149,13 @@ class Marginals:
         if decided.free:
             unheld = decided.pattern.holding(decided.fixed)
             others = None if self._undetermined is None else self._undetermined.N
-            self._free = free_part(pattern, unheld, self._factorization, values, memory_limit, others)
+            self._free = free_part(pattern, unheld, self._factorization, values, self.memory_limit, others)
         zero = decided.fixed if decided.free else decided.held
         moved = np.zeros(len(fixed), dtype=bool)
         if self._undetermined is not None:
             moved[pattern.column_owner()[0][self._undetermined.moved]] = True
-        self._status = np.select(
-            [fixed, decided.fixed, zero, moved], ["fixed", "unmeasured", "gauge", "free"], "estimated"
-        )  # the first that holds
+        words = ["fixed", "unmeasured", "gauge", "free"]  # the first that holds
+        self._status = np.select([fixed, decided.fixed, zero, moved], words, "estimated")
         self._first = np.cumsum(pattern.dims) - pattern.dims  # column of every variable, held or not
         self._column = np.full(int(pattern.dims.sum()), -1)  # column of A of each of these
         self._column[pattern.expand(np.ones(pattern.n)) > 0] = np.arange(pattern.n)
