@@ -10,10 +10,11 @@ largest ones, and cut in two at any place. If the pieces S before the cut may mo
     g_S' Lambda^-1 g_S,    g_S = sum of g_p over p in S
 
 in one step of Gauss-Newton: a score test. Lambda is the information of delta, with all else in the graph at its best. A
-wrong join need not show in its residuals, because the map gives way to it. It shows in its pull. For Lambda each piece
-has a place l_p of its own, tied to that of the next; the information of the tie is taken out again:
+wrong join need not show in its residuals, because the map gives way to it. It shows in its pull. Every landmark is cut
+where chi2 would fall most with all poses held. For Lambda the pieces S have a place l_S of their own, tied to that of
+the others; the information of the tie is taken out again:
 
-    Lambda = cov(l_p - l_p+1)^-1 - I / TIE^2 (+ I / e^2: no contact is farther from the middle of its arc than e)
+    Lambda = cov(l_S - l)^-1 - I / TIE^2 (+ I / e^2: no contact is farther from the middle of its arc than e)
 
 Source: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Mathematical
 Proceedings of the Cambridge Philosophical Society 44, 1948.
@@ -26,12 +27,13 @@ import numpy as np
 from factors import Between, Isotropic
 from factors.replaced import replaced
 from models import R
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index, Mask, apply
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
 from nls.graph import FactorGraph
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import KERNEL, Estimate, without
+from nls.sonar.contacts.gates import quadratic
 from nls.sonar.contacts.places import Pings
 
 __all__ = ["split"]
@@ -58,69 +60,77 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     if not len(d):
         return leaving
     names, piece = np.unique(np.column_stack([tracks[d], pieces[d]]), axis=0, return_inverse=True)
-    piece, landmark = piece.reshape(-1), names[:, 0]
-    pull = _pulls(pings, estimate, d, piece)
-    order = _by_pull(landmark, pull)  # landmark by landmark, as they are
-    begins = np.append(True, landmark[1:] != landmark[:-1])
-    first, which = np.flatnonzero(begins), np.cumsum(begins) - 1
-    g = np.cumsum(pull[order], axis=0)
-    g -= (g - pull[order])[first][which]
-    cut = np.flatnonzero(~begins) - 1  # after these pieces, in that order
-    place, rank = np.where(begins, landmark, n + np.arange(len(names))), np.argsort(order)[piece]
-    Lambda = _information(pings, graph, estimate, d, place[rank], place[cut], place[cut + 1])
-    fall = np.zeros(len(names))
-    fall[cut] = mahalanobis(g[cut], Lambda)
-    most = np.maximum.reduceat(fall, first)
-    whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(most))  # landmarks of one piece
-    usual = max(1.0, float(np.median([*most, *whole])) / dim) * _spread_of_pulls(estimate, np.bincount(piece), first)
-    last = np.full(len(first), -1)  # of the pieces that leave
-    large = np.flatnonzero((fall == most[which]) & (fall > gate * usual[which]))
-    last[which[large]] = large
-    leaving[d] = rank <= last[which[rank]]
+    piece, (landmark, which) = piece.reshape(-1), np.unique(names[:, 0], return_inverse=True)
+    pull, own = _pulls(pings, estimate, d, piece)
+    order = _by_pull(which, pull)
+    cut, g = _cuts(which, pull[order], own[order], np.eye(dim) / pings.extent.max() ** 2 if pings.limit else 0.0)
+    apart = np.argsort(order)[piece] <= cut[which[piece]]
+    fall = mahalanobis(g, _information(pings, graph, estimate, d[apart], landmark))
+    whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(fall))  # landmarks of one piece
+    usual = max(1.0, float(np.median([*fall, *whole])) / dim) * _spread_of_pulls(estimate, np.bincount(piece), which)
+    leaving[d] = apart & (fall > gate * usual)[which[piece]]
     return leaving
 
 
-def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> Array:
-    """g_p (k, dim) of pieces (n,) of sightings d (n,), with the weights of the robust kernel."""
+def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> tuple[Array, Array]:
+    """g_p (k, dim) of pieces (n,) of sightings d (n,), and their information (k, dim, dim), with robust weights."""
     _, _, (_, A_l), b = estimate.linearized(pings, d, estimate.tracks[d])
-    pull = np.zeros((int(piece.max()) + 1, pings.group.point_dim))
-    np.add.at(pull, piece, KERNEL.weight((b * b).sum(axis=1))[:, None] * (A_l.mT @ b[..., None])[..., 0])
-    return pull
+    w, k, dim = KERNEL.weight((b * b).sum(axis=1)), int(piece.max()) + 1, pings.group.point_dim
+    pull, own = np.zeros((k, dim)), np.zeros((k, dim, dim))
+    np.add.at(pull, piece, w[:, None] * apply(A_l.mT, b))
+    np.add.at(own, piece, w[:, None, None] * (A_l.mT @ A_l))
+    return pull, own
 
 
-def _by_pull(landmark: Index, pull: Array) -> Index:
-    """The order of pieces (k,), landmark by landmark, along the axis of the largest pulls (k, dim) there."""
-    _, which = np.unique(landmark, return_inverse=True)
+def _by_pull(which: Index, pull: Array) -> Index:
+    """The order of pieces (k,), landmark (k,) by landmark, along the axis of the largest pulls (k, dim) there."""
     scatter = np.zeros((int(which.max()) + 1, pull.shape[1], pull.shape[1]))
     np.add.at(scatter, which, pull[:, :, None] * pull[:, None])
     axis = np.linalg.eigh(scatter)[1][..., -1]
-    return np.lexsort(((pull * axis[which]).sum(axis=1), landmark))
+    return np.lexsort(((pull * axis[which]).sum(axis=1), which))
 
 
-def _spread_of_pulls(estimate: Estimate, size: Index, first: Index) -> Array:
+def _cuts(which: Index, pull: Array, own: Array, rough: Array | float) -> tuple[Index, Array]:
+    """The piece (q,) after which every landmark is cut, and g_S (q, dim): chi2 falls most there if no pose may move.
+
+    Parameters
+    ----------
+    which, pull, own : (k,) landmark, g_p (k, dim) and information (k, dim, dim) of the pieces in their order.
+    rough : what is known of a landmark without any piece.
+    """
+    first, last = np.flatnonzero(np.diff(which, prepend=-1)), np.flatnonzero(np.diff(which, append=-1))
+    g, Lambda = (np.cumsum(of_piece, axis=0) for of_piece in (pull, own))
+    g, Lambda = g - (g - pull)[first][which], Lambda - (Lambda - own)[first][which]
+    inside = np.delete(np.arange(len(which)), last)
+    both = Lambda[inside] + rough, Lambda[last][which[inside]] - Lambda[inside] + rough
+    fall = np.full(len(which), -1.0)
+    fall[inside] = quadratic(g[inside], np.linalg.inv(both[0]) + np.linalg.inv(both[1]))
+    cut = np.lexsort((fall, which))[last]
+    return cut, g[cut]
+
+
+def _spread_of_pulls(estimate: Estimate, size: Index, which: Index) -> Array:
     """The variance of pulls (q,), landmark by landmark, over that of independent errors.
 
     Where chi2 is below its degrees of freedom, sigmas are wider than the scatter of sightings. The rest of the error is
     one that all sightings of a piece share, as when a tree is seen from one side.
 
-    size : (k,) sightings of each piece, landmark by landmark; the first piece of each is `first` (q,).
+    size, which : (k,) sightings of each piece, and its landmark.
     """
     s = min(1.0, estimate.reduced_chi2)
-    return np.asarray(s + (1 - s) * np.add.reduceat(size**2, first) / np.add.reduceat(size, first))
+    return np.asarray(s + (1 - s) * np.bincount(which, size**2) / np.bincount(which, size))
 
 
-def _information(
-    pings: Pings, graph: FactorGraph, estimate: Estimate, d: Index, target: Index, before: Index, after: Index
-) -> Array:
-    """Lambda (c, dim, dim) of cuts between places before (c,) and after (c,), that sightings d look for at targets."""
+def _information(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, landmark: Index) -> Array:
+    """Lambda (q, dim, dim) of the cuts of landmarks (q,), which sightings `apart` leave."""
     tracks, values, dim = estimate.tracks, estimate.values, pings.group.point_dim
     sightings, *apertures = estimate.graph.factors[len(graph.factors) :]
     chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
-    targets[d] = target
-    numbers, place = np.unique(targets[chosen], return_index=True)
+    targets[apart] += len(tracks)
+    numbers = np.unique(targets[chosen])
     tied = without(values, pings.kind)
-    tied.add(pings.kind, R(dim), values[pings.kind[tracks[chosen][place]]], numbers)
-    i, j = pings.kind[before], pings.kind[after]
+    tied.add(pings.kind, R(dim), values[pings.kind[numbers % len(tracks)]], numbers)
+    i, j = pings.kind[landmark], pings.kind[landmark + len(tracks)]
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
     tie = Between(i, j, np.zeros(dim), Isotropic(TIE))
     marginals = Marginals(FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), tied)
