@@ -21,22 +21,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
-from itertools import product as every
 from math import pi, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from models import LieGroup
-from models.algebra import Array, Index, Mask, product
+from models.algebra import Array, Index, Mask, apply, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
 from nls.sonar.contacts.estimate import KERNEL
 from nls.sonar.contacts.gates import quadratic
-from nls.sonar.contacts.maps import Points
 
-__all__ = ["WIDE", "Alignment", "aligned"]
+__all__ = ["WIDE", "Alignment", "Points", "aligned"]
 
 LEAST = 10  # matches
 BEYOND = 4.0  # times the square root of the matches by chance: so many more make an alignment sure
@@ -50,6 +47,13 @@ DIRECTIONS = 8
 BITS = 1 << 21  # cells along an axis, so that the name of a cell is one whole number
 
 
+class Points(NamedTuple):
+    """Landmarks p (k, d) of a map in one frame, m, and the covariance C (k, d, d) of each beside its anchor, m^2."""
+
+    p: Array
+    C: Array
+
+
 @dataclass(frozen=True)
 class Alignment:
     """A motion of map b, on the right of its anchor.
@@ -57,15 +61,11 @@ class Alignment:
     Attributes
     ----------
     delta : (d,) the motion.
-    Omega : (d, d) its information, by the matches.
-    matches : how many landmarks of one map match one of the other.
-    chance : the most that match after a shift.
-    i, j, d2 : (k,) landmarks of a and of b within the gate, and their squared distance.
+    chance : the most landmarks that match after a shift.
+    i, j, d2 : (k,) landmarks of a and of b that match, and their squared distance.
     """
 
     delta: Array
-    Omega: Array
-    matches: int
     chance: int
     i: Index
     j: Index
@@ -74,7 +74,7 @@ class Alignment:
     @property
     def sure(self) -> bool:
         """Whether no shift matches nearly as many."""
-        return self.matches >= LEAST and self.matches > self.chance + BEYOND * sqrt(self.chance)
+        return len(self.i) >= LEAST and len(self.i) > self.chance + BEYOND * sqrt(self.chance)
 
 
 def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) -> Alignment | None:
@@ -89,20 +89,20 @@ def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) ->
     """
     if min(len(a.p), len(b.p)) < LEAST:
         return None
-    maps = _Maps(group, a, b, gate)
-    w, V = np.linalg.eigh(Sigma)
+    maps, (w, V) = _Maps(group, a, b, gate), np.linalg.eigh(Sigma)
     S = V * np.sqrt(np.maximum(w, 0.0))
-    fits = [maps.fitted(start, S) for start in maps.starts(Sigma)]
-    if not fits or (best := max(fits, key=lambda fit: fit[2]))[2] < LEAST:
+    fits, n = maps.fitted(maps.starts(Sigma), S)
+    if n.max(initial=0) < LEAST:
         return None
-    i, j, _, _, d2 = maps.within(best[0], gate)
-    alignment, middle = Alignment(*best, 0, i, j, d2), maps.J.mean(axis=0)
-    for delta, _, n in chain(fits, (maps.fitted(best[0] + shift, S) for shift in maps.shifts())):
-        if n > alignment.chance and np.linalg.norm(middle @ (delta - best[0])) > 2 * maps.cell:
-            alignment = replace(alignment, chance=n)
-        if not alignment.sure:
-            break
-    return alignment
+    best, middle = fits[n.argmax()], maps.J.mean(axis=0)
+    _, i, j, _, _, d2 = maps.matches(best[None], gate)
+
+    def with_chance(alignment: Alignment, fits: Array, n: Index) -> Alignment:
+        elsewhere = np.linalg.norm((fits - best) @ middle.T, axis=1) > 2 * maps.cell
+        return replace(alignment, chance=max(alignment.chance, int(n[elsewhere].max(initial=0))))
+
+    alignment = with_chance(Alignment(best, 0, i, j, d2), fits, n)
+    return with_chance(alignment, *maps.fitted(best + maps.shifts(), S)) if alignment.sure else alignment
 
 
 @dataclass(frozen=True)
@@ -133,43 +133,48 @@ class _Maps:
             sum(float(np.median(np.trace(C, axis1=1, axis2=2))) for _, C in (self.a, self.b)) / len(self.J[0])
         )
 
-    def within(self, delta: Array, bound: float) -> tuple[Index, Index, Array, Array, Array]:
-        """Landmarks i (q,) of a and j (q,) of b with d^2 below a bound; r (q, d), its information (q, d, d), d^2."""
-        moved = self.group.act(self.group.exp(delta[None]), self.b.p)
-        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(WIDE * self.gate) * self.cell)
-        j, column = np.nonzero(np.isfinite(distance))
-        i = near[j, column]
-        r, W = moved[j] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
-        d2 = quadratic(r, W)
-        inside = d2 < bound
-        return i[inside], j[inside], r[inside], W[inside], d2[inside]
+    def matches(self, delta: Array, bound: float) -> tuple[Index, Index, Index, Array, Array, Array]:
+        """What matches after motions (q, m): which of these (n,), landmarks i (n,) of a and j (n,) of b.
 
-    def fitted(self, start: Array, S: Array) -> tuple[Array, Array, int]:
-        """The motion near a start whose matches fit best, its information by them, and how many these are.
-
-        S S' is the covariance of the motion about the start.
+        Each is the nearest of the other, with d^2 below a bound. And r (n, d), its information (n, d, d), and d^2 (n,).
         """
-        delta, Omega, n = start, np.zeros((len(S), len(S))), 0
-        for bound in (WIDE * self.gate, WIDE * self.gate, self.gate, self.gate, self.gate):
-            i, j, r, W, d2 = self.within(delta, bound)
-            match = _least(i, d2) & _least(j, d2)
-            n, J = int(np.count_nonzero(match)), self.J[j[match]]
-            WJ = KERNEL.weight(d2[match])[:, None, None] * product(W[match], J)
-            r = r[match] - J @ (delta - start)
-            Omega, pull = product(J.mT, WJ).sum(axis=0), (WJ.mT @ r[..., None]).sum(axis=0)[:, 0]
-            delta = start - S @ np.linalg.solve(S.T @ Omega @ S + np.eye(len(S)), S.T @ pull)
-        return delta, Omega, n
+        k = len(self.b.p)
+        moved = self.group.act(self.group.exp(delta).repeat(k, axis=0), np.tile(self.b.p, (len(delta), 1)))
+        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(bound) * self.cell)
+        row, column = np.nonzero(np.isfinite(distance))
+        (which, j), i = np.divmod(row, k), near[row, column]
+        r, W = moved[row] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
+        d2 = quadratic(r, W)
+        match = (d2 < bound) & _least(which * len(self.a.p) + i, d2) & _least(row, d2)
+        return which[match], i[match], j[match], r[match], W[match], d2[match]
 
-    def starts(self, Sigma: Array) -> list[Array]:
-        """Motions (m,) to begin with: turns, with the shifts most pairs vote for; none where that is much to try."""
+    def fitted(self, start: Array, S: Array) -> tuple[Array, Index]:
+        """The motions (q, m) near starts (q, m) whose matches fit best, and how many these are (q,).
+
+        S S' is the covariance of the motion about each start.
+        """
+        delta, which = start, np.zeros(0, dtype=np.intp)
+        for bound in (WIDE * self.gate, WIDE * self.gate, self.gate, self.gate, self.gate):
+            which, _, j, r, W, d2 = self.matches(delta, bound)
+            J, Omega, pull = self.J[j], np.zeros((len(start), *S.shape)), np.zeros(start.shape)
+            WJ = KERNEL.weight(d2)[:, None, None] * product(W, J)
+            r = r - apply(J, (delta - start)[which])
+            np.add.at(Omega, which, product(J.mT, WJ))
+            np.add.at(pull, which, apply(WJ.mT, r))
+            delta = start - np.linalg.solve(S.T @ Omega @ S + np.eye(len(S)), (pull @ S)[..., None])[..., 0] @ S.T
+        return delta, np.bincount(which, minlength=len(start))
+
+    def starts(self, Sigma: Array) -> Array:
+        """Motions (q, m) to begin with: turns, with the shifts most pairs vote for; none where that is much to try."""
         a, b, J, k = self.a, self.b, self.J, self.a.p.shape[1]
         extent = float(np.linalg.norm(b.p - b.p.mean(axis=0), axis=1).max())
         turns = _turns(Sigma[k:, k:], self.cell / max(extent, self.cell))
         spread = J @ Sigma @ J.mT
         reach = sqrt(self.gate) * (sqrt(float(np.linalg.eigvalsh(spread)[:, -1].max())) + self.cell)
         other = type(self.tree)(b.p)
+        none = np.zeros((0, len(Sigma)))
         if not len(turns) or self.tree.count_neighbors(other, reach) * len(turns) > WORK:
-            return []
+            return none
         pairs = self.tree.sparse_distance_matrix(other, reach, output_type="ndarray")
         i, j = pairs["i"], pairs["j"]
         e = b.p[j] - a.p[i]
@@ -193,17 +198,15 @@ class _Maps:
                 shift = (cells[first[best]] + 0.5 - aside) * 2 * self.cell
                 motions.append(np.concatenate([delta[:k] - shift, turn]))
                 votes.append(int(count[best]))
-        return [motions[n] for n in np.argsort(-np.array(votes), kind="stable")[:PEAKS]]
+        return np.stack(motions)[np.argsort(-np.array(votes), kind="stable")[:PEAKS]] if motions else none
 
-    def shifts(self) -> list[Array]:
-        """Motions (m,) that shift map b a little way, along the two axes of its largest extent."""
+    def shifts(self) -> Array:
+        """Motions (q, m) that shift map b a little way, along the two axes of its largest extent."""
         b, (_, k, m) = self.b.p, self.J.shape
         x, y = np.linalg.svd(b - b.mean(axis=0), full_matrices=False)[2][:2]
         angles = np.arange(DIRECTIONS) * 2 * pi / DIRECTIONS
-        return [
-            np.pad(away * self.cell * (np.cos(angle) * x + np.sin(angle) * y), (0, m - k))
-            for angle, away in every(angles, AWAY)
-        ]
+        aside = np.outer(np.cos(angles), x) + np.outer(np.sin(angles), y)
+        return np.pad(self.cell * np.multiply.outer(AWAY, aside).reshape(-1, k), ((0, 0), (0, m - k)))
 
 
 def _least(landmark: Index, d2: Array) -> Mask:

@@ -42,6 +42,7 @@ from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import FIRST, KERNEL, Estimate, estimated, measured_numbers, without
 from nls.sonar.contacts.gates import landmark_distances, sighting_distances
 from nls.sonar.contacts.loops import closed
+from nls.sonar.contacts.maps import local_maps
 from nls.sonar.contacts.merging import continued, linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
@@ -181,13 +182,16 @@ def associate(
     pieces = _linked(pings, graph, values, gate)
     poses, tracks = graph.optimize(values).values, pieces.copy()
     if len(pings.poses) > PINGS:
+        maps = []
         for rows, part, between, start in stretches(pings, graph, poses, PINGS):
             linked_there = of.renamed(pieces[rows])
-            of_stretch, *_ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
+            of_stretch, there, _ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
             tracks[rows] = rows[of_stretch[-1]]
+            estimate = estimated(part, between, there, of_stretch[-1])
+            maps.append([local.of(rows) for local in local_maps(part, estimate, least)])
         stretch = stretch_of_ping(bounds(len(pings.poses), PINGS))[pings.ping]
         tracks = continued(tracks, pieces, pings.ping, stretch)
-        tracks, poses = closed(pings, graph, poses, tracks, least, probability)
+        tracks, poses = closed(pings, graph, poses, tracks, maps, probability)
     history, poses, settled = _rounds(pings, graph, poses, tracks, pieces, asked)
     return _associated(pings, graph, poses, history, least, gate, settled)
 

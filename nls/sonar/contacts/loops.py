@@ -1,28 +1,30 @@
 """Loops of a long mission: stretches whose landmarks are the same, by all of their landmarks together.
 
-A single landmark has several others in its gate after a long way. All landmarks of a stretch together have one place
-(`nls.sonar.contacts.alignment`). Each alignment that is sure joins tracks, and measures the motion between two anchors.
-These motions bring the poses back. Then the joined tracks say how well other motions are known. The alignment itself
-would promise too much, because its matches share the errors of both maps. It goes on until no loop is new. A loop whose
-landmarks the other ones draw apart is taken back, and not tried again.
+A single landmark has several others in its gate after a long way. All landmarks of a local map together have one place
+(`nls.sonar.contacts.alignment`). An alignment that is sure measures the motion between two anchors
+(`nls.sonar.contacts.maps`). A graph of all other measurements and these motions brings the poses back, and says how
+well other motions are known. Maps are aligned first where their motion is known best. It goes on until no loop is new.
+A loop that does not fit the others is taken back, and not tried again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from factors import Between, Information, Robust
+from factors import Between, Information
 from factors.keys import Keys
-from models.algebra import Array, Index
+from models import LieGroup
+from models.algebra import Array, Index, congruence
 from nls.analysis.chi_squared import chi2_gate
+from nls.covariance import Marginals
+from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
-from nls.sonar.contacts import tracks as of
-from nls.sonar.contacts.alignment import WIDE, aligned
-from nls.sonar.contacts.estimate import FIRST, estimated, without
-from nls.sonar.contacts.maps import Maps, local_maps
+from nls.sonar.contacts.alignment import WIDE, Points, aligned
+from nls.sonar.contacts.estimate import FIRST
+from nls.sonar.contacts.maps import LocalMap, measured_motion
 from nls.sonar.contacts.merging import merged_both_ways
 from nls.sonar.contacts.pairs import largest_variances
 from nls.sonar.contacts.places import Pings
@@ -31,18 +33,17 @@ from nls.values import Values
 
 __all__ = ["closed"]
 
-PINGS = 100  # of a stretch, at most
 BETTER = 2.0  # times; a motion that is known so much better is tried again
 
 
 class Loop(NamedTuple):
-    """Two stretches with landmarks in common.
+    """Two maps that were aligned.
 
     Attributes
     ----------
-    motion : (size,) from the anchor of the one to that of the other.
+    motion : (size,) from anchor to anchor.
     Omega : (d, d) its information.
-    i, j, d2 : (k,) sightings of the one and of the other whose landmarks match, and the squared distance of these.
+    i, j, d2 : (k,) a sighting of a landmark in one map, one in the other, and their squared distance.
     """
 
     motion: Array
@@ -52,8 +53,11 @@ class Loop(NamedTuple):
     d2: Array
 
 
+Loops = dict[tuple[int, int], Loop]
+
+
 def closed(
-    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, least: int, probability: float
+    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, stretches: list[list[LocalMap]], probability: float
 ) -> tuple[Index, Values]:
     """Tracks (n,), joined where loops bring them together, and the poses by these loops.
 
@@ -62,77 +66,96 @@ def closed(
     pings : the sightings.
     graph, values : the other measurements, and poses by them.
     tracks : (n,) of sightings, by stretches alone.
-    least : sightings of a landmark that is matched.
-    probability : with which a right match is within its gate.
+    stretches : the maps of every stretch. Those of one stretch are not aligned: it knows its landmarks.
+    probability : with which a right match, and a right loop, are within their gates.
     """
-    if of.sizes(tracks).max() < least:
+    maps = [local for stretch in stretches for local in stretch]
+    if not maps:
         return tracks, values
-    loops: dict[tuple[int, int], Loop] = {}
-    tried: dict[tuple[int, int], float] = {}
+    anchors = Keys(pings.poses.kind, np.concatenate([local.anchor.numbers for local in maps]))
+    stretch = np.arange(len(stretches)).repeat([len(stretch) for stretch in stretches])
     gate = chi2_gate(pings.group.point_dim, probability)
-    joined, estimate = tracks, estimated(pings, graph, values, tracks, FIRST)
+    loops: Loops = {}
+    tried = np.where(stretch[:, None] == stretch, 0.0, np.inf)  # the width of each motion then; 0 where that was enough
+    placed, widest = _placed(pings.group, maps, anchors, Marginals(graph, values)), 0.0
     while True:
-        misfit = np.bincount(tracks, estimate.d2)[tracks] / of.sizes(tracks)
-        held = {pair: loop for pair, loop in loops.items() if _holds(misfit, loop, gate)}
-        maps = local_maps(pings, estimate, PINGS, least)
-        new = _new_loops(maps, tried, gate)
-        if not new and len(held) == len(loops):
-            return joined, without(estimate.values, pings.kind)
-        loops = held | new
-        joined, poses = tracks, values
-        if loops:
-            i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
-            joined = merged_both_ways(tracks, pings.ping, i, j, d2, gate)
-            poses = _looped(graph, values, maps.anchors, loops)
-        estimate = estimated(pings, graph, poses, joined, FIRST)
-        announce(f"{len(loops):,} loops between {len(maps.anchors):,} stretches of the mission")
+        a, b, Sigma, width = placed.near(gate)
+        fresh = BETTER * width <= tried[a, b]
+        if not fresh.any():
+            break
+        widest = max(widest, BETTER * width[fresh].min())
+        now = np.flatnonzero(fresh & (width < widest))
+        new = {(int(a[n]), int(b[n])): placed.loop(a[n], b[n], Sigma[n], gate) for n in now}
+        tried[a[now], b[now]] = np.where([*map(bool, new.values())], 0.0, width[now])
+        if any(new.values()):
+            loops |= {pair: loop for pair, loop in new.items() if loop}
+            loops, marginals = _held(graph, values, anchors, loops, probability)
+            values, placed = marginals.values, _placed(pings.group, maps, anchors, marginals)
+            announce(f"{len(loops):,} loops between {len(maps):,} stretches of the mission")
+    if loops:
+        i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
+        tracks = merged_both_ways(tracks, pings.ping, i, j, d2, gate)
+    return tracks, values
 
 
-def _looped(graph: FactorGraph, values: Values, anchors: Keys, loops: dict[tuple[int, int], Loop]) -> Values:
-    """Poses by the motions between anchors that loops measure, from those by all other measurements."""
-    a, b = np.array([*loops]).T
-    Z, Omega, *_ = zip(*loops.values(), strict=True)
-    between = Between(anchors[a], anchors[b], np.stack(Z), Robust(Information(np.stack(Omega)), FIRST))
-    return FactorGraph([*graph.factors, between], graph.fixed).optimize(values).values
+def _held(
+    graph: FactorGraph, values: Values, anchors: Keys, loops: Loops, probability: float
+) -> tuple[Loops, Marginals]:
+    """The loops that fit one another, and the poses by them with their covariances."""
+    while loops:
+        a, b = np.array([*loops]).T
+        Z, Omega = (np.stack([loop[k] for loop in loops.values()]) for k in range(2))
+        between = Between(anchors[a], anchors[b], Z, Information(Omega))
+        whole = FactorGraph([*graph.factors, between.robust(FIRST)], graph.fixed)
+        poses = whole.optimize(values).values
+        fits = between.chi2(poses) < WIDE * chi2_gate(Omega.shape[1], probability)
+        if fits.all():
+            return loops, Marginals(whole, poses)
+        loops = {pair: loop for (pair, loop), fit in zip(loops.items(), fits, strict=True) if fit}
+    return loops, Marginals(graph, graph.optimize(values).values)
 
 
-def _holds(misfit: Array, loop: Loop, gate: float) -> bool:
-    """Whether the landmarks of a loop fit on both sides, by the mean d2 of the track of every sighting (n,)."""
-    return all(float(np.median(misfit[side])) < WIDE * gate for side in (loop.i, loop.j))
+@dataclass(frozen=True)
+class _Placed:
+    """Local maps where a graph has their anchors: X (s, size), and the joint covariance Sigma (s, s, d, d) of these."""
+
+    group: LieGroup
+    maps: list[LocalMap]
+    X: Array
+    Sigma: Array
+
+    def near(self, gate: float) -> tuple[Index, Index, Array, Array]:
+        """Pairs a, b (n,) that may share landmarks, the covariance (n, d, d) of their motion, its width (n,) in m."""
+        group, X, Sigma = self.group, self.X, self.Sigma
+        middle = np.stack([local.p.mean(axis=0) for local in self.maps])
+        radius = np.array(
+            [np.linalg.norm(local.p - p, axis=1).max() for local, p in zip(self.maps, middle, strict=True)]
+        )
+        middle = group.act(X, middle)
+        a, b = np.triu_indices(len(X), 1)
+        motions = of_motions(group, group.between(X[a], X[b]), Sigma[a, a], Sigma[a, b], Sigma[b, b])
+        position, turn = map(np.sqrt, largest_variances(motions, middle.shape[1]))
+        width = position + 2 * radius[b] * turn
+        near = np.linalg.norm(middle[a] - middle[b], axis=1) < radius[a] + radius[b] + np.sqrt(gate) * width
+        return a[near], b[near], motions[near], width[near]
+
+    def loop(self, a: int, b: int, Sigma: Array, gate: float) -> Loop | None:
+        """The loop of maps a and b, where their alignment is sure; Sigma (d, d) is the covariance of their motion."""
+        group, first, second = self.group, self.maps[a], self.maps[b]
+        G = group.between(self.X[[a]], self.X[[b]])
+        R = group.rotation(group.inverse(G))
+        seen = Points(group.act(group.inverse(G), first.p), congruence(R, first.own))
+        alignment = aligned(group, seen, Points(second.p, second.own), Sigma, gate)
+        if alignment is None or not alignment.sure:
+            return None
+        i, j = alignment.i, alignment.j
+        start = group.compose(G, group.exp(alignment.delta[None]))[0]
+        motion, Omega, agree = measured_motion(group, first, second, i, j, start, gate)
+        return Loop(motion, Omega, first.sightings[i[agree]], second.sightings[j[agree]], alignment.d2[agree])
 
 
-def _new_loops(maps: Maps, tried: dict[tuple[int, int], float], gate: float) -> dict[tuple[int, int], Loop]:
-    """Loops between pairs of stretches whose alignment is sure.
-
-    Pairs that were `tried` have the width of their motion then, and 0 where they had a loop. New ones are noted there.
-    """
-    group, X = maps.group, maps.X
-    new = {}
-    for (a, b), Sigma, width in _near(maps, gate):
-        if BETTER * width > tried.get((a, b), np.inf):
-            continue
-        first, second = maps.seen_from(b, a), maps.seen_from(b, b)
-        alignment = aligned(group, first, second, Sigma, gate)
-        tried[a, b] = width
-        if alignment is not None and alignment.sure:
-            motion = group.between(X[[a]], group.compose(X[[b]], group.exp(alignment.delta[None])))[0]
-            i, j = maps.sightings[maps.stretch == a][alignment.i], maps.sightings[maps.stretch == b][alignment.j]
-            new[a, b], tried[a, b] = Loop(motion, alignment.Omega, i, j, alignment.d2), 0.0
-    return new
-
-
-def _near(maps: Maps, gate: float) -> Iterator[tuple[tuple[int, int], Array, float]]:
-    """Pairs of stretches that may have landmarks in common, the covariance (d, d) of their motion, its width in m."""
-    p, count = maps.points.p, len(maps.anchors)
-    k = p.shape[1]
-    middle, radius = np.zeros((count, k)), np.zeros(count)
-    np.add.at(middle, maps.stretch, p)
-    middle /= np.maximum(np.bincount(maps.stretch, minlength=count), 1)[:, None]
-    np.maximum.at(radius, maps.stretch, np.linalg.norm(p - middle[maps.stretch], axis=1))
-    a, b = np.triu_indices(count, 1)
-    Sigma = maps.motions(a, b)
-    position, turn = map(np.sqrt, largest_variances(Sigma, k))
-    width = position + 2 * radius[b] * turn
-    reach = radius[a] + radius[b] + np.sqrt(gate) * width
-    for n in np.flatnonzero(np.linalg.norm(middle[a] - middle[b], axis=1) < reach):
-        yield (int(a[n]), int(b[n])), Sigma[n], float(width[n])
+def _placed(group: LieGroup, maps: list[LocalMap], anchors: Keys, marginals: Marginals) -> _Placed:
+    """Maps with their anchors where the marginals have them."""
+    shape = (len(anchors), group.dim) * 2
+    Sigma = marginals.joint(anchors, frame="body").matrix.reshape(shape).swapaxes(1, 2)
+    return _Placed(group, maps, marginals.values[anchors], Sigma)

@@ -8,8 +8,7 @@ import pytest
 from models import SE2, SE3, LieGroup
 from models.algebra import Array
 from nls.analysis.chi_squared import chi2_gate
-from nls.sonar.contacts.alignment import Alignment, aligned
-from nls.sonar.contacts.maps import Points
+from nls.sonar.contacts.alignment import Alignment, Points, aligned
 
 SIGMA = 0.05  # m, of a landmark beside its anchor
 MOTIONS: dict[str, tuple[LieGroup, Array, Array]] = {  # group, sigmas of the motion, the motion
@@ -41,14 +40,13 @@ def test_common_landmarks_tell_the_motion(name: str, seed: int) -> None:
     alignment = alignment_of(name, 40, seed)
     assert alignment is not None
     assert alignment.sure
-    assert alignment.matches >= 36
+    assert len(alignment.i) >= 36
     assert alignment.chance < 15
     delta = MOTIONS[name][2]
     error = np.abs(alignment.delta - delta)
     assert (error < 4 * SIGMA / np.sqrt(40)).all()
     right = (alignment.i == alignment.j) & (alignment.j < 40)
     assert np.count_nonzero(right) >= 36
-    assert np.linalg.eigvalsh(alignment.Omega).min() > 0
 
 
 @pytest.mark.parametrize("name", MOTIONS)
@@ -65,7 +63,7 @@ def test_a_grid_of_landmarks_has_many_places() -> None:
     C = np.broadcast_to(SIGMA**2 * np.eye(2), (len(p), 2, 2))
     alignment = aligned(SE2, Points(p, C), Points(p, C), np.diag([0.04, 0.04, 1e-4]), chi2_gate(2, 0.999))
     assert alignment is not None
-    assert alignment.matches > 300
+    assert len(alignment.i) > 300
     assert not alignment.sure
 
 
