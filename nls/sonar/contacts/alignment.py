@@ -33,7 +33,7 @@ from nls.analysis.chi_squared import mahalanobis
 from nls.sonar.contacts.estimate import KERNEL
 from nls.sonar.contacts.gates import quadratic
 
-__all__ = ["WIDE", "Alignment", "Points", "aligned"]
+__all__ = ["LEAST", "WIDE", "Alignment", "Points", "aligned"]
 
 LEAST = 10  # matches
 BEYOND = 4.0  # times the square root of the matches by chance: so many more make an alignment sure

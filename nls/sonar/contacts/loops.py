@@ -22,7 +22,7 @@ from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
 from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
-from nls.sonar.contacts.alignment import WIDE, Points, aligned
+from nls.sonar.contacts.alignment import LEAST, WIDE, Points, aligned
 from nls.sonar.contacts.estimate import FIRST
 from nls.sonar.contacts.maps import LocalMap, measured_motion
 from nls.sonar.contacts.merging import merged_both_ways
@@ -151,6 +151,8 @@ class _Placed:
         i, j = alignment.i, alignment.j
         start = group.compose(G, group.exp(alignment.delta[None]))[0]
         motion, Omega, agree = measured_motion(group, first, second, i, j, start, gate)
+        if np.count_nonzero(agree) < LEAST:
+            return None
         return Loop(motion, Omega, first.sightings[i[agree]], second.sightings[j[agree]], alignment.d2[agree])
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from factors.keys import Keys
 from models import LieGroup
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index, Mask, congruence
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
 from nls.covariance import Marginals
@@ -103,7 +103,7 @@ def measured_motion(
         C = a.C[of_a[:, None], of_a] + R @ b.C[of_b[:, None], of_b] @ R.T
         W, J = np.linalg.inv(C.swapaxes(1, 2).reshape(n * d, n * d)), (R @ H[use]).reshape(n * d, -1)
         r = (a.p[of_a] - group.act(G[None], b.p[of_b])).reshape(-1)
-        Omega = J.T @ W @ J
+        Omega = congruence(J.T, W)
         delta = np.linalg.pinv(Omega, hermitian=True) @ (J.T @ W @ r)
         G = group.compose(G[None], group.exp(delta[None]))[0]
         if delta @ Omega @ delta > NEAR:
