@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 KERNEL = Cauchy(2.0)
-PROBABILITY = 0.999  # of the gate: 1.91 m off GPS, 1.98 m with the default of 0.995
 WRONG = 0.1  # weight below which a sighting is taken for one of something else: 6 sigma of this kernel
 PARTICLES, LAG, SEEDS = 100, 20, (1, 2, 3)
 
@@ -275,7 +274,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
     table.append(park_row("graph, trees found again", park.gps_error(last[x]), trees_of(graph), seconds))
     began = process_time()
     odometry, poses = FactorGraph(park.graph.factors[:2]), Values.of([park.start.stack("x")])
-    associated = contacts.associate(odometry, poses, park.sightings, probability=PROBABILITY)
+    associated = contacts.associate(odometry, poses, park.sightings)
     named, start = park.named(associated.numbers, associated.values[x])
     at_once, _ = solve(named, start)
     table.append(
@@ -305,8 +304,7 @@ def trees(data: Path, images: Path | None) -> list[str]:
         "are left out.",
         f"- chi2 of that solution is {chi2:.2f} of its number of residuals. Sigmas are wide on purpose, as the "
         "gates of the filter are made of them.",
-        f"- *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning, with gates of "
-        f"{PROBABILITY}. {associated}.",
+        f"- *All trees at once*: `nls.sonar.contacts.associate`, from dead reckoning. {associated}.",
     ]
 
 
