@@ -140,7 +140,7 @@ class _Maps:
         """
         k = len(self.b.p)
         moved = self.group.act(self.group.exp(delta).repeat(k, axis=0), np.tile(self.b.p, (len(delta), 1)))
-        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(bound) * self.cell)
+        distance, near = self.tree.query(moved, NEAREST, distance_upper_bound=sqrt(WIDE * self.gate) * self.cell)
         row, column = np.nonzero(np.isfinite(distance))
         (which, j), i = np.divmod(row, k), near[row, column]
         r, W = moved[row] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
@@ -210,10 +210,10 @@ class _Maps:
 
 
 def _least(landmark: Index, d2: Array) -> Mask:
-    """Which pairs (q,) are the nearest of their landmark (q,)."""
-    least = np.full(int(landmark.max(initial=-1)) + 1, np.inf)
-    np.minimum.at(least, landmark, d2)
-    return np.asarray(d2 == least[landmark])
+    """Which pairs (q,) are the nearest of their landmark (q,), one of each."""
+    order, least = np.lexsort((d2, landmark)), np.zeros(len(d2), dtype=bool)
+    least[order] = np.diff(landmark[order], prepend=-1) != 0
+    return least
 
 
 def _turns(Sigma: Array, step: float) -> Array:

@@ -188,7 +188,7 @@ def associate(
             of_stretch, there, _ = _rounds(part, between, start, linked_there, linked_there, asked, part=True)
             tracks[rows] = rows[of_stretch[-1]]
             estimate = estimated(part, between, there, of_stretch[-1])
-            maps.append([local.of(rows) for local in local_maps(part, estimate, least)])
+            maps.append([local.renumbered(rows) for local in local_maps(part, estimate, least)])
         stretch = stretch_of_ping(bounds(len(pings.poses), PINGS))[pings.ping]
         tracks = continued(tracks, pieces, pings.ping, stretch)
         tracks, poses = closed(pings, graph, poses, tracks, maps, probability)

@@ -5,6 +5,9 @@ A single landmark has several others in its gate after a long way. All landmarks
 (`nls.sonar.contacts.maps`). A graph of all other measurements and these motions brings the poses back, and says how
 well other motions are known. Maps are aligned first where their motion is known best. It goes on until no loop is new.
 A loop that does not fit the others is taken back, and not tried again.
+
+Source: S. Julier, J. Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations", American
+Control Conference 1997, for the information of loops that share a map.
 """
 
 from __future__ import annotations
@@ -14,15 +17,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from factors import Between, Information
+from factors import Between, Information, Robust
 from factors.keys import Keys
+from factors.noise import square
 from models import LieGroup
 from models.algebra import Array, Index, congruence
 from nls.analysis.chi_squared import chi2_gate
+from nls.analysis.leave_one_out import left_out
 from nls.covariance import Marginals
 from nls.covariance.frames import of_motions
 from nls.graph import FactorGraph
-from nls.sonar.contacts.alignment import LEAST, WIDE, Points, aligned
+from nls.sonar.contacts.alignment import Points, aligned
 from nls.sonar.contacts.estimate import FIRST
 from nls.sonar.contacts.maps import LocalMap, measured_motion
 from nls.sonar.contacts.merging import merged_both_ways
@@ -57,7 +62,7 @@ Loops = dict[tuple[int, int], Loop]
 
 
 def closed(
-    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, stretches: list[list[LocalMap]], probability: float
+    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, maps: list[list[LocalMap]], probability: float
 ) -> tuple[Index, Values]:
     """Tracks (n,), joined where loops bring them together, and the poses by these loops.
 
@@ -66,32 +71,32 @@ def closed(
     pings : the sightings.
     graph, values : the other measurements, and poses by them.
     tracks : (n,) of sightings, by stretches alone.
-    stretches : the maps of every stretch. Those of one stretch are not aligned: it knows its landmarks.
+    maps : those of every stretch. The maps of one stretch are not aligned: it has compared their landmarks.
     probability : with which a right match, and a right loop, are within their gates.
     """
-    maps = [local for stretch in stretches for local in stretch]
-    if not maps:
+    every = [local for of_stretch in maps for local in of_stretch]
+    if not every:
         return tracks, values
-    anchors = Keys(pings.poses.kind, np.concatenate([local.anchor.numbers for local in maps]))
-    stretch = np.arange(len(stretches)).repeat([len(stretch) for stretch in stretches])
+    anchors = Keys(pings.poses.kind, np.concatenate([local.anchor.numbers for local in every]))
+    stretch = np.arange(len(maps)).repeat([len(of_stretch) for of_stretch in maps])
     gate = chi2_gate(pings.group.point_dim, probability)
     loops: Loops = {}
-    tried = np.where(stretch[:, None] == stretch, 0.0, np.inf)  # the width of each motion then; 0 where that was enough
-    placed, widest = _placed(pings.group, maps, anchors, Marginals(graph, values)), 0.0
+    tried = np.where(stretch[:, None] == stretch, 0.0, np.inf)  # width at the last try; 0: aligned, or of one stretch
+    placed, widest = _placed(pings.group, every, anchors, Marginals(graph, values)), 0.0
     while True:
         a, b, Sigma, width = placed.near(gate)
-        fresh = BETTER * width <= tried[a, b]
+        fresh = BETTER * width < tried[a, b]
         if not fresh.any():
             break
         widest = max(widest, BETTER * width[fresh].min())
-        now = np.flatnonzero(fresh & (width < widest))
+        now = np.flatnonzero(fresh & (width <= widest))
         new = {(int(a[n]), int(b[n])): placed.loop(a[n], b[n], Sigma[n], gate) for n in now}
         tried[a[now], b[now]] = np.where([*map(bool, new.values())], 0.0, width[now])
         if any(new.values()):
             loops |= {pair: loop for pair, loop in new.items() if loop}
             loops, marginals = _held(graph, values, anchors, loops, probability)
-            values, placed = marginals.values, _placed(pings.group, maps, anchors, marginals)
-            announce(f"{len(loops):,} loops between {len(maps):,} stretches of the mission")
+            values, placed = marginals.values, _placed(pings.group, every, anchors, marginals)
+            announce(f"{len(loops):,} loops between {len(every):,} local maps")
     if loops:
         i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
         tracks = merged_both_ways(tracks, pings.ping, i, j, d2, gate)
@@ -101,17 +106,25 @@ def closed(
 def _held(
     graph: FactorGraph, values: Values, anchors: Keys, loops: Loops, probability: float
 ) -> tuple[Loops, Marginals]:
-    """The loops that fit one another, and the poses by them with their covariances."""
+    """The loops that fit one another, and the poses by them with their covariances.
+
+    All n loops of a map share its errors. With 1/n of its information each, they promise no more than is true.
+    """
     while loops:
         a, b = np.array([*loops]).T
+        n = np.bincount(np.append(a, b))
         Z, Omega = (np.stack([loop[k] for loop in loops.values()]) for k in range(2))
-        between = Between(anchors[a], anchors[b], Z, Information(Omega))
-        whole = FactorGraph([*graph.factors, between.robust(FIRST)], graph.fixed)
+        shared = Omega / np.maximum(n[a], n[b])[:, None, None]
+        between = Between(anchors[a], anchors[b], Z, Robust(Information(shared), FIRST))
+        whole = FactorGraph([*graph.factors, between], graph.fixed)
         poses = whole.optimize(values).values
-        fits = between.chi2(poses) < WIDE * chi2_gate(Omega.shape[1], probability)
-        if fits.all():
-            return loops, Marginals(whole, poses)
-        loops = {pair: loop for (pair, loop), fit in zip(loops.items(), fits, strict=True) if fit}
+        marginals, (model, X) = Marginals(whole, poses), poses.gather(between)
+        C = congruence(square(model.W), marginals.relative(anchors[a], anchors[b]))
+        t, _ = left_out(model.error(*X), C, between.weights(poses))
+        wrong = t > max(chi2_gate(len(Omega[0]), probability), t.max() / 2)  # it makes others look wrong
+        if not wrong.any():
+            return loops, marginals
+        loops = {pair: loop for (pair, loop), out in zip(loops.items(), wrong, strict=True) if not out}
     return loops, Marginals(graph, graph.optimize(values).values)
 
 
@@ -127,15 +140,13 @@ class _Placed:
     def near(self, gate: float) -> tuple[Index, Index, Array, Array]:
         """Pairs a, b (n,) that may share landmarks, the covariance (n, d, d) of their motion, its width (n,) in m."""
         group, X, Sigma = self.group, self.X, self.Sigma
-        middle = np.stack([local.p.mean(axis=0) for local in self.maps])
-        radius = np.array(
-            [np.linalg.norm(local.p - p, axis=1).max() for local, p in zip(self.maps, middle, strict=True)]
-        )
-        middle = group.act(X, middle)
+        middle = [local.p.mean(axis=0) for local in self.maps]
+        radius = np.array([_farthest(local.p - p) for local, p in zip(self.maps, middle, strict=True)])
+        arm, middle = np.array([_farthest(local.p) for local in self.maps]), group.act(X, np.stack(middle))
         a, b = np.triu_indices(len(X), 1)
         motions = of_motions(group, group.between(X[a], X[b]), Sigma[a, a], Sigma[a, b], Sigma[b, b])
         position, turn = map(np.sqrt, largest_variances(motions, middle.shape[1]))
-        width = position + 2 * radius[b] * turn
+        width = position + arm[b] * turn
         near = np.linalg.norm(middle[a] - middle[b], axis=1) < radius[a] + radius[b] + np.sqrt(gate) * width
         return a[near], b[near], motions[near], width[near]
 
@@ -143,17 +154,22 @@ class _Placed:
         """The loop of maps a and b, where their alignment is sure; Sigma (d, d) is the covariance of their motion."""
         group, first, second = self.group, self.maps[a], self.maps[b]
         G = group.between(self.X[[a]], self.X[[b]])
-        R = group.rotation(group.inverse(G))
-        seen = Points(group.act(group.inverse(G), first.p), congruence(R, first.own))
-        alignment = aligned(group, seen, Points(second.p, second.own), Sigma, gate)
+        back = group.inverse(G)
+        a_in_b = Points(group.act(back, first.p), congruence(group.rotation(back), first.covariances))
+        alignment = aligned(group, a_in_b, Points(second.p, second.covariances), Sigma, gate)
         if alignment is None or not alignment.sure:
             return None
         i, j = alignment.i, alignment.j
         start = group.compose(G, group.exp(alignment.delta[None]))[0]
         motion, Omega, agree = measured_motion(group, first, second, i, j, start, gate)
-        if np.count_nonzero(agree) < LEAST:
+        if not agree.any():
             return None
         return Loop(motion, Omega, first.sightings[i[agree]], second.sightings[j[agree]], alignment.d2[agree])
+
+
+def _farthest(p: Array) -> float:
+    """The largest length of vectors (k, d)."""
+    return float(np.linalg.norm(p, axis=1).max())
 
 
 def _placed(group: LieGroup, maps: list[LocalMap], anchors: Keys, marginals: Marginals) -> _Placed:

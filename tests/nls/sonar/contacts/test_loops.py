@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import sim
-from factors import XYH, Diagonal
-from models import SE3
+from factors import XYH, Between, Diagonal, Isotropic, Prior
+from models import SE2, SE3
 from models.algebra import Index
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import estimated
-from nls.sonar.contacts.loops import Loop, closed
+from nls.sonar.contacts.loops import Loop, _held, closed
 from nls.sonar.contacts.maps import LocalMap, local_maps
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.stretches import stretches
@@ -52,7 +52,7 @@ def maps_of(pings: Pings, graph: FactorGraph, values: Values, tracks: Index) -> 
     maps = []
     for rows, part, between, start in stretches(pings, graph, values, -(-len(pings.poses) // 4)):
         estimate = estimated(part, between, start, of.renamed(tracks[rows]))
-        maps.append([local.of(rows) for local in local_maps(part, estimate, 3)])
+        maps.append([local.renumbered(rows) for local in local_maps(part, estimate, 3)])
     return maps
 
 
@@ -92,3 +92,30 @@ def test_a_loop_that_does_not_fit_is_taken_back(monkeypatch: pytest.MonkeyPatch)
     assert not any(a // 2 == b // 2 for a, b in tried)  # two maps of one stretch
     np.testing.assert_array_equal(joined, tracks)
     assert ate(mission, poses) < 1.01 * ate(mission, values)
+
+
+def test_held_poses_have_no_loop_to_find() -> None:
+    mission, pings, graph, values, tracks = drifted()
+    maps = maps_of(pings, graph, values, tracks)
+    held = FactorGraph(graph.factors, [pings.poses])
+    _, poses = closed(pings, held, values, tracks, maps, 0.999)
+    assert ate(mission, poses) == ate(mission, values)
+
+
+def test_a_wrong_loop_is_taken_back_and_right_ones_stay() -> None:
+    """It draws the poses after it, so that its own residual is small and those of others are not."""
+    n = 12
+    truth = np.column_stack([[*range(6), *range(5, -1, -1)], [0.0] * 6 + [0.5] * 6, np.zeros(n)])
+    i, sigmas = np.arange(n - 1), np.array([0.1, 0.1, 0.01])
+    steps = Between(x[i], x[i + 1], SE2.between(truth[:-1], truth[1:]), Diagonal(sigmas))
+    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
+    loops = {}
+    for a in range(6):
+        motion = SE2.between(truth[[a]], truth[[n - 1 - a]])[0]
+        none = np.zeros(0, dtype=np.intp)
+        loops[a, n - 1 - a] = Loop(
+            motion + np.array([1.0, 0, 0]) * (a == 2), np.eye(3) / 0.02**2, none, none, np.zeros(0)
+        )
+    held, marginals = _held(graph, values, x[np.arange(n)], loops, 0.995)
+    assert [*held] == [pair for pair in loops if pair[0] != 2]
+    np.testing.assert_allclose(marginals.values[x], truth, atol=1e-6)
