@@ -128,7 +128,7 @@ def calibrations(graph: FactorGraph, values: Values, free: Freedom | None = None
     Raises
     ------
     ResourceLimitError
-        The covariances of what is determined would need more than 4 GB.
+        The covariances of what is determined would need more than half of the memory.
 
     Examples
     --------

@@ -31,9 +31,9 @@ from models import SE3, R
 from models.algebra import Array, Mask, apply, congruence, dot, gram
 from models.errors import GraphError
 from models.sensors import cartesian, point_in_frame, spherical
-from nls.analysis.linearization import MEMORY_LIMIT
 from nls.gauge import choose_gauge, fixed_variables
 from nls.linear.default import default_solver
+from nls.linear.limits import default_limit
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.system import LinearSystem
@@ -205,7 +205,7 @@ def _marginal(system: LinearSystem, kind: str, H: Array) -> Array:
         factorization = default_solver(pattern.n).prepared(pattern).factorize(blocks)
     except SingularSystemError as error:
         raise underconstrained(system) from error
-    Sigma = factorization.inverse_blocks(place, place, MEMORY_LIMIT).reshape(-1, d, d)
+    Sigma = factorization.inverse_blocks(place, place, default_limit()).reshape(-1, d, d)
     Sigma = congruence(onto, Sigma)
     size = np.maximum(np.trace(Sigma, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None]
     M = H.copy()

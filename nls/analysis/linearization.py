@@ -26,6 +26,7 @@ import numpy as np
 
 from models.algebra import Array, apply, product
 from nls.linear import factorize
+from nls.linear.limits import default_limit
 from nls.system import LinearSystem
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from nls.values import Values
 
 __all__ = ["Checked", "Linearization", "Together", "stacked"]
-
-MEMORY_LIMIT = 4e9  # bytes of the dense fronts
 
 
 class Linearization:
@@ -130,7 +129,7 @@ class Checked:
                 both = (i >= 0) & (j >= 0)
                 rows.append(i[both])
                 columns.append(j[both])
-        blocks = self.factorization.inverse_blocks(np.concatenate(rows), np.concatenate(columns), MEMORY_LIMIT)
+        blocks = self.factorization.inverse_blocks(np.concatenate(rows), np.concatenate(columns), default_limit())
         sizes = [int((dims[i] * dims[j]).sum()) for i, j in zip(rows, columns, strict=True)]
         parts = iter(np.split(blocks, np.cumsum(sizes)[:-1]))
         self.diagonal = next(parts)

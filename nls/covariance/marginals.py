@@ -68,7 +68,7 @@ class Marginals:
     UnderconstrainedError
         The measurements leave every variable free: named, with cures.
     OptionError
-        A linear solver that does not factorize A'A itself.
+        A linear solver that does not factorize A'A itself; a memory limit that is none.
 
     Notes
     -----

@@ -66,7 +66,7 @@ def explain(
     EvaluationError
         The values cannot be evaluated.
     ResourceLimitError
-        The graph is so large that its covariances would need more than 4 GB.
+        The graph is so large that its covariances would need more than half of the memory.
 
     Notes
     -----

@@ -140,9 +140,9 @@ class _Placed:
     def near(self, gate: float) -> tuple[Index, Index, Array, Array]:
         """Pairs a, b (n,) that may share landmarks, the covariance (n, d, d) of their motion, its width (n,) in m."""
         group, X, Sigma = self.group, self.X, self.Sigma
-        middle = [local.p.mean(axis=0) for local in self.maps]
+        middle = np.stack([local.p.mean(axis=0) for local in self.maps])
         radius = np.array([_farthest(local.p - p) for local, p in zip(self.maps, middle, strict=True)])
-        arm, middle = np.array([_farthest(local.p) for local in self.maps]), group.act(X, np.stack(middle))
+        arm, middle = np.array([_farthest(local.p) for local in self.maps]), group.act(X, middle)
         a, b = np.triu_indices(len(X), 1)
         motions = of_motions(group, group.between(X[a], X[b]), Sigma[a, a], Sigma[a, b], Sigma[b, b])
         position, turn = map(np.sqrt, largest_variances(motions, middle.shape[1]))

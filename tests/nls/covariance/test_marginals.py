@@ -265,6 +265,7 @@ def test_wrong_uses() -> None:
     wrong: list[tuple[type[Exception], str, Callable[[], object]]] = [
         (GraphError, "the graph has no factors", lambda: Marginals(FactorGraph(), sample.values)),
         (OptionError, "linear_solver: 'lu'", lambda: Marginals(sample.graph, sample.values, "lu")),  # type: ignore[arg-type]
+        (OptionError, "memory_limit: 0", lambda: Marginals(sample.graph, sample.values, memory_limit=0)),
         (OptionError, "gauge: 'last'", lambda: Marginals(sample.graph, sample.values, gauge="last")),
         (GraphError, "names no variable", lambda: marginals.covariance(3)),  # type: ignore[arg-type]
         (GraphError, "expected a kind such as x", lambda: marginals.all(x[[1, 2]], "body")),  # type: ignore[arg-type]
