@@ -81,3 +81,11 @@ def test_landmarks_at_one_point_tell_no_place() -> None:
     group, a, b, Sigma, gate = two_maps("plane", 80)
     alignment = aligned(group, a, Points(0 * b.p, b.C), Sigma, gate)
     assert alignment is None or not alignment.sure
+
+
+def test_two_landmarks_at_one_place_match_once() -> None:
+    group, a, b, Sigma, gate = two_maps("plane", 40)
+    a.p[1], b.p[1] = a.p[0], b.p[0]
+    alignment = aligned(group, a, b, Sigma, gate)
+    assert alignment is not None
+    assert len({*alignment.i}) == len({*alignment.j}) == len(alignment.i)

@@ -16,7 +16,7 @@ from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.sonar.contacts import tracks as of
 from nls.sonar.contacts.estimate import estimated
-from nls.sonar.contacts.loops import Loop, _held, closed
+from nls.sonar.contacts.loops import Loop, _held, _Placed, closed
 from nls.sonar.contacts.maps import LocalMap, local_maps
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.stretches import stretches
@@ -119,3 +119,32 @@ def test_a_wrong_loop_is_taken_back_and_right_ones_stay() -> None:
     held, marginals = _held(graph, values, x[np.arange(n)], loops, 0.995)
     assert [*held] == [pair for pair in loops if pair[0] != 2]
     np.testing.assert_allclose(marginals.values[x], truth, atol=1e-6)
+
+
+def test_loops_of_one_map_share_its_errors() -> None:
+    """Three of them: the motion is known a third as well as each one says."""
+    truth, k = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]]), np.arange(3)
+    steps = Between(x[k], x[k + 1], SE2.between(truth[:-1], truth[1:]), Isotropic(10.0))
+    graph, values = FactorGraph([Prior(x[0], truth[0], Isotropic(1e-3)), steps]), Values({x: (SE2, truth)})
+    none = np.zeros(0, dtype=np.intp)
+    loops = {
+        (0, b): Loop(SE2.between(truth[[0]], truth[[b]])[0], np.eye(3) / 0.02**2, none, none, np.zeros(0))
+        for b in (1, 2, 3)
+    }
+    held, marginals = _held(graph, values, x[np.arange(4)], loops, 0.995)
+    assert [*held] == [*loops]
+    C = marginals.relative(x[[0, 0, 0]], x[[1, 2, 3]])
+    np.testing.assert_allclose(C, np.broadcast_to(3 * 0.02**2 * np.eye(3), C.shape), rtol=1e-3, atol=1e-6)
+
+
+def test_maps_are_aligned_in_the_frame_of_the_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    C = np.diag([0.01, 0.04]) * np.eye(3)[:, :, None, None]
+    p = np.array([[1.0, 2], [3, 4], [5, 6]])
+    first, second = (LocalMap(x[[k]], np.arange(3), p, C) for k in range(2))
+    X, seen = np.array([[0.0, 0, 0], [1, 2, np.pi / 2]]), []
+    monkeypatch.setattr(import_module("nls.sonar.contacts.loops"), "aligned", lambda *args: seen.append(args))
+    assert _Placed(SE2, [first, second], X, np.zeros((2, 2, 3, 3))).loop(0, 1, np.eye(3), 9.0) is None
+    _, a, b, *_ = seen[0]
+    np.testing.assert_allclose(a.p, [[0, 0], [2, -2], [4, -4]], atol=1e-12)
+    np.testing.assert_allclose(a.C, np.broadcast_to(np.diag([0.04, 0.01]), (3, 2, 2)), atol=1e-12)
+    np.testing.assert_array_equal(b.C, np.broadcast_to(np.diag([0.01, 0.04]), (3, 2, 2)))
