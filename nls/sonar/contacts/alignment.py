@@ -27,13 +27,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from models import LieGroup
-from models.algebra import Array, Index, Mask, apply, product
+from models.algebra import Array, Index, apply, product
 from models.sensors import point_in_frame
 from nls.analysis.chi_squared import mahalanobis
 from nls.sonar.contacts.estimate import KERNEL
 from nls.sonar.contacts.gates import quadratic
+from nls.sonar.contacts.tracks import largest
 
-__all__ = ["LEAST", "WIDE", "Alignment", "Points", "aligned"]
+__all__ = ["LEAST", "Alignment", "Points", "aligned"]
 
 LEAST = 10  # matches
 BEYOND = 4.0  # times the square root of the matches by chance: so many more make an alignment sure
@@ -91,8 +92,11 @@ def aligned(group: LieGroup, a: Points, b: Points, Sigma: Array, gate: float) ->
         return None
     maps, (w, V) = _Maps(group, a, b, gate), np.linalg.eigh(Sigma)
     S = V * np.sqrt(np.maximum(w, 0.0))
-    fits, n = maps.fitted(maps.starts(Sigma), S)
-    if n.max(initial=0) < LEAST:
+    starts = maps.starts(Sigma)
+    if not len(starts):
+        return None
+    fits, n = maps.fitted(starts, S)
+    if n.max() < LEAST:
         return None
     best, middle = fits[n.argmax()], maps.J.mean(axis=0)
     _, i, j, _, _, d2 = maps.matches(best[None], gate)
@@ -145,7 +149,7 @@ class _Maps:
         (which, j), i = np.divmod(row, k), near[row, column]
         r, W = moved[row] - self.a.p[i], np.linalg.inv(self.a.C[i] + self.b.C[j])
         d2 = quadratic(r, W)
-        match = (d2 < bound) & _least(which * len(self.a.p) + i, d2) & _least(row, d2)
+        match = (d2 < bound) & largest(which * len(self.a.p) + i, -d2) & largest(row, -d2)
         return which[match], i[match], j[match], r[match], W[match], d2[match]
 
     def fitted(self, start: Array, S: Array) -> tuple[Array, Index]:
@@ -207,13 +211,6 @@ class _Maps:
         angles = np.arange(DIRECTIONS) * 2 * pi / DIRECTIONS
         aside = np.outer(np.cos(angles), x) + np.outer(np.sin(angles), y)
         return np.pad(self.cell * np.multiply.outer(AWAY, aside).reshape(-1, k), ((0, 0), (0, m - k)))
-
-
-def _least(landmark: Index, d2: Array) -> Mask:
-    """Which pairs (q,) are the nearest of their landmark (q,), one of each."""
-    order, least = np.lexsort((d2, landmark)), np.zeros(len(d2), dtype=bool)
-    least[order] = np.diff(landmark[order], prepend=-1) != 0
-    return least
 
 
 def _turns(Sigma: Array, step: float) -> Array:

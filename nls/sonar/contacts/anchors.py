@@ -24,7 +24,7 @@ from nls.sonar.contacts.estimate import Estimate
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.stretches import bounds, middles, stretch_of_ping
 
-__all__ = ["Anchored", "Motions", "of_points"]
+__all__ = ["Anchored", "Motions"]
 
 PINGS = 10  # of a stretch, at most
 
@@ -85,7 +85,7 @@ class Anchored:
 
     def landmarks(self) -> Array:
         """Covariances (q, d, d) of all landmarks as their anchors see them, in the axes of the world."""
-        return of_points(self._pings.group, self.marginals, *self._landmarks)
+        return _of_points(self._pings.group, self.marginals, *self._landmarks)
 
 
 def _once(count: int, i: Index, j: Index) -> tuple[tuple[Index, Index], Index]:
@@ -94,7 +94,7 @@ def _once(count: int, i: Index, j: Index) -> tuple[tuple[Index, Index], Index]:
     return np.divmod(pairs, count), which
 
 
-def of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
+def _of_points(group: LieGroup, marginals: Marginals, a: Keys, l: Keys) -> Array:
     """Covariances (q, d, d) of landmarks l (q,) as their anchors a see them, in the axes of the world."""
     X = marginals.values[a]
     _, (H_a, H_l) = point_in_frame(group, X, marginals.values[l])

@@ -13,6 +13,7 @@ Control Conference 1997, for the information of loops that share a map.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ Loops = dict[tuple[int, int], Loop]
 
 
 def closed(
-    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, maps: list[list[LocalMap]], probability: float
+    pings: Pings, graph: FactorGraph, values: Values, tracks: Index, stretches: list[list[LocalMap]], probability: float
 ) -> tuple[Index, Values]:
     """Tracks (n,), joined where loops bring them together, and the poses by these loops.
 
@@ -71,32 +72,33 @@ def closed(
     pings : the sightings.
     graph, values : the other measurements, and poses by them.
     tracks : (n,) of sightings, by stretches alone.
-    maps : those of every stretch. The maps of one stretch are not aligned: it has compared their landmarks.
+    stretches : the maps of each. Those of one stretch are not aligned: it has compared their landmarks.
     probability : with which a right match, and a right loop, are within their gates.
     """
-    every = [local for of_stretch in maps for local in of_stretch]
-    if not every:
+    maps = [local for stretch in stretches for local in stretch]
+    if not maps:
         return tracks, values
-    anchors = Keys(pings.poses.kind, np.concatenate([local.anchor.numbers for local in every]))
-    stretch = np.arange(len(maps)).repeat([len(of_stretch) for of_stretch in maps])
+    anchors = Keys(pings.poses.kind, np.concatenate([local.anchor.numbers for local in maps]))
+    of_stretch = np.arange(len(stretches)).repeat([len(stretch) for stretch in stretches])
     gate = chi2_gate(pings.group.point_dim, probability)
     loops: Loops = {}
-    tried = np.where(stretch[:, None] == stretch, 0.0, np.inf)  # width at the last try; 0: aligned, or of one stretch
-    placed, widest = _placed(pings.group, every, anchors, Marginals(graph, values)), 0.0
+    # the width of every motion when it was last tried; 0 of maps that are aligned, or of one stretch
+    tried = np.where(of_stretch[:, None] == of_stretch, 0.0, np.inf)
+    placed, widest = _placed(pings.group, maps, anchors, Marginals(graph, values), gate), 0.0
     while True:
-        a, b, Sigma, width = placed.near(gate)
+        a, b, Sigma, width = placed.near
         fresh = BETTER * width < tried[a, b]
         if not fresh.any():
             break
         widest = max(widest, BETTER * width[fresh].min())
         now = np.flatnonzero(fresh & (width <= widest))
-        new = {(int(a[n]), int(b[n])): placed.loop(a[n], b[n], Sigma[n], gate) for n in now}
+        new = {(int(a[n]), int(b[n])): placed.loop(a[n], b[n], Sigma[n]) for n in now}
         tried[a[now], b[now]] = np.where([*map(bool, new.values())], 0.0, width[now])
         if any(new.values()):
             loops |= {pair: loop for pair, loop in new.items() if loop}
             loops, marginals = _held(graph, values, anchors, loops, probability)
-            values, placed = marginals.values, _placed(pings.group, every, anchors, marginals)
-            announce(f"{len(loops):,} loops between {len(every):,} local maps")
+            values, placed = marginals.values, _placed(pings.group, maps, anchors, marginals, gate)
+            announce(f"{len(loops):,} loops between {len(maps):,} local maps")
     if loops:
         i, j, d2 = map(np.concatenate, [*zip(*loops.values(), strict=True)][2:])
         tracks = merged_both_ways(tracks, pings.ping, i, j, d2, gate)
@@ -130,14 +132,19 @@ def _held(
 
 @dataclass(frozen=True)
 class _Placed:
-    """Local maps where a graph has their anchors: X (s, size), and the joint covariance Sigma (s, s, d, d) of these."""
+    """Local maps where a graph has their anchors, and the gate of a match.
+
+    X (s, size) are the anchors, Sigma (s, s, d, d) is their joint covariance.
+    """
 
     group: LieGroup
     maps: list[LocalMap]
     X: Array
     Sigma: Array
+    gate: float
 
-    def near(self, gate: float) -> tuple[Index, Index, Array, Array]:
+    @cached_property
+    def near(self) -> tuple[Index, Index, Array, Array]:
         """Pairs a, b (n,) that may share landmarks, the covariance (n, d, d) of their motion, its width (n,) in m."""
         group, X, Sigma = self.group, self.X, self.Sigma
         middle = np.stack([local.p.mean(axis=0) for local in self.maps])
@@ -147,21 +154,21 @@ class _Placed:
         motions = of_motions(group, group.between(X[a], X[b]), Sigma[a, a], Sigma[a, b], Sigma[b, b])
         position, turn = map(np.sqrt, largest_variances(motions, middle.shape[1]))
         width = position + arm[b] * turn
-        near = np.linalg.norm(middle[a] - middle[b], axis=1) < radius[a] + radius[b] + np.sqrt(gate) * width
+        near = np.linalg.norm(middle[a] - middle[b], axis=1) < radius[a] + radius[b] + np.sqrt(self.gate) * width
         return a[near], b[near], motions[near], width[near]
 
-    def loop(self, a: int, b: int, Sigma: Array, gate: float) -> Loop | None:
+    def loop(self, a: int, b: int, Sigma: Array) -> Loop | None:
         """The loop of maps a and b, where their alignment is sure; Sigma (d, d) is the covariance of their motion."""
         group, first, second = self.group, self.maps[a], self.maps[b]
         G = group.between(self.X[[a]], self.X[[b]])
         back = group.inverse(G)
         a_in_b = Points(group.act(back, first.p), congruence(group.rotation(back), first.covariances))
-        alignment = aligned(group, a_in_b, Points(second.p, second.covariances), Sigma, gate)
+        alignment = aligned(group, a_in_b, Points(second.p, second.covariances), Sigma, self.gate)
         if alignment is None or not alignment.sure:
             return None
         i, j = alignment.i, alignment.j
         start = group.compose(G, group.exp(alignment.delta[None]))[0]
-        motion, Omega, agree = measured_motion(group, first, second, i, j, start, gate)
+        motion, Omega, agree = measured_motion(group, first, second, i, j, start, self.gate)
         if not agree.any():
             return None
         return Loop(motion, Omega, first.sightings[i[agree]], second.sightings[j[agree]], alignment.d2[agree])
@@ -172,8 +179,8 @@ def _farthest(p: Array) -> float:
     return float(np.linalg.norm(p, axis=1).max())
 
 
-def _placed(group: LieGroup, maps: list[LocalMap], anchors: Keys, marginals: Marginals) -> _Placed:
+def _placed(group: LieGroup, maps: list[LocalMap], anchors: Keys, marginals: Marginals, gate: float) -> _Placed:
     """Maps with their anchors where the marginals have them."""
     shape = (len(anchors), group.dim) * 2
     Sigma = marginals.joint(anchors, frame="body").matrix.reshape(shape).swapaxes(1, 2)
-    return _Placed(group, maps, marginals.values[anchors], Sigma)
+    return _Placed(group, maps, marginals.values[anchors], Sigma, gate)

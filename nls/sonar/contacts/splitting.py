@@ -63,9 +63,10 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     piece, (landmark, which) = piece.reshape(-1), np.unique(names[:, 0], return_inverse=True)
     pull, own = _pulls(pings, estimate, d, piece)
     order = _by_pull(which, pull)
-    cut, g = _cuts(which, pull[order], own[order], np.eye(dim) / pings.extent.max() ** 2 if pings.limit else 0.0)
+    rough = np.eye(dim) / pings.extent.max() ** 2 if pings.limit else np.zeros((dim, dim))
+    cut, g = _cuts(which, pull[order], own[order], rough)
     apart = np.argsort(order)[piece] <= cut[which[piece]]
-    fall = mahalanobis(g, _information(pings, graph, estimate, d[apart], landmark))
+    fall = mahalanobis(g, _information(pings, graph, estimate, d[apart], landmark) + rough)
     whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(fall))  # landmarks of one piece
     usual = max(1.0, float(np.median([*fall, *whole])) / dim) * _spread_of_pulls(estimate, np.bincount(piece), which)
     leaving[d] = apart & (fall > gate * usual)[which[piece]]
@@ -90,13 +91,13 @@ def _by_pull(which: Index, pull: Array) -> Index:
     return np.lexsort(((pull * axis[which]).sum(axis=1), which))
 
 
-def _cuts(which: Index, pull: Array, own: Array, rough: Array | float) -> tuple[Index, Array]:
+def _cuts(which: Index, pull: Array, own: Array, rough: Array) -> tuple[Index, Array]:
     """The piece (q,) after which every landmark is cut, and g_S (q, dim): chi2 falls most there if no pose may move.
 
     Parameters
     ----------
     which, pull, own : (k,) landmark, g_p (k, dim) and information (k, dim, dim) of the pieces in their order.
-    rough : what is known of a landmark without any piece.
+    rough : (dim, dim) information of a landmark without any piece.
     """
     first, last = np.flatnonzero(np.diff(which, prepend=-1)), np.flatnonzero(np.diff(which, append=-1))
     g, Lambda = (np.cumsum(of_piece, axis=0) for of_piece in (pull, own))
@@ -105,7 +106,7 @@ def _cuts(which: Index, pull: Array, own: Array, rough: Array | float) -> tuple[
     both = Lambda[inside] + rough, Lambda[last][which[inside]] - Lambda[inside] + rough
     fall = np.full(len(which), -1.0)
     fall[inside] = quadratic(g[inside], np.linalg.inv(both[0]) + np.linalg.inv(both[1]))
-    cut = np.lexsort((fall, which))[last]
+    cut = np.flatnonzero(of.largest(which, fall))
     return cut, g[cut]
 
 
@@ -134,5 +135,4 @@ def _information(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: In
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
     tie = Between(i, j, np.zeros(dim), Isotropic(TIE))
     marginals = Marginals(FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), tied)
-    Lambda = np.linalg.inv(marginals.relative(i, j)) - np.eye(dim) / TIE**2
-    return np.asarray(Lambda + np.eye(dim) / pings.extent.max() ** 2 if pings.limit else Lambda)
+    return np.asarray(np.linalg.inv(marginals.relative(i, j)) - np.eye(dim) / TIE**2)

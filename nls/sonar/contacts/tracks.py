@@ -9,7 +9,18 @@ import numpy as np
 
 from models.algebra import Array, Index, Mask
 
-__all__ = ["joined", "once_per_ping", "parted", "renamed", "several", "share_a_ping", "single", "sizes", "worst"]
+__all__ = [
+    "joined",
+    "largest",
+    "once_per_ping",
+    "parted",
+    "renamed",
+    "several",
+    "share_a_ping",
+    "single",
+    "sizes",
+    "worst",
+]
 
 
 def renamed(groups: Index) -> Index:
@@ -124,7 +135,18 @@ def worst(tracks: Index, d2: Array, which: Mask) -> Mask:
     >>> worst(np.array([0, 0, 2, 2]), np.array([1.0, 2.0, 8.0, 5.0]), np.array([False, False, True, True]))
     array([False, False,  True, False])
     """
-    order = np.lexsort((d2, tracks))
-    chosen = np.zeros(len(tracks), dtype=bool)
-    chosen[order] = np.append(tracks[order][1:] != tracks[order][:-1], True)[: len(order)]
-    return chosen & which
+    return largest(tracks, d2) & which
+
+
+def largest(groups: Index, numbers: Array) -> Mask:
+    """Which (n,) is the largest number (n,) of every group (n,), one of each.
+
+    Examples
+    --------
+    >>> largest(np.array([0, 2, 0, 2]), np.array([1.0, 8.0, 2.0, 5.0]))
+    array([False,  True,  True, False])
+    """
+    order = np.lexsort((numbers, groups))
+    chosen = np.zeros(len(groups), dtype=bool)
+    chosen[order] = np.diff(groups[order], append=-1) != 0
+    return chosen

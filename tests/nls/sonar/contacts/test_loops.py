@@ -143,7 +143,7 @@ def test_maps_are_aligned_in_the_frame_of_the_second(monkeypatch: pytest.MonkeyP
     first, second = (LocalMap(x[[k]], np.arange(3), p, C) for k in range(2))
     X, seen = np.array([[0.0, 0, 0], [1, 2, np.pi / 2]]), []
     monkeypatch.setattr(import_module("nls.sonar.contacts.loops"), "aligned", lambda *args: seen.append(args))
-    assert _Placed(SE2, [first, second], X, np.zeros((2, 2, 3, 3))).loop(0, 1, np.eye(3), 9.0) is None
+    assert _Placed(SE2, [first, second], X, np.zeros((2, 2, 3, 3)), 9.0).loop(0, 1, np.eye(3)) is None
     _, a, b, *_ = seen[0]
     np.testing.assert_allclose(a.p, [[0, 0], [2, -2], [4, -4]], atol=1e-12)
     np.testing.assert_allclose(a.C, np.broadcast_to(np.diag([0.04, 0.01]), (3, 2, 2)), atol=1e-12)
