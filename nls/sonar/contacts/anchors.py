@@ -41,7 +41,7 @@ class Anchored:
 
     Parameters
     ----------
-    pings, estimate : the sightings, and poses and landmarks by them.
+    pings, estimate : the sightings, and poses and landmarks by them. Landmarks may be cut (`splitting.Cuts`).
     pairs : (c, d) of sightings (k,), whose motions are asked for. A landmark has the number of its first sighting.
 
     Attributes
@@ -58,6 +58,7 @@ class Anchored:
         apart = [(poses[a[a != b]], poses[b[a != b]]) for a, b in near]
         values = estimate.values
         numbers = values.stack(pings.kind).numbers if pings.kind.name in values.stacks else np.zeros(0, dtype=np.intp)
+        numbers = numbers[numbers < len(pings)]
         self._landmarks = anchors[pings.ping[numbers]], pings.kind[numbers]
         beside = [(anchors[moved], poses[moved]), self._landmarks, *apart]
         self.marginals = Marginals(estimate.graph, values, pairs=beside)

@@ -46,7 +46,7 @@ from nls.sonar.contacts.maps import local_maps
 from nls.sonar.contacts.merging import continued, linked, merged
 from nls.sonar.contacts.pairs import near_landmarks, near_pings, near_sightings
 from nls.sonar.contacts.places import Pings
-from nls.sonar.contacts.splitting import split
+from nls.sonar.contacts.splitting import Cuts
 from nls.sonar.contacts.stretches import bounds, stretch_of_ping, stretches
 from nls.stages import announce
 from nls.values import Values
@@ -229,14 +229,17 @@ def _rounds(
     Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
-        poses, open_ = estimate.values, expelled < TWICE
+        poses, open_, cuts = estimate.values, expelled < TWICE, Cuts(pings, graph, estimate, pieces)
+        landmarks, sightings = _near(pings, estimate, Sigma, open_ | last, gate, widest)
+        anchored = Anchored(pings, cuts.tied, landmarks, sightings)
+        Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
-            joined = resolved(pings, estimate, Sigma, open_, least, probability)
+            joined = resolved(pings, estimate, anchored, *landmarks, open_, least, probability)
         else:
-            joined, complete, Sigma = _joined(pings, estimate, Sigma, open_, gate, widest)
+            joined, complete = _joined(pings, estimate, anchored, landmarks, sightings, gate, widest)
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         alone = misfit | (estimate.d2 > OUTSIDE * gate)
-        leaving = split(pings, graph, estimate, pieces, apart)
+        leaving = cuts.leaving(anchored.marginals, apart)
         few = np.mean(joined != tracks) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), alone)
         expelled += alone | leaving
@@ -244,7 +247,7 @@ def _rounds(
         if few and not complete:
             widest *= WIDER
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
-            last = True
+            last, widest = True, np.inf
             expelled[:] = 0
         history.append(tracks)
         decided = np.count_nonzero(of.sizes(tracks) >= least)
@@ -260,25 +263,36 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
     return of.once_per_ping(tracks, pings.ping)
 
 
-def _joined(
+def _near(
     pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, gate: float, widest: float
-) -> tuple[Index, bool, Array]:
-    """The tracks (n,) of an estimate, joined by what fits; some sightings (n,) are not open to that.
-
-    And whether no pair that fits was too wide, and the covariances (m, d, d) of the poses. Those of the round before,
-    Sigma, say what is near.
-    """
-    tracks = estimate.tracks
+) -> tuple[tuple[Index, Index], tuple[Index, Index]]:
+    """Landmarks and open sightings (n,) near them (k,), and pairs (q,) of open sightings that are alone."""
+    alone = open_ & (of.sizes(estimate.tracks) == 1)
     d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
-    c, e = near_sightings(pings, estimate, Sigma, np.flatnonzero(open_ & (of.sizes(tracks) == 1)), gate, widest)
-    anchored = Anchored(pings, estimate, (landmarks, d), (c, e))
-    d2, width = landmark_distances(pings, estimate, anchored, d, landmarks)
+    return (landmarks, d), near_sightings(pings, estimate, Sigma, np.flatnonzero(alone), gate, widest)
+
+
+def _joined(
+    pings: Pings,
+    estimate: Estimate,
+    anchored: Anchored,
+    near: tuple[Index, Index],
+    pairs: tuple[Index, Index],
+    gate: float,
+    widest: float,
+) -> tuple[Index, bool]:
+    """The tracks (n,) of an estimate, joined by what fits, and whether no pair that fits was too wide.
+
+    near : landmarks and sightings (k,) near them.
+    pairs : of sightings (q,) that are alone.
+    """
+    tracks, (landmarks, d), (c, e) = estimate.tracks, near, pairs
+    of_landmarks = landmark_distances(pings, estimate, anchored, d, landmarks)
     of_one = sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
-    d2, width = (np.concatenate([a, b, b]) for a, b in zip((d2, width), of_one, strict=True))
+    d2, width = (np.concatenate([a, b, b]) for a, b in zip(of_landmarks, of_one, strict=True))
     narrow = width < widest
     b, a = np.concatenate([tracks[d], c, e])[narrow], np.concatenate([landmarks, e, c])[narrow]
-    complete = bool((narrow | (d2 >= gate)).all())
-    return merged(tracks, pings.ping, b, a, d2[narrow], gate), complete, pings.covariances_of_poses(anchored.marginals)
+    return merged(tracks, pings.ping, b, a, d2[narrow], gate), bool((narrow | (d2 >= gate)).all())
 
 
 def _associated(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.algebra import Array, Index, Mask
+from models.algebra import Index, Mask
 from models.errors import ResourceLimitError
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import jcbb
@@ -24,24 +24,39 @@ from nls.sonar.contacts.anchors import Anchored
 from nls.sonar.contacts.estimate import Estimate, measured_numbers
 from nls.sonar.contacts.gates import landmark_distances, ping_innovations
 from nls.sonar.contacts.merging import superfluous
-from nls.sonar.contacts.pairs import near_landmarks
 from nls.sonar.contacts.places import Pings
 
 __all__ = ["resolved"]
 
 
-def resolved(pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, least: int, probability: float) -> Index:
+def resolved(
+    pings: Pings,
+    estimate: Estimate,
+    anchored: Anchored,
+    landmarks: Index,
+    d: Index,
+    open_: Mask,
+    least: int,
+    probability: float,
+) -> Index:
     """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
 
     Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
     sighting in a ping: what is decided stays. A ping of more sets of pairings than `jcbb` looks at stays undecided.
+
+    Parameters
+    ----------
+    pings, estimate : the sightings, and poses and landmarks by them.
+    anchored : covariances of the estimate, for these pairs.
+    landmarks, d : (k,) landmarks by number, and sightings near them.
+    open_ : (n,) the sightings that may be given to a landmark.
+    least : sightings that make a landmark.
+    probability : with which a right set of pairings is within its gate.
     """
     tracks, m = estimate.tracks, measured_numbers(pings)
-    gate = chi2_gate(m, probability)
     every = np.arange(len(tracks))
-    d, landmarks = near_landmarks(pings, estimate, Sigma, every, gate)
-    d2, _ = landmark_distances(pings, estimate, Anchored(pings, estimate, (landmarks, d)), d, landmarks)
-    near = d2 < gate
+    d2, _ = landmark_distances(pings, estimate, anchored, d, landmarks)
+    near = d2 < chi2_gate(m, probability)
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)
     undecided = needless | (of.sizes(tracks) < least)

@@ -22,9 +22,12 @@ Proceedings of the Cambridge Philosophical Society 44, 1948.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from factors import Between, Isotropic
+from factors.keys import Keys
 from factors.replaced import replaced
 from models import R
 from models.algebra import Array, Index, Mask, apply
@@ -36,13 +39,13 @@ from nls.sonar.contacts.estimate import KERNEL, Estimate, without
 from nls.sonar.contacts.gates import quadratic
 from nls.sonar.contacts.places import Pings
 
-__all__ = ["split"]
+__all__ = ["Cuts"]
 
 TIE = 1e-3  # m
 
 
-def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, gate: float) -> Mask:
-    """Sightings (n,) that leave their landmarks together: pieces (n,) without which chi2 falls by more than the gate.
+class Cuts:
+    """The cut of every landmark of several pieces: the one of which chi2 falls most, if no pose may move.
 
     Parameters
     ----------
@@ -50,27 +53,50 @@ def split(pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index, g
     graph : the measurements of `estimate` without them.
     estimate : of tracks.
     pieces : (n,) a finer partition than these.
-    gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull. So the bound grows with
-        the median of their falls, where that is above the one of noise. It grows as well with the error that the
-        sightings of a piece share.
+
+    Attributes
+    ----------
+    tied : the estimate with the pieces before each cut as a landmark of their own, tied to the others. Such a landmark
+        has the number of the whole one, and `len(pings)` more.
     """
-    tracks, n, dim = estimate.tracks, len(pieces), pings.group.point_dim
-    leaving = np.zeros(n, dtype=bool)
-    d = np.flatnonzero(of.several(tracks, pieces))
-    if not len(d):
+
+    def __init__(self, pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index) -> None:
+        tracks, dim = estimate.tracks, pings.group.point_dim
+        self.tied, self._d = estimate, np.flatnonzero(of.several(tracks, pieces))
+        if not len(self._d):
+            return
+        names, piece = np.unique(np.column_stack([tracks, pieces])[self._d], axis=0, return_inverse=True)
+        piece, (landmark, which) = piece.reshape(-1), np.unique(names[:, 0], return_inverse=True)
+        pull, own = _pulls(pings, estimate, self._d, piece)
+        order = _by_pull(which, pull)
+        self._rough = np.eye(dim) / pings.extent.max() ** 2 if pings.limit else np.zeros((dim, dim))
+        cut, self._g = _cuts(which, pull[order], own[order], self._rough)
+        self._which, self._size, self._of_piece = which[piece], np.bincount(piece), which
+        self._apart = np.argsort(order)[piece] <= cut[self._which]
+        self._keys = pings.kind[landmark], pings.kind[landmark + len(tracks)]
+        self.tied = _tied(pings, graph, estimate, self._d[self._apart], *self._keys)
+
+    def leaving(self, marginals: Marginals, gate: float) -> Mask:
+        """Sightings (n,) that leave their landmarks together: without them chi2 falls by more than the gate.
+
+        Parameters
+        ----------
+        marginals : of `tied`.
+        gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull. So the bound grows
+            with the median of their falls, where that is above the one of noise. It grows as well with the error that
+            the sightings of a piece share.
+        """
+        tracks = self.tied.tracks
+        leaving = np.zeros(len(tracks), dtype=bool)
+        if len(self._d):
+            dim = self._g.shape[1]
+            Lambda = np.linalg.inv(marginals.relative(*self._keys)) - np.eye(dim) / TIE**2
+            fall = mahalanobis(self._g, Lambda + self._rough)
+            whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(fall))  # landmarks of one piece
+            usual = max(1.0, float(np.median([*fall, *whole])) / dim)
+            bound = gate * usual * _spread_of_pulls(self.tied, self._size, self._of_piece)
+            leaving[self._d] = self._apart & (fall > bound)[self._which]
         return leaving
-    names, piece = np.unique(np.column_stack([tracks[d], pieces[d]]), axis=0, return_inverse=True)
-    piece, (landmark, which) = piece.reshape(-1), np.unique(names[:, 0], return_inverse=True)
-    pull, own = _pulls(pings, estimate, d, piece)
-    order = _by_pull(which, pull)
-    rough = np.eye(dim) / pings.extent.max() ** 2 if pings.limit else np.zeros((dim, dim))
-    cut, g = _cuts(which, pull[order], own[order], rough)
-    apart = np.argsort(order)[piece] <= cut[which[piece]]
-    fall = mahalanobis(g, _information(pings, graph, estimate, d[apart], landmark) + rough)
-    whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(fall))  # landmarks of one piece
-    usual = max(1.0, float(np.median([*fall, *whole])) / dim) * _spread_of_pulls(estimate, np.bincount(piece), which)
-    leaving[d] = apart & (fall > gate * usual)[which[piece]]
-    return leaving
 
 
 def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> tuple[Array, Array]:
@@ -122,17 +148,17 @@ def _spread_of_pulls(estimate: Estimate, size: Index, which: Index) -> Array:
     return np.asarray(s + (1 - s) * np.bincount(which, size**2) / np.bincount(which, size))
 
 
-def _information(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, landmark: Index) -> Array:
-    """Lambda (q, dim, dim) of the cuts of landmarks (q,), which sightings `apart` leave."""
-    tracks, values, dim = estimate.tracks, estimate.values, pings.group.point_dim
+def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, i: Keys, j: Keys) -> Estimate:
+    """An estimate whose sightings `apart` leave landmarks i (q,) for landmarks j (q,), each tied to the other."""
+    tracks, dim = estimate.tracks, pings.group.point_dim
     sightings, *apertures = estimate.graph.factors[len(graph.factors) :]
     chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
     targets[apart] += len(tracks)
     numbers = np.unique(targets[chosen])
-    tied = without(values, pings.kind)
-    tied.add(pings.kind, R(dim), values[pings.kind[numbers % len(tracks)]], numbers)
-    i, j = pings.kind[landmark], pings.kind[landmark + len(tracks)]
+    values = without(estimate.values, pings.kind)
+    values.add(pings.kind, R(dim), estimate.values[pings.kind[numbers % len(tracks)]], numbers)
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
     tie = Between(i, j, np.zeros(dim), Isotropic(TIE))
-    marginals = Marginals(FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), tied)
-    return np.asarray(np.linalg.inv(marginals.relative(i, j)) - np.eye(dim) / TIE**2)
+    return replace(
+        estimate, graph=FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), values=values
+    )

@@ -9,10 +9,13 @@ from factors import BearingRange, Between, Diagonal, Isotropic, Prior
 from models import SE2, R
 from models.algebra import Index, Mask
 from nls import FactorGraph, Marginals, Values, kinds
+from nls.analysis.chi_squared import chi2_gate
 from nls.filters import association
+from nls.sonar.contacts.anchors import Anchored
 from nls.sonar.contacts.compatibility import resolved
 from nls.sonar.contacts.estimate import Estimate, estimated
 from nls.sonar.contacts.gates import ping_innovations
+from nls.sonar.contacts.pairs import near_landmarks
 from nls.sonar.contacts.places import Pings
 from nls.sonar.contacts.tracks import renamed, single, sizes
 from tests.nls.sonar.contacts.scenes import covariances_of_poses, landmark_distances
@@ -45,7 +48,10 @@ def known_trees(trees: list[int]) -> Index:
 
 def decided(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
     """`resolved`, what is near by the covariances of the same estimate."""
-    return resolved(pings, estimate, covariances_of_poses(pings, estimate), open_, least, probability)
+    every, gate = np.arange(len(pings)), chi2_gate(2, probability)
+    d, landmarks = near_landmarks(pings, estimate, covariances_of_poses(pings, estimate), every, gate)
+    anchored = Anchored(pings, estimate, (landmarks, d))
+    return resolved(pings, estimate, anchored, landmarks, d, open_, least, probability)
 
 
 def answer(shift: float, trees: list[int]) -> list[int]:

@@ -8,16 +8,23 @@ import numpy as np
 import pytest
 
 from factors import Diagonal
-from models.algebra import Index
+from models.algebra import Index, Mask
+from nls import Marginals
 from nls.analysis.chi_squared import chi2_gate
 from nls.sonar.contacts.estimate import Estimate, estimated
-from nls.sonar.contacts.splitting import split
+from nls.sonar.contacts.splitting import Cuts
 from nls.sonar.contacts.tracks import renamed, several
 from tests.nls.sonar.contacts.scenes import Scene, floor, in_plane
 
 
 def solved(scene: Scene, tracks: Index) -> Estimate:
     return estimated(scene.pings, scene.graph, scene.at_the_truth(), renamed(tracks))
+
+
+def split(scene: Scene, estimate: Estimate, pieces: Index, gate: float) -> Mask:
+    """The sightings that leave their landmarks."""
+    cuts = Cuts(scene.pings, scene.graph, estimate, pieces)
+    return cuts.leaving(Marginals(cuts.tied.graph, cuts.tied.values), gate)
 
 
 def in_time(scene: Scene, parts: int) -> Index:
@@ -40,10 +47,10 @@ def test_the_fall_of_chi2_is_that_of_a_second_solution(scene: Scene, number: int
         one, two = solved(longer, scene.true), solved(longer, apart)
         fall = float(one.graph.chi2(one.values) - two.graph.chi2(two.values))
         pieces = renamed(apart)
-        leaving = split(longer.pings, scene.graph, one, pieces, 0.5 * fall)
+        leaving = split(longer, one, pieces, 0.5 * fall)
         assert set(pieces[leaving]) in ({int(np.argmax(chosen))}, {int(np.argmax(scene.true == k))})
         assert np.array_equal(leaving, pieces == pieces[leaving][0])
-        assert not split(longer.pings, scene.graph, one, pieces, 2 * fall).any()
+        assert not split(longer, one, pieces, 2 * fall).any()
 
 
 @pytest.mark.parametrize("parts", [2, 6])
@@ -54,7 +61,7 @@ def test_a_landmark_stays_whole_in_any_pieces(parts: int) -> None:
         scene = floor(seed)
         pieces = in_time(scene, parts)
         estimate = solved(scene, scene.true)
-        leaving = split(scene.pings, scene.graph, estimate, pieces, gate)
+        leaving = split(scene, estimate, pieces, gate)
         count += len(np.unique(scene.true[several(estimate.tracks, pieces)]))
         split_up += len(np.unique(scene.true[leaving]))
     assert count > 80
@@ -74,9 +81,9 @@ def test_sightings_of_a_piece_may_share_an_error() -> None:
         estimate = solved(wide, scene.true)
         assert 0.1 < estimate.reduced_chi2 < 0.9
         count += len(np.unique(scene.true[several(estimate.tracks, pieces)]))
-        whole += len(np.unique(scene.true[split(wide.pings, scene.graph, estimate, pieces, gate)]))
+        whole += len(np.unique(scene.true[split(wide, estimate, pieces, gate)]))
         estimate = replace(estimate, reduced_chi2=1.0)
-        independent += len(np.unique(scene.true[split(wide.pings, scene.graph, estimate, pieces, gate)]))
+        independent += len(np.unique(scene.true[split(wide, estimate, pieces, gate)]))
     assert whole <= 0.02 * count
     assert independent >= 0.1 * count
 
@@ -84,4 +91,4 @@ def test_sightings_of_a_piece_may_share_an_error() -> None:
 def test_a_landmark_of_one_piece_stays() -> None:
     scene = floor()
     estimate = solved(scene, scene.true)
-    assert not split(scene.pings, scene.graph, estimate, renamed(scene.true), 1e-9).any()
+    assert not split(scene, estimate, renamed(scene.true), 1e-9).any()
