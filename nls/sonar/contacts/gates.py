@@ -49,25 +49,28 @@ def sighting_distances(pings: Pings, values: Values, c: Index, d: Index, motions
 
 def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, Sigma: Array) -> tuple[Array, Array]:
     """As `sighting_distances`, with the poses of vehicle and sensor at all sightings, and the Sigma_G (k, d, d)."""
-    group, K = pings.group, pings.points.shape[1]
-    every, of_c = np.repeat(d, K), np.repeat(c, K)
-    L = group.act(sensors[of_c], pings.points[c].reshape(len(of_c), group.point_dim))
-    (A_X, A_l), b = pings.model(every).linearize(X[every], L)
-    A_c = product(A_l, group.rotation(sensors[of_c]))
-    C = pings.covariances[c].reshape(len(of_c), *A_c.shape[2:] * 2)
-    of_pairs = A_X.reshape(len(c), K, *A_X.shape[1:])
-    spread = (of_pairs @ Sigma[:, None] @ of_pairs.mT).reshape(len(of_c), *b.shape[1:] * 2)
-    S = np.eye(b.shape[1]) + spread + product(product(A_c, C), A_c.mT)
-    M, widths = _inverse(S), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
-    d2 = _least(b.reshape(len(c), K, b.shape[1]), M.reshape(len(c), K, *M.shape[1:]))
-    return d2, widths.reshape(len(c), K).max(axis=1)
+    group, (k, K, dim) = pings.group, pings.points[c].shape
+    pair, every, R = np.arange(k), np.repeat(d, K), group.rotation(sensors[c])
+    L = group.position(sensors[c])[:, None] + pings.points[c] @ R.mT
+    b = pings.model(every).error(X[every], L.reshape(k * K, dim)).reshape(k, K, -1)
+
+    def spread(point: Index) -> Array:
+        """S (k, m, m) at these points (k,) of the arcs."""
+        (A_X, A_l), _ = pings.model(d).linearize(X[d], L[pair, point])
+        S = congruence(A_X, Sigma) + congruence(product(A_l, R), pings.covariances[c, point])
+        return np.asarray(np.eye(S.shape[1]) + S)
+
+    middle = np.linalg.inv(spread(np.full(k, K // 2)))
+    best = quadratic(b, middle[:, None]).argmin(axis=1)
+    S = spread(best)
+    return _least(b, best, np.linalg.inv(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
 
-def _least(b: Array, M: Array) -> Array:
-    """Least b' M b (k,) on the lines between neighbors of points b (k, K, m), by the M (k, K, m, m) of the best."""
-    d2 = quadratic(b, M)
-    pair, best = np.arange(len(b)), d2.argmin(axis=1)
-    least, a, M = d2[pair, best], b[pair, best], M[pair, best]
+def _least(b: Array, best: Index, M: Array) -> Array:
+    """Least b' M b (k,) on the lines from the best of points b (k, K, m) to its neighbors, by its M (k, m, m)."""
+    pair = np.arange(len(b))
+    a = b[pair, best]
+    least = quadratic(a, M)
     for step in (-1, 1):
         u = b[pair, np.clip(best + step, 0, b.shape[1] - 1)] - a
         Mu = (M @ u[..., None])[..., 0]
@@ -144,8 +147,3 @@ def _bounds(groups: Index) -> Index:
 def quadratic(b: Array, M: Array) -> Array:
     """b' M b of stacks."""
     return np.asarray((b * (M @ b[..., None])[..., 0]).sum(axis=-1))
-
-
-def _inverse(S: Array) -> Array:
-    """S^-1 of stacks."""
-    return np.asarray(np.linalg.inv(S), dtype=np.float64)
