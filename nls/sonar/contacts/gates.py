@@ -60,10 +60,10 @@ def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, S
         S = congruence(A_X, Sigma) + congruence(product(A_l, R), pings.covariances[c, point])
         return np.asarray(np.eye(S.shape[1]) + S)
 
-    middle = np.linalg.inv(spread(np.full(k, K // 2)))
+    middle = _inverse(spread(np.full(k, K // 2)))
     best = quadratic(b, middle[:, None]).argmin(axis=1)
     S = spread(best)
-    return _least(b, best, np.linalg.inv(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    return _least(b, best, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
 
 def _least(b: Array, best: Index, M: Array) -> Array:
@@ -147,3 +147,8 @@ def _bounds(groups: Index) -> Index:
 def quadratic(b: Array, M: Array) -> Array:
     """b' M b of stacks."""
     return np.asarray((b * (M @ b[..., None])[..., 0]).sum(axis=-1))
+
+
+def _inverse(S: Array) -> Array:
+    """S^-1 of stacks."""
+    return np.asarray(np.linalg.inv(S), dtype=np.float64)
