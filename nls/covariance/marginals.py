@@ -28,7 +28,7 @@ from nls.covariance.selected import SelectedInverse
 from nls.gauge import choose_gauge, fixed_variables, placeless_kinds
 from nls.linear import LinearSolver, default_solver
 from nls.linear.default import factorized_by
-from nls.linear.limits import checked_limit, default_limit
+from nls.linear.limits import checked_limit
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -132,7 +132,7 @@ class Marginals:
         if linear_solver is not None and not linear_solver.exact:
             allowed = "a solver that factorizes A'A itself, such as nls.Schur() without block_inverse"
             raise OptionError("linear_solver", linear_solver, f"{allowed}; no other has its inverse")
-        self.values, self.memory_limit = values.copy(), checked_limit(memory_limit) or default_limit()
+        self.values, self.memory_limit = values.copy(), checked_limit(memory_limit)
         fixed, pattern = fixed_variables(graph.fixed, values), graph.pattern(values)
         if pairs:
             pattern = Pattern([*graph.factors, *paired(pairs)], values)

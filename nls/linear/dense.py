@@ -11,7 +11,7 @@ from models.algebra import Array
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
-from nls.linear.limits import checked_limit, default_limit
+from nls.linear.limits import checked_limit
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
@@ -25,13 +25,13 @@ class _Dense(LinearSolver):
 
     Parameters
     ----------
-    memory_limit : bytes a solve may take; more is refused beforehand.
+    memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted.
     """
 
     copies: float  # dense (m, n) arrays alive at once at the peak, as measured in benchmarks/results/pinv.md
 
-    def __init__(self, memory_limit: float = 4e9) -> None:
-        self.memory_limit = checked_limit(memory_limit) or default_limit()
+    def __init__(self, memory_limit: float | None = None) -> None:
+        self.memory_limit = checked_limit(memory_limit)
 
     def needed(self, m: int, n: int) -> float:
         """Bytes a solve of an (m, n) system takes."""
@@ -126,13 +126,13 @@ class Pinv(_Dense):
     Parameters
     ----------
     rtol : singular values below this, relative to the largest, count as zero.
-    memory_limit : bytes a solve may take; more is refused beforehand.
+    memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted.
     """
 
     name = "pinv"
     copies = 7.0
 
-    def __init__(self, rtol: float = 1e-12, memory_limit: float = 4e9) -> None:
+    def __init__(self, rtol: float = 1e-12, memory_limit: float | None = None) -> None:
         super().__init__(memory_limit)
         if not is_number(rtol) or not 0 <= rtol < 1:
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")

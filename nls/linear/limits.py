@@ -44,8 +44,8 @@ def default_limit() -> float:
         return UNKNOWN
 
 
-def checked_limit(memory_limit: float | None) -> float | None:
-    """The option as given, None for the default.
+def checked_limit(memory_limit: float | None) -> float:
+    """The option in bytes, half of the memory where it is None.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def checked_limit(memory_limit: float | None) -> float | None:
         Not a number above 0.
     """
     if memory_limit is None:
-        return None
+        return default_limit()
     if not is_number(memory_limit) or not memory_limit > 0:
         raise OptionError("memory_limit", memory_limit, "bytes, a number above 0; None for half of the memory")
     return float(min(memory_limit, sys.float_info.max))

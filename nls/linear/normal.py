@@ -13,7 +13,7 @@ from models.algebra import Array
 from models.errors import EvaluationError
 from nls.linear.base import Analysis, LinearSolution, LinearSolver
 from nls.linear.factorization import Decomposition, Factorization
-from nls.linear.limits import checked_limit, default_limit, refuse_above
+from nls.linear.limits import checked_limit, refuse_above
 from nls.linear.singular import SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
@@ -123,5 +123,5 @@ class SparseSolver(NormalEquations):
         """The structure of A'A, to be factorized; errors as for `analyze`."""
         self.require()
         hessian = pattern.hessian(self.decomposition.order)
-        refuse_above(self.memory_limit or default_limit(), self.per_number, hessian, self.name)
+        refuse_above(self.memory_limit, self.per_number, hessian, self.name)
         return Factorization(hessian, self.decomposition(hessian))

@@ -13,7 +13,7 @@ from scipy import sparse as sp
 from models.algebra import Array
 from nls.linear.base import INSTALL_SUITESPARSE, Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.default import best_decomposition
-from nls.linear.limits import always_fits, checked_limit, default_limit, refuse_above
+from nls.linear.limits import always_fits, checked_limit, refuse_above
 from nls.linear.singular import SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
@@ -66,9 +66,8 @@ class QR(LinearSolver):
             R would take more than the limit.
         """
         self.require()
-        limit = self.memory_limit or default_limit()
-        if not always_fits(limit, self.per_number, pattern.n):
-            refuse_above(limit, self.per_number, pattern.hessian(best_decomposition().order), self.name)
+        if not always_fits(self.memory_limit, self.per_number, pattern.n):
+            refuse_above(self.memory_limit, self.per_number, pattern.hessian(best_decomposition().order), self.name)
         return QRAnalysis(self.name)
 
 

@@ -26,7 +26,7 @@ from models.errors import OptionError, ResourceLimitError
 from nls.linear.base import LinearSolution
 from nls.linear.default import default_solver
 from nls.linear.factorization import Decomposition, Factorization
-from nls.linear.limits import default_limit, refuse_above
+from nls.linear.limits import refuse_above
 from nls.linear.normal import NormalAnalysis, NormalEquations
 from nls.linear.schur.complement import Complement
 from nls.linear.schur.independent import independent, together, twins
@@ -175,7 +175,7 @@ class Schur(NormalEquations):
         self.block_inverse, self.exact = block_inverse, block_inverse is None
 
     def analyze(self, pattern: Pattern) -> SchurAnalysis:
-        limit = self.memory_limit or default_limit()
+        limit = self.memory_limit
         blocks = pattern.blocks
         gone, eliminated = independent(pattern, blocks)
         group = twins(pattern, blocks, gone)
