@@ -230,7 +230,7 @@ def _rounds(
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
         poses, open_, cuts = estimate.values, expelled < TWICE, Cuts(pings, graph, estimate, pieces)
-        landmarks, sightings = _near(pings, estimate, Sigma, open_ | last, gate, widest)
+        landmarks, sightings = _near(pings, estimate, Sigma, open_, gate, widest)
         anchored = Anchored(pings, cuts.tied, landmarks, sightings)
         Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
@@ -247,7 +247,7 @@ def _rounds(
         if few and not complete:
             widest *= WIDER
         elif few and not last:  # what no single track was for may be somebody's with all of its ping
-            last, widest = True, np.inf
+            last = True
             expelled[:] = 0
         history.append(tracks)
         decided = np.count_nonzero(of.sizes(tracks) >= least)

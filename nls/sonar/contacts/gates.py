@@ -2,9 +2,10 @@ r"""How far a sighting is from a target, in sigmas: squared Mahalanobis distance
 
 A sighting d of ping j and the arc of a sighting c of ping i, point by point, whitened by the noise of d:
 
-    b = W (z_d - h(X_j, p_k)),   S = I + A_X Sigma_G A_X' + A_l C_k A_l',      d2 = min over the arc of b' S^-1 b
+    b = W (z_d - h(X_j, p_k)),   S = I + A_X Sigma_G A_X' + A_l C A_l',        d2 = min over the arc of b' S^-1 b
 
-with Sigma_G the covariance of the motion X_i^-1 X_j and C_k that of the point by the noise of c. A sighting d and a
+with Sigma_G the covariance of the motion X_i^-1 X_j and C that of the point by the noise of c, both with the Jacobians
+of the middle of the arc. A sighting d and a
 landmark l, whose elevation other sightings determine, with C_l its covariance beside its anchor a, in the axes of the
 world, and Sigma_G that of the motion a^-1 X_j (`nls.sonar.contacts.anchors`):
 
@@ -50,25 +51,18 @@ def sighting_distances(pings: Pings, values: Values, c: Index, d: Index, motions
 def _arc_distances(pings: Pings, X: Array, sensors: Array, c: Index, d: Index, Sigma: Array) -> tuple[Array, Array]:
     """As `sighting_distances`, with the poses of vehicle and sensor at all sightings, and the Sigma_G (k, d, d)."""
     group, (k, K, dim) = pings.group, pings.points[c].shape
-    pair, every, R = np.arange(k), np.repeat(d, K), group.rotation(sensors[c])
+    every, R = np.repeat(d, K), group.rotation(sensors[c])
     L = group.position(sensors[c])[:, None] + pings.points[c] @ R.mT
     b = pings.model(every).error(X[every], L.reshape(k * K, dim)).reshape(k, K, -1)
-
-    def spread(point: Index) -> Array:
-        """S (k, m, m) at these points (k,) of the arcs."""
-        (A_X, A_l), _ = pings.model(d).linearize(X[d], L[pair, point])
-        S = congruence(A_X, Sigma) + congruence(product(A_l, R), pings.covariances[c, point])
-        return np.asarray(np.eye(S.shape[1]) + S)
-
-    middle = _inverse(spread(np.full(k, K // 2)))
-    best = quadratic(b, middle[:, None]).argmin(axis=1)
-    S = spread(best)
-    return _least(b, best, _inverse(S)), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
+    (A_X, A_l), _ = pings.model(d).linearize(X[d], L[:, K // 2])
+    C = congruence(product(A_l, R), pings.covariances[c])
+    S = np.eye(b.shape[2]) + congruence(A_X, Sigma) + C
+    return _least(b, np.asarray(np.linalg.inv(S))), np.sqrt(np.linalg.eigvalsh(S)[:, -1])
 
 
-def _least(b: Array, best: Index, M: Array) -> Array:
-    """Least b' M b (k,) on the lines from the best of points b (k, K, m) to its neighbors, by its M (k, m, m)."""
-    pair = np.arange(len(b))
+def _least(b: Array, M: Array) -> Array:
+    """Least b' M b (k,) on the lines from the best of points b (k, K, m) to its neighbors, by M (k, m, m)."""
+    pair, best = np.arange(len(b)), quadratic(b, M[:, None]).argmin(axis=1)
     a = b[pair, best]
     least = quadratic(a, M)
     for step in (-1, 1):
@@ -147,8 +141,3 @@ def _bounds(groups: Index) -> Index:
 def quadratic(b: Array, M: Array) -> Array:
     """b' M b of stacks."""
     return np.asarray((b * (M @ b[..., None])[..., 0]).sum(axis=-1))
-
-
-def _inverse(S: Array) -> Array:
-    """S^-1 of stacks."""
-    return np.asarray(np.linalg.inv(S), dtype=np.float64)

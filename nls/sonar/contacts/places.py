@@ -21,7 +21,7 @@ from factors.noise import Isotropic, square
 from factors.replaced import replaced
 from factors.sighting import Sighting
 from models import LieGroup, R
-from models.algebra import Array, Index, product
+from models.algebra import Array, Index, congruence
 from models.errors import GraphError
 from models.options import check_between
 from models.sensors import cartesian
@@ -126,14 +126,12 @@ class Pings:
 
     @cached_property
     def covariances(self) -> Array:
-        """Of these points (n, K, d, d), by the noise of the measurement, m^2."""
-        model = self.model(np.arange(len(self)))
+        """Of the middle points (n, d, d), by the noise of the measurement, m^2."""
+        model, middle = self.model(np.arange(len(self))), self.points.shape[1] // 2
         W = np.broadcast_to(square(model.W), (len(self), model.dim, model.dim))
         C = np.asarray(np.linalg.inv(W.mT @ W), dtype=np.float64)
-        J = np.stack(
-            [(self._located(model.z + step) - self.points) / STEP for step in STEP * np.eye(model.dim)], axis=-1
-        )
-        return np.asarray(product(product(J, C[:, None]), J.mT))
+        moved = [self._located(model.z + step)[:, middle] for step in STEP * np.eye(model.dim)]
+        return congruence((np.stack(moved, axis=-1) - self.middle[..., None]) / STEP, C)
 
     def _located(self, z: Array) -> Array:
         """Points (n, K, d) of measurements z (n, m)."""

@@ -71,7 +71,7 @@ class Cuts:
         order = _by_pull(which, pull)
         self._rough = np.eye(dim) / pings.extent.max() ** 2 if pings.limit else np.zeros((dim, dim))
         cut, self._g = _cuts(which, pull[order], own[order], self._rough)
-        self._which, self._size, self._of_piece = which[piece], np.bincount(piece), which
+        self._spread, self._which = _spread_of_pulls(estimate, np.bincount(piece), which), which[piece]
         self._apart = np.argsort(order)[piece] <= cut[self._which]
         self._keys = pings.kind[landmark], pings.kind[landmark + len(tracks)]
         self.tied = _tied(pings, graph, estimate, self._d[self._apart], *self._keys)
@@ -82,20 +82,13 @@ class Cuts:
         Parameters
         ----------
         marginals : of `tied`.
-        gate : bound on the fall of chi2. Odometry that promises too much makes all landmarks pull. So the bound grows
-            with the median of their falls, where that is above the one of noise. It grows as well with the error that
-            the sightings of a piece share.
+        gate : bound on the fall of chi2. It grows with the error that the sightings of a piece share.
         """
-        tracks = self.tied.tracks
-        leaving = np.zeros(len(tracks), dtype=bool)
+        leaving = np.zeros(len(self.tied.tracks), dtype=bool)
         if len(self._d):
-            dim = self._g.shape[1]
-            Lambda = np.linalg.inv(marginals.relative(*self._keys)) - np.eye(dim) / TIE**2
+            Lambda = np.linalg.inv(marginals.relative(*self._keys)) - np.eye(self._g.shape[1]) / TIE**2
             fall = mahalanobis(self._g, Lambda + self._rough)
-            whole = np.zeros(len(np.unique(tracks[of.sizes(tracks) > 1])) - len(fall))  # landmarks of one piece
-            usual = max(1.0, float(np.median([*fall, *whole])) / dim)
-            bound = gate * usual * _spread_of_pulls(self.tied, self._size, self._of_piece)
-            leaving[self._d] = self._apart & (fall > bound)[self._which]
+            leaving[self._d] = self._apart & (fall > gate * self._spread)[self._which]
         return leaving
 
 

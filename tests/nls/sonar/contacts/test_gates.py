@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from factors import RangeAzimuth
 from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, kinds
+from nls.analysis.motions import motion_covariances
 from nls.sonar.contacts import tracks as of
 from tests.nls.sonar.contacts.scenes import (
     GATE,
@@ -62,6 +66,33 @@ def test_a_point_between_two_of_the_arc_is_as_good() -> None:
     scene = floor(1, 0.0, 0.0)
     d2, _, _, _ = pairs_of(scene)
     assert d2.max() < 0.05
+
+
+def test_the_arc_against_numerical_derivatives() -> None:
+    """d2 along a fine arc. S of its middle by differences of the motion, and of both numbers of the first contact."""
+    scene = floor()
+    pings, (c, d) = scene.pings, true_pairs(scene)
+    group, values = pings.group, scene.values
+    c, d = c[::40], d[::40]
+    i, j = pings.poses[pings.ping[c]], pings.poses[pings.ping[d]]
+    Sigma, elevation = motion_covariances(scene.graph, values, i, j), np.linspace(-1, 1, 801) * pings.limit
+    sensor, n, step = pings.sensors(values)[c], len(elevation), 1e-6
+    d2, widths = sighting_distances(scene, c, d)
+    for k in range(len(c)):
+        model, X = pings.model(np.full(n, d[k])), np.repeat(values[j[[k]]], n, axis=0)
+
+        def innovation(delta: Array, dz: Array, k: int = k, model: Any = model, X: Array = X) -> Array:
+            z = np.repeat(pings.model(c[[k]]).z + dz, n, axis=0)
+            L = group.act(np.repeat(sensor[[k]], n, axis=0), RangeAzimuth.arc(z, elevation))
+            return np.asarray(model.error(group.compose(X, group.exp(np.tile(delta, (n, 1)))), L))
+
+        zero, still = np.zeros(group.dim), np.zeros(2)
+        b, middle = innovation(zero, still), n // 2
+        A = np.stack([(innovation(e, still) - b)[middle] / step for e in step * np.eye(group.dim)], axis=1)
+        B = np.stack([(innovation(zero, e) - b)[middle] / step for e in step * np.eye(2)], axis=1)
+        S = np.eye(2) + A @ Sigma[k] @ A.T + (B / pings.model(c[[k]]).W.reshape(-1) ** 2) @ B.T
+        assert d2[k] == pytest.approx((b * np.linalg.solve(S, b.T).T).sum(axis=1).min(), rel=0.01, abs=0.01)
+        assert widths[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(S)[-1]), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["floor", "in_plane"])
