@@ -14,7 +14,8 @@ from factors.robust import Kernel
 from models.algebra import Mask
 from models.errors import GraphError, OptionError
 from nls.gauge import choose_gauge, fixed_variables
-from nls.linear import LinearSolver, default_solver
+from nls.linear import LinearSolver
+from nls.linear.default import chosen_solver
 from nls.linear.free_gauge import FreeGauge
 from nls.linear.underconstrained import directions, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
@@ -195,13 +196,11 @@ class FactorGraph:
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):
             raise OptionError("gauge", gauge, "'none' with Levenberg-Marquardt, which damps what is free by itself")
-        if not isinstance(linear_solver, LinearSolver | None):
-            raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
         fixed = fixed_variables(self.fixed, _values(values))
         self.pattern(values).refuse_extreme()
         decided = choose_gauge(gauge, self.pattern(values), values, fixed)
         pattern = decided.pattern.holding(decided.held)
-        solver = default_solver(pattern.n) if linear_solver is None else linear_solver
+        solver = chosen_solver(linear_solver, pattern.n)
         if decided.free:
             solver, pattern = FreeGauge(solver, pattern), decided.pattern.holding(decided.fixed)
         problem = Problem(pattern, solver)

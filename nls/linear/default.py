@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from models.errors import OptionError
 from nls.linear.base import LinearSolver
 from nls.linear.cholesky import Cholesky
 from nls.linear.factorization import Decomposition, Factorization
@@ -10,7 +11,7 @@ from nls.linear.normal import SparseSolver
 from nls.linear.small import FEW, Small
 from nls.system import LinearSystem
 
-__all__ = ["best_decomposition", "default_solver", "factorize", "factorized_by"]
+__all__ = ["best_decomposition", "chosen_solver", "default_solver", "factorize", "factorized_by"]
 
 
 def default_solver(n: int | None = None) -> SparseSolver:
@@ -21,6 +22,21 @@ def default_solver(n: int | None = None) -> SparseSolver:
     if n is not None and n <= FEW:
         return Small()
     return Cholesky() if Cholesky.missing() is None else LU()
+
+
+def chosen_solver(linear_solver: LinearSolver | None, n: int) -> LinearSolver:
+    """The linear solver, the default for n columns where it is None.
+
+    Raises
+    ------
+    OptionError
+        Something else than a linear solver.
+    """
+    if linear_solver is None:
+        return default_solver(n)
+    if not isinstance(linear_solver, LinearSolver):
+        raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
+    return linear_solver
 
 
 def best_decomposition(n: int | None = None) -> type[Decomposition]:

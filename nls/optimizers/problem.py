@@ -8,9 +8,9 @@ from time import perf_counter
 from typing import TypeVar
 
 from models.algebra import Array
-from models.errors import EvaluationError, OptionError, SingularGeometryError
+from models.errors import EvaluationError, SingularGeometryError
 from nls.linear.base import LinearSolution, LinearSolver
-from nls.linear.default import default_solver
+from nls.linear.default import chosen_solver
 from nls.linear.singular import SingularSystemError
 from nls.linear.underconstrained import underconstrained
 from nls.sparse.pattern import Pattern
@@ -129,9 +129,7 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     >>> gauss_newton_step(graph.linearize(Values({x: (SE2, [0, 0, 0])}))).round(6)
     array([1., 2., 0.])
     """
-    solver = default_solver(system.pattern.n) if linear_solver is None else linear_solver
-    if not isinstance(solver, LinearSolver):
-        raise OptionError("linear_solver", linear_solver, "a linear solver such as nls.QR()")
+    solver = chosen_solver(linear_solver, system.pattern.n)
     try:
         return solver.analyze(system.pattern).solve(system).dx
     except SingularSystemError as error:
