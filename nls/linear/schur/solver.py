@@ -175,13 +175,12 @@ class Schur(NormalEquations):
         self.block_inverse, self.exact = block_inverse, block_inverse is None
 
     def analyze(self, pattern: Pattern) -> SchurAnalysis:
-        limit = self.memory_limit
         blocks = pattern.blocks
         gone, eliminated = independent(pattern, blocks)
         group = twins(pattern, blocks, gone)
-        order = self._order(blocks, gone, group, limit)
+        order = self._order(blocks, gone, group)
         hessian = pattern.hessian(order)
-        refuse_above(limit, max(self.per_number, default_solver().per_number), hessian, self.name)
+        refuse_above(self.memory_limit, max(self.per_number, default_solver().per_number), hessian, self.name)
         count = int(gone.sum())
         complement = Complement(hessian, count, group[order[count:]], self.block_inverse)
         decomposition = SchurDecomposition(complement, self.exact)
@@ -190,7 +189,7 @@ class Schur(NormalEquations):
     def __repr__(self) -> str:
         return "Schur()" if self.exact else "Schur(block_inverse=...)"
 
-    def _order(self, blocks: Blocks, gone: Mask, group: Index, limit: float) -> Index:
+    def _order(self, blocks: Blocks, gone: Mask, group: Index) -> Index:
         """The eliminated variables by dimension, then the others as S is factorized, twins together.
 
         Raises
@@ -209,13 +208,13 @@ class Schur(NormalEquations):
         )
         degree = np.diff(incidence.indptr)
         pairs = float((degree * (degree + 1.0) / 2).sum())
-        if PER_PAIR * pairs > limit:
+        if PER_PAIR * pairs > self.memory_limit:
             raise ResourceLimitError(
                 f"linear solver {self.name!r}: eliminating {len(first):,} variables joins {pairs:,.0f} pairs of "
-                f"others, which needs {PER_PAIR * pairs / 1e9:.3g} GB, the limit is {limit / 1e9:.3g} GB; take linear "
-                "solver 'cholesky', or allow more with memory_limit",
+                f"others, which needs {PER_PAIR * pairs / 1e9:.3g} GB, the limit is {self.memory_limit / 1e9:.3g} GB; "
+                "take linear solver 'cholesky', or allow more with memory_limit",
                 PER_PAIR * pairs,
-                limit,
+                self.memory_limit,
                 "Schur complement",
             )
         joined = sp.coo_array(sp.tril(incidence.T @ incidence, -1))

@@ -58,7 +58,7 @@ class Anchored:
         apart = [(poses[a[a != b]], poses[b[a != b]]) for a, b in near]
         values = estimate.values
         numbers = values.stack(pings.kind).numbers if pings.kind.name in values.stacks else np.zeros(0, dtype=np.intp)
-        numbers = numbers[numbers < len(pings)]
+        numbers = numbers[numbers < len(pings)]  # above are parts of these (`splitting.Cuts`)
         self._landmarks = anchors[pings.ping[numbers]], pings.kind[numbers]
         beside = [(anchors[moved], poses[moved]), self._landmarks, *apart]
         self.marginals = Marginals(estimate.graph, values, pairs=beside)

@@ -31,7 +31,7 @@ import numpy as np
 
 from factors.keys import Keys, Kind, kinds
 from factors.sighting import Sighting
-from models.algebra import Array, Index, Mask
+from models.algebra import Array, Index
 from models.options import check_between, check_whole
 from nls.analysis.chi_squared import chi2_gate
 from nls.covariance import Marginals
@@ -76,7 +76,7 @@ class Associated:
     sightings : the decided ones, as measurements of these landmarks.
     values : poses and landmarks, by all decided sightings.
     rounds : after each round of the whole how many sightings were decided.
-    settled : whether the last round changed next to nothing.
+    settled : whether the last round joined next to nothing. What it takes apart stays apart.
     cost : chi2 with its robust kernel, and log N for each number of a landmark where N numbers are measured. Each
         undecided sighting adds the kernel's charge at the gate.
     d2 : (n,) squared residual of each decided sighting, in sigmas; nan of the others.
@@ -229,20 +229,22 @@ def _rounds(
     Sigma = pings.covariances_of_poses(Marginals(graph, values))
     while len(history) < rounds and not settled:
         estimate = estimated(pings, graph, without(poses, pings.kind), tracks)
-        poses, open_, cuts = estimate.values, expelled < TWICE, Cuts(pings, graph, estimate, pieces)
-        landmarks, sightings = _near(pings, estimate, Sigma, open_, gate, widest)
-        anchored = Anchored(pings, cuts.tied, landmarks, sightings)
+        poses, open_, cuts = estimate.values, np.flatnonzero(expelled < TWICE), Cuts(pings, graph, estimate, pieces)
+        alone = open_[of.sizes(tracks)[open_] == 1]
+        near = near_landmarks(pings, estimate, Sigma, open_, gate, np.inf if last else widest)
+        pairs = near_sightings(pings, estimate, Sigma, alone[:0] if last else alone, gate, widest)
+        anchored = Anchored(pings, cuts.tied, near[::-1], pairs)
         Sigma = pings.covariances_of_poses(anchored.marginals)
         if last:
-            joined = resolved(pings, estimate, anchored, *landmarks, open_, least, probability)
+            joined = resolved(pings, estimate, anchored, *near, least, probability)
         else:
-            joined, complete = _joined(pings, estimate, anchored, landmarks, sightings, gate, widest)
+            joined, complete = _joined(pings, estimate, anchored, near, pairs, gate, widest)
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
-        alone = misfit | (estimate.d2 > OUTSIDE * gate)
+        outside = misfit | (estimate.d2 > OUTSIDE * gate)
         leaving = cuts.leaving(anchored.marginals, apart)
         few = np.mean(joined != tracks) <= (FEW if complete else SOME)
-        tracks = of.single(of.parted(joined, tracks, leaving), alone)
-        expelled += alone | leaving
+        tracks = of.single(of.parted(joined, tracks, leaving), outside)
+        expelled += outside | leaving
         settled = bool(few and complete and (last or part))
         if few and not complete:
             widest *= WIDER
@@ -263,15 +265,6 @@ def _linked(pings: Pings, graph: FactorGraph, values: Values, gate: float) -> In
     return of.once_per_ping(tracks, pings.ping)
 
 
-def _near(
-    pings: Pings, estimate: Estimate, Sigma: Array, open_: Mask, gate: float, widest: float
-) -> tuple[tuple[Index, Index], tuple[Index, Index]]:
-    """Landmarks and open sightings (n,) near them (k,), and pairs (q,) of open sightings that are alone."""
-    alone = open_ & (of.sizes(estimate.tracks) == 1)
-    d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate, widest)
-    return (landmarks, d), near_sightings(pings, estimate, Sigma, np.flatnonzero(alone), gate, widest)
-
-
 def _joined(
     pings: Pings,
     estimate: Estimate,
@@ -283,10 +276,10 @@ def _joined(
 ) -> tuple[Index, bool]:
     """The tracks (n,) of an estimate, joined by what fits, and whether no pair that fits was too wide.
 
-    near : landmarks and sightings (k,) near them.
+    near : sightings, and landmarks (k,) near them.
     pairs : of sightings (q,) that are alone.
     """
-    tracks, (landmarks, d), (c, e) = estimate.tracks, near, pairs
+    tracks, (d, landmarks), (c, e) = estimate.tracks, near, pairs
     of_landmarks = landmark_distances(pings, estimate, anchored, d, landmarks)
     of_one = sighting_distances(pings, estimate.values, c, e, anchored.of_sightings(c, e))
     d2, width = (np.concatenate([a, b, b]) for a, b in zip(of_landmarks, of_one, strict=True))

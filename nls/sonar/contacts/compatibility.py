@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.algebra import Index, Mask
+from models.algebra import Index
 from models.errors import ResourceLimitError
 from nls.analysis.chi_squared import chi2_gate
 from nls.filters.association import jcbb
@@ -33,13 +33,12 @@ def resolved(
     pings: Pings,
     estimate: Estimate,
     anchored: Anchored,
-    landmarks: Index,
     d: Index,
-    open_: Mask,
+    landmarks: Index,
     least: int,
     probability: float,
 ) -> Index:
-    """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping, where they are open.
+    """The tracks (n,) of an estimate, their undecided sightings given to landmarks ping by ping.
 
     Undecided are the sightings of tracks of fewer than so many, and of tracks that nothing needs. A landmark has one
     sighting in a ping: what is decided stays. A ping of more sets of pairings than `jcbb` looks at stays undecided.
@@ -48,8 +47,7 @@ def resolved(
     ----------
     pings, estimate : the sightings, and poses and landmarks by them.
     anchored : covariances of the estimate, for these pairs.
-    landmarks, d : (k,) landmarks by number, and sightings near them.
-    open_ : (n,) the sightings that may be given to a landmark.
+    d, landmarks : (k,) sightings that may be given to a landmark, and landmarks by number near them.
     least : sightings that make a landmark.
     probability : with which a right set of pairings is within its gate.
     """
@@ -60,7 +58,7 @@ def resolved(
     d, landmarks, d2 = d[near], landmarks[near], d2[near]
     needless = superfluous(tracks, d, landmarks, d2, m, probability)
     undecided = needless | (of.sizes(tracks) < least)
-    possible = (undecided & open_)[d] & ~undecided[landmarks]
+    possible = undecided[d] & ~undecided[landmarks]
     d, landmarks = d[possible], landmarks[possible]
     groups = np.where(undecided, len(tracks) + every, tracks)
     for rows, nu, S in ping_innovations(pings, estimate, d, landmarks):

@@ -100,7 +100,7 @@ def _radius(pings: Pings, Sigma: Array, gate: float, which: Mask | slice, widest
     k = pings.group.point_dim
     far = np.linalg.norm(pings.middle[which], axis=1)
     position, turn = largest_variances(Sigma, k)
-    noise = np.linalg.eigvalsh(pings.covariances[which])[:, -1]
+    noise = pings.variances[which]
     sigma = np.sqrt(position + 2 * noise) + far * np.sqrt(turn)  # of both sightings
     return np.asarray(pings.extent[which] + np.sqrt(gate) * np.minimum(sigma, widest * np.sqrt(noise)))
 

@@ -133,6 +133,11 @@ class Pings:
         moved = [self._located(model.z + step)[:, middle] for step in STEP * np.eye(model.dim)]
         return congruence((np.stack(moved, axis=-1) - self.middle[..., None]) / STEP, C)
 
+    @cached_property
+    def variances(self) -> Array:
+        """The largest (n,) of these along any axis, m^2."""
+        return np.asarray(np.linalg.eigvalsh(self.covariances)[:, -1])
+
     def _located(self, z: Array) -> Array:
         """Points (n, K, d) of measurements z (n, m)."""
         if not self.limit:

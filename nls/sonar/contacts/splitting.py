@@ -12,9 +12,9 @@ largest ones, and cut in two at any place. If the pieces S before the cut may mo
 in one step of Gauss-Newton: a score test. Lambda is the information of delta, with all else in the graph at its best. A
 wrong join need not show in its residuals, because the map gives way to it. It shows in its pull. Every landmark is cut
 where chi2 would fall most with all poses held. For Lambda the pieces S have a place l_S of their own, tied to that of
-the others; the information of the tie is taken out again:
+the others with a sigma t; the information of the tie is taken out again:
 
-    Lambda = cov(l_S - l)^-1 - I / TIE^2 (+ I / e^2: no contact is farther from the middle of its arc than e)
+    Lambda = cov(l_S - l)^-1 - I / t^2 (+ I / e^2: no contact is farther from the middle of its arc than e)
 
 Source: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Mathematical
 Proceedings of the Cambridge Philosophical Society 44, 1948.
@@ -27,7 +27,6 @@ from dataclasses import replace
 import numpy as np
 
 from factors import Between, Isotropic
-from factors.keys import Keys
 from factors.replaced import replaced
 from models import R
 from models.algebra import Array, Index, Mask, apply
@@ -41,7 +40,7 @@ from nls.sonar.contacts.places import Pings
 
 __all__ = ["Cuts"]
 
-TIE = 1e-3  # m
+TIE = 0.05  # of the sigma of a place; tighter ties cost digits
 
 
 class Cuts:
@@ -57,7 +56,7 @@ class Cuts:
     Attributes
     ----------
     tied : the estimate with the pieces before each cut as a landmark of their own, tied to the others. Such a landmark
-        has the number of the whole one, and `len(pings)` more.
+        has the number of the whole one, and `len(pings)` more. Without landmarks of several pieces the same estimate.
     """
 
     def __init__(self, pings: Pings, graph: FactorGraph, estimate: Estimate, pieces: Index) -> None:
@@ -73,8 +72,10 @@ class Cuts:
         cut, self._g = _cuts(which, pull[order], own[order], self._rough)
         self._spread, self._which = _spread_of_pulls(estimate, np.bincount(piece), which), which[piece]
         self._apart = np.argsort(order)[piece] <= cut[self._which]
-        self._keys = pings.kind[landmark], pings.kind[landmark + len(tracks)]
-        self.tied = _tied(pings, graph, estimate, self._d[self._apart], *self._keys)
+        sigma = TIE * float(np.sqrt(np.median(pings.variances)))
+        i, j = pings.kind[landmark], pings.kind[landmark + len(tracks)]
+        self._tie, self._information = Between(i, j, np.zeros(dim), Isotropic(sigma)), np.eye(dim) / sigma**2
+        self.tied = _tied(pings, graph, estimate, self._d[self._apart], self._tie)
 
     def leaving(self, marginals: Marginals, gate: float) -> Mask:
         """Sightings (n,) that leave their landmarks together: without them chi2 falls by more than the gate.
@@ -86,10 +87,13 @@ class Cuts:
         """
         leaving = np.zeros(len(self.tied.tracks), dtype=bool)
         if len(self._d):
-            Lambda = np.linalg.inv(marginals.relative(*self._keys)) - np.eye(self._g.shape[1]) / TIE**2
-            fall = mahalanobis(self._g, Lambda + self._rough)
-            leaving[self._d] = self._apart & (fall > gate * self._spread)[self._which]
+            leaving[self._d] = self._apart & (self.falls(marginals) > gate * self._spread)[self._which]
         return leaving
+
+    def falls(self, marginals: Marginals) -> Array:
+        """How much chi2 falls (q,) by the cut of each landmark of several pieces, with all else at its best."""
+        Lambda = np.linalg.inv(marginals.relative(*self._tie.keys)) - self._information
+        return mahalanobis(self._g, Lambda + self._rough)
 
 
 def _pulls(pings: Pings, estimate: Estimate, d: Index, piece: Index) -> tuple[Array, Array]:
@@ -141,8 +145,8 @@ def _spread_of_pulls(estimate: Estimate, size: Index, which: Index) -> Array:
     return np.asarray(s + (1 - s) * np.bincount(which, size**2) / np.bincount(which, size))
 
 
-def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, i: Keys, j: Keys) -> Estimate:
-    """An estimate whose sightings `apart` leave landmarks i (q,) for landmarks j (q,), each tied to the other."""
+def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, tie: Between) -> Estimate:
+    """An estimate whose sightings `apart` leave their landmarks (q,) for those that these are tied to."""
     tracks, dim = estimate.tracks, pings.group.point_dim
     sightings, *apertures = estimate.graph.factors[len(graph.factors) :]
     chosen, targets = np.flatnonzero(of.sizes(tracks) > 1), tracks.copy()
@@ -151,7 +155,6 @@ def _tied(pings: Pings, graph: FactorGraph, estimate: Estimate, apart: Index, i:
     values = without(estimate.values, pings.kind)
     values.add(pings.kind, R(dim), estimate.values[pings.kind[numbers % len(tracks)]], numbers)
     sightings = replaced(sightings, [sightings.keys[0], pings.kind[targets[chosen]]])
-    tie = Between(i, j, np.zeros(dim), Isotropic(TIE))
     return replace(
         estimate, graph=FactorGraph([*graph.factors, sightings, tie, *apertures], graph.fixed), values=values
     )

@@ -16,7 +16,7 @@ from models import SE3, R
 from nls import LU, QR, Cholesky, FactorGraph, OptionError, ResourceLimitError, Values
 from nls.analysis.inspection import inspect
 from nls.gauge import choose_gauge
-from nls.linear import limits
+from nls.linear import DenseCholesky, DenseQR, Pinv, Schur, limits
 from nls.linear.limits import FRACTION, UNKNOWN, default_limit
 from nls.sparse.pattern import Pattern
 from tests.nls.graphs import pose_graph, x
@@ -130,6 +130,10 @@ def test_the_limit_is_half_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     default_limit.cache_clear()
     monkeypatch.undo()
     assert default_limit() > 1e8
+
+
+def test_every_solver_has_the_same_limit() -> None:
+    assert {kind().memory_limit for kind in (*SPARSE, Schur, DenseCholesky, DenseQR, Pinv)} == {default_limit()}
 
 
 def test_a_limit_is_a_number() -> None:

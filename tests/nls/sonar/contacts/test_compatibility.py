@@ -48,10 +48,9 @@ def known_trees(trees: list[int]) -> Index:
 
 def decided(pings: Pings, estimate: Estimate, open_: Mask, least: int, probability: float) -> Index:
     """`resolved`, what is near by the covariances of the same estimate."""
-    every, gate = np.arange(len(pings)), chi2_gate(2, probability)
-    d, landmarks = near_landmarks(pings, estimate, covariances_of_poses(pings, estimate), every, gate)
-    anchored = Anchored(pings, estimate, (landmarks, d))
-    return resolved(pings, estimate, anchored, landmarks, d, open_, least, probability)
+    Sigma, gate = covariances_of_poses(pings, estimate), chi2_gate(2, probability)
+    d, landmarks = near_landmarks(pings, estimate, Sigma, np.flatnonzero(open_), gate)
+    return resolved(pings, estimate, Anchored(pings, estimate, (landmarks, d)), d, landmarks, least, probability)
 
 
 def answer(shift: float, trees: list[int]) -> list[int]:

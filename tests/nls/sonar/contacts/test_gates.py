@@ -11,6 +11,7 @@ from factors import RangeAzimuth
 from models.algebra import Array, Index
 from nls import FactorGraph, Marginals, kinds
 from nls.analysis.motions import motion_covariances
+from nls.sonar.contacts import gates
 from nls.sonar.contacts import tracks as of
 from tests.nls.sonar.contacts.scenes import (
     GATE,
@@ -42,6 +43,13 @@ def test_true_pairs_are_within_the_gate(seed: int) -> None:
     assert (widths > 1).all()
     far = scene.pings.ping[c] < 2  # dead reckoning is poor, and the widths know
     assert widths[far].max() > 2 * np.quantile(widths, 0.1)
+
+
+def test_pairs_are_the_same_at_once_or_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = floor()
+    whole = pairs_of(scene)[:2]
+    monkeypatch.setattr(gates, "AT_ONCE", 7)
+    np.testing.assert_array_equal(pairs_of(scene)[:2], whole)
 
 
 def test_in_the_plane_the_mean_is_that_of_two_numbers() -> None:

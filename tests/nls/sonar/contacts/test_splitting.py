@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from factors import Diagonal
-from models.algebra import Index, Mask
-from nls import Marginals
+from factors.base import Factor
+from factors.sighting import Sighting
+from models.algebra import Array, Index, Mask
+from nls import FactorGraph, Marginals
 from nls.analysis.chi_squared import chi2_gate
 from nls.sonar.contacts.estimate import Estimate, estimated
 from nls.sonar.contacts.splitting import Cuts
@@ -31,6 +33,20 @@ def in_time(scene: Scene, parts: int) -> Index:
     """Pieces of the true landmarks: their sightings of every such part of the mission."""
     pings = scene.pings
     return renamed(scene.true * parts + pings.ping * parts // len(pings.poses))
+
+
+def scaled(scene: Scene, times: float) -> Scene:
+    """A scene in the plane with all lengths and their sigmas times a number."""
+
+    def larger(factor: Factor, lengths: Array, W: Array) -> Factor:
+        return type(factor)(*factor.keys, factor.z * lengths, Diagonal(lengths / W))
+
+    of_pose, of_sighting = np.array([times, times, 1.0]), np.array([1.0, times])
+    graph = FactorGraph([larger(f, of_pose, scene.values.gather(f)[0].W) for f in scene.graph.factors])
+    sightings = larger(scene.sightings, of_sighting, scene.pings.model(np.arange(1)).W.reshape(-1))
+    values, truth = (old.replaced({"x": old.stack("x").X * of_pose}) for old in (scene.values, scene.at_the_truth()))
+    assert isinstance(sightings, Sighting)
+    return replace(scene, graph=graph, values=values, sightings=sightings, truth=truth)
 
 
 @pytest.mark.parametrize(("scene", "number"), [(floor(1), 0), (floor(2), 0), (in_plane(), 1)])
@@ -86,6 +102,33 @@ def test_sightings_of_a_piece_may_share_an_error() -> None:
         independent += len(np.unique(scene.true[split(wide, estimate, pieces, gate)]))
     assert whole <= 0.02 * count
     assert independent >= 0.1 * count
+
+
+def test_pieces_are_put_in_the_order_of_their_pulls() -> None:
+    """Every other of six pieces is of a target farther off: they leave together, from between the others."""
+    scene = floor(1)
+    pieces, part = in_time(scene, 6), scene.pings.ping * 6 // len(scene.pings.poses)
+    sigma = 1 / scene.pings.model(np.arange(1)).W.reshape(-1)[0]
+    parts = [len(np.unique(part[scene.true == k])) for k in range(scene.true.max() + 1)]
+    chosen = (scene.true == int(np.argmax(parts))) & (part % 2 == 1)
+    z = scene.sightings.z.copy()
+    z[chosen, 0] += 8 * sigma
+    sightings = type(scene.sightings)(*scene.sightings.keys[:2], z, scene.sightings.noise, scene.sightings.offset)
+    farther = replace(scene, sightings=sightings)
+    leaving = split(farther, solved(farther, scene.true), pieces, chi2_gate(3, 0.95))
+    other = (scene.true == int(np.argmax(parts))) & ~chosen
+    assert max(parts) > 3
+    assert np.array_equal(leaving, chosen) or np.array_equal(leaving, other)
+
+
+@pytest.mark.parametrize("times", [1e-2, 1e-1, 1e1])
+def test_a_scene_of_another_size_is_cut_in_the_same_way(times: float) -> None:
+    """All lengths and their sigmas times a number: chi2 and its falls stay as they are."""
+    falls = []
+    for scene in (in_plane(), scaled(in_plane(), times)):
+        cuts = Cuts(scene.pings, scene.graph, solved(scene, scene.true), in_time(scene, 4))
+        falls.append(cuts.falls(Marginals(cuts.tied.graph, cuts.tied.values)))
+    np.testing.assert_allclose(falls[1], falls[0], rtol=0.01)
 
 
 def test_a_landmark_of_one_piece_stays() -> None:
