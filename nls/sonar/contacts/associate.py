@@ -60,7 +60,8 @@ LAGS = 3  # pings after one in which its sightings are looked for before anythin
 SOME = 0.1  # part of the sightings; a round that moves no more is the last with its gates
 FEW = 0.01  # a round that moves no more is the last
 ROUNDS = 40
-SURE = 0.95  # pieces of one target stay together with this probability
+TOGETHER = 0.9  # pieces of one target stay together with this probability; what leaves may be joined again
+SURE = 0.98  # the same in the last rounds
 OUTSIDE = 1.5  # times the gate: a sighting farther from its landmark is not of it
 TWICE = 2  # a sighting that its landmark did not explain so often is joined with no other any more
 l = kinds("l")[0]
@@ -217,12 +218,12 @@ def _rounds(
     asked: _Asked,
     part: bool = False,
 ) -> tuple[list[Index], Values, bool]:
-    """Tracks (n,) after every round, poses by them, and whether the last round changed next to nothing.
+    """Tracks (n,) after every round, poses by them, and whether the last round joined next to nothing.
 
     Sightings that are still open in the end are decided in the whole alone, not in a `part` of it.
     """
     least, probability, rounds = asked
-    gate, apart = asked.gate(pings), chi2_gate(pings.group.point_dim, SURE)
+    gate = asked.gate(pings)
     poses, expelled = estimated(pings, graph, values, tracks, FIRST).values, np.zeros(len(pings), dtype=np.intp)
     widest, complete, last, settled = NARROW, False, False, False
     history: list[Index] = []
@@ -241,7 +242,7 @@ def _rounds(
             joined, complete = _joined(pings, estimate, anchored, near, pairs, gate, widest)
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         outside = misfit | (estimate.d2 > OUTSIDE * gate)
-        leaving = cuts.leaving(anchored.marginals, apart)
+        leaving = cuts.leaving(anchored.marginals, chi2_gate(pings.group.point_dim, SURE if last else TOGETHER))
         few = np.mean(joined != tracks) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), outside)
         expelled += outside | leaving
