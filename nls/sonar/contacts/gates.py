@@ -7,8 +7,8 @@ A sighting d of ping j and the arc of a sighting c of ping i, point by point, wh
 with Sigma_G the covariance of the motion X_i^-1 X_j and C that of the point by the noise of c, both with the Jacobians
 of the middle of the arc.
 
-A sighting d and a landmark l, whose elevation other sightings determine, with C_l its covariance beside its anchor a,
-in the axes of the world, and Sigma_G that of the motion a^-1 X_j (`nls.sonar.contacts.anchors`):
+The elevation of a landmark l is determined by other sightings. C_l is its covariance beside its anchor a, in the axes
+of the world. Sigma_G is that of the motion a^-1 X_j (`nls.sonar.contacts.anchors`). For a sighting d of l:
 
     b = W (z_d - h(X_j, l)),     S = I + A_X Sigma_G A_X' + A_l C_l A_l',      d2 = b' S^-1 b
 

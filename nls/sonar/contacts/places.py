@@ -1,6 +1,6 @@
 r"""Where the target of a sighting may be: on the arc of an imaging sonar, or at one point where a sighting locates it.
 
-    p_k = p(z, el_k),   C = J Sigma_z J',   J = dp/dz          |el_k| <= limit, evenly spaced
+    p_k = p(z, el_k),   C = J Sigma_z J',   J = dp/dz (z, 0),   |el_k| <= limit, evenly spaced
 
 in the frame of the sensor. A range and an azimuth leave the elevation free within the aperture: nine points of the arc
 stand for it. A sighting that locates its target (bearing and range, a position) has one point.
