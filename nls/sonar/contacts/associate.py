@@ -243,7 +243,7 @@ def _rounds(
         misfit = of.worst(tracks, estimate.d2, estimate.doubtful & ~of.several(tracks, pieces))
         outside = misfit | (estimate.d2 > OUTSIDE * gate)
         leaving = cuts.leaving(anchored.marginals, chi2_gate(pings.group.point_dim, SURE if last else TOGETHER))
-        few = np.mean(joined != tracks) <= (FEW if complete else SOME)
+        few = np.mean(of.moved(tracks, joined)) <= (FEW if complete else SOME)
         tracks = of.single(of.parted(joined, tracks, leaving), outside)
         expelled += outside | leaving
         settled = bool(few and complete and (last or part))

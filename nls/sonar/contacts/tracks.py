@@ -12,6 +12,7 @@ from models.algebra import Array, Index, Mask
 __all__ = [
     "joined",
     "largest",
+    "moved",
     "once_per_ping",
     "parted",
     "renamed",
@@ -62,6 +63,20 @@ def single(tracks: Index, sightings: Index | Mask) -> Index:
     groups = tracks.copy()
     groups[sightings] = len(tracks) + np.arange(len(tracks))[sightings]
     return renamed(groups)
+
+
+def moved(tracks: Index, joined: Index) -> Mask:
+    """Which sightings (n,) are new in their joined tracks (n,): all that are not of the largest track there.
+
+    Examples
+    --------
+    >>> moved(np.array([0, 1, 1, 1, 4]), np.array([0, 0, 0, 0, 4]))
+    array([ True, False, False, False, False])
+    """
+    main = np.zeros(len(tracks), dtype=np.intp)
+    largest_ones = np.flatnonzero(largest(joined, sizes(tracks)))
+    main[joined[largest_ones]] = tracks[largest_ones]
+    return np.asarray(tracks != main[joined])
 
 
 def once_per_ping(tracks: Index, ping: Index) -> Index:
