@@ -153,7 +153,7 @@ def worst(tracks: Index, d2: Array, which: Mask) -> Mask:
     return largest(tracks, d2) & which
 
 
-def largest(groups: Index, numbers: Array) -> Mask:
+def largest(groups: Index, numbers: Array | Index) -> Mask:
     """Which (n,) is the largest number (n,) of every group (n,), one of each.
 
     Examples

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from factors import Bearing, Isotropic, Prior
 from models import R
-from models.algebra import Index
+from models.algebra import Array, Index, Mask
 from models.errors import GraphError, OptionError, UnderconstrainedError
 from nls import FactorGraph, Values, kinds
 from nls.filters.association import pair_precision_recall
 from nls.metrics import ate
 from nls.sonar.contacts import Associated, associate
+from nls.sonar.contacts.splitting import Cuts
 from tests.nls.sonar.contacts.scenes import Scene, floor, in_plane, poor_ranges
 
 x, l, m = kinds("x", "l", "m")
@@ -146,6 +149,41 @@ def test_least_kind_rounds_and_history() -> None:
         assert np.count_nonzero(size > counts.min()) == decided
     short = associate(scene.graph, scene.values, scene.sightings, rounds=1)
     assert (len(short.rounds), short.settled) == (1, False)
+
+
+def test_gates_become_wider_and_poses_better_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next width comes where a round moves few sightings; the poses of a round are known by the round before."""
+    rounds = sys.modules["nls.sonar.contacts.associate"]
+    real, widths, sigmas = rounds.near_landmarks, [], []
+
+    def near_landmarks(pings: object, estimate: object, Sigma: Array, *others: object) -> object:
+        widths.append(others[-1])
+        sigmas.append(np.sqrt(Sigma.trace(axis1=1, axis2=2)).max())
+        return real(pings, estimate, Sigma, *others)
+
+    monkeypatch.setattr(rounds, "near_landmarks", near_landmarks)
+    result = associated(in_plane())
+    assert len(widths) == len(result.rounds)
+    assert widths[0] == 2.0
+    assert all(later in (width, 2 * width, np.inf) for width, later in pairwise(widths))
+    assert len(widths) - len(set(widths)) < 2 < len(set(widths))
+    assert max(sigmas[1:]) < sigmas[0] / 2
+
+
+def test_what_a_cut_takes_away_is_apart_after_the_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here it takes every other sighting of the largest landmark."""
+    masks: list[Mask] = []
+
+    def leaving(cuts: Cuts, *_: object) -> Mask:
+        tracks = cuts.tied.tracks
+        masks.append((tracks == np.bincount(tracks).argmax()) & (np.arange(len(tracks)) % 2 == 0))
+        return masks[-1]
+
+    monkeypatch.setattr(Cuts, "leaving", leaving)
+    for tracks, mask in zip(associated(floor(1)).history, masks, strict=True):
+        assert mask.any()
+        assert len(np.unique(tracks[mask])) == 1
+        assert not np.isin(tracks[mask], tracks[~mask]).any()
 
 
 def test_other_unknowns_of_the_graph_have_no_influence() -> None:
