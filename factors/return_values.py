@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from factors.keys import Keys
 from factors.noise import SQUARABLE
 from models import Manifold
-from models.algebra import Array
+from models.algebra import Array, components
 from models.errors import EvaluationError, GraphError, NoiseModelError
 
 
@@ -103,7 +104,8 @@ def refuse_extreme(factor: Batch, z: Array, W: Array, names: tuple[str, ...]) ->
     """
     if not z.size or not W.size:
         return
-    rows = np.abs(W) if W.ndim == 2 else np.abs(W).max(axis=2, initial=0.0)
+    sizes = np.abs(W)
+    rows = sizes if W.ndim == 2 else reduce(np.maximum, components(sizes))  # max(axis=2): thrice the time
     if (faint := (rows > 0) & (rows < 1 / SQUARABLE)).any():
         k, j = (int(i) for i in np.argwhere(faint)[0])
         sigma = float(1 / rows[k, j])
