@@ -21,6 +21,7 @@ from nls.linear.underconstrained import directions, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
+from nls.sparse.memory import keep_freed_memory
 from nls.sparse.pattern import Pattern, measured_rows
 from nls.sparse.singles import Singles
 from nls.sparse.threads import single_thread
@@ -28,6 +29,8 @@ from nls.system import LinearSystem
 from nls.values import Values
 
 __all__ = ["FactorGraph"]
+
+keep_freed_memory()
 
 
 class FactorGraph:

@@ -60,6 +60,12 @@ class LinearSystem:
     def __iter__(self) -> Iterator[sp.csr_array | Array]:
         return iter((self.A, self.b))
 
+    def forget(self) -> None:
+        """Drop all arrays, most of the memory of a solve, so that the next linearization lies in it; chi2 stays."""
+        pattern, chi2 = self.pattern, self.chi2
+        vars(self).clear()
+        self.pattern, self.chi2 = pattern, chi2
+
     @cached_property
     def A(self) -> sp.csr_array:
         """Sparse (m, n) matrix of the free columns.

@@ -57,5 +57,6 @@ class GaussNewton(Optimizer):
             if watch.flat(X, system, dx):
                 break
             X, promised = problem.retract(X, dx), float(dx @ system.gradient)
+            system.forget()
             system = problem.linearize(X)
             watch.step(X, system, dx, promised, problem.lap())

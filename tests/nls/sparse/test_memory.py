@@ -1,0 +1,38 @@
+"""Memory that arrays have left is used again, instead of being given back to the system and cleared once more."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+PAGES = """
+import resource
+import numpy as np
+{first}
+
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+def iteration():
+    arrays = [np.ones(1 << 18) for _ in range(8)]
+
+for _ in range(3):
+    iteration()
+begin = faults()
+for _ in range(5):
+    iteration()
+print(faults() - begin)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries keep memory in their own way")
+def test_arrays_of_the_next_iteration_need_no_new_pages() -> None:
+    def new_pages(first: str) -> int:
+        script = PAGES.format(first=first)
+        return int(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout)
+
+    assert new_pages("") > 5 * 4000  # of 8 arrays of 512 pages each
+    assert new_pages("import nls.graph") < 100
