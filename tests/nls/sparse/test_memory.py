@@ -5,8 +5,17 @@ from __future__ import annotations
 import platform
 import subprocess
 import sys
+from weakref import ref
 
 import pytest
+
+from models import SE2
+from models.algebra import Array
+from nls import GaussNewton
+from nls.sparse.pattern import Pattern
+from nls.system import LinearSystem
+from nls.values import Values
+from tests.nls.graphs import pose_graph
 
 PAGES = """
 import resource
@@ -36,3 +45,18 @@ def test_arrays_of_the_next_iteration_need_no_new_pages() -> None:
 
     assert new_pages("") > 5 * 4000  # of 8 arrays of 512 pages each
     assert new_pages("import nls.graph") < 100
+
+
+def test_gauss_newton_has_one_linearization_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    at, arrays = LinearSystem.at, list[ref[Array]]()
+
+    def watched(pattern: Pattern, values: Values) -> LinearSystem:
+        assert not any(array() is not None for array in arrays)
+        system = at(pattern, values)
+        arrays.extend(map(ref, (system.b, *system.blocks[0])))
+        return system
+
+    monkeypatch.setattr(LinearSystem, "at", watched)
+    sample = pose_graph(SE2)
+    assert sample.graph.optimize(sample.values, GaussNewton()).converged
+    assert len(arrays) >= 3 * 3
