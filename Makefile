@@ -23,8 +23,9 @@ lint: .venv/installed ## formatting, ruff, mypy
 	.venv/bin/ruff check
 	.venv/bin/mypy
 
+# Four readers on two cores: they wait for kernels to start, and the last one is done sooner.
 docs: .venv/docs-installed ## the site, notebooks executed, warnings fatal, then its links and pictures: docs/_build/html/index.html
-	.venv/bin/sphinx-build -nW --keep-going -j auto -b html docs docs/_build/html
+	.venv/bin/sphinx-build -nW --keep-going -j 4 -b html docs docs/_build/html
 	.venv/bin/python tools/check_site.py docs/_build/html
 
 benchmark: .venv/installed ## has anything become slower? then small tables of speed, in build/benchmarks (4 minutes)
