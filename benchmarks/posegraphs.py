@@ -1,6 +1,7 @@
 """Pose graphs from file to optimum: this library against others, every run a fresh process.
 
-    python benchmarks/posegraphs.py [--quick] [--rounds 3] [--sets NAME ...] [--python PEER=PYTHON ...] [--out DIR]
+    python benchmarks/posegraphs.py [--quick] [--rounds 3] [--sets NAME ...] [--python PEER=PYTHON ...]
+                                    [--note TEXT] [--out DIR]
     python benchmarks/posegraphs.py --gate [--sets NAME ...] [--seconds 2] [--update] [--baselines FILE]
 
 Loads, initializes and optimizes every public pose graph in the folder that LEADLINE_DATA names (without it: simulated
@@ -291,6 +292,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=count, default=3, help="runs of each contender; medians are shown")
     parser.add_argument("--sets", nargs="+", choices=choices, metavar="NAME", help=", ".join(choices))
     parser.add_argument("--python", nargs="+", type=interpreter, default=[], metavar="PEER=PYTHON", help="where it is")
+    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="for the page: how g2o was built")
     parser.add_argument(
         "--out", type=Path, default=RESULTS, metavar="DIR", help="folder for posegraphs.md, .json, .png"
     )
@@ -311,7 +313,8 @@ def main() -> int:
     results: dict[str, Any] = {"machine": machine(), "rounds": options.rounds, "notes": [], "sets": {}}
     results["simulated"] = data is None
     with tempfile.TemporaryDirectory() as compiled:
-        runners, results["notes"] = installed(dict(options.python), Path(compiled))
+        runners, missing = installed(dict(options.python), Path(compiled))
+        results["notes"] = options.note + missing
         for name in names:
             with tempfile.TemporaryDirectory() as folder:
                 problem = prepare(name, Path(folder), data)

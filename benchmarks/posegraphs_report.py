@@ -68,8 +68,10 @@ def write(results: dict[str, Any], folder: Path) -> None:
     lines = ["# Pose graphs from file to optimum", "", *results["machine"], f"- rounds: {results['rounds']}", *HEAD]
     if results["simulated"]:
         lines.append("- simulated worlds: LEADLINE_DATA names no folder of public sets")
-    ran = [peer for peer in PEERS if any(peer in found["runs"] for found in sets.values())]
-    lines += [f"- {PEERS[peer]}" for peer in ran]
+    for peer, about in PEERS.items():
+        runs = [run for found in sets.values() for run in found["runs"].get(peer, {}).values()]
+        versions = {run["said"]["version"] for run in runs if "failed" not in run}
+        lines += [f"- {'. '.join([about, *sorted(versions)])}"] if runs else []
     lines += [f"- {note}" for note in results["notes"]]
     lines += ["", PICTURE] if charted(sets) else []
     lines += ["", *fastest(sets), "", *matched(sets), "", *stages(sets), "", *every(sets)]

@@ -208,7 +208,7 @@ class _Matrix(Noise):
         _shared_or_each(self.matrix, n, kind)
         if size != len(names):
             raise NoiseModelError(f"{kind}: {size} x {size}, the measurement has {len(names)} components {names}", kind)
-        return self._W
+        return once_if_equal(self._W)  # those of some of the measurements may be
 
     def __repr__(self) -> str:
         M, kind = self.matrix, type(self).__name__

@@ -128,6 +128,6 @@ int main(int, char** argv) {
   const std::size_t numbers = arguments.space ? 7 : 3;
   for (const auto& [id, pose] : poses) record.pose(id, std::vector<double>(pose.begin(), pose.begin() + numbers));
   record.write(static_cast<int>(summary.num_successful_steps + summary.num_unsuccessful_steps) - 1,
-               2 * summary.final_cost);
+               2 * summary.final_cost, "Ceres " CERES_VERSION_STRING);
   return 0;
 }

@@ -3,7 +3,7 @@
 //     driver GRAPH STEM VARIANT SPACE TOLERANCE MAX_ITERATIONS
 //
 // GRAPH      a g2o file
-// STEM.json  processor time and wall clock of load, start and optimize, ms; iterations; cost; peak memory, MB
+// STEM.json  processor time and wall clock of load, start and optimize, ms; iterations; cost; peak memory, MB; versions
 // STEM.txt   a line for each pose, lowest id first: id and the numbers of a g2o file, x y angle or x y z qx qy qz qw
 // SPACE      1 for poses in space, 0 for poses in the plane
 // TOLERANCE  the optimization ends when the relative decrease of the cost is smaller
@@ -51,9 +51,10 @@ class Record {
     poses_ << '\n';
   }
 
-  void write(int iterations, double chi2) {
+  void write(int iterations, double chi2, const std::string& version) {
     json_ << std::setprecision(17) << "{\"cpu\": {" << cpu_ << "}, \"wall\": {" << wall_ << "}, \"iterations\": "
-          << iterations << ", \"cost\": " << chi2 << ", \"peak\": " << peak_ << ", \"said\": {}}\n";
+          << iterations << ", \"cost\": " << chi2 << ", \"peak\": " << peak_
+          << ", \"said\": {\"version\": \"" << version << compiler() << "\"}}\n";
   }
 
   // Peak memory so far is that of the run; the poses that are written later add to it.
@@ -68,6 +69,14 @@ class Record {
     timespec time;
     clock_gettime(clock, &time);
     return 1e3 * static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_nsec);
+  }
+  static std::string compiler() {
+    std::string versions = std::string(", g++ ") + __VERSION__;
+#ifdef EIGEN_WORLD_VERSION
+    versions += ", Eigen " + std::to_string(EIGEN_WORLD_VERSION) + '.' + std::to_string(EIGEN_MAJOR_VERSION) + '.' +
+                std::to_string(EIGEN_MINOR_VERSION);
+#endif
+    return versions;
   }
   std::string separator() const { return stages_ > 0 ? ", " : ""; }
 

@@ -50,6 +50,6 @@ int main(int, char** argv) {
     record.pose(id, pose);
   }
   optimizer.computeActiveErrors();
-  record.write(iterations, optimizer.activeChi2());
+  record.write(iterations, optimizer.activeChi2(), "g2o, which states no version");
   return 0;
 }

@@ -5,6 +5,7 @@ It starts from the file, chordal (LAGO in the plane) or by FastSync, which refus
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ class Run:
 
         self.gtsam, self.files = gtsam, files
         self.begin, self.method, self.ordering, *self.solver = variant.split(", ")
-        self.said: dict[str, Any] = {}
+        self.said = {"version": f"GTSAM {version('gtsam')} of PyPI"}
 
     def load(self) -> None:
         gtsam, space = self.gtsam, self.files.space
