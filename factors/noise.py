@@ -195,13 +195,7 @@ class _Matrix(Noise):
 
     @abstractmethod
     def _whitener(self, M: Array) -> Array:
-        """W of these matrices (k, m, m): (k, m, m), or (k, m) where it is diagonal.
-
-        Raises
-        ------
-        NoiseModelError
-            A matrix that is no such noise.
-        """
+        """W (k, m, m) of these matrices, or its diagonals; raises `NoiseModelError` for one that is no such noise."""
 
     def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
         kind, size = type(self).__name__, self.matrix.shape[-1]
