@@ -18,7 +18,6 @@ from robust_trials import (
     FEW_SETS,
     FINE,
     LARGE,
-    LARGEST,
     PROTOCOL,
     RATIOS,
     SHARES,
@@ -171,8 +170,7 @@ def page(trials: list[Trial], closures: list[str]) -> list[str]:
         "Solved / doubtful / silent, by the share of wrong closures among all. A choice that keeps less than half "
         "of the closures is doubtful by definition, as at 80 %. *random*, *local* and their groups come from the "
         "generator of Sünderhauf and Protzel (IROS 2012). An *alias* claims for two other poses the measurement of "
-        f"a right closure. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds. {LARGEST} has none, "
-        "as a solve takes a minute.",
+        f"a right closure. Groups have ten. Large graphs ({', '.join(LARGE)}) have fewer seeds.",
         "",
         *by_kind(trials),
         "",

@@ -136,7 +136,7 @@ def test_what_is_counted(
 def test_what_is_tried(trials: Any) -> None:
     """Every task once; clean graphs first, then small ones."""
     wanted = trials.tasks(3, 1)
-    small, large, shares = 7, 6, 4 * 6
+    small, large, shares = 7, 7, 4 * 6
     assert len(wanted) == len(set(wanted)) == 14 + 3 * small * shares + large * shares + 8 * 3 * 6 + 10 * 7 * 10
     assert [task.table for task in wanted[:15]] == ["clean"] * 14 + ["kinds"]
     assert {task.name for task in wanted[15 : 14 + 3 * small * shares]}.isdisjoint(trials.LARGE)
