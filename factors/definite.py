@@ -1,4 +1,4 @@
-"""Stacks of symmetric matrices: their Cholesky factors, and which of them are positive definite."""
+"""Stacks of symmetric matrices: which of them are positive definite, and their Cholesky factors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from models.algebra import Array, Mask
 
-__all__ = ["NOTHING", "cholesky", "diagonal", "once_if_equal"]
+__all__ = ["NOTHING", "cholesky", "diagonal", "once_if_equal", "positive_definite"]
 
 BLOCK = 1 << 11  # matrices factorized together: they stay in the cache
 NOTHING = 1e-14  # an eigenvalue or squared pivot below 1e-14 is rounding of 0: no information in that direction
@@ -21,6 +21,16 @@ def diagonal(M: Array) -> Array | None:
     """The diagonals (k, m) when no matrix of the stack has another entry."""
     off = ~np.eye(M.shape[-1], dtype=bool)
     return None if np.any(M, axis=0)[off].any() else np.asarray(np.diagonal(M, axis1=1, axis2=2))
+
+
+def positive_definite(M: Array) -> bool:
+    """Whether all matrices of a stack are, by the measure of `_factorize`; 7 us for one, a tenth of the whitener."""
+    try:
+        L = np.linalg.cholesky(M)
+    except np.linalg.LinAlgError:
+        return False
+    pivots = np.square(np.diagonal(L, axis1=1, axis2=2))
+    return bool((pivots > NOTHING * np.abs(np.diagonal(M, axis1=1, axis2=2))).all())
 
 
 def cholesky(M: Array) -> tuple[Array, Mask]:

@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from factors.definite import NOTHING, cholesky, diagonal, once_if_equal
+from factors.definite import NOTHING, cholesky, diagonal, once_if_equal, positive_definite
 from factors.slices import rows
 from models.abstract import Abstract
 from models.algebra import Array, Index, apply, product
@@ -183,7 +183,7 @@ class Diagonal(Noise):
 
 
 class _Matrix(Noise):
-    """A full matrix, (m, m) shared or (n, m, m), checked when it is made."""
+    """A full matrix, (m, m) shared or (n, m, m)."""
 
     def __init__(self, matrix: npt.ArrayLike) -> None:
         kind = type(self).__name__
@@ -191,18 +191,15 @@ class _Matrix(Noise):
         if M.ndim < 2 or M.shape[-1] != M.shape[-2]:
             raise NoiseModelError(f"{kind}: shape {M.shape}, expected (m, m) or (n, m, m)", kind)
         self.matrix = M[None] if M.ndim == 2 else M
-        self._W = self._whitener(once_if_equal(self.matrix))
 
-    @abstractmethod
-    def _whitener(self, M: Array) -> Array:
-        """W (k, m, m) of these matrices, or its diagonals; raises `NoiseModelError` for one that is no such noise."""
-
-    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
-        kind, size = type(self).__name__, self.matrix.shape[-1]
-        _shared_or_each(self.matrix, n, kind)
-        if size != len(names):
-            raise NoiseModelError(f"{kind}: {size} x {size}, the measurement has {len(names)} components {names}", kind)
-        return once_if_equal(self._W)  # those of some of the measurements may be
+    def _checked(self, n: int, names: tuple[str, ...]) -> Array:
+        kind, M = type(self).__name__, self.matrix
+        _shared_or_each(M, n, kind)
+        if M.shape[-1] != len(names):
+            raise NoiseModelError(
+                f"{kind}: {M.shape[-1]} x {M.shape[-1]}, the measurement has {len(names)} components {names}", kind
+            )
+        return once_if_equal(M)
 
     def __repr__(self) -> str:
         M, kind = self.matrix, type(self).__name__
@@ -213,11 +210,12 @@ class _Matrix(Noise):
 
 
 class _Symmetric(_Matrix):
-    """A covariance or an information."""
+    """A covariance or an information, checked when it is made."""
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _whitener(self, M: Array) -> Array:
-        kind = type(self).__name__
+    def __init__(self, matrix: npt.ArrayLike) -> None:
+        super().__init__(matrix)
+        M, kind = once_if_equal(self.matrix), type(self).__name__
         if not (M == M.mT).all():
             skewness = np.abs(M - M.mT).max(axis=(-2, -1))
             bad = skewness > 1e-9 * np.abs(M).max(axis=(-2, -1))
@@ -226,11 +224,15 @@ class _Symmetric(_Matrix):
                 raise NoiseModelError(
                     f"{kind} of measurement {k} is not symmetric: {M[k].tolist()}", kind, k, float(skewness[k])
                 )
-        return self._root(M)
+        if not positive_definite(M):
+            self._whitener(M)  # which raises where it has to
+
+    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
+        return self._whitener(self._checked(n, names))
 
     @abstractmethod
-    def _root(self, M: Array) -> Array:
-        """W of these symmetric matrices; raises `NoiseModelError` for one that is not (semi-)definite."""
+    def _whitener(self, M: Array) -> Array:
+        """W of these symmetric matrices (k, m, m); raises `NoiseModelError` for one that is not (semi-)definite."""
 
 
 class Covariance(_Symmetric):
@@ -247,7 +249,7 @@ class Covariance(_Symmetric):
     Covariance([[0.04, 0.01], [0.01, 0.09]])
     """
 
-    def _root(self, M: Array) -> Array:
+    def _whitener(self, M: Array) -> Array:
         if (variances := diagonal(M)) is not None:
             _check_positive(variances, quantity="Covariance")
             return np.asarray(1.0 / np.sqrt(variances))
@@ -274,7 +276,7 @@ class Information(_Symmetric):
         A matrix that is not symmetric or has a negative eigenvalue; names the measurement.
     """
 
-    def _root(self, M: Array) -> Array:
+    def _whitener(self, M: Array) -> Array:
         if (weights := diagonal(M)) is not None and (weights >= 0).all():
             return np.sqrt(weights)
         L, bad = cholesky(M)
@@ -309,8 +311,8 @@ class Information(_Symmetric):
 class SqrtInformation(_Matrix):
     """The whitener itself: W with W'W = Sigma^-1, (m, m) shared or (n, m, m); any square matrix."""
 
-    def _whitener(self, M: Array) -> Array:
-        return M
+    def sqrt_information(self, n: int, names: tuple[str, ...]) -> Array:
+        return self._checked(n, names)
 
 
 def weights(noise: Noise, n: int, names: tuple[str, ...]) -> Array:

@@ -30,7 +30,7 @@ from nls.values import Values
 
 __all__ = ["FactorGraph"]
 
-keep_freed_memory()
+keep_freed_memory()  # before the first large array
 
 
 class FactorGraph:

@@ -61,10 +61,12 @@ class LinearSystem:
         return iter((self.A, self.b))
 
     def forget(self) -> None:
-        """Drop all arrays, most of the memory of a solve, so that the next linearization lies in it; chi2 stays."""
-        pattern, chi2 = self.pattern, self.chi2
-        vars(self).clear()
-        self.pattern, self.chi2 = pattern, chi2
+        """Drop all arrays, most of the memory of a solve, so that the next linearization lies in it.
+
+        The pattern and chi2 stay.
+        """
+        for name in vars(self).keys() - {"pattern", "chi2"}:
+            delattr(self, name)
 
     @cached_property
     def A(self) -> sp.csr_array:

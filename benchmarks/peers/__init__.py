@@ -8,7 +8,7 @@ Run(files, variant)
     poses()       ids (n,) and poses (n, 3) or (n, 7), as in a g2o file
     iterations    taken by optimize
     cost()        of its solution as the library itself computes it, as a chi2: compared with the one evaluated here
-    said          what else it has to say, for the JSON
+    said          of a peer its version; what else it has to say, for the JSON
     marginals()   covariances of all poses; only where the contender is asked for them
 
 Those of PROGRAMS run without Python. Instead of PACKAGE and Run they have:

@@ -25,7 +25,7 @@ class Run:
 
         self.gtsam, self.files = gtsam, files
         self.begin, self.method, self.ordering, *self.solver = variant.split(", ")
-        self.said = {"version": f"GTSAM {version('gtsam')} of PyPI"}
+        self.said = {"version": f"GTSAM {version('gtsam')}"}
 
     def load(self) -> None:
         gtsam, space = self.gtsam, self.files.space

@@ -50,6 +50,7 @@ class Problem:
 
     def solve_again(self, system: LinearSystem) -> Array | None:
         """The step by the factorization of the latest solve; None where the linear solver keeps none."""
+        self.latest = system
         solution = self.analysis.again(system)
         return None if solution is None else self._counted(solution)
 

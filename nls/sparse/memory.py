@@ -1,11 +1,12 @@
 """Freed arrays stay in the process, so that those of the next iteration lie in memory it has.
 
-The C library of Linux asks the system for an array of more than 128 KB, and gives it back when it is freed. The system
-clears every page it gives, 2 us for 4 KB: a seventh of the time from file to optimum of parking-garage.
+glibc asks the system for an array of more than 128 KB, and gives it back when it is freed. The system clears every page
+it gives, 2 us for 4 KB: a seventh of the time from file to optimum of parking-garage.
 
-The library no longer does so for arrays up to the size of the largest that was freed, 32 MB at most, and it keeps twice
-that size (mallopt(3), "dynamic mmap threshold"). So one such array is asked for and freed here, in 20 us. It takes no
-memory, as nothing is written to it.
+glibc keeps arrays up to the size of the largest that was freed, at most 32 MB. It then keeps twice that size at the end
+of its heap, and all that lies below an array in use (mallopt(3), "dynamic mmap threshold"). A program that frees such
+an array once has this anyway. So one is asked for and freed here, in 20 us. Nothing is written to it, and it takes no
+memory. What the process sets itself, such as MALLOC_TRIM_THRESHOLD_, stays in force.
 """
 
 from __future__ import annotations
@@ -18,5 +19,5 @@ LARGEST = (1 << 25) - (1 << 16)  # bytes; the chunk around it must not be above 
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep up to 64 MB that are freed. Elsewhere than with glibc nothing changes."""
+    """Let glibc keep freed memory, in the whole process; other C libraries stay as they are."""
     np.empty(LARGEST, dtype=np.uint8)
