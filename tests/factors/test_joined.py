@@ -56,6 +56,10 @@ def test_the_problem_stays_the_same_in_as_few_batches_as_kinds() -> None:
     fewer = together(factors)
     assert [(f.name, len(f)) for f in fewer] == [("Between", 3), ("BearingRange", 3), ("Prior", 1)]
     assert fewer[0].keys == (x[[0, 1, 2]], x[[1, 2, 3]])
+    matrices = [
+        Between(x[k], x[k + 1], step[0], Information(M)) for k, M in enumerate((np.eye(3), full[0] @ full[0].T))
+    ]
+    assert [type(f.noise) for f in together(matrices)] == [Information]
     close(rows(fewer), rows(factors), rtol=1e-10, atol=1e-9)
     close(rows(together([*fewer, factors[0]])), rows([*factors, factors[0]]), rtol=1e-10, atol=1e-9)
     part = fewer[1][[0, 2]]

@@ -110,6 +110,19 @@ def _stream(graph: FactorGraph, values: Values) -> io.BytesIO:
     return io.BytesIO(nls.io.rendered("memory.npz", graph, values)[0])
 
 
+@pytest.mark.parametrize("kind", [factors.Covariance, factors.Information, factors.SqrtInformation])
+def test_parts_of_a_batch_are_kept(kind: type[Noise], tmp_path: Path) -> None:
+    """Matrices of a part are equal, or diagonal, where those of the whole are not."""
+    full, diagonal = np.array([[9.0, 1.0, 0.0], [1.0, 4.0, 0.0], [0.0, 0.0, 1.0]]), np.diag([3.0, 3.0, 7.0])
+    steps = Between(x[[0, 1, 2]], x[[1, 2, 3]], np.zeros((3, 3)), kind([full, full, diagonal]))
+    values = Values({x: (SE2, np.zeros((4, 3)))})
+    for part in ([0, 1], [2]):
+        graph = FactorGraph([steps[part]])
+        read, its = again(tmp_path / "part.npz", graph, values)
+        assert type(read.factors[0].noise) is kind
+        same(graph, values, read, its)
+
+
 def test_what_a_window_left_is_kept(tmp_path: Path) -> None:
     world = sim.subsea(np.random.default_rng(1), laps=1)
     left, values = marginalized(world.graph.factors, world.start, [x[:20]])
