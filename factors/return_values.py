@@ -105,7 +105,8 @@ def refuse_extreme(factor: Batch, z: Array, W: Array, names: tuple[str, ...]) ->
     if not z.size or not W.size:
         return
     sizes = np.abs(W)
-    rows = sizes if W.ndim == 2 else reduce(np.maximum, components(sizes))  # max(axis=2): thrice the time
+    # `sizes.max(axis=2)` takes three times as long for 6,275 matrices
+    rows = sizes if W.ndim == 2 else reduce(np.maximum, components(sizes))
     if (faint := (rows > 0) & (rows < 1 / SQUARABLE)).any():
         k, j = (int(i) for i in np.argwhere(faint)[0])
         sigma = float(1 / rows[k, j])

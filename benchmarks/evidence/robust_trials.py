@@ -21,7 +21,7 @@ from nls import FactorGraph
 
 SHARES = (0.1, 0.3, 0.5, 0.8)  # of all closures, right and wrong
 LARGE = ("M3500", "manhattan", "Olson", "sphere2500", "parking-garage", "torus3D", "city10000")  # fewer seeds
-SLOW = ("sphere2500", "parking-garage", "torus3D", "city10000")  # half a minute a trial, and more: these come last
+SLOW = ("sphere2500", "parking-garage", "torus3D", "city10000")  # up to minutes a trial: these come last
 VERTIGO = ("random", "grouped", "local", "local in groups")  # the kinds of its generator
 PROTOCOL = ("CSAIL", "FR079", "INTEL", "intel", "M3500", "sphere2500", "parking-garage")
 RATIOS = tuple(k / 10 for k in range(1, 11))  # of the right closures

@@ -54,7 +54,7 @@ class Record {
   void write(int iterations, double chi2, const std::string& version) {
     json_ << std::setprecision(17) << "{\"cpu\": {" << cpu_ << "}, \"wall\": {" << wall_ << "}, \"iterations\": "
           << iterations << ", \"cost\": " << chi2 << ", \"peak\": " << peak_
-          << ", \"said\": {\"version\": \"" << version << compiler() << "\"}}\n";
+          << ", \"said\": {\"version\": \"" << version << tools() << "\"}}\n";
   }
 
   // Peak memory so far is that of the run; the poses that are written later add to it.
@@ -70,7 +70,8 @@ class Record {
     clock_gettime(clock, &time);
     return 1e3 * static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_nsec);
   }
-  static std::string compiler() {
+  // Versions of what every driver is compiled with.
+  static std::string tools() {
     std::string versions = std::string(", g++ ") + __VERSION__;
 #ifdef EIGEN_WORLD_VERSION
     versions += ", Eigen " + std::to_string(EIGEN_WORLD_VERSION) + '.' + std::to_string(EIGEN_MAJOR_VERSION) + '.' +

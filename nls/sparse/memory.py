@@ -1,7 +1,7 @@
-"""Freed arrays stay in the process, so that those of the next iteration lie in memory it has.
+"""Freed memory stays in the process, for the arrays of the next iteration.
 
-glibc asks the system for an array of more than 128 KB, and gives it back when it is freed. The system clears every page
-it gives, 2 us for 4 KB: a seventh of the time from file to optimum of parking-garage.
+glibc asks the system for the memory of an array above 128 KB, and gives it back with the array. The system clears every
+page it gives, 2 us for 4 KB. That is a seventh of the time from file to optimum of parking-garage.
 
 glibc keeps arrays up to the size of the largest that was freed, at most 32 MB. It then keeps twice that size at the end
 of its heap, and all that lies below an array in use (mallopt(3), "dynamic mmap threshold"). A program that frees such

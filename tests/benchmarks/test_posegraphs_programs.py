@@ -44,6 +44,7 @@ def test_a_program_leaves_its_clocks_and_poses_to_the_last_digit(part: Callable[
     out = tmp_path / "g2o_cpp-file, GN.npz"
     record = part("posegraphs").launch(str(program), "g2o_cpp", "file, GN", files, out, False)
     assert (record["iterations"], record["cost"]) == (7, 0.1)
+    assert list(record["said"]) == ["version"]
     assert record["said"]["version"].startswith("Echo 1.0, g++ ")
     assert 0.5 < record["peak"] < 100
     for clock in ("cpu", "wall"):
