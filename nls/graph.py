@@ -194,7 +194,7 @@ class FactorGraph:
         started = perf_counter()
         if not self.factors or not len(self):
             raise GraphError("the graph has no factors: nothing to optimize")
-        method = default_optimizer(self.factors)() if optimizer is None else optimizer
+        method = default_optimizer(self.factors) if optimizer is None else optimizer
         if not isinstance(method, Optimizer):
             raise OptionError("optimizer", optimizer, "an optimizer such as GaussNewton(Stop(max_iterations=20))")
         if gauge == "free" and isinstance(method, LevenbergMarquardt):

@@ -187,7 +187,7 @@ def parser() -> Parser:
         help="estimate: one scale on the sigmas of every kind of measurement, from the residuals (default: stated); "
         ":units: one for lengths and one for angles of a kind; :components: one for every component",
     )
-    solve.add_argument("--max-iterations", type=int, default=100, metavar="N")
+    solve.add_argument("--max-iterations", type=int, metavar="N", help="(default: 100; 1000 with --method auto)")
     solve.add_argument("--update-tol", type=float, metavar="X", help=f"converged when max|dx| < X (m, rad); {ALONE}")
     solve.add_argument(
         "--chi2-rtol", type=float, metavar="X", help=f"converged when the relative decrease of chi2 is below X; {ALONE}"

@@ -24,7 +24,7 @@ class Record:
 
     Attributes
     ----------
-    stop, tol, began : the settings; the thresholds in force; when it began.
+    stop, tol, limit, began : the settings; the thresholds in force; steps at most; when it began.
     best, lowest, since_best : values of lowest chi2 so far, that chi2, and steps since then.
     history : one `Iteration` per step of the present method, the point it began from first.
     methods, attempts, earlier : names so far; those that failed, and their records.
@@ -35,7 +35,7 @@ class Record:
     """
 
     def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
-        self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
+        self.stop, self.tol, self.limit, self.began = settings, settings.in_force, settings.limit, perf_counter()
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest = values, chi2
