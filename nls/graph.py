@@ -17,7 +17,7 @@ from nls.gauge import choose_gauge, fixed_variables
 from nls.linear import LinearSolver
 from nls.linear.default import chosen_solver
 from nls.linear.free_gauge import FreeGauge
-from nls.linear.underconstrained import directions, underconstrained
+from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
 from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
@@ -214,7 +214,7 @@ class FactorGraph:
             raise underconstrained(LinearSystem.at(pattern, values), values)
         watch = method.run(problem, values.copy())
         assert watch.status is not None
-        free = () if watch.free is None else underconstrained(watch.free).components
+        free = () if watch.free is None else free_names(watch.free, solver.left(watch.free))
         return Result(
             values=watch.best,
             status=watch.status,

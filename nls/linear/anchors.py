@@ -23,10 +23,9 @@ from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
-__all__ = ["ROUNDS", "FreeDirections", "column_lengths"]
+__all__ = ["FreeDirections", "column_lengths"]
 
 ROUNDING = 1e-14  # of the longest column of the variable: a column this short is zero
-ROUNDS = 8  # of at most 12 directions that move several variables; those of single variables are collected all at once
 
 
 def column_lengths(system: LinearSystem) -> Array:

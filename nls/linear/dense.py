@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from models.algebra import Array
+from models.algebra import Array, Mask
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
@@ -78,11 +78,17 @@ class DenseAnalysis(Analysis):
 
 
 def _scaled(A: Array) -> tuple[Array, Array]:
-    """A with columns of length 1, and their lengths, so that rank does not depend on units."""
+    """A with columns of length 1, and their lengths, 1 for a column of zeros: rank does not depend on units."""
     lengths = np.linalg.norm(A, axis=0)
-    if (lengths == 0).any() or A.shape[0] < A.shape[1]:
-        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
+    lengths = np.where(lengths > 0, lengths, 1.0)
     return A / lengths, lengths
+
+
+def _determined(A: Array) -> tuple[Array, Array]:
+    """The same; a matrix whose shape or columns of zeros say that something is free is refused."""
+    if not A.any(axis=0).all() or A.shape[0] < A.shape[1]:
+        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
+    return _scaled(A)
 
 
 class DenseQR(_Dense):
@@ -94,7 +100,7 @@ class DenseQR(_Dense):
     def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
-        scaled, lengths = _scaled(A)
+        scaled, lengths = _determined(A)
         Q, R = np.linalg.qr(scaled)
         if (np.abs(np.diag(R)) <= SINGULAR).any():
             raise SingularSystemError("a diagonal entry of R vanishes")
@@ -110,7 +116,7 @@ class DenseCholesky(_Dense):
     def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
-        scaled, lengths = _scaled(A)
+        scaled, lengths = _determined(A)
         try:
             L = np.linalg.cholesky(scaled.T @ scaled)
         except np.linalg.LinAlgError as error:
@@ -121,22 +127,43 @@ class DenseCholesky(_Dense):
 
 
 class Pinv(_Dense):
-    """dx = pinv(A) b by the singular value decomposition: of all minimizers, the shortest. Never singular.
+    r"""dx = pinv(A) b by the singular value decomposition: of all minimizers, the shortest. Never singular.
+
+    .. math:: A D^{-1} = U S V^T, \quad dx = (I - Q Q^T) D^{-1} V_r S_r^{-1} U_r^T b
+
+    D has the lengths of the columns of A, so units do not decide what is free: r are the singular values above `rtol`.
+    Q is an orthonormal basis of the other directions, D^-1 V. Along these dx has no part, which makes it the shortest:
+    |dx| in meters and radians, as with the gauge ``free``. `Result.underconstrained` names them.
 
     Parameters
     ----------
-    rtol : singular values below this, relative to the largest, count as zero.
+    rtol : singular values of A D^-1 below this, relative to the largest, count as zero; 1e-13, where QR refuses. With a
+        larger one chi2 is the lowest that the directions which count allow.
     memory_limit : bytes a solve may take; more is refused beforehand. Half of the memory when omitted.
     """
 
     name = "pinv"
+    shortest = True
     copies = 7.0
 
-    def __init__(self, rtol: float = 1e-12, memory_limit: float | None = None) -> None:
+    def __init__(self, rtol: float = SINGULAR, memory_limit: float | None = None) -> None:
         super().__init__(memory_limit)
         if not is_number(rtol) or not 0 <= rtol < 1:
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
         self.rtol: float = float(rtol)
 
     def least_squares(self, A: Array, b: Array) -> Array:
-        return np.asarray(np.linalg.pinv(A, rcond=self.rtol) @ b)
+        U, s, V, kept = self._decomposed(A)
+        dx = V[:, kept] @ ((U.T @ b)[kept] / s[kept])
+        Q = np.linalg.qr(V[:, ~kept])[0]
+        return np.asarray(dx - Q @ (Q.T @ dx))
+
+    def left(self, system: LinearSystem) -> Array:
+        *_, V, kept = self._decomposed(system.A.toarray())
+        return V[:, ~kept]
+
+    def _decomposed(self, A: Array) -> tuple[Array, Array, Array, Mask]:
+        """U, S and D^-1 V, columns (n,) each, and which singular values do not count as zero."""
+        scaled, lengths = _scaled(A)
+        U, s, Vt = np.linalg.svd(np.pad(scaled, ((0, max(0, A.shape[1] - len(A))), (0, 0))), full_matrices=False)
+        return U[: len(A)], s, Vt.T / lengths[:, None], s > self.rtol * s[0]

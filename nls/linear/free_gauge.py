@@ -15,6 +15,10 @@ from nls.system import LinearSystem
 
 __all__ = ["FreeGauge", "free_directions", "gauge_columns"]
 
+ROUNDING = (
+    1e-3  # of |A| |N|, row by row and so whatever the units: up to 2e-5 on public pose graphs; a motion that counts: 1
+)
+
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
     """Columns of `free` that `held` leaves out, the gauge, and all others."""
@@ -32,7 +36,8 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     """
     N = np.zeros((A.shape[1], len(gauge)))
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
-    if np.abs(A @ N).max(initial=0.0) > 1e-6 * np.abs(A.data).max(initial=0.0):
+    U = N / np.linalg.norm(np.sqrt(A.power(2).sum(axis=0))[:, None] * N, axis=0)  # of length 1, in sigmas
+    if (np.abs(A @ U) > ROUNDING * (abs(A) @ np.abs(U)).max(axis=1, initial=0.0, keepdims=True)).any():
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 
@@ -52,7 +57,7 @@ class FreeGauge(LinearSolver):
 
     def __init__(self, solver: LinearSolver, held: Pattern) -> None:
         self.solver, self.held = solver, held
-        self.name, self.exact = solver.name, solver.exact
+        self.name, self.exact, self.shortest, self.left = solver.name, solver.exact, solver.shortest, solver.left
 
     def analyze(self, pattern: Pattern) -> FreeAnalysis:
         return FreeAnalysis(self, self.solver.analyze(self.held), *gauge_columns(self.held, pattern))

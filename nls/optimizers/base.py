@@ -69,6 +69,8 @@ class Optimizer(Abstract):
         watch.methods.append(self.name)
         try:
             self.iterate(problem, X, system, watch)
+            if problem.solver.shortest:
+                watch.free = problem.singular(watch.best)
             if watch.status is Status.CONVERGED and not problem.solver.exact:
                 watch.doubt(problem.linearize(watch.best), problem.analysis.description)
         except SingularSystemError as error:

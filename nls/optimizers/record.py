@@ -31,7 +31,8 @@ class Record:
     start : coordinates of the point the present method began from.
     status, reason, rule : None and empty until it is over.
     fall, level_steps : of the last step; steps in a row that ran along a plateau.
-    free : a damped method ended on this singular system; None when nothing is free, or nobody looked.
+    free : a damped method or the shortest step ended on this singular system; None when nothing is free, or nobody
+        looked.
     """
 
     def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
