@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+import models
 from factors import (
     Bearing,
     BearingRange,
@@ -139,6 +141,31 @@ def test_what_does_not_fit(case: tuple[Factor, Values, str]) -> None:
 def test_no_range_is_below_zero_and_no_direction_beyond_a_turn(case: tuple[type[Sighting], Keys, object, str]) -> None:
     kind, pose, z, named = case
     refused(lambda: kind(pose, l[0], z, UNIT), GraphError, f"^{kind.__name__}{named}")
+
+
+@for_all(
+    case=[
+        (Bearing, x[0], -6.5, 0),
+        (Bearing, x[[0, 1]], [0.5, 45.0], 0),
+        (Bearing, x[[0, 1]], [[0, 1], [0, 7]], 1),
+        (BearingRange, x[0], [90, 30], 0),
+        (BearingRange, x[[0, 1]], [[1, -80, 700], [1, 0, 2]], 1),
+        (RangeAzimuth, x[[0, 1]], [[9, 1], [90, 12]], 1),
+    ]
+)
+def test_both_cures_of_an_angle_beyond_a_turn_work_to_the_letter(
+    case: tuple[type[Sighting], Keys, object, int],
+) -> None:
+    kind, pose, numbers, column = case
+    with pytest.raises(GraphError) as caught:
+        kind(pose, l[0], numbers, UNIT)
+    cures = re.findall(r"z[^ ]*(?: \d\])? = [a-z.]+\(z[^)]*\)", str(caught.value))
+    assert ["radians" in cure for cure in cures] == [True, False]
+    for cure in cures:
+        scope = {"np": np, "models": models, "z": np.array(numbers, dtype=float)}
+        exec(cure, scope)
+        z = np.asarray(kind(pose, l[0], scope["z"], UNIT).z, dtype=float).reshape(len(pose), -1)
+        assert set(np.nonzero(z != np.reshape(numbers, z.shape))[1]) == {column}
 
 
 def test_a_turn_is_a_direction_and_meters_are_no_angle() -> None:
