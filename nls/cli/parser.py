@@ -235,7 +235,8 @@ def parser() -> Parser:
         type=float,
         default=1e-3,
         metavar="X",
-        help="accepted relative distance of chi2 from its minimum (default 1e-3)",
+        help="accepted distance of chi2 from its minimum, relative to chi2, or to 1 where it is less (default 1e-3); "
+        "the gap that is printed is absolute",
     )
     stream.add_argument("--lag", type=int, metavar="N", help="keep the newest N poses (default: all)")
     stream.add_argument(

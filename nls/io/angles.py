@@ -43,6 +43,6 @@ def turns(angles_by_tag: Iterable[tuple[str, Index, Array]]) -> list[str]:
     line, tag, angle = min(first)
     have = "1 line has" if count == 1 else f"{count} lines have"
     return [
-        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do they count "
-        "turns, or are these degrees?"
+        f"{have} an angle of more than a turn, first on line {line} ({tag}): {angle:g}; angles are radians: do they "
+        "count turns, or are these degrees?"
     ]

@@ -5,7 +5,7 @@ that is free. Of eight landmarks seen once, eight directions that move all of th
 
     A_v u = 0        v: the columns of one variable, u a direction of it alone
 
-which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
+which are basis one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
 directions is zero in k - 1 chosen unknowns. These are the pivots of a QR decomposition of the transposed basis. What
 belongs to separate parts of the graph comes apart.
 """
@@ -44,14 +44,14 @@ def null_directions(system: LinearSystem, singles: sp.csc_array) -> tuple[Array,
     system : balanced.
     singles : (n, q) from `single_directions`.
     """
-    found, N = singles, np.zeros((singles.shape[0], 0))
+    basis, N = singles, np.zeros((singles.shape[0], 0))
     for _ in range(BLOCKS):
-        s, V = weakest(system, found)
+        s, V = weakest(system, basis)
         N = np.concatenate([N, V[:, s <= NULL]], axis=1)
         if (s > NULL).any() or len(s) < MAX_DIRECTIONS:
             return N, False
         U = V * np.where(system.column_norms > 0, system.column_norms, 1.0)[:, None]
-        found = sp.csc_array(sp.hstack([found, sp.csc_array(U / np.linalg.norm(U, axis=0))]))
+        basis = sp.csc_array(sp.hstack([basis, sp.csc_array(U / np.linalg.norm(U, axis=0))]))
     return N, True
 
 

@@ -203,7 +203,7 @@ def test_noise_by_name() -> None:
     e = error(BearingRange(x[0], l[0], [0.25, 2.0], UNIT), plane())
     for noise in (Diagonal(range=0.5, bearing=0.1), Diagonal([0.1, 0.5])):
         same(error(BearingRange(x[0], l[0], [0.25, 2.0], noise), plane()), e / [[0.1, 0.5]])
-    other = BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, range=0.5))
+    other = BearingRange(x[0], l[1], [0, 0, 1], Diagonal(bearing=0.1, elevation=0.1, range=0.5))
     refused(lambda: SPACE.gather(other), NoiseModelError, r"\['azimuth', 'elevation', 'range'\]")
 
 
