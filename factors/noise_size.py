@@ -29,7 +29,7 @@ def refuse_other_size(factor: Any, noise: Noise) -> None:
         return
     for_n = f"given for {count} measurements, there are {n}; give one, or {n}"
     expected = " or ".join(map(str, factor.noise_sizes()))
-    text = for_n if count not in (1, n) else f"{size} numbers for a measurement of {expected}"
+    text = for_n if count not in (1, n) else f"for {size} numbers, expected {expected}: z has shape {factor.z.shape}"
     raise NoiseModelError(f"{factor!r}: {noise!r}: {text}", keys=factor.keys)
 
 

@@ -5,7 +5,7 @@ that is free. Of eight landmarks seen once, eight directions that move all of th
 
     A_v u = 0        v: the columns of one variable, u a direction of it alone
 
-which are basis one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
+which are found one by one, however many there are. Then the others, orthogonal to these, are combined so that each of k
 directions is zero in k - 1 chosen unknowns. These are the pivots of a QR decomposition of the transposed basis. What
 belongs to separate parts of the graph comes apart.
 """

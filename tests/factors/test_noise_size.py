@@ -39,7 +39,7 @@ def test_of_every_factor_when_it_is_made(sample: Sample) -> None:
                 sample.factor(z, noise)
         for other in (m + 1 + (z.shape[1] > m), m + 3):  # a quaternion may be a vector of four numbers
             for noise in sized(1, other):
-                with pytest.raises(NoiseModelError, match=rf"{other} numbers for a measurement of {m}"):
+                with pytest.raises(NoiseModelError, match=rf"for {other} numbers, expected {m}"):
                     sample.factor(z, noise)
 
 
@@ -47,7 +47,7 @@ def test_what_is_not_known_yet_waits_for_the_variables() -> None:
     """Four numbers are a quaternion or a vector; three numbers of three variables may be one for each."""
     for m in (3, 4):
         assert len(Prior(x[0], [0.0, 0.0, 0.0, 1.0], Covariance(np.eye(m)))) == 1
-    with pytest.raises(NoiseModelError, match="5 numbers for a measurement of 3 or 4"):
+    with pytest.raises(NoiseModelError, match="for 5 numbers, expected 3 or 4"):
         Prior(x[0], [0.0, 0.0, 0.0, 1.0], Covariance(np.eye(5)))
     either = Prior(x[0:3], np.zeros(3), Diagonal([1.0, 1.0]))
     for manifold in (R(1), SE2):
@@ -55,12 +55,12 @@ def test_what_is_not_known_yet_waits_for_the_variables() -> None:
             either.bind(manifold)
     some = Prior(x[0], np.zeros(3), Diagonal([1.0, 1.0]), components=("x", "yaw"))
     assert some.bind(SE2).W.shape == (1, 2)
-    with pytest.raises(NoiseModelError, match="3 numbers for a measurement of 2"):
+    with pytest.raises(NoiseModelError, match="for 3 numbers, expected 2"):
         Prior(x[0], np.zeros(3), Diagonal([1.0, 1.0, 1.0]), components=("x", "yaw"))
 
 
 def test_numbers_of_a_function() -> None:
-    with pytest.raises(NoiseModelError, match=r"flat\(x0\): Diagonal\(\[1, 1, 1\]\): 3 numbers for a measurement of 2"):
+    with pytest.raises(NoiseModelError, match=r"flat\(x0\): Diagonal\(\[1, 1, 1\]\): for 3 numbers, expected 2"):
         Factor.from_function(flat, x[0], 2, Diagonal([1.0, 1.0, 1.0]))
 
 
