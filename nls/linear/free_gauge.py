@@ -36,8 +36,9 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     """
     N = np.zeros((A.shape[1], len(gauge)))
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
-    U = N / np.linalg.norm(np.sqrt(A.power(2).sum(axis=0))[:, None] * N, axis=0)  # of length 1, in sigmas
-    if (np.abs(A @ U) > ROUNDING * (abs(A) @ np.abs(U)).max(axis=1, initial=0.0, keepdims=True)).any():
+    sizes = abs(A.copy())  # of A itself it would sort the indices, which all linearizations share
+    U = N / np.linalg.norm(np.sqrt(sizes.power(2).sum(axis=0))[:, None] * N, axis=0)  # of length 1, in sigmas
+    if (np.abs(A @ U) > ROUNDING * (sizes @ np.abs(U)).max(axis=1, initial=0.0, keepdims=True)).any():
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 
@@ -57,10 +58,13 @@ class FreeGauge(LinearSolver):
 
     def __init__(self, solver: LinearSolver, held: Pattern) -> None:
         self.solver, self.held = solver, held
-        self.name, self.exact, self.shortest, self.left = solver.name, solver.exact, solver.shortest, solver.left
+        self.name, self.exact, self.shortest = solver.name, solver.exact, solver.shortest
 
     def analyze(self, pattern: Pattern) -> FreeAnalysis:
         return FreeAnalysis(self, self.solver.analyze(self.held), *gauge_columns(self.held, pattern))
+
+    def left(self, system: LinearSystem) -> Array | None:
+        return self.solver.left(system)
 
     def held_system(self, system: LinearSystem) -> LinearSystem:
         return LinearSystem(self.held, system.blocks, system.b)

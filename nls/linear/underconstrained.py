@@ -49,7 +49,7 @@ def underconstrained(
     owner, component = pattern.column_owner()
     norms = system.column_norms
     if (norms == 0.0).any():
-        return _unmeasured(pattern, norms == 0.0, values)
+        return _unmeasured(system, norms == 0.0, values)
     moved, more = _moved(system)
     if not moved or _longest(weighted) > FAR:
         return _unlike(weighted, values)
@@ -178,8 +178,9 @@ def directions(count: int, more: bool = False) -> str:
     return "1 direction" if count == 1 else f"{'at least ' if more else ''}{count} directions"
 
 
-def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> UnderconstrainedError:
+def _unmeasured(system: LinearSystem, zero: Mask, values: Values | None) -> UnderconstrainedError:
     """The error for columns of zeros (n,): nothing touches their variable, or what touches it does not react."""
+    pattern = system.pattern
     owner, component = pattern.column_owner()
     touched = touched_variables(pattern)[owner]
     idle, unseen = zero & ~touched, zero & touched
@@ -191,15 +192,30 @@ def _unmeasured(pattern: Pattern, zero: Mask, values: Values | None) -> Undercon
             sentences.append(f"{some_are} {lack}: {names}")
     if idle.any():
         advice = [Advice("factors"), Advice("drop", ("the variable",)), Advice("fix", ("the variable",))]
-    if unseen.any():
+    silent = _silent(system, owner[unseen])
+    if silent is not None:
+        factor = pattern.batches[silent[0]].model.factor.describe(silent[1])
+        sentences.append(f"cause: {factor} has an information of zero")
+        advice += [Advice("smaller sigma"), Advice("measure", ("the component",))]
+    elif unseen.any():
         sentences.append(
             "causes: (1) no factor observes it, (2) its Jacobian is zero at these values alone, (3) a robust kernel "
             "rejects its factors"
         )
-        advice += [Advice("measure", ("the component",)), Advice("start"), Advice("damp"), Advice("truncate")]
+        advice += [Advice("measure", ("the component",)), Advice("start")]
+        advice += [Advice("damp"), Advice("truncate")] if pattern.m >= pattern.n and not zero.all() else []
     named = _by_variable(pattern, owner[zero], component[zero])
     keys, texts = [key for key, _ in named], [text for _, text in named]
-    return UnderconstrainedError("; ".join(sentences), keys, int(zero.sum()), texts, values, advice)
+    return UnderconstrainedError("; ".join(sentences), keys, int(zero.sum()), texts, values, advice, silent)
+
+
+def _silent(system: LinearSystem, variables: Index) -> tuple[int, int] | None:
+    """Batch and number of the first measurement of some variables that has a row of weight zero, if there is one."""
+    for k, (batch, (weights, _)) in enumerate(zip(system.pattern.batches, system.row_sizes, strict=True)):
+        touches = np.any([np.isin(slot, variables) for slot in batch.variables], axis=0)
+        if (silent := touches & (weights == 0).any(axis=1)).any():
+            return k, int(np.argmax(silent))
+    return None
 
 
 def _component_ids(pattern: Pattern, owner: Index, component: Index) -> Index:
