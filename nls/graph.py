@@ -19,7 +19,7 @@ from nls.linear.default import chosen_solver
 from nls.linear.free_gauge import FreeGauge
 from nls.linear.underconstrained import directions, free_names, underconstrained
 from nls.optimizers import LevenbergMarquardt, Optimizer, Result, default_optimizer
-from nls.optimizers.problem import Problem, in_use
+from nls.optimizers.problem import Problem
 from nls.optimizers.trust_region import TrustRegion
 from nls.sparse.memory import keep_freed_memory
 from nls.sparse.pattern import Pattern, measured_rows
@@ -215,7 +215,7 @@ class FactorGraph:
                 raise underconstrained(LinearSystem.at(pattern, values), values)
             watch = method.run(problem, values.copy())
         except UnderconstrainedError as error:
-            error.leave_out({f"nls.{type(method).__name__}()", f"gauge={gauge!r}", *in_use(solver)})
+            error.leave_out({f"nls.{type(method).__name__}()", f"gauge={gauge!r}"})
             raise
         assert watch.status is not None
         free = () if watch.free is None else free_names(watch.free, solver.left(watch.free))

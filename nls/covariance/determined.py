@@ -102,7 +102,8 @@ def anchored_factorization(
         Squares of weights or Jacobians overflow.
     """
     system = LinearSystem.at(pattern, values)
-    error = underconstrained(system)
+    keeps_A = linear_solver if linear_solver is not None and linear_solver.name == "qr" else None
+    error = underconstrained(system, solver=keeps_A)
     free = FreeDirections(column_lengths(system))
     for _ in range(BLOCKS):
         anchored = free.held(pattern, values)

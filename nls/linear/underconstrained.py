@@ -11,6 +11,7 @@ from models.algebra import Array, Index, Mask
 from models.errors import UnderconstrainedError
 from models.listing import some
 from nls.gauge import component_labels, touched_variables
+from nls.linear.base import LinearSolver
 from nls.linear.null_space import carriers_of_singles, null_directions, separated, single_directions, weakest
 from nls.linear.singular import SingularSystemError, UnsolvedSystemError
 from nls.sparse.pattern import Pattern
@@ -19,6 +20,7 @@ from nls.values import Values
 
 __all__ = ["directions", "free_names", "underconstrained"]
 
+TRUNCATED = "nls.Schur(block_inverse=nls.linear.truncated_inverse)"  # as the cure `truncate` writes it
 FAR = 1e9  # numbers in Jacobians beyond this hide a 1 beside them
 ALIKE = 1e3  # rows within this factor of the extreme one belong to it: no single measurement is the cause
 RESOLVED = 1e12  # largest over median row of A that linear solver 'qr' still resolves
@@ -27,7 +29,10 @@ INVOLVED = 0.02  # a component is named when it moves by at least this part of t
 
 
 def underconstrained(
-    system: LinearSystem, values: Values | None = None, cause: SingularSystemError | None = None
+    system: LinearSystem,
+    values: Values | None = None,
+    cause: SingularSystemError | None = None,
+    solver: LinearSolver | None = None,
 ) -> UnderconstrainedError:
     """The error for a singular system: which variables can move without any measurement noticing, how, and the cures.
 
@@ -36,6 +41,7 @@ def underconstrained(
     system : the linearization that was singular.
     values : the best values so far, for the error to carry.
     cause : what the linear solver said. An iteration that did not arrive proves nothing: it speaks for itself.
+    solver : the linear solver; no cure asks for it, nor for QR in place of another one that works on A.
 
     Raises
     ------
@@ -44,6 +50,15 @@ def underconstrained(
     """
     if isinstance(cause, UnsolvedSystemError):
         return UnderconstrainedError(str(cause), values=values)
+    error = _named(system, values)
+    if solver is not None:
+        on_A = "linear_solver=nls.QR()" if solver.name in ("qr", "dense-qr", "pinv") else ""
+        error.leave_out({on_A, "" if solver.exact else TRUNCATED} - {""})
+    return error
+
+
+def _named(system: LinearSystem, values: Values | None) -> UnderconstrainedError:
+    """The error with all its cures."""
     weighted, system = system, system.balanced
     pattern = system.pattern
     owner, component = pattern.column_owner()

@@ -140,13 +140,4 @@ def gauss_newton_step(system: LinearSystem, linear_solver: LinearSolver | None =
     try:
         return solver.analyze(system.pattern).solve(system).dx
     except SingularSystemError as error:
-        free = underconstrained(solver.held_system(system), cause=error)
-        free.leave_out(in_use(solver))
-        raise free from error
-
-
-def in_use(solver: LinearSolver) -> list[str]:
-    """A linear solver as cures write it: one that works on A has the digits of QR, an inexact one is truncated."""
-    names = {"linear_solver=nls.QR()": solver.name in ("qr", "dense-qr", "pinv")}
-    names["nls.Schur(block_inverse=nls.linear.truncated_inverse)"] = not solver.exact
-    return [name for name, holds in names.items() if holds]
+        raise underconstrained(solver.held_system(system), cause=error, solver=solver) from error
