@@ -77,18 +77,13 @@ class DenseAnalysis(Analysis):
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
 
 
-def _scaled(A: Array) -> tuple[Array, Array]:
-    """A with columns of length 1, and their lengths, 1 for a column of zeros: rank does not depend on units."""
+def _scaled(A: Array, refuse: bool = True) -> tuple[Array, Array]:
+    """A with columns of length 1, and their lengths, so that rank does not depend on units; 1 for a column of zeros."""
     lengths = np.linalg.norm(A, axis=0)
+    if refuse and ((lengths == 0).any() or A.shape[0] < A.shape[1]):
+        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
     lengths = np.where(lengths > 0, lengths, 1.0)
     return A / lengths, lengths
-
-
-def _determined(A: Array) -> tuple[Array, Array]:
-    """The same; a matrix whose shape or columns of zeros say that something is free is refused."""
-    if not A.any(axis=0).all() or A.shape[0] < A.shape[1]:
-        raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
-    return _scaled(A)
 
 
 class DenseQR(_Dense):
@@ -100,7 +95,7 @@ class DenseQR(_Dense):
     def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
-        scaled, lengths = _determined(A)
+        scaled, lengths = _scaled(A)
         Q, R = np.linalg.qr(scaled)
         if (np.abs(np.diag(R)) <= SINGULAR).any():
             raise SingularSystemError("a diagonal entry of R vanishes")
@@ -116,7 +111,7 @@ class DenseCholesky(_Dense):
     def least_squares(self, A: Array, b: Array) -> Array:
         import scipy.linalg
 
-        scaled, lengths = _determined(A)
+        scaled, lengths = _scaled(A)
         try:
             L = np.linalg.cholesky(scaled.T @ scaled)
         except np.linalg.LinAlgError as error:
@@ -164,6 +159,6 @@ class Pinv(_Dense):
 
     def _decomposed(self, A: Array) -> tuple[Array, Array, Array, Mask]:
         """U, S and D^-1 V, columns (n,) each, and which singular values do not count as zero."""
-        scaled, lengths = _scaled(A)
+        scaled, lengths = _scaled(A, refuse=False)
         U, s, Vt = np.linalg.svd(np.pad(scaled, ((0, max(0, A.shape[1] - len(A))), (0, 0))), full_matrices=False)
         return U[: len(A)], s, Vt.T / lengths[:, None], s > self.rtol * s[0]

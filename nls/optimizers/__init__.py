@@ -31,10 +31,11 @@ __all__ = [
 ]
 
 
+Callback = Callable[[Iteration], bool | None]
+
+
 def default_optimizer(
-    factors: Iterable[Factor],
-    stop: Stop | None = None,
-    callback: Callable[[Iteration], bool | None] | None = None,
+    factors: Iterable[Factor], stop: Stop | None = None, callback: Callback | None = None
 ) -> Optimizer:
     """`Automatic`, or Levenberg-Marquardt where a factor says that undamped steps are known to fail.
 

@@ -24,7 +24,7 @@ from nls.values import Values
 
 __all__ = ["Automatic"]
 
-FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED)
+FAILED = (Status.DIVERGED, Status.CYCLING, Status.STALLED, Status.MAX_ITERATIONS)
 RISE = 1e4  # growth of chi2 over the start, twice in a row; a long drive with 20 closures rises once to 4e6 times it
 WITHOUT = 10  # steps without a new best; pose graphs that converge take up to 4
 
@@ -81,9 +81,8 @@ class Automatic(Optimizer):
                 raise
             watch.end(Status.DIVERGED, f"the linear system of iteration {watch.step_count + 1} is singular", "singular")
             refusal = error
-        watch.limit = self.stop.patient.limit
-        late = watch.status is Status.MAX_ITERATIONS
-        if (watch.status in FAILED or late) and watch.step_count < watch.limit and not watch.halted:
+        watch.limit = self.stop.patient.max_iterations or 0
+        if watch.status in FAILED and watch.step_count < watch.limit and not watch.halted:
             watch.resume()
             watch.after_a_step = stop.AFTER_A_STEP
             Dogleg(self.stop, self.callback).follow(problem, watch.best, problem.linearize(watch.best), watch)

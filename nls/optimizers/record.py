@@ -9,7 +9,7 @@ import numpy as np
 
 from models.algebra import Array
 from nls.optimizers.result import Attempt, Iteration
-from nls.optimizers.thresholds import Status, Stop
+from nls.optimizers.thresholds import MOST_STEPS, Status, Stop
 from nls.system import LinearSystem
 from nls.values import Values
 
@@ -36,7 +36,8 @@ class Record:
     """
 
     def __init__(self, settings: Stop, values: Values, chi2: float, seconds: dict[str, float]) -> None:
-        self.stop, self.tol, self.limit, self.began = settings, settings.in_force, settings.limit, perf_counter()
+        self.stop, self.tol, self.began = settings, settings.in_force, perf_counter()
+        self.limit = MOST_STEPS if settings.max_iterations is None else settings.max_iterations
         self.methods, self.attempts, self.earlier = list[str](), list[Attempt](), list[Iteration]()
         self.history = [Iteration(0, chi2, seconds=seconds)]
         self.best, self.lowest = values, chi2

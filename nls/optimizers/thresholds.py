@@ -89,11 +89,6 @@ class Stop:
             raise OptionError("max_iterations", self.max_iterations, "a whole number")
 
     @property
-    def limit(self) -> int:
-        """At most so many steps of a method."""
-        return MOST_STEPS if self.max_iterations is None else self.max_iterations
-
-    @property
     def patient(self) -> Stop:
         """As it is; with the limit of all steps of the default where none is given."""
         return self if self.max_iterations is not None else replace(self, max_iterations=MOST_STEPS_IN_ALL)
