@@ -19,13 +19,12 @@ from factors.noise import Isotropic
 from factors.prior import Prior
 from models.algebra import Array, Index
 from nls.linear.null_space import null_directions, separated, single_directions
+from nls.linear.singular import ROUNDING
 from nls.sparse.pattern import Pattern
 from nls.system import LinearSystem
 from nls.values import Values
 
 __all__ = ["FreeDirections", "column_lengths"]
-
-ROUNDING = 1e-14  # of the longest column of the variable: a column this short is zero
 
 
 def column_lengths(system: LinearSystem) -> Array:

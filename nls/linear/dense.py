@@ -7,12 +7,12 @@ from time import perf_counter
 
 import numpy as np
 
-from models.algebra import Array, Mask
+from models.algebra import Array, Index, Mask
 from models.errors import OptionError, ResourceLimitError
 from models.options import is_number
 from nls.linear.base import Analysis, LinearSolution, LinearSolver, with_damping
 from nls.linear.limits import checked_limit
-from nls.linear.singular import SINGULAR, SingularSystemError
+from nls.linear.singular import ROUNDING, SINGULAR, SingularSystemError
 from nls.sparse.pattern import Pattern
 from nls.sparse.threads import single_thread
 from nls.system import LinearSystem
@@ -49,8 +49,8 @@ class _Dense(LinearSolver):
             )
         return DenseAnalysis(self)
 
-    def least_squares(self, A: Array, b: Array) -> Array:
-        """argmin |A dx - b|."""
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
+        """argmin |A dx - b|; `owner` (n,) is the variable of each column."""
         raise NotImplementedError
 
 
@@ -73,16 +73,16 @@ class DenseAnalysis(Analysis):
         A = sparse.toarray()
         t1 = perf_counter()
         with single_thread():
-            dx = self.solver.least_squares(A, b) if A.size else np.zeros(A.shape[1])
+            owner, _ = system.pattern.column_owner()
+            dx = self.solver.least_squares(A, b, owner) if A.size else np.zeros(A.shape[1])
         return LinearSolution(dx, {"assemble": t1 - t0, "factorize": perf_counter() - t1})
 
 
-def _scaled(A: Array, refuse: bool = True) -> tuple[Array, Array]:
-    """A with columns of length 1, and their lengths, so that rank does not depend on units; 1 for a column of zeros."""
+def _scaled(A: Array) -> tuple[Array, Array]:
+    """A with columns of length 1, and their lengths, so that rank does not depend on units."""
     lengths = np.linalg.norm(A, axis=0)
-    if refuse and ((lengths == 0).any() or A.shape[0] < A.shape[1]):
+    if (lengths == 0).any() or A.shape[0] < A.shape[1]:
         raise SingularSystemError("A has a column of zeros, or fewer rows than columns")
-    lengths = np.where(lengths > 0, lengths, 1.0)
     return A / lengths, lengths
 
 
@@ -92,7 +92,7 @@ class DenseQR(_Dense):
     name = "dense-qr"
     copies = 6.0
 
-    def least_squares(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -108,7 +108,7 @@ class DenseCholesky(_Dense):
     name = "dense-cholesky"
     copies = 4.0
 
-    def least_squares(self, A: Array, b: Array) -> Array:
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
         import scipy.linalg
 
         scaled, lengths = _scaled(A)
@@ -147,18 +147,21 @@ class Pinv(_Dense):
             raise OptionError("rtol", rtol, "a number of at least 0 and below 1")
         self.rtol: float = float(rtol)
 
-    def least_squares(self, A: Array, b: Array) -> Array:
-        U, s, V, kept = self._decomposed(A)
+    def least_squares(self, A: Array, b: Array, owner: Index) -> Array:
+        U, s, V, kept = self._decomposed(A, owner)
         dx = V[:, kept] @ ((U.T @ b)[kept] / s[kept])
         Q = np.linalg.qr(V[:, ~kept])[0]
         return np.asarray(dx - Q @ (Q.T @ dx))
 
     def left(self, system: LinearSystem) -> Array:
-        *_, V, kept = self._decomposed(system.A.toarray())
+        *_, V, kept = self._decomposed(system.A.toarray(), system.pattern.column_owner()[0])
         return V[:, ~kept]
 
-    def _decomposed(self, A: Array) -> tuple[Array, Array, Array, Mask]:
+    def _decomposed(self, A: Array, owner: Index) -> tuple[Array, Array, Array, Mask]:
         """U, S and D^-1 V, columns (n,) each, and which singular values do not count as zero."""
-        scaled, lengths = _scaled(A, refuse=False)
-        U, s, Vt = np.linalg.svd(np.pad(scaled, ((0, max(0, A.shape[1] - len(A))), (0, 0))), full_matrices=False)
+        lengths, longest = np.linalg.norm(A, axis=0), np.zeros(owner.max() + 1)
+        np.maximum.at(longest, owner, lengths)  # a column of rounding errors stays short beside the others
+        lengths = np.where(lengths > ROUNDING * longest[owner], lengths, longest[owner])
+        lengths[lengths == 0] = 1.0
+        U, s, Vt = np.linalg.svd(np.pad(A / lengths, ((0, max(0, A.shape[1] - len(A))), (0, 0))), full_matrices=False)
         return U[: len(A)], s, Vt.T / lengths[:, None], s > self.rtol * s[0]

@@ -15,9 +15,7 @@ from nls.system import LinearSystem
 
 __all__ = ["FreeGauge", "free_directions", "gauge_columns"]
 
-ROUNDING = (
-    1e-3  # of |A| |N|, row by row and so whatever the units: up to 2e-5 on public pose graphs; a motion that counts: 1
-)
+UNSEEN = 1e-6  # of a direction of length 1 in sigmas: public pose graphs have at most 1e-10
 
 
 def gauge_columns(held: Pattern, free: Pattern) -> tuple[Index, Index]:
@@ -36,9 +34,9 @@ def free_directions(A: sp.csr_array, gauge: Index, complement: Index, unheld: Ar
     """
     N = np.zeros((A.shape[1], len(gauge)))
     N[complement], N[gauge] = -unheld, np.eye(len(gauge))
-    sizes = abs(A.copy())  # of A itself it would sort the indices, which all linearizations share
-    U = N / np.linalg.norm(np.sqrt(sizes.power(2).sum(axis=0))[:, None] * N, axis=0)  # of length 1, in sigmas
-    if (np.abs(A @ U) > ROUNDING * (sizes @ np.abs(U)).max(axis=1, initial=0.0, keepdims=True)).any():
+    lengths = np.sqrt(A.copy().power(2).sum(axis=0))  # of A itself it would sort indices that all linearizations share
+    U = N / np.linalg.norm(lengths[:, None] * N, axis=0)  # of length 1 in sigmas, whatever the units
+    if np.abs(A @ U).max(initial=0.0) > UNSEEN:
         raise SingularSystemError("the held variable is not a free direction of the measurements")
     return np.asarray(np.linalg.qr(N)[0])
 

@@ -124,11 +124,10 @@ def test_a_shortest_step_of_a_free_gauge_names_what_else_it_leaves() -> None:
     assert result.dof == 11 * 3 + 96 + 1 - (36 - 3 + 8 + 1)
 
 
-@pytest.mark.parametrize("sigma", [1.0, 1e6])
 @SCALES
-def test_a_weak_measurement_that_calls_itself_relative_is_refused(sigma: float, scale: float) -> None:
+def test_a_heading_that_calls_itself_relative_is_refused(scale: float) -> None:
     graph, values = plane(scale, anchored=False)
-    prior = Prior(x[3], values[x[3]], Diagonal(sigma * np.array([1 / scale, 1 / scale, 1.0])))
+    prior = Prior(x[3], values[x[3]], Isotropic(1.0), components=("yaw",))
     prior.relative = True  # type: ignore[misc]
     graph.add(prior)
     with pytest.raises(UnderconstrainedError):
